@@ -1,0 +1,5 @@
+"""One file a verb; importing a file here gives the command line its verb."""
+
+from tactiled.cli.app import main
+
+__all__ = ["main"]

@@ -1,0 +1,25 @@
+"""The errors a user can meet, by whose fault they are."""
+
+
+class TactileError(Exception):
+    """Anything tactiled refuses or fails at; the text is one line that names the thing and what to do."""
+
+
+class ConfigError(TactileError):
+    """A setting is wrong: the text names the key, the value and the bound."""
+
+
+class PhysicsError(TactileError):
+    """A cover that cannot be solved as asked: the text names the parameter and its value."""
+
+
+class CodecError(TactileError):
+    """A message on a sensor's own id that its codec cannot mean."""
+
+
+class BusError(TactileError):
+    """The CAN interface cannot be opened, read or written."""
+
+
+class UnknownSensorError(TactileError):
+    """A sensor name that the configuration does not have."""

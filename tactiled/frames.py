@@ -1,0 +1,80 @@
+"""The frozen values that ride the belt from the bus to the browser; none of them owns behaviour."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MISSING = 1  # the taxel's message did not come
+BAD = 2  # the sensor itself calls the taxel out of range or not connected
+DEAD = 4  # the configuration or the calibration says that the taxel does not work
+SATURATED = 8  # the taxel is at its ceiling: its pressure is a lower bound, not a value
+
+
+class Message(NamedTuple):
+    """One CAN data frame as codecs see it."""
+
+    time: float  # s, the bus interface's clock (Unix time where the interface gives one)
+    id: int
+    data: bytes
+    extended: bool = False
+    fd: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """The counts that one message carries, and which part of which frame they are."""
+
+    time: float  # s
+    segment: int  # 0 ... segments - 1
+    first: int  # index of the first taxel carried
+    counts: NDArray[np.uint16]  # (n,)
+    sequence: int | None = None  # modulo the codec's `modulus`; None where the skin sends none
+    bad: tuple[int, ...] = ()  # taxels, by their index in the frame, that the sensor calls out of range
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What went wrong on the way in, counted by kind since the reader started."""
+
+    lost: int = 0  # messages that never came
+    repeated: int = 0  # messages that came twice
+    late: int = 0  # messages out of order: of a frame already closed, or behind a later segment
+    foreign: int = 0  # messages on the bus that belong to no configured sensor
+    malformed: int = 0  # messages on the sensor's id that its codec cannot mean
+    incomplete: int = 0  # frames published with taxels missing
+    skipped: int = 0  # frames not restored, because a newer one was already there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawFrame:
+    """One frame in counts; a missing taxel's count is 0 and its flag is MISSING."""
+
+    sequence: int  # counts up without wrapping, lost frames included
+    time: float  # s, of the frame's first message
+    skew: float  # s, from the frame's first message to its last
+    counts: NDArray[np.uint16]  # (N,)
+    flags: NDArray[np.uint8]  # (N,) MISSING | BAD
+    loss: Loss
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """One frame in kPa, as measured and as restored, with everything known against it."""
+
+    sensor: str
+    sequence: int
+    time: float  # s, of the frame's first message
+    raw: NDArray[np.float32]  # kPa, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
+    restored: NDArray[np.float32]  # kPa, (R k, C k) for a grid refined k times, (N,) otherwise; never NaN
+    flags: NDArray[np.uint8]  # the raw image's shape: MISSING | BAD | DEAD | SATURATED
+    method: str  # what ran: idle, raw, wiener, rl, nnls, ...
+    why: str  # why it was chosen
+    iterations: int
+    microseconds: float  # spent from counts to restored image
+    noise_kpa: float  # standard deviation of one raw taxel
+    noise_gain: float  # restored noise over raw noise
+    resolution_mm: float  # the finest half-period that the restored image carries above its noise
+    loss: Loss = field(default_factory=Loss)
+    warnings: tuple[str, ...] = ()
