@@ -1,0 +1,25 @@
+"""`tactiled init`: a commented configuration to start from."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tactiled.cli.app import app
+from tactiled.config.example import EXAMPLE
+from tactiled.errors import ConfigError
+
+
+@app.command()
+def init(
+    path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
+) -> None:
+    """Write a commented configuration."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(EXAMPLE)
+    except FileExistsError as error:
+        raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error
+    typer.echo(f"wrote {path}: edit it, then `tactiled check {path}` and `tactiled run {path}`")

@@ -1,0 +1,62 @@
+"""The commented configuration that `tactiled init` writes."""
+
+EXAMPLE = """\
+# tactiled configuration. Units stand in the keys: mm, MPa, kPa, s.
+
+[server]
+host = "127.0.0.1"          # loopback only; see "Security" in the README before you change it
+port = 8000
+
+# One table a CAN bus. `interface` and `channel` are python-can's, and so is any further key:
+#   socketcan (can0), slcan (/dev/ttyUSB0), pcan (PCAN_USBBUS1), kvaser (0), udp_multicast, virtual, ...
+[bus.can0]
+interface = "socketcan"
+channel = "can0"
+fd = true
+
+# One table a tactile array.
+[sensor.palm]
+bus = "can0"
+method = "auto"             # auto, or one method for every frame
+refine = 1                  # surface cells along each side of a taxel: 2 doubles the restored resolution
+stale_after_s = 0.5         # an image older than this is served as stale
+
+# What the array says on the bus: "packed" (this project's layout) or a skin's own ("icub").
+[sensor.palm.codec]
+name = "packed"
+array_id = 0                # CAN id = base_id + array_id
+base_id = 0x500
+bits = 12                   # a taxel, 8 to 16
+fd = true                   # CAN FD messages of 64 bytes; false: classic, 8 bytes
+
+[sensor.palm.array]
+rows = 32
+columns = 32
+pitch_mm = 1.0
+aperture_mm = 0.8           # side of a taxel's sensitive square (diameter if aperture = "round")
+aperture = "square"
+
+# The rubber over the taxels; several layers: [[sensor.palm.cover]], top to bottom.
+[sensor.palm.cover]
+thickness_mm = 1.2
+young_mpa = 0.6
+poisson = 0.48
+
+# What carries the taxels, down to rigid ground; leave it out if that is rigid itself.
+[sensor.palm.substrate]
+thickness_mm = 1.0
+young_mpa = 980.0
+poisson = 0.3
+
+[sensor.palm.kernel]
+model = "fem"               # "fem": finite elements; "layered": the exact answer for flat layers
+accuracy = 1e-3             # of the cover's gain
+
+# pressure = (counts - no_load) * kpa_per_count; negative if counts fall as pressure rises.
+[sensor.palm.calibration]
+kpa_per_count = 0.05
+no_load = 80
+saturation = 4095           # counts from which a taxel is at its ceiling
+# noise_kpa = 0.1           # standard deviation of one taxel; measured from the first frames if left out
+# dead = [17, 301]          # taxels that do not work, by index: row * columns + column
+"""

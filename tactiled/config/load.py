@@ -1,0 +1,90 @@
+"""TOML to a checked Config; every fault of the file in one go, each named with its place."""
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from tactiled.config.schema import Array, Bus, Calibration, Config, Icub, Kernel, Layer, Packed, Sensor, Server
+from tactiled.errors import ConfigError
+
+_KNOWN = {
+    key
+    for section in (Array, Bus, Calibration, Config, Icub, Kernel, Layer, Packed, Sensor, Server)
+    for key in section.model_fields
+}
+
+
+def load(path: Path) -> Config:
+    """Read the file at `path`; ConfigError, a line a fault, if it cannot be read or says what it may not."""
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: {error.strerror}: give the path of a configuration (`tactiled init` writes one)"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str = "config") -> Config:
+    """Read a configuration from TOML text; `source` names it in the ConfigError."""
+    try:
+        config = Config.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{source}: not TOML: {error}") from error
+    except ValidationError as error:
+        lines = (_line(fault) for fault in error.errors())
+        raise ConfigError("\n".join(f"{source}: {line}" for line in lines)) from error
+    faults = [f"{source}: {fault}" for fault in _crossed(config)]
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return config
+
+
+def _line(fault: ErrorDetails) -> str:
+    """One line: the place, what is wrong there, the value."""
+    place = _place(fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        return f"{place}: unknown key{_meant(str(fault['loc'][-1]))}"
+    if fault["type"] == "missing":
+        return f"{place}: missing"
+    return f"{place} = {_short(fault['input'])}: {fault['msg']}"
+
+
+def _place(loc: Sequence[int | str]) -> str:
+    """Dotted path without the names that only tell one kind of codec from another."""
+    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc]
+    tagged = [
+        part
+        for at, part in enumerate(parts)
+        if not (at and parts[at - 1] == ".codec" and part in (".packed", ".icub"))
+    ]
+    return "".join(tagged).lstrip(".")
+
+
+def _meant(key: str) -> str:
+    """The known key that an unknown one comes nearest to; the same stem with another unit comes first."""
+    stem = key.rsplit("_", 1)[0]
+    same = [known for known in _KNOWN if known.rsplit("_", 1)[0] in (stem, key)]
+    near = same or difflib.get_close_matches(key, _KNOWN, 1)
+    return f": did you mean {min(near)}?" if near else ""
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _crossed(config: Config) -> Iterator[str]:
+    """Faults between sections."""
+    for name, sensor in config.sensor.items():
+        if sensor.bus not in config.bus:
+            yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"
+        if not sensor.cover:
+            yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"

@@ -1,0 +1,121 @@
+"""What a configuration file may say: every key, its unit in its name, its bounds."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
+
+
+class Section(BaseModel):
+    """A table of the file: refuses a key that it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Server(Section):
+    """Where HTTP clients find the service."""
+
+    host: str = "127.0.0.1"
+    port: int = Field(8000, ge=0, le=65535)
+
+
+class Bus(BaseModel):
+    """A CAN interface: these keys and all that python-can's interface takes besides, passed on as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    interface: str
+    channel: str | int | None = None
+
+    def settings(self) -> dict[str, Any]:
+        """All of it, by python-can's names."""
+        return self.model_dump(exclude_none=True)
+
+
+class Layer(Section):
+    """A flat elastic layer."""
+
+    thickness_mm: Length
+    young_mpa: float = Field(gt=0, le=1e7, allow_inf_nan=False)
+    poisson: float = Field(ge=0, lt=0.5, allow_inf_nan=False)
+    bonded: bool = True  # to what lies under it; false: it slides without friction
+
+
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, dict) else value
+
+
+Layers = Annotated[tuple[Layer, ...], BeforeValidator(_listed)]
+
+
+class Kernel(Section):
+    """How the cover is solved."""
+
+    model: Literal["fem", "layered"] = "fem"
+    accuracy: float = Field(1e-3, ge=1e-5, le=0.1, allow_inf_nan=False)  # of the gain
+
+
+class Array(Section):
+    """Where the taxels are: rows and columns of a grid, or positions."""
+
+    rows: int | None = Field(None, ge=1, le=1024)
+    columns: int | None = Field(None, ge=1, le=1024)
+    pitch_mm: Length | None = None
+    positions_mm: tuple[tuple[float, float], ...] | None = None
+    aperture_mm: Length | None = None
+    aperture: Literal["square", "round"] | None = None
+
+
+class Packed(Section):
+    """The packed layout, in this project's README."""
+
+    name: Literal["packed"]
+    array_id: int = Field(0, ge=0, le=15)
+    base_id: int = Field(0x500, ge=0, le=0x1FFFFFF0)
+    extended: bool = False
+    bits: int = Field(12, ge=8, le=16)
+    fd: bool = False
+
+
+class Icub(Section):
+    """iCub MTB boards."""
+
+    name: Literal["icub"]
+    board: int = Field(ge=0, le=15)
+    triangles: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field(min_length=1)
+    thermal_pads: bool = True  # false: pads 6 and 10 are taxels too, as on a fingertip
+
+
+class Calibration(Section):
+    """Counts to kPa."""
+
+    kpa_per_count: float | None = Field(None, allow_inf_nan=False)
+    no_load: float | None = Field(None, allow_inf_nan=False)
+    saturation: float | None = Field(None, allow_inf_nan=False)
+    noise_kpa: float | None = Field(None, gt=0, allow_inf_nan=False)
+    dead: tuple[Annotated[int, Field(ge=0)], ...] = ()
+
+
+class Sensor(Section):
+    """One array on one bus."""
+
+    bus: Name
+    codec: Annotated[Packed | Icub, Field(discriminator="name")]
+    array: Array = Array()
+    cover: Layers
+    substrate: Layers = ()
+    kernel: Kernel = Kernel()
+    calibration: Calibration = Calibration()
+    method: str = "auto"
+    refine: int = Field(1, ge=1, le=8)  # surface cells a taxel, along each side
+    stale_after_s: float = Field(0.5, gt=0, le=3600, allow_inf_nan=False)
+
+
+class Config(Section):
+    """A whole file."""
+
+    server: Server = Server()
+    bus: dict[Name, Bus] = Field(min_length=1)
+    sensor: dict[Name, Sensor] = Field(min_length=1)

@@ -1,0 +1,71 @@
+import pytest
+
+from tactiled.config import load, parse
+from tactiled.config.example import EXAMPLE
+from tactiled.errors import ConfigError
+
+COVER = "sensor.palm.cover[0]"
+
+
+def test_the_example_is_valid():
+    config = parse(EXAMPLE)
+    assert config.sensor["palm"].cover[0].thickness_mm == 1.2
+    assert config.bus["can0"].settings() == {"interface": "socketcan", "channel": "can0", "fd": True}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("port = 8000", "prt = 8000", "server.prt: unknown key: did you mean port?"),
+        ("thickness_mm", "thickness_um", COVER + ".thickness_um: unknown key: did you mean thickness_mm?"),
+        ("thickness_mm", "thickness", COVER + ".thickness: unknown key: did you mean thickness_mm?"),
+        ("thickness_mm = 1.2", "", COVER + ".thickness_mm: missing"),
+        ("thickness_mm = 1.2", 'thickness_mm = "1.2 mm"', COVER + ".thickness_mm = '1.2 mm': "),
+        ("young_mpa = 0.6", "young_mpa = nan", COVER + ".young_mpa = nan: Input should be a finite number"),
+        ("poisson = 0.48", "poisson = 0.5", COVER + ".poisson = 0.5: Input should be less than 0.5"),
+        ("bits = 12 ", "bits = 20 ", "sensor.palm.codec.bits = 20: Input should be less than or equal to 16"),
+        ('name = "packed"', 'name = "pakt"', "sensor.palm.codec = "),
+        ('bus = "can0"', 'bus = "can1"', "sensor.palm.bus = 'can1': no such bus: the file has can0"),
+        ("refine = 1 ", "refine = 0 ", "sensor.palm.refine = 0: "),
+    ],
+)  # fmt: skip
+def test_a_fault_is_named_with_its_place_and_its_value(old, new, line):
+    assert EXAMPLE.count(old) >= 1
+    with pytest.raises(ConfigError) as caught:
+        parse(EXAMPLE.replace(old, new, 1), "a.toml")
+    assert f"a.toml: {line}" in str(caught.value)
+
+
+def test_every_fault_is_told_at_once():
+    text = EXAMPLE.replace("port = 8000", "prt = 8000").replace("poisson = 0.48", "poisson = 0.7")
+    with pytest.raises(ConfigError) as caught:
+        parse(text)
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_a_cover_may_be_a_list_of_layers():
+    film = "[[sensor.palm.cover]]\nthickness_mm = 0.1\nyoung_mpa = 2500.0\npoisson = 0.4\n"
+    text = EXAMPLE.replace("\n[sensor.palm.cover]", "\n[[sensor.palm.cover]]").replace(
+        "# What carries", f"{film}\n# What carries"
+    )
+    assert [layer.thickness_mm for layer in parse(text).sensor["palm"].cover] == [1.2, 0.1]
+
+
+def test_a_cover_of_no_layer_is_refused():
+    text = EXAMPLE.replace('bus = "can0"\nmethod', 'bus = "can0"\ncover = []\nmethod')
+    text = text.replace("[sensor.palm.cover]\nthickness_mm = 1.2\nyoung_mpa = 0.6\npoisson = 0.48\n", "")
+    with pytest.raises(ConfigError, match=r"sensor\.palm\.cover = \[\]: give at least one layer"):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(None, "No such file"), (b"port = ", "not TOML"), (b"\xff", "not UTF-8 text at byte 0")],
+)
+def test_a_file_that_cannot_be_read_is_named(tmp_path, content, says):
+    path = tmp_path / "skin.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=says) as caught:
+        load(path)
+    assert str(path) in str(caught.value)
