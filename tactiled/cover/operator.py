@@ -1,0 +1,81 @@
+"""From the cover's gain to what taxels sense: integrals over surface cell and aperture, never point samples.
+
+The response to a square cell of unit pressure, d away from a taxel, is the Fourier integral of G times the
+transforms of cell and aperture. It is taken octave by octave, so that a film's fine detail and a foam's wide skirt
+each have their own period and cut-off; as the integral runs to the cut-off, every alias of the sampling is in it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j1
+
+from tactiled.cover.kernel import Kernel
+from tactiled.errors import PhysicsError
+from tactiled.geometry import Array
+
+Floats = NDArray[np.float64]
+
+BAND = 4.0  # ratio of neighbouring bands' cut-offs
+FALL = 4.6  # a Gaussian exp(-x^2) is as good as 0 (1e-9) here
+RANGE = 6.0  # a band from q on reaches this over q in space: four times its Gaussian's own FALL / pi
+FINEST = 1000.0  # cycles a cell beyond which cell and aperture leave nothing (1e-7 of the peak)
+
+
+def stencil(kernel: Kernel, array: Array, refine: int = 1) -> Floats:
+    """Give (k (2R-1), k (2C-1)), k = refine: the mean pressure on a taxel for unit pressure on one surface cell.
+
+    Cells are squares of side pitch / k. Entry [d_y + k (R-1), d_x + k (C-1)] belongs to the index offset
+    d = cell - k taxel, that is to a cell's centre (d - (k-1)/2) pitch / k mm from the taxel's centre.
+    PhysicsError where the array is no grid.
+    """
+    if array.shape is None:
+        raise PhysicsError("array is no grid: use matrix() for any other layout")
+    if refine < 1:
+        raise PhysicsError(f"refinement is {refine}: give a whole number of 1 or more")
+    side = array.pitch / refine
+    y, x = ((np.arange(-refine * (n - 1), refine * n) - (refine - 1) / 2) * side for n in array.shape)
+    return _response(kernel, array, side, np.abs(x), np.abs(y))
+
+
+def matrix(kernel: Kernel, array: Array, cells: Floats | None = None, side: float | None = None) -> Floats:
+    """Give (N, M): the mean pressure on every taxel for unit pressure on square cells at `cells` (M, 2) mm.
+
+    The default cells are centred on the taxels and have the pitch as `side` (mm).
+    """
+    cells = array.positions if cells is None else np.asarray(cells, float)
+    offsets = np.abs(array.positions[:, None] - cells[None]).round(9)
+    x, column = np.unique(offsets[..., 0], return_inverse=True)
+    y, row = np.unique(offsets[..., 1], return_inverse=True)
+    table = _response(kernel, array, side or array.pitch, x, y)
+    return np.asarray(table[row.reshape(offsets.shape[:2]), column.reshape(offsets.shape[:2])])
+
+
+def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:
+    """Give (len(y), len(x)): the mean pressure on a taxel for a unit cell at every |offset| x, y (mm)."""
+    result = np.zeros((len(y), len(x)))
+    cuts = [np.inf]
+    while cuts[-1] > kernel.q[1]:
+        cuts.append(min(cuts[-1], kernel.q[-1]) / BAND)
+    for high, low in zip(cuts, [*cuts[1:], 0.0], strict=True):
+        cutoff = min(FALL * high, kernel.q[-1], FINEST / side)
+        reach = RANGE / (low or high) + (side + array.width) / 2
+        frequency = np.arange(int(cutoff * 2 * reach) + 2) / (2 * reach)
+        u, v = np.meshgrid(frequency, frequency)
+        q = np.hypot(u, v)
+        window = np.exp(-((q / high) ** 2)) - (np.exp(-((q / low) ** 2)) if low else 0.0)
+        spectrum = window * kernel.gain_at(q) * _footprints(array, side, u, v)
+        weight = np.where(frequency > 0, 2.0, 1.0) / (2 * reach)
+        columns, rows = x <= reach, y <= reach
+        along = np.cos(2 * np.pi * np.outer(frequency, x[columns])) * weight[:, None]
+        down = np.cos(2 * np.pi * np.outer(y[rows], frequency)) * weight
+        result[np.ix_(rows, columns)] += down @ spectrum @ along
+    return result
+
+
+def _footprints(array: Array, side: float, u: Floats, v: Floats) -> Floats:
+    """Give the transform of a unit cell (mm^2) times that of the aperture's mean at u, v (1/mm)."""
+    cell = side**2 * np.sinc(u * side) * np.sinc(v * side)
+    if array.aperture == "square":
+        return np.asarray(cell * np.sinc(u * array.width) * np.sinc(v * array.width))
+    x = np.pi * array.width * np.hypot(u, v)
+    return np.asarray(cell * np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0))

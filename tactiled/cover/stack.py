@@ -1,0 +1,72 @@
+"""What lies over and under the sensing plane: layers from the top down to a rigid base."""
+
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+
+from tactiled.errors import PhysicsError
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """One elastic, isotropic layer: thickness (mm), Young's modulus (MPa), Poisson's ratio."""
+
+    thickness: float
+    young: float
+    poisson: float
+
+    def __post_init__(self) -> None:
+        """Refuse what no elastic layer can be."""
+        for name, value, unit in (("thickness", self.thickness, "mm"), ("Young's modulus", self.young, "MPa")):
+            if not (np.isfinite(value) and value > 0):
+                raise PhysicsError(f"layer {name} is {value} {unit}: give a finite number above 0")
+        if not 0 <= self.poisson < 0.5:
+            raise PhysicsError(
+                f"layer Poisson's ratio is {self.poisson}: give 0 to less than 0.5 (rubber: 0.49 to 0.4999)"
+            )
+
+    @property
+    def shear(self) -> float:
+        """Shear modulus mu (MPa)."""
+        return self.young / (2 * (1 + self.poisson))
+
+    @property
+    def lame(self) -> float:
+        """Lamé's first modulus lambda (MPa)."""
+        return self.young * self.poisson / ((1 + self.poisson) * (1 - 2 * self.poisson))
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Layers from the top down on a rigid base, and where among them stress is sensed.
+
+    `sensing` counts the interface from the top: 1 is the underside of the first layer, len(layers) the base.
+    `bonds` has one entry an interface, the base included: True bonded, False frictionless; empty is all bonded.
+    """
+
+    layers: tuple[Layer, ...]
+    sensing: int = 1
+    bonds: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in the bonds and refuse a sensing plane or bonds that the layers do not have."""
+        count = len(self.layers)
+        if not count:
+            raise PhysicsError("stack has no layer: give at least the cover")
+        if not 1 <= self.sensing <= count:
+            raise PhysicsError(f"sensing plane is interface {self.sensing}: give 1 to {count} for {count} layers")
+        if not self.bonds:
+            object.__setattr__(self, "bonds", (True,) * count)
+        if len(self.bonds) != count:
+            raise PhysicsError(f"{len(self.bonds)} bonds for {count} interfaces: give one each, the base included")
+
+    @property
+    def faces(self) -> tuple[float, ...]:
+        """Depth (mm) of every interface from the surface (0) to the base."""
+        return (0.0, *accumulate(layer.thickness for layer in self.layers))
+
+    @property
+    def depth(self) -> float:
+        """Depth (mm) of the sensing plane."""
+        return self.faces[self.sensing]

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from tactiled.cover.layered import gain
+from tactiled.cover.stack import Layer, Stack
+
+Q = np.array([0.25, 0.5, 1, 1.5, 2, 3, 4])
+
+BY_THICKNESS = {
+    0.1: [0.995, 0.978, 0.922, 0.852, 0.772, 0.594, 0.417],
+    0.2: [0.979, 0.923, 0.772, 0.594, 0.417, 0.170, 0.061],
+    0.4: [0.929, 0.774, 0.417, 0.170, 0.061, 0.007, 0.001],
+    0.6: [0.863, 0.596, 0.170, 0.036, 0.007, 0.000, 0.000],
+}
+
+
+@pytest.mark.parametrize("thickness", BY_THICKNESS)
+def test_gain_by_thickness(paper, thickness):
+    np.testing.assert_allclose(gain(paper(thickness), Q), BY_THICKNESS[thickness], atol=5.1e-4)
+
+
+@pytest.mark.parametrize(
+    ("young", "expected"),
+    [
+        (98, (0.772, 0.417)),
+        (490, (0.702, 0.343)),
+        (980, (0.642, 0.285)),
+        (4903, (0.411, 0.125)),
+        (9807, (0.288, 0.074)),
+    ],
+)
+def test_gain_by_modulus(paper, young, expected):
+    np.testing.assert_allclose(gain(paper(young=young), np.array([1.0, 2.0])), expected, atol=5.1e-4)
+
+
+@pytest.mark.parametrize(
+    ("poisson", "expected"),
+    [(0.2, (0.791, 0.414)), (0.3, (0.772, 0.417)), (0.4, (0.755, 0.427)), (0.45, (0.747, 0.436))],
+)
+def test_gain_by_poisson(paper, poisson, expected):
+    np.testing.assert_allclose(gain(paper(poisson=poisson), np.array([1.0, 2.0])), expected, atol=5.1e-4)
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999])
+def test_deep_base_is_boussinesq(poisson):
+    stack = Stack((Layer(2.0, 5.0, poisson), Layer(500.0, 5.0, poisson)))
+    kz = 2 * np.pi * 2.0 * np.linspace(0.05, 1, 20)
+    np.testing.assert_allclose(gain(stack, kz / (4 * np.pi)), (1 + kz) * np.exp(-kz), atol=1e-9)
+
+
+def test_cutting_a_layer_in_two_changes_nothing():
+    whole = Stack((Layer(0.5, 1.0, 0.49), Layer(3.0, 200.0, 0.2)))
+    cut = Stack(
+        (Layer(0.01, 1.0, 0.49), Layer(0.49, 1.0, 0.49), Layer(1.0, 200.0, 0.2), Layer(2.0, 200.0, 0.2)), sensing=2
+    )
+    q = np.logspace(-4, 1, 60)
+    np.testing.assert_allclose(gain(cut, q), gain(whole, q), atol=1e-9)
+
+
+def test_gain_at_zero_is_one_and_far_out_is_zero(paper):
+    result = gain(paper(), np.array([0.0, 1e-12, 1e-7, 1e4, 1e9]))
+    np.testing.assert_allclose(result, [1, 1, 1, 0, 0], atol=1e-9)
+    assert np.isfinite(result).all()
