@@ -63,7 +63,9 @@ def grid(
 def layout(positions: NDArray[np.float64], width: float | None = None, aperture: Aperture = "round") -> Array:
     """Lay out taxels at `positions` (N, 2) in mm; the pitch is the least distance between two of them."""
     positions = np.asarray(positions, float)
+    if positions.ndim != 2 or len(positions) < 2 or not np.isfinite(positions).all():
+        return Array(positions, width or 1.0, width or 1.0, aperture)
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     gaps[np.diag_indices_from(gaps)] = np.inf
-    pitch = float(gaps.min()) if len(positions) > 1 else (width or 1.0)
+    pitch = float(gaps.min())
     return Array(positions, pitch, width or pitch, aperture)

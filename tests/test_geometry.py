@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+
+from tactiled.errors import ConfigError
+from tactiled.geometry import Array, grid, layout
+
+
+def test_a_grid_runs_along_its_rows_from_the_first_taxel():
+    array = grid(2, 3, pitch=0.5, width=0.4)
+    np.testing.assert_array_equal(array.positions, [[0, 0], [0.5, 0], [1, 0], [0, 0.5], [0.5, 0.5], [1, 0.5]])
+    assert (array.shape, array.frame_shape, array.size) == ((2, 3), (2, 3), 6)
+    assert (array.pitch, array.width, array.aperture) == (0.5, 0.4, "square")
+
+
+def test_a_layout_has_the_least_distance_as_its_pitch():
+    array = layout(np.array([[0.0, 0], [3, 4], [3, 6]]))
+    assert (array.pitch, array.width, array.shape, array.frame_shape) == (2.0, 2.0, None, (3,))
+
+
+def test_one_taxel_is_a_layout_too():
+    assert layout(np.zeros((1, 2)), width=3.0).pitch == 3.0
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: grid(0, 4, 1.0), "0 x 4 taxels"),
+        (lambda: grid(4, 4, float("nan")), "pitch is nan mm"),
+        (lambda: grid(4, 4, 1.0, -0.5), "width is -0.5 mm"),
+        (lambda: grid(4, 4, 1.0, 1.2), "width is 1.2 mm: apertures overlap past the pitch of 1.0 mm"),
+        (lambda: layout(np.array([[0.0, 0], [np.inf, 1]])), "not finite"),
+        (lambda: layout(np.array([[1.0, 2.0], [1.0, 2.0]])), "pitch is 0.0 mm"),
+        (lambda: layout(np.zeros((0, 2))), r"shape \(0, 2\)"),
+        (lambda: Array(np.zeros(3), 1.0, 1.0), r"shape \(3,\)"),
+    ],
+)
+def test_an_array_that_cannot_be_is_refused_by_name(make, says):
+    with pytest.raises(ConfigError, match=says):
+        make()
