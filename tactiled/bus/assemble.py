@@ -1,0 +1,113 @@
+"""Readings to frames: what is lost is counted and marked, never mended."""
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bus.codecs import Codec
+from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
+
+
+class _Open:
+    """A frame of which not every segment has come yet."""
+
+    def __init__(self, codec: Codec, reading: Reading) -> None:
+        self.began = self.ended = reading.time
+        self.counts: NDArray[np.uint16] = np.zeros(codec.size, np.uint16)
+        self.flags: NDArray[np.uint8] = np.full(codec.size, MISSING, np.uint8)
+        self.bad: list[int] = []
+        self.seen = np.zeros(codec.segments, bool)
+        self.highest = -1
+
+    def add(self, reading: Reading) -> None:
+        span = slice(reading.first, reading.first + len(reading.counts))
+        self.counts[span] = reading.counts
+        self.flags[span] = 0
+        self.bad += reading.bad
+        self.seen[reading.segment] = True
+        self.highest = max(self.highest, reading.segment)
+        self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
+
+
+class Assembler:
+    """Collects one array's readings into frames.
+
+    A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
+    `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
+    one that it always comes before, begins a newer frame.
+    """
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self._counts: Counter[str] = Counter()
+        self._open: _Open | None = None
+        self._closed = np.zeros(codec.segments, bool)  # segments seen of the frame closed last
+        self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
+        self._sequence = -1  # the same, not wrapped
+
+    def count(self, kind: str, by: int = 1) -> None:
+        """Add to one kind of loss."""
+        self._counts[kind] += by
+
+    @property
+    def loss(self) -> Loss:
+        """What went wrong so far."""
+        return Loss(**self._counts)
+
+    def push(self, reading: Reading) -> tuple[RawFrame, ...]:
+        """Take one reading; returns the frames that it closes, oldest first."""
+        step = self._step(reading)
+        if step <= 0 and (step < 0 or self._open is None):
+            again = step == 0 and self._closed[reading.segment]
+            self.count("repeated" if again else "late")
+            return ()
+        closed = self._begin(reading, step) if step else ()
+        frame = self._open
+        if frame is None:  # a step begins a frame, and without one there was a frame
+            return closed
+        if frame.seen[reading.segment]:
+            self.count("repeated")
+            return closed
+        if reading.segment < frame.highest and self.codec.modulus is not None:
+            self.count("late")
+        frame.add(reading)
+        return (*closed, *self._close()) if frame.seen.all() else closed
+
+    def flush(self, before: float) -> tuple[RawFrame, ...]:
+        """Close, marked, a frame whose last message came before time `before` (s)."""
+        return self._close() if self._open is not None and self._open.ended < before else ()
+
+    def _step(self, reading: Reading) -> int:
+        """How many frames a reading is ahead of the newest one begun; 0: of it; negative: of an older one."""
+        modulus = self.codec.modulus
+        if modulus is None:
+            return int(self._open is None or self._comes_again(self._open, reading.segment))
+        if reading.sequence is None or self._wire is None:
+            return 1
+        ahead = (reading.sequence - self._wire) % modulus
+        return ahead if ahead <= modulus // 2 else ahead - modulus
+
+    def _comes_again(self, frame: _Open, segment: int) -> bool:
+        end = (segment // self.codec.ordered + 1) * self.codec.ordered
+        return bool(frame.seen[segment:end].any())
+
+    def _begin(self, reading: Reading, step: int) -> tuple[RawFrame, ...]:
+        """Close the open frame, count the frames between as lost, open the reading's own."""
+        closed = self._close() if self._open is not None else ()
+        self.count("lost", (step - 1) * self.codec.segments)
+        self._wire, self._sequence = reading.sequence, self._sequence + step
+        self._open = _Open(self.codec, reading)
+        return closed
+
+    def _close(self) -> tuple[RawFrame, ...]:
+        frame, self._open = self._open, None
+        if frame is None:
+            return ()
+        self._closed = frame.seen
+        missing = int(np.count_nonzero(~frame.seen))
+        self.count("lost", missing)
+        self.count("incomplete", int(missing > 0))
+        frame.flags[frame.bad] |= BAD
+        skew = frame.ended - frame.began
+        return (RawFrame(self._sequence, frame.began, skew, frame.counts, frame.flags, self.loss),)

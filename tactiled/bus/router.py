@@ -1,0 +1,48 @@
+"""From the messages of one bus to the frames of its sensors, by id; pure."""
+
+from collections.abc import Mapping
+
+from tactiled.bus.assemble import Assembler
+from tactiled.bus.codecs import Codec
+from tactiled.errors import CodecError, ConfigError
+from tactiled.frames import Message, RawFrame
+
+Frames = tuple[tuple[str, RawFrame], ...]
+
+
+class Router:
+    """Hands every message to the sensor that its id belongs to, and counts those that belong to none."""
+
+    def __init__(self, codecs: Mapping[str, Codec]) -> None:
+        self.assemblers = {name: Assembler(codec) for name, codec in codecs.items()}
+        self._owner: dict[tuple[int, bool], str] = {}
+        for name, codec in codecs.items():
+            for key in codec.ids:
+                if (other := self._owner.setdefault(key, name)) != name:
+                    raise ConfigError(
+                        f"sensors {other} and {name} both listen to id {key[0]:#x}: give each its own"
+                    )
+
+    @property
+    def ids(self) -> frozenset[tuple[int, bool]]:
+        """Every (id, extended) that a sensor listens to."""
+        return frozenset(self._owner)
+
+    def push(self, message: Message) -> Frames:
+        """Take one message; returns (sensor, frame) for each frame that it closes."""
+        name = self._owner.get((message.id, message.extended))
+        if name is None:
+            for assembler in self.assemblers.values():
+                assembler.count("foreign")
+            return ()
+        assembler = self.assemblers[name]
+        try:
+            reading = assembler.codec.decode(message)
+        except CodecError:
+            assembler.count("malformed")
+            return ()
+        return tuple((name, frame) for frame in assembler.push(reading))
+
+    def flush(self, before: float) -> Frames:
+        """Close, marked, every frame whose last message came before time `before` (s)."""
+        return tuple((name, frame) for name, each in self.assemblers.items() for frame in each.flush(before))

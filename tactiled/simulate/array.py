@@ -1,0 +1,66 @@
+"""What an array under a cover would count: a scene, blurred finer than it is restored, sampled, with noise."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tactiled.calibrate import Calibration
+from tactiled.cover.kernel import Kernel
+from tactiled.cover.operator import matrix, stencil
+from tactiled.geometry import Array
+
+FINER = 4  # surface cells along each side of a taxel
+Sample = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+class Surface:
+    """Cells over an array, `FINER` times finer than its pitch, and what its taxels sense of pressure on them."""
+
+    def __init__(self, kernel: Kernel, array: Array) -> None:
+        low, high = array.positions.min(axis=0), array.positions.max(axis=0)
+        self.grain = array.pitch / FINER
+        self.size = float((high - low).min() + array.pitch)  # mm
+        middle = (low + high) / 2
+        counts = np.round((high - low) / array.pitch).astype(int) * FINER + FINER
+        x, y = ((np.arange(n) - (n - 1) / 2) * self.grain for n in counts)
+        self.x, self.y = np.meshgrid(x, y)  # (rows, columns) mm from the array's centre
+        cells = np.column_stack([self.x.ravel(), self.y.ravel()]) + middle
+        if array.shape is None:
+            self.sense = _product(matrix(kernel, array, cells, self.grain))
+        else:
+            self.sense = _convolution(stencil(kernel, array, FINER), array.shape)
+
+
+def _product(response: NDArray[np.float64]) -> Sample:
+    """Any layout: (M,) cells -> (N,)."""
+    return lambda pressure: np.asarray(response @ pressure.ravel())
+
+
+def _convolution(response: NDArray[np.float64], shape: tuple[int, int]) -> Sample:
+    """Convolve fine cells with a stencil and keep every taxel: (R k, C k) -> (R C,)."""
+    padded = [FINER * fft.next_fast_len(2 * n, real=True) for n in shape]
+    spectrum = fft.rfft2(response[::-1, ::-1].astype(np.float32), padded)
+    first = [FINER * n - 1 for n in shape]
+
+    def sense(pressure: NDArray[np.float64]) -> NDArray[np.float64]:
+        blurred = fft.irfft2(fft.rfft2(pressure.astype(np.float32), padded) * spectrum, padded)
+        rows, columns = (slice(at, at + FINER * n, FINER) for at, n in zip(first, shape, strict=True))
+        return np.asarray(blurred[rows, columns].ravel(), np.float64)
+
+    return sense
+
+
+class Taxels:
+    """Pressure (kPa) to counts: noise, gain, rounding, ceiling."""
+
+    def __init__(self, calibration: Calibration, full_scale: int, noise_kpa: float, seed: int) -> None:
+        self._calibration, self._full_scale, self._noise = calibration, full_scale, noise_kpa
+        self._random = np.random.default_rng(seed)
+
+    def count(self, pressure: NDArray[np.float64]) -> NDArray[np.uint16]:
+        """Counts (N,) of taxels under `pressure` (N,) in kPa."""
+        noisy = pressure + self._random.normal(0, self._noise, pressure.shape)
+        counts = np.round(noisy / self._calibration.kpa_per_count + self._calibration.no_load)
+        return np.clip(counts, 0, self._full_scale).astype(np.uint16)

@@ -1,0 +1,73 @@
+"""Frames of a scene at an array's rate, encoded for a bus."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Event
+
+from tactiled.bus.codecs import Codec
+from tactiled.calibrate import Calibration
+from tactiled.cover.kernel import Kernel
+from tactiled.errors import ConfigError
+from tactiled.frames import Message
+from tactiled.geometry import Array
+from tactiled.simulate.array import Surface, Taxels
+from tactiled.simulate.scenes import SCENES
+
+TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
+STAY_S = 8.0  # of a tour in each scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Player:
+    """One simulated array: what it sends at any time."""
+
+    codec: Codec
+    surface: Surface
+    taxels: Taxels
+    scenes: tuple[str, ...]
+
+    def messages(self, sequence: int, t: float, now: float) -> list[Message]:
+        """The messages of frame `sequence`, `t` s into the play; they bear the time `now` (s)."""
+        scene = SCENES[self.scenes[int(t / STAY_S) % len(self.scenes)]]
+        surface = self.surface
+        pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
+        return self.codec.encode(self.taxels.count(surface.sense(pressure)), sequence, now)
+
+
+def player(
+    array: Array,
+    kernel: Kernel,
+    codec: Codec,
+    calibration: Calibration,
+    scene: str = "tour",
+    noise_kpa: float = 0.1,
+    seed: int = 0,
+) -> Player:
+    """Make a player of one scene, or of a tour through them; ConfigError where there is no such scene."""
+    if scene != "tour" and scene not in SCENES:
+        raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
+    taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed)
+    return Player(codec, Surface(kernel, array), taxels, TOUR if scene == "tour" else (scene,))
+
+
+def play(
+    source: Callable[[int, float, float], list[Message]],
+    send: Callable[[Message], None],
+    rate_hz: float,
+    stop: Event,
+    seconds: float = float("inf"),
+) -> int:
+    """Send `source`'s frames at `rate_hz` until `stop` or for `seconds`; returns how many were sent.
+
+    Every frame has its own deadline, so that the rate does not drift; a frame that is late by more than its period
+    moves the ones behind it instead of sending them in a burst.
+    """
+    began = due = time.monotonic()
+    sequence = 0
+    while due - began < seconds and not stop.wait(max(0.0, due - time.monotonic())):
+        for message in source(sequence, due - began, time.time()):
+            send(message)
+        sequence += 1
+        due = max(due + 1 / rate_hz, time.monotonic() - 1 / rate_hz)
+    return sequence

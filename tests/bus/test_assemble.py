@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactiled.bus.assemble import Assembler
+from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.router import Router
+from tactiled.errors import ConfigError
+from tactiled.frames import BAD, MISSING, Loss, Message
+
+CODEC = Packed(10, bits=12)  # three segments of 4, 4 and 2 taxels
+
+
+def counts_of(sequence):
+    return np.full(10, sequence + 1, np.uint16) + np.arange(10, dtype=np.uint16)
+
+
+def sent(sequence, codec=CODEC):
+    return codec.encode(counts_of(sequence), sequence, float(sequence))
+
+
+def run(messages, codec=CODEC):
+    assembler = Assembler(codec)
+    frames = [frame for each in messages for frame in assembler.push(codec.decode(each))]
+    return frames, assembler.loss
+
+
+def test_whole_frames_in_order_lose_nothing():
+    frames, loss = run([*sent(0), *sent(1), *sent(2)])
+    assert [frame.sequence for frame in frames] == [0, 1, 2]
+    assert loss == Loss()
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, counts_of(frame.sequence))
+        assert not frame.flags.any()
+
+
+def test_a_lost_segment_is_marked_and_counted_never_filled_from_before():
+    a, b, c = sent(0), sent(1), sent(2)
+    frames, loss = run([*a, b[0], b[2], *c])
+    assert loss == Loss(lost=1, incomplete=1)
+    np.testing.assert_array_equal(frames[1].flags, [0] * 4 + [MISSING] * 4 + [0] * 2)
+    np.testing.assert_array_equal(frames[1].counts[4:8], 0)
+    assert frames[2].loss.lost == 1
+
+
+def test_lost_frames_count_every_message_they_had():
+    frames, loss = run([*sent(0), *sent(4)])
+    assert [frame.sequence for frame in frames] == [0, 4]
+    assert loss == Loss(lost=9)
+
+
+def test_the_sequence_number_wraps_without_loss():
+    messages = [each for n in range(250, 260) for each in CODEC.encode(counts_of(1), n, 0.0)]
+    frames, loss = run(messages)
+    assert [frame.sequence for frame in frames] == list(range(10))
+    assert loss == Loss()
+
+
+def test_a_repeated_message_changes_nothing_but_its_counter():
+    a, b = sent(0), sent(1)
+    frames, loss = run([a[0], a[0], a[1], a[2], a[2], *b])
+    assert loss == Loss(repeated=2)
+    np.testing.assert_array_equal(frames[0].counts, counts_of(0))
+
+
+def test_a_reordered_message_is_used_within_its_frame_and_dropped_behind_it():
+    a, b = sent(0), sent(1)
+    frames, loss = run([a[0], a[2], a[1], *b])
+    assert loss == Loss(late=1)
+    assert not frames[0].flags.any()
+    frames, loss = run([a[0], a[1], b[0], a[2], b[1], b[2]])
+    assert loss == Loss(lost=1, late=1, incomplete=1)
+    np.testing.assert_array_equal(frames[1].counts, counts_of(1))
+
+
+def test_a_frame_of_one_segment_closes_the_one_before_and_itself():
+    codec = Packed(2, 12)
+    frames, loss = run([codec.encode(np.array([n, n], np.uint16), n, 0.0)[0] for n in range(3)], codec)
+    assert [frame.counts.tolist() for frame in frames] == [[0, 0], [1, 1], [2, 2]]
+    assert loss == Loss()
+
+
+def test_time_is_the_first_messages_and_skew_reaches_to_the_last():
+    messages = [each._replace(time=10.0 + n / 8) for n, each in enumerate(sent(0))]
+    (frame,), _ = run(messages)
+    assert (frame.time, frame.skew) == (10.0, 0.25)
+
+
+def test_a_half_received_frame_is_closed_when_its_sender_falls_silent():
+    assembler = Assembler(CODEC)
+    assembler.push(CODEC.decode(sent(5)[0]))
+    assert assembler.flush(before=5.0) == ()
+    (frame,) = assembler.flush(before=5.1)
+    assert np.count_nonzero(frame.flags & MISSING) == 6
+    assert assembler.flush(before=9.0) == ()
+
+
+ICUB = Icub(0, (0, 1), thermal_pads=False)
+HEAD0, TAIL0, HEAD1, TAIL1 = ICUB.encode(np.arange(24, dtype=np.uint16), 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("messages", "missing", "lost"),
+    [
+        ([HEAD0, TAIL0, HEAD1, TAIL1] * 2, [0, 0], 0),
+        ([HEAD1, TAIL1, HEAD0, TAIL0] * 2, [0, 0], 0),  # triangles may come in any order
+        ([HEAD0, HEAD1, TAIL1, HEAD0, TAIL0, HEAD1, TAIL1], [5, 0], 1),
+        ([TAIL0, HEAD1, TAIL1, HEAD0, TAIL0, HEAD1, TAIL1], [7, 0], 1),  # a head never follows its own tail
+        ([HEAD0, TAIL0, HEAD0, TAIL0, HEAD1, TAIL1], [12, 0], 2),
+    ],
+)
+def test_a_skin_without_sequence_numbers_loses_what_the_order_proves(messages, missing, lost):
+    frames, loss = run(messages, ICUB)
+    assert [np.count_nonzero(frame.flags & MISSING) for frame in frames] == missing
+    assert (loss.lost, loss.incomplete) == (lost, sum(map(bool, missing)))
+    assert [frame.sequence for frame in frames] == [0, 1]
+
+
+def test_diagnostics_reach_the_frame_for_head_and_tail():
+    bad = TAIL0._replace(data=TAIL0.data[:6] + bytes((0x00, 0x10)))  # taxel 0, which the head carries
+    (frame,), _ = run([HEAD0, bad, HEAD1, TAIL1], ICUB)
+    assert frame.flags.tolist() == [BAD] + [0] * 23
+
+
+def test_foreign_and_malformed_messages_are_told_apart():
+    router = Router({"palm": CODEC})
+    good = sent(0)
+    for stray in (Message(0, 0x123, b"abc"), good[0]._replace(extended=True), good[0]._replace(data=b"\0\7")):
+        assert router.push(stray) == ()
+    frames = [frame for each in good for _, frame in router.push(each)]
+    assert frames[0].loss == Loss(foreign=2, malformed=1)
+
+
+def test_two_sensors_of_one_id_on_one_bus_are_refused():
+    with pytest.raises(ConfigError, match="palm and tip both listen to id 0x500"):
+        Router({"palm": CODEC, "tip": Packed(4)})
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=60))
+def test_in_any_order_no_frame_is_wrong_and_unmarked(order):
+    frames, loss = run([sent(sequence)[segment] for sequence, segment in order])
+    first = order[0][0] if order else 0
+    for frame in frames:
+        known = frame.flags & MISSING == 0
+        np.testing.assert_array_equal(frame.counts[known], counts_of(first + frame.sequence)[known])
+    assert loss.incomplete == sum(bool(frame.flags.any()) for frame in frames)
+    assert [frame.sequence for frame in frames] == sorted({frame.sequence for frame in frames})
+
+
+@settings(max_examples=300)
+@given(
+    st.lists(
+        st.tuples(st.integers(0x500, 0x501), st.binary(max_size=9), st.booleans(), st.booleans()), max_size=40
+    )
+)
+def test_any_bytes_neither_crash_nor_go_uncounted(stream):
+    router = Router({"palm": CODEC, "tip": Icub(0, (0,))})
+    taken = 0
+    for id_, data, extended, fd in stream:
+        router.push(Message(0.0, id_, data, extended, fd))
+        taken += (id_, extended) == (0x500, False)
+    loss = router.assemblers["palm"].loss
+    assert loss.foreign == len(stream) - taken
+    assert loss.malformed <= taken

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactiled.bus.codecs.packed import Packed
+from tactiled.errors import CodecError, ConfigError
+from tactiled.frames import Message
+
+
+@given(bits=st.integers(8, 16), fd=st.booleans(), size=st.integers(1, 400), seed=st.integers(0, 2**32 - 1))
+def test_decode_inverts_encode_over_the_whole_range(bits, fd, size, seed):
+    codec = Packed(size, bits, fd)
+    counts = np.random.default_rng(seed).integers(0, 1 << bits, size, dtype=np.uint16)
+    back = np.full(size, 0xFFFF, np.uint16)
+    for segment, message in enumerate(codec.encode(counts, 300, 1.5)):
+        reading = codec.decode(message)
+        assert (reading.segment, reading.sequence, reading.time) == (segment, 300 % 256, 1.5)
+        assert codec.span(segment) == slice(reading.first, reading.first + len(reading.counts))
+        back[codec.span(segment)] = reading.counts
+    np.testing.assert_array_equal(back, counts)
+
+
+def test_golden_bytes_of_a_classic_message():
+    codec = Packed(6, bits=12)
+    first, second = codec.encode(np.array([0xABC, 0x123, 0xFFF, 1, 2, 3], np.uint16), 7, 0.0)
+    # little-endian bit order: taxel 0 is the low 12 bits of the payload
+    assert first.data.hex() == "0700" + "bc3a12ff1f00"
+    assert second.data.hex() == "0701" + "023000"
+    assert (first.id, first.extended, first.fd) == (0x500, False, False)
+    assert int.from_bytes(first.data[2:], "little") == 0xABC | 0x123 << 12 | 0xFFF << 24 | 1 << 36
+
+
+def test_golden_bytes_of_a_padded_fd_message():
+    codec = Packed(8, bits=10, fd=True, array_id=3)
+    (message,) = codec.encode(np.arange(8, dtype=np.uint16), 255, 0.0)
+    assert (len(message.data), message.id, message.fd) == (12, 0x503, True)
+    assert message.data[:2].hex() == "ff00"
+    assert int.from_bytes(message.data[2:], "little") == sum(n << (10 * n) for n in range(8))
+
+
+@pytest.mark.parametrize(
+    ("size", "bits", "fd", "taxels", "segments"),
+    [(1024, 12, False, 4, 256), (1024, 12, True, 41, 25), (100, 8, False, 6, 17), (100, 16, False, 3, 34),
+     (1024, 16, True, 31, 34), (1, 8, False, 6, 1)],
+)  # fmt: skip
+def test_segments_are_as_the_readme_says(size, bits, fd, taxels, segments):
+    codec = Packed(size, bits, fd)
+    assert (codec.taxels, codec.segments) == (taxels, segments)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Message(0, 0x500, b""),
+        Message(0, 0x500, b"\0"),
+        Message(0, 0x500, bytes((0, 2)) + bytes(6)),  # no such segment
+        Message(0, 0x500, bytes((0, 0)) + bytes(5)),  # too short
+        Message(0, 0x500, bytes((0, 1)) + bytes(6)),  # the last segment is shorter
+        Message(0, 0x500, bytes((0, 1)) + bytes((0, 0x10))),  # a bit set behind the last taxel
+        Message(0, 0x500, bytes(8), fd=True),
+    ],
+)
+def test_a_message_that_is_not_the_layouts_is_refused(message):
+    with pytest.raises(CodecError):
+        Packed(5, bits=12).decode(message)
+
+
+def test_an_array_larger_than_the_layout_carries_is_refused_with_the_limit():
+    with pytest.raises(ConfigError, match="1025 taxels of 12 bits need 257 messages .* at most 256"):
+        Packed(1025, 12)
+
+
+@pytest.mark.parametrize(("settings", "says"), [
+    ({"bits": 7}, "codec.bits = 7"), ({"bits": 17}, "codec.bits = 17"), ({"base_id": 0x7FF, "array_id": 1}, "0x800"),
+])  # fmt: skip
+def test_a_setting_that_cannot_be_is_refused_by_name(settings, says):
+    with pytest.raises(ConfigError, match=says):
+        Packed(4, **settings)
+
+
+def test_a_count_of_too_many_bits_is_not_cut_off_in_silence():
+    with pytest.raises(CodecError, match="4096"):
+        Packed(2, 12).encode(np.array([0, 4096], np.uint16), 0, 0.0)
