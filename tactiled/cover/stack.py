@@ -70,3 +70,29 @@ class Stack:
     def depth(self) -> float:
         """Depth (mm) of the sensing plane."""
         return self.faces[self.sensing]
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """How much thicker than flat the top layer is around a taxel: a boss, a dimple or an edge, round about r = 0.
+
+    `rise` (mm) belongs to `radius` (mm), is linear in between and 0 from the last radius on; below 0 is a dimple.
+    """
+
+    radius: tuple[float, ...]
+    rise: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse points that make no profile."""
+        if len(self.radius) != len(self.rise) or len(self.radius) < 2:
+            raise PhysicsError(
+                f"profile has {len(self.radius)} radii and {len(self.rise)} rises: give as many, and at least two"
+            )
+        if not np.isfinite([*self.radius, *self.rise]).all() or self.radius[0] != 0:
+            raise PhysicsError(f"profile radii {self.radius}: start at 0 and give finite numbers")
+        if (np.diff(self.radius) <= 0).any():
+            raise PhysicsError(
+                f"profile radii {self.radius}: let them grow (an edge needs a slope, however steep)"
+            )
+        if self.rise[-1] != 0:
+            raise PhysicsError(f"profile ends with a rise of {self.rise[-1]} mm: let it end flat, with 0")

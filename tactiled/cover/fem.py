@@ -1,0 +1,204 @@
+"""The gain of a cover by axisymmetric finite elements, refined until an error estimate meets the accuracy.
+
+A smooth footprint presses on the axis of a disc whose rim slides without friction. At the frequencies where
+J1(2 pi q R) is 0 such a rim stands where a wave has no slope, so that the disc of radius R has the very gain of
+the endless cover: no far field is cut, and R only says how closely low frequencies are sampled.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from tactiled.cover import elements, line
+from tactiled.cover.stack import Profile, Stack
+from tactiled.errors import PhysicsError
+
+Floats = NDArray[np.float64]
+
+FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
+FOOTPRINT = 0.25  # the footprint's radius, and
+CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
+GROWTHS = 0.5 / 2 ** np.arange(0, 5.1, 0.5)  # element size over distance from the core's far side, level by level
+FEWEST = 0.5  # elements through a layer, over the growth
+SHRINK = 0.35  # the error of a level over its difference from the level before, at worst
+NEAR = 10.0  # radius of the disc over the stack's thickness, to begin with
+BEND = 0.004  # the largest loss of gain at the disc's lowest frequency
+LOW = 17  # frequencies that tell whether the disc samples the low end closely enough
+SAMPLES = 48  # frequencies a decade
+FINEST = 1e-6  # the interpolation between frequencies is no better
+LARGEST = 60_000  # unknowns
+WIDEST = 1e5  # radius of the disc over the stack's thickness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What the elements found, as plain arrays."""
+
+    q: Floats  # (n,) cycles/mm, 0 first
+    gain: Floats  # (n,), to a little past where it stays under FLOOR
+    error_estimate: float
+    mesh: tuple[int, int]  # elements along r and along z
+    unknowns: int
+    radius: float  # mm
+
+
+def interpolant(q: Floats, gain: Floats) -> Callable[[Floats], Floats]:
+    """Give G between its samples: a cubic spline, even about 0, its knots in proportion to q far out."""
+    place = np.arcsinh(q / q[1])
+    spline = CubicSpline([-place[1], *place], [gain[1], *gain])
+    return lambda at: np.asarray(spline(np.arcsinh(at / q[1])))
+
+
+def solve(
+    stack: Stack,
+    accuracy: float = 1e-3,
+    profile: Profile | None = None,
+    radius: float | None = None,
+    late: Callable[[], bool] = lambda: False,
+) -> Solution:
+    """Refine until the estimated error of G is within `accuracy` wherever G is FLOOR or more.
+
+    `radius` (mm) fixes the disc; `late` says that time is up. PhysicsError where either forbids the accuracy.
+    """
+    if not FINEST <= accuracy < 1:
+        raise PhysicsError(f"accuracy of the gain is {accuracy}: give {FINEST:g} to less than 1, such as 1e-3")
+    end, reach = _survey(stack, profile, radius, accuracy)
+    q = _frequencies(reach, end)
+    before, error = np.full_like(q, np.inf), np.inf
+    for growth in GROWTHS:
+        mesh = _mesh(stack, profile, reach, CORE / end, growth)
+        if mesh.unknowns > LARGEST:
+            break
+        gain = _gain(stack, mesh, FOOTPRINT / end, q)
+        heard = q <= _last(q, gain, FLOOR)
+        error = SHRINK * float(np.abs(gain - before)[heard].max()) + _between(q[heard], gain[heard])
+        if error <= accuracy:
+            return Solution(q, gain, error, mesh.shape, mesh.unknowns, reach)
+        if late():
+            raise PhysicsError(
+                f"accuracy {accuracy:g} of the gain is not met in the given time: the estimate is {error:.1e}; "
+                "allow more time or ask for less"
+            )
+        before = gain
+    raise PhysicsError(
+        f"accuracy {accuracy:g} of the gain cannot be met: the error estimate stands at {error:.1e}; ask for less"
+    )
+
+
+def _survey(stack: Stack, profile: Profile | None, radius: float | None, accuracy: float) -> tuple[float, float]:
+    """Find by coarse meshes the frequency (cycles/mm) where the gain ends and the radius (mm) the disc needs.
+
+    A mesh much finer than the gain needs hears its own error at high frequencies, so the end comes down in steps.
+    """
+    deepest = end = 2 / _depth(stack, profile)
+    reach = radius or NEAR * _extent(stack, profile)
+    falling = True
+    while reach < WIDEST * _extent(stack, profile):
+        q = _frequencies(reach, end)
+        coarse, gain = (
+            _gain(stack, _mesh(stack, profile, reach, CORE / end, growth), FOOTPRINT / end, q)
+            for growth in GROWTHS[:2]
+        )
+        noise = np.maximum.accumulate(np.abs(gain - coarse)[::-1])[::-1]
+        last = _last(q, gain, FLOOR + noise)
+        if abs(1 - gain[1]) > BEND or _between(q[:LOW], gain[:LOW]) > accuracy / 4:
+            if radius is not None:
+                raise PhysicsError(
+                    f"domain radius {radius:g} mm cuts the far field of a stack {stack.faces[-1]:g} mm thick: "
+                    f"the gain is {gain[1]:.3f} at its lowest frequency; give a wider domain or none"
+                )
+            reach *= 2
+        elif falling and 3 * last < end:
+            end = 3 * last
+        elif last >= end < deepest:
+            end, falling = min(2 * end, deepest), False
+        else:
+            return min(end, 1.25 * _last(q, gain, FLOOR)), reach
+    raise PhysicsError(f"far field reaches past {reach:.3g} mm: bring the layers' moduli closer together")
+
+
+def _last(q: Floats, gain: Floats, floor: Floats | float) -> float:
+    """Give the last frequency (cycles/mm) where the gain is above a floor, or a low one."""
+    return float(q[max(int(np.flatnonzero(np.abs(gain) > floor)[-1]), LOW // 2)])
+
+
+def _depth(stack: Stack, profile: Profile | None) -> float:
+    """Give the least depth (mm) of the sensing plane under the surface."""
+    depth = stack.depth + (min(profile.rise) if profile else 0.0)
+    if depth <= stack.depth - stack.layers[0].thickness:
+        raise PhysicsError(
+            f"profile takes {-min(profile.rise) if profile else 0:g} mm from a cover "
+            f"{stack.layers[0].thickness:g} mm thick: take less"
+        )
+    return depth
+
+
+def _extent(stack: Stack, profile: Profile | None) -> float:
+    """Give the length (mm) that the disc must be wide against."""
+    return max(stack.faces[-1], profile.radius[-1] if profile else 0.0)
+
+
+def _frequencies(reach: float, end: float) -> Floats:
+    """Give 0 and the disc's own frequencies (cycles/mm) to a little past `end`, even in their logarithm."""
+    count = max(int(2.6 * reach * end), 16)
+    steps = int(SAMPLES * np.log10(count / 8)) + 2
+    n = np.unique(np.concatenate([np.arange(1, 9), np.geomspace(8, count, steps).astype(int)]))
+    return np.concatenate([[0.0], line.standing(n) / (2 * np.pi * reach)])
+
+
+def _gain(stack: Stack, mesh: elements.Mesh, radius: float, q: Floats) -> Floats:
+    """Give the gain (n,) at q (n,) that a mesh gives to a smooth footprint of `radius` (mm)."""
+    density = np.exp(-((line.points(mesh.r)[0] / radius) ** 2)) / (np.pi * radius**2)
+    pressure = line.forces(mesh.r, density)
+    sensed = elements.sensed(stack, mesh, pressure)
+    given, felt = (line.hankel(mesh.r, line.recover(mesh.r, force), q) for force in (pressure, sensed))
+    return felt / given
+
+
+def _mesh(stack: Stack, profile: Profile | None, reach: float, core: float, growth: float) -> elements.Mesh:
+    """Grade a mesh from the load outwards and downwards, bent to the profile in the top layer."""
+    fewest = int(np.ceil(FEWEST / growth))
+    corners = profile.radius if profile else (0.0,)
+    r = np.concatenate(
+        [
+            [0.0],
+            *(_between_corners(*ends, core, growth) for ends in pairwise(corners)),
+            _graded(corners[-1], reach, core, growth, fewest, corners[-1]),
+        ]
+    )
+    parts = [_graded(*ends, core, growth, fewest, 0.0) for ends in pairwise(stack.faces)]
+    z = np.tile(np.concatenate([[0.0], *parts]), (len(r), 1))
+    if profile:
+        cover = stack.layers[0].thickness
+        rise = np.interp(r, profile.radius, profile.rise)[:, None]
+        z -= rise * np.maximum(1 - z / cover, 0)
+    return elements.Mesh(r, z, (0, *np.cumsum([len(part) for part in parts]).tolist()))
+
+
+def _graded(start: float, stop: float, core: float, growth: float, fewest: int, origin: float) -> Floats:
+    """Give the ends of elements from `start` to `stop`, each `growth` times as long as it is far from `origin`."""
+    first, last = start - origin + core, stop - origin + core
+    count = max(fewest, int(np.ceil(np.log(last / first) / np.log1p(growth))))
+    ends = np.geomspace(first, last, count + 1)[1:] - core + origin
+    ends[-1] = stop
+    return ends
+
+
+def _between_corners(start: float, stop: float, core: float, growth: float) -> Floats:
+    """Grade from both corners of a profile to the middle."""
+    half = (stop - start) / 2
+    out = _graded(0.0, half, core, growth, 1, 0.0)
+    return start + np.concatenate([out, (2 * half - out[:-1])[::-1], [2 * half]])
+
+
+def _between(q: Floats, gain: Floats) -> float:
+    """Estimate the error of interpolating the gain, below the lowest frequency and above it.
+
+    Above, it is a quarter of what every other sample makes of the rest.
+    """
+    missed = np.abs(interpolant(q[::2], gain[::2])(q[1::2]) - gain[1::2]).max() / 4
+    return float(missed + abs(1 - gain[1]) / 60)

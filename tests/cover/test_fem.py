@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+
+from tactiled.cover import fem, layered
+from tactiled.cover.stack import Layer, Profile, Stack
+from tactiled.errors import PhysicsError
+
+
+def error(stack, found):
+    """Worst error of the elements' gain, between the samples too, wherever the exact gain is 1e-3 or more."""
+    q = np.geomspace(found.q[1] / 30, found.q[-1], 600)
+    exact = layered.gain(stack, q)
+    return np.abs(fem.interpolant(found.q, found.gain)(q) - exact)[np.abs(exact) >= 1e-3].max()
+
+
+@pytest.mark.parametrize("thickness", [0.1, 0.2, 0.4, 0.6])
+def test_paper_covers_within_the_accuracy_and_the_estimate(paper, thickness):
+    stack = paper(thickness)
+    found = fem.solve(stack, 1e-3)
+    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
+    assert found.error_estimate <= 1e-3
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4])
+def test_a_finer_accuracy_is_met(paper, accuracy):
+    stack = paper(poisson=0.49)
+    found = fem.solve(stack, accuracy)
+    assert error(stack, found) <= 2 * found.error_estimate <= 2 * accuracy
+    assert error(stack, found) <= accuracy
+
+
+RUBBER = Layer(2.0, 0.5, 0.4999)
+BOARD = Layer(1.6, 20_000.0, 0.3)
+FOAM = Layer(3.0, 0.05, 0.1)
+FILM = Layer(0.05, 4_000.0, 0.35)
+
+
+@pytest.mark.parametrize(
+    "stack",
+    [
+        Stack((RUBBER, BOARD)),
+        Stack((FILM, FOAM, BOARD), sensing=2),
+        Stack((FILM, RUBBER, FOAM, BOARD), sensing=3),
+        Stack((RUBBER,)),
+        Stack((FILM, Layer(10.0, 0.05, 0.4999), Layer(10.0, 200_000.0, 0.0)), sensing=2),
+        Stack((RUBBER, BOARD), bonds=(False, True)),
+        Stack((FILM, RUBBER, BOARD), sensing=2, bonds=(True, False, False)),
+        Stack((RUBBER, FOAM), sensing=2, bonds=(False, False)),
+    ],
+    ids=["rubber", "film on foam", "four", "alone", "contrast", "loose", "half loose", "all loose"],
+)
+def test_stacks_agree_with_the_exact_solution(stack):
+    found = fem.solve(stack, 1e-3)
+    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.49, 0.4999])
+def test_gain_converges_at_twice_the_degree(paper, poisson):
+    stack, growths = paper(poisson=poisson), np.array([0.5, 0.25, 0.125])
+    q = fem._frequencies(12.0, 7.0)
+    exact = layered.gain(stack, q)
+    meshes = [fem._mesh(stack, None, 12.0, 0.1, growth) for growth in growths]
+    errors = [np.sqrt(np.mean((fem._gain(stack, mesh, 0.035, q) - exact) ** 2)) for mesh in meshes]
+    slope = np.polyfit(np.log(np.log1p(growths)), np.log(errors), 1)[0]
+    assert slope > 5
+
+
+def test_loads_of_a_flat_profile_change_nothing(paper):
+    flat, bent = (fem.solve(paper(), 1e-3, profile) for profile in (None, Profile((0.0, 0.5), (0.0, 0.0))))
+    value = fem.interpolant(bent.q, bent.gain)(np.array([0.5, 1, 2, 4]))
+    np.testing.assert_allclose(value, fem.interpolant(flat.q, flat.gain)(np.array([0.5, 1, 2, 4])), atol=5e-4)
+
+
+@pytest.mark.parametrize(("rise", "thickness"), [(0.1, 0.3), (-0.1, 0.1)])
+def test_a_wide_plateau_is_a_cover_of_its_own_thickness(paper, rise, thickness):
+    found = fem.solve(paper(), 1e-3, Profile((0.0, 3.0, 3.5), (rise, rise, 0.0)))
+    q = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
+    np.testing.assert_allclose(
+        fem.interpolant(found.q, found.gain)(q), layered.gain(paper(thickness), q), atol=1e-3
+    )
+
+
+def test_a_small_boss_lowers_and_a_small_dimple_raises_the_gain(paper):
+    q = np.array([0.5, 1.0, 2.0])
+    boss, flat, dimple = (
+        fem.interpolant(found.q, found.gain)(q)
+        for found in (fem.solve(paper(), 1e-3, Profile((0.0, 0.3, 0.5), (h, h, 0.0))) for h in (0.05, 0.0, -0.05))
+    )
+    assert (boss < flat - 0.02).all()
+    assert (dimple > flat + 0.02).all()
+
+
+def test_a_domain_that_cuts_the_far_field_is_refused(paper):
+    with pytest.raises(PhysicsError, match="domain radius 20 mm cuts the far field of a stack 11 mm thick"):
+        fem.solve(paper(10.0), radius=20.0)
+
+
+def test_the_same_domain_serves_a_thin_stack(paper):
+    found = fem.solve(paper(), radius=20.0)
+    assert error(paper(), found) <= 1e-3
+
+
+def test_an_accuracy_out_of_reach_is_refused_with_the_estimate(paper):
+    with pytest.raises(
+        PhysicsError, match=r"accuracy 1e-06 of the gain cannot be met: the error estimate stands at"
+    ):
+        fem.solve(paper(), 1e-6)
+
+
+def test_time_up_is_refused_with_the_estimate(paper):
+    with pytest.raises(
+        PhysicsError, match="accuracy 1e-06 of the gain is not met in the given time: the estimate is"
+    ):
+        fem.solve(paper(), 1e-6, late=lambda: True)
+
+
+@pytest.mark.parametrize("accuracy", [0.0, -1e-3, 1e-7, 1.0, float("nan")])
+def test_an_accuracy_that_means_nothing_is_refused(paper, accuracy):
+    with pytest.raises(PhysicsError, match="accuracy of the gain is"):
+        fem.solve(paper(), accuracy)
+
+
+def test_a_dimple_through_the_cover_is_refused(paper):
+    with pytest.raises(PhysicsError, match=r"profile takes 0.2 mm from a cover 0.2 mm thick"):
+        fem.solve(paper(), profile=Profile((0.0, 0.5), (-0.2, 0.0)))
