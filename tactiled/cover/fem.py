@@ -24,9 +24,10 @@ FOOTPRINT = 0.25  # the footprint's radius, and
 CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
 GROWTHS = 0.5 / 2 ** np.arange(0, 5.1, 0.5)  # element size over distance from the core's far side, level by level
 FEWEST = 0.5  # elements through a layer, over the growth
-SHRINK = 0.35  # the error of a level over its difference from the level before, at worst
+SHRINK = 0.5  # the error of a level over its difference from the level before, at worst
 NEAR = 10.0  # radius of the disc over the stack's thickness, to begin with
 BEND = 0.004  # the largest loss of gain at the disc's lowest frequency
+COARSE = 5e-3  # the accuracy of a coarse mesh
 LOW = 17  # frequencies that tell whether the disc samples the low end closely enough
 SAMPLES = 48  # frequencies a decade
 FINEST = 1e-6  # the interpolation between frequencies is no better
@@ -92,19 +93,15 @@ def solve(
 def _survey(stack: Stack, profile: Profile | None, radius: float | None, accuracy: float) -> tuple[float, float]:
     """Find by coarse meshes the frequency (cycles/mm) where the gain ends and the radius (mm) the disc needs.
 
-    A mesh much finer than the gain needs hears its own error at high frequencies, so the end comes down in steps.
+    High frequencies hear the coarse mesh's own error, which lessens with the mesh fitted closer: in steps.
     """
     deepest = end = 2 / _depth(stack, profile)
     reach = radius or NEAR * _extent(stack, profile)
     falling = True
     while reach < WIDEST * _extent(stack, profile):
         q = _frequencies(reach, end)
-        coarse, gain = (
-            _gain(stack, _mesh(stack, profile, reach, CORE / end, growth), FOOTPRINT / end, q)
-            for growth in GROWTHS[:2]
-        )
-        noise = np.maximum.accumulate(np.abs(gain - coarse)[::-1])[::-1]
-        last = _last(q, gain, FLOOR + noise)
+        gain = _gain(stack, _mesh(stack, profile, reach, CORE / end, GROWTHS[0]), FOOTPRINT / end, q)
+        last = _last(q, gain, COARSE)
         if abs(1 - gain[1]) > BEND or _between(q[:LOW], gain[:LOW]) > accuracy / 4:
             if radius is not None:
                 raise PhysicsError(
@@ -121,7 +118,7 @@ def _survey(stack: Stack, profile: Profile | None, radius: float | None, accurac
     raise PhysicsError(f"far field reaches past {reach:.3g} mm: bring the layers' moduli closer together")
 
 
-def _last(q: Floats, gain: Floats, floor: Floats | float) -> float:
+def _last(q: Floats, gain: Floats, floor: float) -> float:
     """Give the last frequency (cycles/mm) where the gain is above a floor, or a low one."""
     return float(q[max(int(np.flatnonzero(np.abs(gain) > floor)[-1]), LOW // 2)])
 

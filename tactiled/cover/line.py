@@ -9,6 +9,7 @@ Floats = NDArray[np.float64]
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 X = (_POINTS + 1) / 2
+WAVES = 1.0  # waves that eight Gauss points integrate
 DEGREE = 3  # quadratic elements are too stiff for a hard skin that bends over foam
 
 
@@ -59,9 +60,29 @@ def recover(r: Floats, force: Floats) -> Floats:
 
 
 def hankel(r: Floats, value: Floats, q: Floats) -> Floats:
-    """Give 2 pi integral of value J0(2 pi q r) r dr for q (n,) in cycles/mm of a nodal `value`."""
-    place, weight = points(r)
-    density = (value[_of(r)] @ SHAPES) * weight
+    """Give 2 pi integral of value J0(2 pi q r) r dr for q (n,) in cycles/mm, growing, of a nodal `value`.
+
+    Far out an element spans many waves; there it is cut into pieces of a wave each, octave by octave of q.
+    """
+    return np.concatenate([_octave(r, value, part) for part in np.split(q, _octaves(q))])
+
+
+def _octaves(q: Floats) -> NDArray[np.intp]:
+    """Give where another octave of the growing q (n,) begins."""
+    return np.flatnonzero(np.diff(np.floor(np.log2(np.maximum(q, q[1]) / q[1])))) + 1
+
+
+def _octave(r: Floats, value: Floats, q: Floats) -> Floats:
+    """Give the Hankel transform at some q (n,) that one division of the elements serves."""
+    width = np.diff(r)
+    pieces = np.ceil(width * q[-1] / WAVES).astype(int) + 1
+    element = np.repeat(np.arange(len(width)), pieces)
+    piece = np.arange(len(element)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    local = (piece[:, None] + X) / pieces[element][:, None]
+    place = r[element][:, None] + width[element][:, None] * local
+    weight = place * (width / pieces)[element][:, None] * _WEIGHTS / 2
+    nodal = value[_of(r)][element]
+    density = sum(nodal[:, node, None] * lagrange(node, local)[0] for node in range(DEGREE + 1)) * weight
     return np.asarray(2 * np.pi * j0(2 * np.pi * q[:, None] * place.ravel()) @ density.ravel())
 
 
