@@ -74,8 +74,12 @@ def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -
 
 def _footprints(array: Array, side: float, u: Floats, v: Floats) -> Floats:
     """Give the transform of a unit cell (mm^2) times that of the aperture's mean at u, v (1/mm)."""
-    cell = side**2 * np.sinc(u * side) * np.sinc(v * side)
+    return side**2 * np.sinc(u * side) * np.sinc(v * side) * aperture_mean(array, u, v)
+
+
+def aperture_mean(array: Array, u: Floats, v: Floats | float = 0.0) -> Floats:
+    """Give what is left of a unit wave of frequency u, v (1/mm) in its mean over an aperture."""
     if array.aperture == "square":
-        return np.asarray(cell * np.sinc(u * array.width) * np.sinc(v * array.width))
+        return np.asarray(np.sinc(u * array.width) * np.sinc(v * array.width))
     x = np.pi * array.width * np.hypot(u, v)
-    return np.asarray(cell * np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0))
+    return np.divide(2 * j1(x), x, out=np.ones_like(x), where=x > 0)
