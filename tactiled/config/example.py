@@ -60,3 +60,34 @@ saturation = 4095           # counts from which a taxel is at its ceiling
 # noise_kpa = 0.1           # standard deviation of one taxel; measured from the first frames if left out
 # dead = [17, 301]          # taxels that do not work, by index: row * columns + column
 """
+
+GRASP = """\
+# Five fingertips of an iCub hand, as the recordings in tactiled/recordings/icub have them: every finger is one
+# triangle of twelve taxels. Pressure was never calibrated, so one count is shown as one kPa.
+
+[bus.can0]
+interface = "socketcan"
+channel = "can0"
+
+[sensor.hand]
+bus = "can0"
+method = "auto"
+
+[sensor.hand.codec]
+name = "icub"
+board = 14
+triangles = [0, 1, 2, 3, 4]
+thermal_pads = false
+
+[sensor.hand.array]
+aperture_mm = 4.0
+aperture = "round"
+
+[sensor.hand.cover]
+thickness_mm = 2.0
+young_mpa = 0.3
+poisson = 0.45
+
+[sensor.hand.calibration]
+no_load = 245
+"""

@@ -1,166 +1,196 @@
-"""The blur as an operator from surface cells to taxels: planned once, float32, no allocation when it is applied.
+"""From surface pressure to taxels and back: the blur, exact to rounding, for a grid or for any layout."""
 
-A grid's blur is even in both directions, so that a real Fourier basis diagonalises it: four small matrix products
-and one multiplication, which at these sizes beats a fast Fourier transform. The basis is taken at the places of
-cells and of taxels, on a period so long that what wraps round is negligible: pressure outside the array is zero.
-Any other layout is a matrix.
-"""
-
-from typing import Protocol
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
 
-Doubles = NDArray[np.float64]
-Floats = NDArray[np.float32]
-WRAPPED = 1e-3  # share of the stencil that may wrap round
+from tactiled.errors import PhysicsError
+from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
 
+DENSE = 1 << 16  # entries up to which one matrix product beats several smaller ones
+SEPARABLE = 128  # taxels along a side up to which products of small matrices beat a transform
+ROUNDING = 1e-7  # of the largest: a separable part below this is lost in float32 anyway
+TRIALS = 20  # runs that an operator is timed over
 
-class Operator(Protocol):
-    """A planned linear map."""
-
-    def __call__(self, values: Floats, out: Floats) -> Floats:
-        """Apply the map to `values` into `out`, which is returned."""
-
-
-class Blur(Protocol):
-    """What every blur offers."""
-
-    taxels: tuple[int, ...]  # shape of a frame
-    cells: tuple[int, ...]  # shape of a surface
-    cell_mm: float  # side of a surface cell
-    forward: Operator  # cells -> taxels, H
-    adjoint: Operator  # taxels -> cells, H'
-
-    def tikhonov(self, weight: float) -> Operator:
-        """Taxels -> cells: the x that minimises |H x - y|^2 + weight |x|^2."""
-
-    def kept(self, weight: float) -> float:
-        """Share of the taxels' degrees of freedom that `tikhonov` lets through, 0 to 1."""
-
-    def noise_gain(self, weight: float) -> float:
-        """Standard deviation of a cell that `tikhonov` makes of white noise of 1 on the taxels."""
+Array = NDArray[Any]  # float32 or float64: the result has the argument's kind
+Apply = Callable[[Array], Array]
+Pair = tuple[Apply, Apply]
 
 
-class Diagonal:
-    """A map that multiplies by a spectrum in one basis along rows and one along columns."""
+class Blur:
+    """H: surface image, (k R, k C) or (M,), to frame, (R, C) or (N,); both methods take leading batch axes."""
 
-    def __init__(self, into: tuple[Floats, Floats], spectrum: Doubles, out: tuple[Floats, Floats]) -> None:
-        self._rows, self._columns = into[0], np.ascontiguousarray(into[1].T)
-        self._rows_out, self._columns_out = np.ascontiguousarray(out[0].T), out[1]
-        self._spectrum = np.ascontiguousarray(spectrum, np.float32)
-        self._half = np.empty((len(into[0]), into[1].shape[1]), np.float32)
-        self._full = np.empty(spectrum.shape, np.float32)
-        self._back = np.empty((out[0].shape[1], len(out[1])), np.float32)
-
-    def __call__(self, values: Floats, out: Floats) -> Floats:
-        """Apply the map to `values` into `out`, which is returned."""
-        np.dot(self._rows, values, out=self._half)
-        np.dot(self._half, self._columns, out=self._full)
-        np.multiply(self._full, self._spectrum, out=self._full)
-        np.dot(self._rows_out, self._full, out=self._back)
-        return np.dot(self._back, self._columns_out, out=out)
-
-
-class Grid:
-    """Taxels on a grid under cells `refine` times finer, from the stencil that `cover.operator.stencil` gives."""
-
-    def __init__(self, stencil: Doubles, shape: tuple[int, int], refine: int, cell_mm: float) -> None:
-        self.taxels, self.cell_mm = shape, cell_mm
-        self.cells = (refine * shape[0], refine * shape[1])
-        periods = [_period(np.abs(stencil).sum(axis=1 - axis), n, refine) for axis, n in enumerate(shape)]
-        waves = [_waves(period * refine) for period in periods]
-        response = _response(stencil, [period * refine for period in periods])
-        power = (response**2).reshape(refine, periods[0], refine, periods[1]).mean(axis=(0, 2))
-        self._spectrum = response[np.ix_(*waves)]
-        self._power = power[np.ix_(*(wave % period for wave, period in zip(waves, periods, strict=True)))]
-        self._taxels = [
-            _basis((np.arange(n) - (n - 1) / 2) * refine, p * refine) for n, p in zip(shape, periods, strict=True)
-        ]
-        self._cells = [
-            _basis(np.arange(n) - (n - 1) / 2, p * refine) for n, p in zip(self.cells, periods, strict=True)
-        ]
-        self.forward: Operator = self._map(self._cells, self._spectrum, self._taxels)
-        self.adjoint: Operator = self._map(self._taxels, self._spectrum, self._cells)
-        self._refine, self._waves = refine, periods[0] * periods[1] * refine**2
-
-    @staticmethod
-    def _map(into: list[Floats], spectrum: Doubles, out: list[Floats]) -> Diagonal:
-        return Diagonal((into[0], into[1]), spectrum, (out[0], out[1]))
-
-    def tikhonov(self, weight: float) -> Operator:
-        """Taxels -> cells: H' (H H' + weight)^-1, on the period."""
-        return self._map(self._taxels, self._spectrum / (self._power + weight), self._cells)
-
-    def kept(self, weight: float) -> float:
-        """Share of the taxels' degrees of freedom that `tikhonov` lets through, 0 to 1."""
-        return float(np.sum(self._spectrum**2 / (self._power + weight))) / self._waves
-
-    def noise_gain(self, weight: float) -> float:
-        """Standard deviation of a cell that `tikhonov` makes of white noise of 1 on the taxels."""
-        gains = self._spectrum / (self._power + weight)
-        return float(np.sqrt(np.sum(gains**2) / self._waves)) / self._refine
-
-
-class Layout:
-    """Taxels anywhere, from the matrix (N, M) that `cover.operator.matrix` gives."""
-
-    def __init__(self, matrix: Doubles, cell_mm: float) -> None:
+    def __init__(
+        self,
+        shapes: tuple[tuple[int, ...], tuple[int, ...]],
+        cell_mm: float,
+        pair: Pair,
+        modes: Callable[[], Modes],
+    ) -> None:
+        self.frame_shape, self.surface_shape = shapes
         self.cell_mm = cell_mm
-        self.taxels, self.cells = (len(matrix),), (matrix.shape[1],)
-        self._left, self._values, self._right = np.linalg.svd(matrix, full_matrices=False)
-        self.forward: Operator = _product(matrix)
-        self.adjoint: Operator = _product(matrix.T)
+        self._forward, self._adjoint = pair
+        self._modes = modes
 
-    def tikhonov(self, weight: float) -> Operator:
-        """Taxels -> cells: H' (H H' + weight)^-1, by singular values."""
-        return _product(self._right.T * (self._values / (self._values**2 + weight)) @ self._left.T)
+    @classmethod
+    def grid(
+        cls,
+        stencil: Floats,
+        shape: tuple[int, int],
+        refine: int = 1,
+        cell_mm: float = 1.0,
+        clock: Callable[[], float] | None = None,
+    ) -> "Blur":
+        """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)); a `clock` lets it time its forms.
 
-    def kept(self, weight: float) -> float:
-        """Share of the taxels' degrees of freedom that `tikhonov` lets through, 0 to 1."""
-        return float(np.sum(self._values**2 / (self._values**2 + weight))) / self.taxels[0]
+        Without a clock the form follows from the size. PhysicsError where stencil and shape disagree.
+        """
+        expected = tuple(refine * (2 * n - 1) for n in shape)
+        if stencil.shape != expected or not np.isfinite(stencil).all():
+            raise PhysicsError(f"stencil of shape {stencil.shape} for a grid of {shape}: give finite {expected}")
+        rows, columns = _terms(np.asarray(stencil, float), shape, refine)
+        forms = _forms(stencil, rows, columns, refine)
+        surface = (refine * shape[0], refine * shape[1])
+        pair = _fastest(forms, surface, clock) if clock else forms[_usual(shape, refine)]()
+        marginals = _slide(stencil.sum(1), shape[0], refine), _slide(stencil.sum(0), shape[1], refine)
+        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals))
 
-    def noise_gain(self, weight: float) -> float:
-        """Standard deviation of a cell that `tikhonov` makes of white noise of 1 on the taxels."""
-        gains = self._values / (self._values**2 + weight)
-        return float(np.sqrt(np.sum(gains**2) / self.cells[0]))
+    @classmethod
+    def matrix(cls, A: Floats, cell_mm: float = 1.0) -> "Blur":
+        """Make the blur of any layout from its matrix (N, M); PhysicsError where it is none."""
+        if A.ndim != 2 or not A.size or not np.isfinite(A).all():
+            raise PhysicsError(f"blur matrix of shape {A.shape}: give finite (taxels, cells)")
+        shapes = (len(A),), (A.shape[1],)
+        return cls(shapes, cell_mm, _dense(A, *shapes), lambda: matrix_modes(A))
+
+    @cached_property
+    def modes(self) -> Modes:
+        """The patterns that the blur only weakens."""
+        return self._modes()
+
+    def forward(self, x: Array) -> Array:
+        """H x, in x's own precision."""
+        return self._forward(x)
+
+    def adjoint(self, y: Array) -> Array:
+        """H' y, in y's own precision."""
+        return self._adjoint(y)
+
+    @cached_property
+    def reach(self) -> Image:
+        """H' 1: how much of each surface cell's pressure the taxels get to feel."""
+        return np.asarray(self._adjoint(np.ones(self.frame_shape)), np.float32)
 
 
-def _product(matrix: Doubles) -> Operator:
-    held = np.ascontiguousarray(matrix, np.float32)
-    return lambda values, out: np.dot(held, values, out=out)
+def _slide(line: Floats, n: int, refine: int) -> Floats:
+    """Give (n, k n): row i is `line` from k (n - 1 - i) on, as taxel i sees the cells."""
+    starts = refine * (n - 1 - np.arange(n))
+    return np.asarray(line[starts[:, None] + np.arange(refine * n)])
 
 
-def _period(profile: Doubles, taxels: int, refine: int) -> int:
-    """Odd period, in pitches, on which a stencil's share past half of it is at most WRAPPED."""
-    middle = (len(profile) - 1) / 2
-    away = np.abs(np.arange(len(profile)) - middle) / refine
-    longest = 2 * taxels - 1
-    for period in range(taxels | 1, longest, 2):
-        if profile[away > period - taxels].sum() <= WRAPPED * profile.sum():
-            return period
-    return longest
+def _terms(stencil: Floats, shape: tuple[int, int], refine: int) -> tuple[list[Floats], list[Floats]]:
+    """Split the stencil into separable parts: H x = sum rows[k] x columns[k]'."""
+    U, s, Vt = np.linalg.svd(stencil)
+    parts = range(max(1, int(np.count_nonzero(s > ROUNDING * s[0]))))
+    rows = [_slide(U[:, k] * s[k], shape[0], refine) for k in parts]
+    return rows, [_slide(Vt[k], shape[1], refine) for k in parts]
 
 
-def _waves(period: int) -> NDArray[np.intp]:
-    """Wave numbers of a real basis on a period: the constant, cosines, sines (the one at period/2 is always 0)."""
-    count = np.arange(1, (period - 1) // 2 + 1)
-    return np.concatenate([[0], count, count])
+def _usual(shape: tuple[int, int], refine: int) -> str:
+    if (shape[0] * shape[1] * refine) ** 2 <= DENSE:
+        return "dense"
+    return "separable" if max(shape) * refine <= SEPARABLE else "fourier"
 
 
-def _basis(places: NDArray[np.floating], period: int) -> Floats:
-    """Orthonormal real Fourier basis (waves, places) on a period, at places in cells."""
-    phase = 2 * np.pi / period * np.outer(np.arange(1, (period - 1) // 2 + 1), places)
-    constant = np.full((1, len(places)), 0.5**0.5)
-    waves = np.concatenate([constant, np.cos(phase), np.sin(phase)])
-    return np.asarray((2 / period) ** 0.5 * waves, np.float32)
+def _forms(
+    stencil: Floats, rows: list[Floats], columns: list[Floats], refine: int
+) -> dict[str, Callable[[], Pair]]:
+    shape, surface = (len(rows[0]), len(columns[0])), (rows[0].shape[1], columns[0].shape[1])
+    forms: dict[str, Callable[[], Pair]] = {
+        "separable": lambda: _separable(rows, columns),
+        "fourier": lambda: _fourier(stencil, shape, refine),
+    }
+    if shape[0] * shape[1] * surface[0] * surface[1] <= 16 * DENSE:
+        A = sum(np.kron(a, b) for a, b in zip(rows, columns, strict=True))
+        forms["dense"] = lambda: _dense(np.asarray(A), shape, surface)
+    return forms
 
 
-def _response(stencil: Doubles, periods: list[int]) -> Doubles:
-    """Gain of every pair of waves 0 ... period - 1 of an even stencil."""
-    offsets = (np.arange(n) - (n - 1) / 2 for n in stencil.shape)
-    rows, columns = (
-        np.cos(2 * np.pi / period * np.outer(np.arange(period), at))
-        for period, at in zip(periods, offsets, strict=True)
-    )
-    return np.asarray(rows @ stencil @ columns.T)
+def _fastest(forms: dict[str, Callable[[], Pair]], surface: tuple[int, int], clock: Callable[[], float]) -> Pair:
+    """Give the form that blurs and unblurs one frame soonest on this machine."""
+    x = np.ones(surface, np.float32)
+
+    def seconds(pair: Pair) -> float:
+        times = []
+        for _ in range(TRIALS):
+            start = clock()
+            pair[1](pair[0](x))
+            times.append(clock() - start)
+        return min(times)
+
+    return min((make() for make in forms.values()), key=seconds)
+
+
+def _twice(matrix: Floats) -> dict[np.dtype[Any], Array]:
+    return {np.dtype(kind): np.ascontiguousarray(matrix, kind) for kind in (np.float32, np.float64)}
+
+
+def _dense(A: Floats, shape: tuple[int, ...], surface: tuple[int, ...]) -> Pair:
+    """One matrix for all."""
+
+    def apply(matrix: Floats, before: tuple[int, ...], after: tuple[int, ...]) -> Apply:
+        transposed = _twice(matrix.T)
+
+        def multiply(x: Array) -> Array:
+            batch = x.shape[: x.ndim - len(before)]
+            flat = x.reshape(*batch, matrix.shape[1]) @ transposed[x.dtype]
+            return np.asarray(flat.reshape(*batch, *after))
+
+        return multiply
+
+    return apply(A, surface, shape), apply(A.T, shape, surface)
+
+
+def _separable(rows: list[Floats], columns: list[Floats]) -> Pair:
+    """A few products of small matrices: sum rows[k] x columns[k]'."""
+
+    def apply(lefts: list[Floats], rights: list[Floats]) -> Apply:
+        left, right = _twice(np.concatenate(lefts, axis=1)), _twice(np.stack(rights))
+
+        def multiply(x: Array) -> Array:
+            across = x[..., None, :, :] @ right[x.dtype]
+            stacked = across.reshape(*x.shape[:-2], -1, across.shape[-1])
+            return np.asarray(left[x.dtype] @ stacked)
+
+        return multiply
+
+    return apply(rows, [B.T for B in columns]), apply([A.T for A in rows], columns)
+
+
+def _fourier(stencil: Floats, shape: tuple[int, int], refine: int) -> Pair:
+    """Padded transforms, their spectrum planned once."""
+    surface = (refine * shape[0], refine * shape[1])
+    size = [next_fast_len(n + length - 1, real=True) for n, length in zip(surface, stencil.shape, strict=True)]
+    there = rfft2(stencil[::-1, ::-1], size)
+    back = rfft2(stencil, size)
+    spectra = {np.dtype(np.float32): np.complex64, np.dtype(np.float64): np.complex128}
+    seen = tuple(slice(n - 1, n - 1 + n, refine) for n in surface)
+    # The adjoint starts from taxels spread out to cells, and its stencil is not turned.
+    first = tuple(refine * (n - 1) for n in shape)
+    cells = tuple(slice(start, start + n) for start, n in zip(first, surface, strict=True))
+
+    def forward(x: Array) -> Array:
+        full = irfft2(rfft2(x, size) * there.astype(spectra[x.dtype]), size)
+        return np.ascontiguousarray(full[..., seen[0], seen[1]])
+
+    def adjoint(y: Array) -> Array:
+        spread = np.zeros((*y.shape[:-2], *surface), y.dtype)
+        spread[..., ::refine, ::refine] = y
+        full = irfft2(rfft2(spread, size) * back.astype(spectra[y.dtype]), size)
+        return np.ascontiguousarray(full[..., cells[0], cells[1]])
+
+    return forward, adjoint

@@ -1,0 +1,83 @@
+"""How every chart looks: one set of colours that the colour-blind can tell apart, units on every axis."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.typing import RcKeyType
+
+from tactiled.cover.kernel import Kernel
+from tactiled.errors import ConfigError
+
+# Okabe and Ito's palette, its yellow left out: too faint on white. Dashes tell the lines apart in grey.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9")
+MARKS = ("o", "s", "^", "D", "v", "P")
+STYLE: dict[RcKeyType, Any] = {
+    "axes.edgecolor": "#444444",
+    "axes.grid": True,
+    "axes.labelsize": 11,
+    "axes.linewidth": 0.8,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 12,
+    "axes.titleweight": "bold",
+    "figure.dpi": 120,
+    "figure.facecolor": "white",
+    "font.family": "sans-serif",
+    "font.size": 10.5,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "lines.linewidth": 1.9,
+    "lines.markersize": 4.5,
+    "svg.hashsalt": "tactiled",
+}
+
+
+@contextmanager
+def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
+    """Draw a figure of width x height inches into `path`; its ending says whether as SVG, PNG or PDF."""
+    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise ConfigError(f"picture {path}: give a name that ends in .svg, .png or .pdf")
+    with mpl.rc_context(STYLE):
+        drawn = Figure(figsize=(width, height), layout="constrained")
+        yield drawn
+        try:
+            drawn.savefig(path)
+        except OSError as error:
+            raise ConfigError(f"picture {path} cannot be written: {error.strerror}") from error
+
+
+def two_models(path: Path, fem: Kernel, exact: Kernel) -> None:
+    """Draw g(r) and G(q) by finite elements and exactly, and the difference of the gains."""
+    depth = fem.stack.depth
+    end = float(exact.q[np.flatnonzero(np.abs(exact.gain) >= 1e-3)[-1]])
+    q, r = np.linspace(0, end, 240), np.linspace(0, 3 * depth, 240)
+    with figure(path, 11, 3.9) as drawn:
+        left, middle, right = drawn.subplots(1, 3)
+        _pair(left, r, [np.interp(r, each.r, each.g) for each in (exact, fem)])
+        left.set(title="Point response g(r)", xlabel="distance from the load r (mm)", ylabel="g (1/mm²)")
+        _pair(middle, q, [each.gain_at(q) for each in (exact, fem)])
+        middle.set(title="Gain G(q)", xlabel="spatial frequency q (cycles/mm)", ylabel="G", ylim=(-0.02, 1.05))
+        right.plot(q, (fem.gain_at(q) - exact.gain_at(q)) * 1e3)
+        estimate = fem.error_estimate * 1e3
+        right.axhspan(-estimate, estimate, color="#0072B2", alpha=0.12, lw=0, label="error estimate")
+        right.set(title="Finite elements less exact", xlabel="spatial frequency q (cycles/mm)", ylabel="ΔG (10⁻³)")
+        right.set_ylim(-1.5 * estimate, 1.5 * estimate)
+        right.legend(loc="upper right")
+
+
+def _pair(axes: Axes, x: Any, values: list[Any]) -> None:
+    """Draw the exact solution as a line and the finite elements as marks on it."""
+    axes.plot(x, values[0], label="exact")
+    axes.plot(x, values[1], "o", mfc="none", markevery=12, label="finite elements")
+    axes.set_xlim(0, None)
+    axes.legend()

@@ -1,0 +1,75 @@
+"""The covers, loads and cells of Shimojo's paper, each solved by finite elements and exactly."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from tactiled.cover.kernel import Kernel, solve
+from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.stack import Layer, Stack
+from tactiled.geometry import Array, grid
+
+Floats = NDArray[np.float64]
+Which = Literal["fem", "exact"]
+
+SENSOR = Layer(thickness=1.0, young=980.0, poisson=0.3)
+THICKNESSES = (0.1, 0.2, 0.4, 0.6)  # mm
+MODULI = (98.0, 490.0, 980.0, 4903.0, 9807.0)  # MPa
+RATIOS = (0.2, 0.3, 0.4, 0.45)
+
+LOAD = 0.98  # N
+
+ELEMENT = 0.05  # mm, side of the ring's elements
+ELEMENTS = 40
+CELL = 4.57  # mm, side of the experiment's pressure cells
+SHEETS = (0.25, 0.5, 1.0)  # mm of rubber
+ROD = 3.0  # mm, radius of the rod's tip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pair:
+    """One cover, solved both ways."""
+
+    fem: Kernel
+    exact: Kernel
+
+    def of(self, which: Which) -> Kernel:
+        """Choose one of the two."""
+        return self.fem if which == "fem" else self.exact
+
+
+@cache
+def covered(thickness: float = 0.2, young: float = 98.0, poisson: float = 0.3) -> Pair:
+    """Solve the paper's sensor under a cover: thickness (mm), Young's modulus (MPa), Poisson's ratio."""
+    stack = Stack((Layer(thickness, young, poisson), SENSOR))
+    return Pair(solve(stack, "fem"), solve(stack, "layered"))
+
+
+def ring() -> Floats:
+    """Give the square ring (40, 40): 1 inside its outer side of 1.0 mm and outside its inner side of 0.6 mm."""
+    along = np.abs(np.arange(ELEMENTS) - (ELEMENTS - 1) / 2) * ELEMENT
+    reach = np.maximum(along[:, None], along)
+    return np.asarray((reach < 0.5) & (reach > 0.3), float)
+
+
+@cache
+def under(pair: Pair, which: Which) -> Floats:
+    """Give the ring's pressure (40, 40) under a cover, element by element."""
+    response = stencil(pair.of(which), grid(ELEMENTS, ELEMENTS, ELEMENT))
+    return np.asarray(fftconvolve(response, ring(), "valid"))
+
+
+def cell_force(kernel: Kernel, x: Floats, contact: float) -> Floats:
+    """Give the force (N) on a cell at 0 of LOAD on a square of side `contact` (mm) at x (n,) mm."""
+    cell = Array(np.zeros((1, 2)), CELL, CELL)
+    places = np.column_stack([x, np.zeros_like(x)])
+    return np.asarray(matrix(kernel, cell, places, contact)[0] * LOAD / contact**2 * CELL**2)
+
+
+def rod_contact(young: float, poisson: float) -> float:
+    """Give the radius (mm) of the rod's contact on a deep cover, (3 F R / 4 E*)^(1/3) (Hertz)."""
+    return float((3 * LOAD * ROD * (1 - poisson**2) / (4 * young)) ** (1 / 3))

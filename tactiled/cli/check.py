@@ -1,0 +1,48 @@
+"""`tactiled check`: whether a configuration is right, and what its cover will do to its array."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from tactiled.cli.app import app
+from tactiled.config import load
+from tactiled.config.build import SensorPlan, sensor_plan
+from tactiled.cover.meaning import Meaning, meaning
+
+
+@app.command()
+def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
+    """Validate CONFIG and say what each cover does to its array."""
+    settings = load(config)
+    plans = [sensor_plan(name, sensor) for name, sensor in settings.sensor.items()]
+    console = Console(soft_wrap=True)
+    for plan in plans:
+        console.print(_table(plan, meaning(plan.kernel, plan.array)))
+        for warning in plan.warnings:
+            console.print(f"  {warning}")
+    console.print(
+        f"{config}: right: {len(plans)} sensors on {len(settings.bus)} buses", markup=False, highlight=False
+    )
+
+
+def _table(plan: SensorPlan, told: Meaning) -> Table:
+    """What a person wants to know of one sensor before it runs."""
+    table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
+    array = plan.array
+    form = " x ".join(map(str, array.frame_shape))
+    gap = f"{told.smallest_gap:.2f} mm (the {told.limit} sets it)" if told.smallest_gap < 1e3 else "none survives"
+    rows = (
+        ("array", f"{form} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm"),
+        ("messages a frame", f"{plan.codec.segments}"),
+        ("cover", f"solved by {plan.kernel.model}, gain right to {plan.kernel.error_estimate:.1g}"),
+        ("gain 0.5 / 0.1 at", f"{told.half_gain:.3f} / {told.tenth_gain:.3f} cycles/mm"),
+        ("gain at the taxel Nyquist", f"{told.nyquist_gain:.4f} at {told.nyquist:.3f} cycles/mm"),
+        ("to undo it amplifies noise", f"{told.noise_gain:.1f} times"),
+        ("smallest gap that survives", f"{gap}, at a noise of 1 % of the pressure"),
+    )
+    for row in rows:
+        table.add_row(*row)
+    return table

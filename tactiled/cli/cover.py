@@ -1,0 +1,179 @@
+"""`tactiled cover`: what a cover lets through, and what that means for an array."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from tactiled.cli.app import app
+from tactiled.config import load
+from tactiled.config.build import make_array, make_stack
+from tactiled.cover.kernel import Kernel, solve
+from tactiled.cover.meaning import Meaning, meaning
+from tactiled.cover.stack import Layer, Profile, Stack
+from tactiled.errors import ConfigError
+from tactiled.geometry import Array, grid
+
+Floats = NDArray[np.float64]
+
+LAYER_HELP = (
+    "T,E,NU of one layer in place of the cover's three options; repeat it from the top down. "
+    "T,E,NU,loose slides on what lies under it."
+)
+PROFILE_HELP = (
+    "R,RISE: at radius R mm the top layer is RISE mm thicker; repeat it from R = 0 out to a RISE of 0 "
+    "for a boss, a dimple (RISE below 0) or an edge round the load."
+)
+
+
+@app.command()
+def cover(
+    thickness: Annotated[float, typer.Option(help="Cover: thickness, mm.")] = 0.2,
+    young: Annotated[float, typer.Option(help="Cover: Young's modulus, MPa.")] = 98.0,
+    poisson: Annotated[float, typer.Option(help="Cover: Poisson's ratio, 0 to less than 0.5.")] = 0.3,
+    layer: Annotated[list[str] | None, typer.Option(help=LAYER_HELP)] = None,
+    sensor_thickness: Annotated[float, typer.Option(help="Under the cover: thickness, mm.")] = 1.0,
+    sensor_young: Annotated[float, typer.Option(help="Under the cover: Young's modulus, MPa.")] = 980.0,
+    sensor_poisson: Annotated[float, typer.Option(help="Under the cover: Poisson's ratio.")] = 0.3,
+    profile: Annotated[list[str] | None, typer.Option(help=PROFILE_HELP)] = None,
+    config: Annotated[Path | None, typer.Option(help="Take cover and array from this file.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Which sensor of the file.")] = None,
+    pitch: Annotated[float, typer.Option(help="Distance between taxels, mm.")] = 1.0,
+    noise: Annotated[float, typer.Option(help="A taxel's noise over the indenters' pressure.")] = 0.01,
+    at: Annotated[str | None, typer.Option(help="Frequencies to print, 1/mm, with commas.")] = None,
+    model: Annotated[Literal["fem", "layered"], typer.Option(help="Finite elements, or exact.")] = "fem",
+    accuracy: Annotated[float, typer.Option(help="Of the finite elements' gain.")] = 1e-3,
+    budget: Annotated[float, typer.Option(help="Time the finite elements may take, s.")] = 60.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Draw both models into FILE.svg or FILE.png.")] = None,
+) -> None:
+    """Print a cover's gain by spatial frequency, and what it means for an array."""
+    base = Layer(sensor_thickness, sensor_young, sensor_poisson)
+    stack = _stack(layer, base) if layer else Stack((Layer(thickness, young, poisson), base))
+    array = grid(1, 1, pitch)
+    if config:
+        stack, array = _configured(config, sensor)
+    asked = _frequencies(at) if at else None
+    start = perf_counter()
+    kernel = solve(stack, model, accuracy, _profile(profile), perf_counter, budget)
+    seconds = perf_counter() - start
+    told = meaning(kernel, array, noise)
+    q = _telling(told) if asked is None else asked
+    if as_json:
+        print(json.dumps(_record(kernel, q, seconds, told)))
+    else:
+        _show(kernel, q, seconds, told, noise)
+    if plot:
+        _plot(plot, kernel)
+
+
+def _numbers(name: str, text: str) -> list[float]:
+    """Read numbers with commas between them."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--{name} {text}: give numbers with commas between them") from error
+
+
+def _frequencies(text: str) -> Floats:
+    """Read --at."""
+    q = np.array(_numbers("at", text))
+    if not (np.isfinite(q).all() and (q >= 0).all()):
+        raise ConfigError(f"--at {text}: give finite frequencies of 0 or more, 1/mm")
+    return q
+
+
+def _telling(told: Meaning) -> Floats:
+    """Choose round frequencies over the fall of a gain."""
+    round_ones = np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]
+    return np.asarray(round_ones[(round_ones > told.half_gain / 8) & (round_ones < 2 * told.tenth_gain)])
+
+
+def _stack(layers: list[str], base: Layer) -> Stack:
+    """Read every --layer and lay them over the sensor."""
+    parsed, bonds = [], []
+    for text in layers:
+        numbers = _numbers("layer", text.removesuffix(",loose"))
+        if len(numbers) != 3:
+            raise ConfigError(
+                f"--layer {text}: give T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio"
+            )
+        parsed.append(Layer(*numbers))
+        bonds.append(not text.endswith(",loose"))
+    return Stack((*parsed, base), sensing=len(parsed), bonds=(*bonds, True))
+
+
+def _profile(points: list[str] | None) -> Profile | None:
+    """Read every --profile."""
+    if not points:
+        return None
+    numbers = [_numbers("profile", text) for text in points]
+    for text, pair in zip(points, numbers, strict=True):
+        if len(pair) != 2:
+            raise ConfigError(f"--profile {text}: give R,RISE in mm")
+    radius, rise = zip(*numbers, strict=True)
+    return Profile(radius, rise)
+
+
+def _configured(path: Path, name: str | None) -> tuple[Stack, Array]:
+    """Take one sensor's cover and array from a configuration."""
+    sensors = load(path).sensor
+    if name is None and len(sensors) == 1:
+        name = next(iter(sensors))
+    if name not in sensors:
+        raise ConfigError(f"--sensor {name}: {path} has {', '.join(sensors) or 'no sensor'}; name one of them")
+    return make_stack(sensors[name]), make_array(sensors[name])
+
+
+def _record(kernel: Kernel, q: Floats, seconds: float, told: Meaning) -> dict[str, object]:
+    """What --json prints; null stands for infinity, which JSON does not know."""
+    return {
+        "model": kernel.model,
+        "q": q.tolist(),
+        "gain": kernel.gain_at(q).tolist(),
+        "error_estimate": kernel.error_estimate,
+        "seconds": seconds,
+        "mesh": kernel.mesh,
+        "unknowns": kernel.unknowns,
+        "meaning": {name: None if value == np.inf else value for name, value in asdict(told).items()},
+    }
+
+
+def _show(kernel: Kernel, q: Floats, seconds: float, told: Meaning, noise: float) -> None:
+    """Print the table of gains, what it means, and how far to trust it."""
+    console = Console(highlight=False, soft_wrap=True)
+    table = Table("q (1/mm)", "half wave (mm)", "gain", title="What the cover lets through")
+    for frequency, gain in zip(q, kernel.gain_at(q), strict=True):
+        half = f"{1 / (2 * frequency):.3g}" if frequency else "∞"
+        table.add_row(f"{frequency:g}", half, f"{gain:.4f}")
+    console.print(table)
+    console.print(f"Gain 0.5 at {told.half_gain:.3g}/mm and 0.1 at {told.tenth_gain:.3g}/mm.")
+    console.print(
+        f"Finest wave the taxels can tell, {told.nyquist:.3g}/mm: gain {told.nyquist_gain:.3g}; "
+        f"undoing cover and aperture there amplifies noise {told.noise_gain:.3g} times."
+    )
+    why = "finer is lost in the cover" if told.limit == "cover" else "the taxels stand no closer"
+    gap = f"{told.smallest_gap:.3g} mm ({why})" if np.isfinite(told.smallest_gap) else "none"
+    console.print(f"Smallest gap between two indenters that survives noise of {noise:g} of their pressure: {gap}.")
+    columns, rows = kernel.mesh
+    how = f"{columns} x {rows} elements, {kernel.unknowns} unknowns" if kernel.model == "fem" else "exact"
+    console.print(f"Error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms).")
+
+
+def _plot(path: Path, kernel: Kernel) -> None:
+    """Draw the kernel beside the other model's, which knows flat layers only."""
+    from tactiled.bench import charts  # matplotlib takes half a second that only this option needs
+
+    if kernel.profile:
+        raise ConfigError("--plot draws both models, and the exact one knows no --profile: leave one of them out")
+    kernels = {
+        model: kernel if model == kernel.model else solve(kernel.stack, model) for model in ("fem", "layered")
+    }
+    charts.two_models(path, kernels["fem"], kernels["layered"])

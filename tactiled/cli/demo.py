@@ -1,0 +1,83 @@
+"""`tactiled demo`: the whole belt with no hardware, over python-can's virtual bus."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Annotated
+
+import typer
+from threadpoolctl import threadpool_limits
+
+from tactiled.bus import recording
+from tactiled.bus.reader import Reader, open_bus
+from tactiled.cli.app import app
+from tactiled.config import Config, parse
+from tactiled.config.build import make_stack
+from tactiled.config.example import EXAMPLE, GRASP
+from tactiled.cover.kernel import solve
+from tactiled.service import Sensor, Service
+from tactiled.simulate import Player, play, player
+from tactiled.web.server import serve
+
+NOISE_KPA = 0.2  # of a simulated taxel
+Source = Callable[[Reader, Event], object]
+
+
+@app.command()
+def demo(
+    scene: Annotated[str, typer.Option(help="What touches the array: tour, or one scene.")] = "tour",
+    record: Annotated[
+        str | None,
+        typer.Option("--recording", help="Play a real recording instead: " + ", ".join(recording.names())),
+    ] = None,
+    rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 100.0,
+    host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
+) -> None:
+    """Simulate an array under a cover, or play a real recording, and serve it live."""
+    config = demo_config(record)
+    with threadpool_limits(1):
+        service = Service(config)
+        (sensor,) = service.sensors.values()
+        source = _recorded(record) if record else _played(simulated(config, sensor, scene), rate_hz)
+        with running(service, config, source):
+            serve(service, host, port)
+
+
+def demo_config(record: str | None = None) -> Config:
+    """The configuration that `tactiled init` writes, or that of a recorded grasp, on a virtual bus."""
+    text = GRASP if record else EXAMPLE
+    return parse(text.replace('"socketcan"', '"virtual"').replace('"can0"', '"tactiled-demo"'), "demo")
+
+
+@contextmanager
+def running(service: Service, config: Config, source: Source) -> Iterator[None]:
+    """Run the service with a sender on its bus."""
+    stop = Event()
+    (bus,) = config.bus.values()
+    sender = open_bus(**bus.settings())
+    thread = Thread(target=source, args=(sender, stop), name="sender", daemon=True)
+    service.start()
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        service.stop()
+        sender.close()
+
+
+def _recorded(record: str) -> Source:
+    path = recording.path(record)
+    return lambda sender, stop: recording.replay(path, sender.send, stop, loop=True)
+
+
+def _played(one: Player, rate_hz: float) -> Source:
+    return lambda sender, stop: play(one.messages, sender.send, rate_hz, stop)
+
+
+def simulated(config: Config, sensor: Sensor, scene: str) -> Player:
+    """A scene under the cover as the exact solution has it, which is not the kernel that restores."""
+    exact = solve(make_stack(next(iter(config.sensor.values()))), "layered")
+    return player(sensor.array, exact, sensor.codec, sensor.calibration, scene, NOISE_KPA)

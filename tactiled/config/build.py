@@ -1,0 +1,125 @@
+"""From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactiled.bus.codecs import Codec
+from tactiled.bus.codecs.icub import NO_LOAD, Icub
+from tactiled.bus.codecs.packed import Packed
+from tactiled.calibrate import Calibration
+from tactiled.config import schema
+from tactiled.cover.kernel import Kernel, cached
+from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.stack import Layer, Stack
+from tactiled.errors import ConfigError, TactileError
+from tactiled.geometry import Array, grid, layout
+from tactiled.restore.blur import Blur
+
+UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorPlan:
+    """Everything one sensor is made with, its kernel solved."""
+
+    name: str
+    bus: str
+    codec_name: str
+    codec: Codec
+    array: Array
+    kernel: Kernel
+    blur: Blur
+    cell_mm: float  # side of a surface cell
+    calibration: Calibration
+    method: str
+    stale_after_s: float
+    warnings: tuple[str, ...]  # that hold for every image
+
+
+def sensor_plan(name: str, sensor: schema.Sensor) -> SensorPlan:
+    """Solve the cover and build the operator of one sensor; a TactileError names the sensor."""
+    try:
+        return _plan(name, sensor)
+    except TactileError as error:
+        raise type(error)(f"sensor.{name}: {error}") from error
+
+
+def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
+    array, codec = make_array(sensor), make_codec(sensor)
+    if codec.size != array.size:
+        raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
+    kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy)
+    return SensorPlan(
+        name=name,
+        bus=sensor.bus,
+        codec_name=sensor.codec.name,
+        codec=codec,
+        array=array,
+        kernel=kernel,
+        blur=make_blur(kernel, array, sensor.refine),
+        cell_mm=array.pitch / sensor.refine,
+        calibration=make_calibration(sensor),
+        method=sensor.method,
+        stale_after_s=sensor.stale_after_s,
+        warnings=() if sensor.calibration.kpa_per_count else (UNCALIBRATED,),
+    )
+
+
+def make_stack(sensor: schema.Sensor) -> Stack:
+    """Cover over substrate on a rigid base, sensed under the cover."""
+    layers = (*sensor.cover, *sensor.substrate)
+    return Stack(
+        layers=tuple(Layer(each.thickness_mm, each.young_mpa, each.poisson) for each in layers),
+        sensing=len(sensor.cover),
+        bonds=tuple(each.bonded for each in layers),
+    )
+
+
+def make_array(sensor: schema.Sensor) -> Array:
+    """The array as configured, or as its codec knows it; ConfigError where neither says enough."""
+    array = sensor.array
+    if array.positions_mm is not None:
+        _refuse(array, "rows", "columns", "pitch_mm")
+        return layout(np.array(array.positions_mm, float), array.aperture_mm, array.aperture or "round")
+    if isinstance(sensor.codec, schema.Icub):
+        _refuse(array, "rows", "columns", "pitch_mm")
+        return layout(_icub(sensor.codec).positions, array.aperture_mm, array.aperture or "round")
+    if array.rows is None or array.columns is None or array.pitch_mm is None:
+        raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
+    return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
+
+
+def _refuse(array: schema.Array, *keys: str) -> None:
+    for key in keys:
+        if getattr(array, key) is not None:
+            raise ConfigError(
+                f"array.{key} = {getattr(array, key)}: belongs to a grid, and this array has positions"
+            )
+
+
+def make_codec(sensor: schema.Sensor) -> Codec:
+    """The codec of a sensor; ConfigError where the array is larger than it can carry."""
+    if isinstance(sensor.codec, schema.Icub):
+        return _icub(sensor.codec)
+    return Packed(make_array(sensor).size, **sensor.codec.model_dump(exclude={"name"}))
+
+
+def _icub(codec: schema.Icub) -> Icub:
+    return Icub(codec.board, codec.triangles, codec.thermal_pads)
+
+
+def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
+    """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
+    if array.shape is not None:
+        return Blur.grid(stencil(kernel, array, refine), array.shape, refine, array.pitch / refine)
+    if refine != 1:
+        raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
+    return Blur.matrix(matrix(kernel, array), array.pitch)
+
+
+def make_calibration(sensor: schema.Sensor) -> Calibration:
+    """Calibration as configured, over what the codec knows of its skin."""
+    given = sensor.calibration.model_dump(exclude_none=True)
+    known = {"kpa_per_count": -1.0, "no_load": float(NO_LOAD)} if isinstance(sensor.codec, schema.Icub) else {}
+    return Calibration(**(known | given))

@@ -1,0 +1,153 @@
+"""One sensor's way from counts to the restored image: calibrate, choose, restore."""
+
+from collections.abc import Callable
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate import Calibration, Calibrator
+from tactiled.errors import ConfigError
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
+from tactiled.geometry import Array
+from tactiled.restore.blur import Blur
+from tactiled.restore.methods import METHODS, Restorer, make
+from tactiled.restore.noise import estimate
+
+NOISE_FRAMES = 32  # frames from which an unknown noise is measured
+TARE_FRAMES = 16  # frames that a tare averages
+
+
+class Pipeline:
+    """Turns the raw frames of one array into images, one after the other, on one thread.
+
+    `set_method` and `tare` may be called from any thread; they take effect with the next frame.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        array: Array,
+        blur: Blur,
+        calibration: Calibration,
+        method: str = "auto",
+        warnings: tuple[str, ...] = (),  # that hold for every image, such as a missing calibration
+        clock: Callable[[], float] = perf_counter,
+    ) -> None:
+        self.name, self.array, self.blur = name, array, blur
+        self._warnings, self._clock = warnings, clock
+        self._calibrator = Calibrator(calibration, array.size)
+        self._noise = _Noise(calibration)
+        self._tare = _Tare(array.size)
+        self._method = ""
+        self.set_method(method)
+        self._restorer = self._make()
+
+    @property
+    def method(self) -> str:
+        """Name of the method asked for."""
+        return self._method
+
+    def set_method(self, name: str) -> None:
+        """Restore the next frames by `name`; ConfigError if there is no such method."""
+        if name not in METHODS:
+            raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
+        self._method = name
+
+    def tare(self) -> None:
+        """Take the mean of the next frames as the unloaded array."""
+        self._tare.ask()
+
+    def _make(self) -> Restorer:
+        self._made = (self._method, self._noise.kpa)
+        return make(self._made[0], self.blur, self._noise.kpa)
+
+    def process(self, frame: RawFrame) -> Image:
+        """Image of one frame; never NaN in `restored`, and nothing known against it is left out."""
+        began = self._clock()
+        if (mean := self._tare.add(frame)) is not None:
+            self._calibrator.tare(mean)
+            self._restorer.reset()
+        pressure, flags = self._calibrator(frame.counts, frame.flags)
+        raw, flags = pressure.reshape(self.array.frame_shape), flags.reshape(self.array.frame_shape)
+        self._noise.add(raw)
+        if self._made != (self._method, self._noise.kpa):
+            self._restorer = self._make()
+        done = self._restorer(raw, flags)
+        return Image(
+            sensor=self.name,
+            sequence=frame.sequence,
+            time=frame.time,
+            raw=raw,
+            restored=done.image.copy(),
+            flags=flags,
+            method=done.method,
+            why=done.why,
+            iterations=done.iterations,
+            microseconds=(self._clock() - began) * 1e6,
+            noise_kpa=self._noise.kpa,
+            noise_gain=done.noise_gain,
+            resolution_mm=done.resolution_mm,
+            loss=frame.loss,
+            warnings=self._warnings + _doubts(flags),
+        )
+
+
+def _doubts(flags: NDArray[np.uint8]) -> tuple[str, ...]:
+    """A sentence for each kind of taxel that this frame cannot believe."""
+    if not flags.any():
+        return ()
+    kinds = (
+        (MISSING, "did not arrive: restored from their neighbours"),
+        (BAD, "called faulty by the sensor: restored from their neighbours"),
+        (DEAD, "dead: restored from their neighbours"),
+        (SATURATED, "saturated: their pressure is a lower bound"),
+    )
+    counted = ((np.count_nonzero(flags & kind), text) for kind, text in kinds)
+    return tuple(f"{count} taxels {text}" for count, text in counted if count)
+
+
+class _Noise:
+    """Standard deviation (kPa) of a taxel: as calibrated, else measured once from the first frames."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._floor = calibration.floor_kpa
+        self.kpa = calibration.noise_kpa or self._floor
+        self._frames: list[NDArray[np.float32]] | None = [] if calibration.noise_kpa is None else None
+
+    def add(self, raw: NDArray[np.float32]) -> None:
+        """Look at one more frame, until there are enough."""
+        if self._frames is None:
+            return
+        self._frames.append(raw)
+        if len(self._frames) == NOISE_FRAMES:
+            self.kpa = max(self._floor, estimate(np.stack(self._frames)))
+            self._frames = None
+
+
+class _Tare:
+    """Averages counts over a few whole frames after it is asked to."""
+
+    def __init__(self, size: int) -> None:
+        self._sum = np.zeros(size)
+        self._seen = np.zeros(size)
+        self._left = 0
+        self._asked = False
+
+    def ask(self) -> None:
+        self._asked = True
+
+    def add(self, frame: RawFrame) -> NDArray[np.float64] | None:
+        """Mean counts (N,), NaN where a taxel never came, once enough frames are in; else None."""
+        if self._asked:
+            self._asked, self._left = False, TARE_FRAMES
+            self._sum[:], self._seen[:] = 0, 0
+        if not self._left:
+            return None
+        known = frame.flags & (MISSING | BAD) == 0
+        self._sum[known] += frame.counts[known]
+        self._seen += known
+        self._left -= 1
+        if self._left:
+            return None
+        return np.where(self._seen > 0, self._sum / np.maximum(self._seen, 1), np.nan)

@@ -1,0 +1,58 @@
+"""The linear answer: Wiener's filter in the blur's own modes, for the spectrum that the frame itself shows."""
+
+import numpy as np
+
+from tactiled.restore.modes import Floats, Image
+from tactiled.restore.scene import Scene
+
+
+class Filter:
+    """One spectrum's filter h S / (h^2 S + sigma^2), with the total force and the noise that it leaves."""
+
+    def __init__(self, scene: Scene) -> None:
+        modes = scene.modes
+        S = scene.prior.ratio(scene.number)[modes.head]
+        weight = modes.gain * S / (modes.gain**2 * S + 1)
+        self.weight = np.asarray(weight, np.float32)
+        self.predicted = np.asarray(scene.ones * (weight * modes.gain).ravel(), np.float32)
+        cells = np.prod(scene.blur.surface_shape)
+        self.noise_gain = float(np.sqrt((weight**2).sum() / cells))
+
+
+class Wiener:
+    """Restores the frame that its scene last looked at."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._filters: dict[int, Filter] = {}
+        self._back = scene.modes.to_surface(seen=True)
+        self._modes, self.image = np.empty_like(scene.c), self._back.empty()
+
+    @property
+    def filter(self) -> Filter:
+        """The filter of the scene's spectrum, made when that spectrum is first met."""
+        number = self._scene.number
+        if number not in self._filters:
+            self._filters[number] = Filter(self._scene)
+        return self._filters[number]
+
+    def __call__(self) -> Image:
+        """Give the surface pressure, total force kept; may be negative."""
+        chosen, scene = self.filter, self._scene
+        np.multiply(scene.c, chosen.weight, out=self._modes)
+        scale = scene.force_scale(float(np.dot(chosen.predicted, scene.flat)))
+        if scale != 1.0:
+            np.multiply(self._modes, np.float32(scale), out=self._modes)
+        return self._back(self._modes, self.image)
+
+
+def deviation(scene: Scene) -> Floats:
+    """Standard deviation (kPa) of each surface cell, given the frame and the spectrum picked for its scene."""
+    modes = scene.modes
+    S = scene.prior.ratio(scene.number)
+    gain = np.zeros_like(S)
+    gain[modes.head] = modes.gain
+    variance = scene.noise**2 * S / (gain**2 * S + 1)
+    squares = [basis**2 for basis in modes.surface]
+    spread = squares[0] @ variance
+    return np.sqrt(spread if len(squares) == 1 else spread @ squares[1].T)

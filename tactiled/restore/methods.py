@@ -1,0 +1,115 @@
+"""The table of methods, and the restorer that keeps each of them from harm."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.errors import ConfigError
+from tactiled.restore.blur import Blur
+from tactiled.restore.gaps import Gaps
+from tactiled.restore.linear import Wiener, deviation
+from tactiled.restore.lucy import Lucy
+from tactiled.restore.modes import Floats, Image
+from tactiled.restore.nonneg import Nonneg
+from tactiled.restore.scene import Restored, Scene
+
+Run = Callable[[Image], Restored]
+
+LUCY = 30  # iterations of Richardson-Lucy
+NONNEG = 30  # iterations of non-negative least squares at most
+STEADY = 0.1  # noise standard deviations: an iteration that changes less has no more to give
+ASKED = "as asked"
+
+
+class Restorer:
+    """Turns frames of one array into surface pressure by one method; remembers the frame before, until `reset`."""
+
+    def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
+        self._scene = Scene(blur, noise_kpa)
+        self._gaps = Gaps(blur.modes)
+        self._gappy = False
+        self._run, self._forget = METHODS[method](self._scene)
+
+    def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
+        """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
+        y = np.ascontiguousarray(frame, np.float32)
+        flat = y.reshape(-1)
+        self._gappy = not float(np.dot(flat, flat)) < np.inf or (flags is not None and bool(flags.any()))
+        if self._gappy:
+            y = self._gaps.fill(y, flags)
+        self._scene.look(y)
+        return self._run(y)
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._forget()
+
+    def deviation(self) -> Floats:
+        """Standard deviation (kPa) of every cell of the image last restored."""
+        return deviation(self._scene)
+
+
+def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
+    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other name or noise."""
+    if name not in METHODS:
+        raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
+    if not (np.isfinite(noise_kpa) and noise_kpa > 0):
+        raise ConfigError(f"noise = {noise_kpa} kPa: give a taxel's standard deviation, above 0")
+    return Restorer(name, blur, float(noise_kpa))
+
+
+def _nothing() -> None:
+    pass
+
+
+def _raw(scene: Scene) -> tuple[Run, Callable[[], None]]:
+    repeat = [n // m for n, m in zip(scene.blur.surface_shape, scene.blur.frame_shape, strict=True)]
+    image = np.empty(scene.blur.surface_shape, np.float32)
+    cells = image.reshape([each for m, k in zip(scene.blur.frame_shape, repeat, strict=True) for each in (m, k)])
+
+    def run(y: Image) -> Restored:
+        cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
+        return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
+
+    return run, _nothing
+
+
+def _wiener(scene: Scene) -> tuple[Run, Callable[[], None]]:
+    wiener = Wiener(scene)
+
+    def run(_: Image) -> Restored:
+        image = wiener()
+        return Restored(image, "wiener", ASKED, 0, wiener.filter.noise_gain, scene.resolution())
+
+    return run, _nothing
+
+
+def _lucy(scene: Scene, accelerate: bool = False) -> tuple[Run, Callable[[], None]]:
+    lucy, wiener = Lucy(scene, LUCY, accelerate), Wiener(scene)
+    name = "rl-fast" if accelerate else "rl"
+
+    def run(y: Image) -> Restored:
+        done = lucy(y)
+        return Restored(lucy.image, name, ASKED, done, wiener.filter.noise_gain, scene.resolution())
+
+    return run, _nothing
+
+
+def _nonneg(scene: Scene) -> tuple[Run, Callable[[], None]]:
+    nonneg, wiener = Nonneg(scene), Wiener(scene)
+
+    def run(_: Image) -> Restored:
+        done = nonneg(wiener, NONNEG, enough=STEADY * scene.noise)
+        return Restored(nonneg.image, "nnls", ASKED, done, wiener.filter.noise_gain, scene.resolution())
+
+    return run, nonneg.reset
+
+
+METHODS: dict[str, Callable[[Scene], tuple[Run, Callable[[], None]]]] = {
+    "raw": _raw,
+    "wiener": _wiener,
+    "rl": _lucy,
+    "rl-fast": lambda scene: _lucy(scene, accelerate=True),
+    "nnls": _nonneg,
+}

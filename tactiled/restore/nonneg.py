@@ -1,0 +1,95 @@
+"""Non-negative least squares in the blur's own modes: pressure pushes, it never pulls."""
+
+import numpy as np
+
+from tactiled.restore.gaps import Gaps
+from tactiled.restore.linear import Wiener
+from tactiled.restore.scene import Scene
+
+PENALTY = 0.1  # ADMM's: against a blur whose largest gain is 1
+SLACK = 0.3  # of the Gaussian's weight is left to it; being non-negative does the rest
+SPARSE = 0.3  # weight of the sum of pressures, in noise standard deviations
+
+
+class _Step:
+    """One spectrum's constants of the iteration."""
+
+    def __init__(self, scene: Scene) -> None:
+        S = scene.prior.ratio(scene.number)
+        gain = np.zeros_like(S)
+        gain[scene.modes.head] = scene.modes.gain
+        inverse = 1 / (gain**2 + SLACK / S + PENALTY)
+        self.again = np.asarray(PENALTY * inverse, np.float32)
+        self.data = np.asarray(scene.modes.gain * inverse[scene.modes.head], np.float32)
+        self.sparse = np.asarray(SPARSE * scene.noise * inverse, np.float32)
+
+
+class Nonneg:
+    """Restores the frame that its scene last looked at, starting from the image before.
+
+    ADMM on min |H x - y|^2 / 2 + SLACK sigma^2 x' S^-1 x / 2 + SPARSE sigma sum(x), x >= 0: with t = x + u - SPARSE
+    sigma / PENALTY, the image is max(t, 0), and the next x depends on |t| and min(t, 0) only.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._steps: dict[int, _Step] = {}
+        self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
+        self._predict = scene.modes.to_taxels()
+        self._modes, self._data = self._there.empty(), self._there.empty()
+        self._ones = self._there(np.ones(scene.blur.surface_shape, np.float32), self._there.empty())
+        self._head, self._seen = self._data[scene.modes.head], np.empty_like(scene.c)
+        self._t, self._abs, self._pull = self._back.empty(), self._back.empty(), self._back.empty()
+        self.image = self._back.empty()
+        self._reach = scene.blur.reach.reshape(-1)
+        self._change = np.empty_like(self._pull)
+        self._warm = False
+
+    def reset(self) -> None:
+        """Forget the image before."""
+        self._warm = False
+
+    def __call__(self, wiener: Wiener, iterations: int, gaps: Gaps | None = None, enough: float = 0.0) -> int:
+        """Iterate until an iteration's root mean square change is `enough` (kPa); gives how many were made."""
+        scene = self._scene
+        if not self._warm:
+            self._t[...] = wiener()
+            np.maximum(self._t, 0, out=self._t)
+            np.minimum(self._t, 0, out=self._pull)
+            self._warm = True
+        if scene.number not in self._steps:
+            self._steps[scene.number] = _Step(scene)
+        step = self._steps[scene.number]
+        self._load(step)
+        limit = enough**2 * self._t.size
+        done = 0
+        while done < iterations:
+            done += 1
+            if self._iterate(step) <= limit:
+                break
+        np.maximum(self._t, 0, out=self.image)
+        scale = scene.force_scale(float(np.dot(self._reach, self.image.reshape(-1))))
+        if scale != 1.0:
+            np.multiply(self.image, np.float32(scale), out=self.image)
+        return done
+
+    def _load(self, step: _Step) -> None:
+        """Put the data's part of the modes in place."""
+        np.multiply(self._ones, step.sparse, out=self._data)
+        np.negative(self._data, out=self._data)
+        np.multiply(self._scene.c, step.data, out=self._seen)
+        np.add(self._head, self._seen, out=self._head)
+
+    def _iterate(self, step: _Step) -> float:
+        """Move t one iteration on; gives the squared change of the multiplier."""
+        np.abs(self._t, out=self._abs)
+        self._there(self._abs, self._modes)
+        np.multiply(self._modes, step.again, out=self._modes)
+        np.add(self._modes, self._data, out=self._modes)
+        self._back(self._modes, self._t)
+        np.add(self._t, self._pull, out=self._t)
+        np.minimum(self._t, 0, out=self._change)
+        self._pull, self._change = self._change, self._pull
+        np.subtract(self._change, self._pull, out=self._change)
+        flat = self._change.reshape(-1)
+        return float(np.dot(flat, flat))

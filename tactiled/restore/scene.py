@@ -1,0 +1,62 @@
+"""One frame in the blur's modes: what every method starts from."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tactiled.restore.blur import Blur
+from tactiled.restore.modes import Image
+from tactiled.restore.prior import Prior
+
+FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
+SURE = 4.0  # standard deviations that a total force must stand out by to be held to
+
+
+class Restored(NamedTuple):
+    """A restored image and what is known about it."""
+
+    image: Image  # kPa, the surface's shape; valid until the next call
+    method: str  # what ran
+    why: str  # why it was chosen
+    iterations: int
+    noise_gain: float  # restored noise over raw noise
+    resolution_mm: float  # the finest half-period that the image carries above its noise
+
+
+class Scene:
+    """Holds the newest frame's modes, the spectrum picked for it, and its total force; allocates nothing a frame."""
+
+    def __init__(self, blur: Blur, noise: float) -> None:
+        self.blur, self.noise = blur, noise
+        self.modes = blur.modes
+        self.prior = Prior(self.modes, noise)
+        self._there = self.modes.to_taxel_modes()
+        self.c = self._there.empty()
+        self.flat = self.c.reshape(-1)
+        ones = np.ones(blur.frame_shape, np.float32)
+        self.ones = self._there(ones, self._there.empty()).reshape(-1)
+        self._sure = SURE * noise * float(np.sqrt(ones.size))
+        self.force = 0.0  # kPa times taxels
+        self.number = 0  # of the spectrum in the prior
+        self._resolution: dict[int, float] = {}
+
+    def look(self, y: Image) -> None:
+        """Take in a frame without gaps."""
+        self._there(y, self.c)
+        self.number = self.prior.pick(self.c)
+        self.force = float(np.dot(self.ones, self.flat))
+
+    def force_scale(self, predicted: float) -> float:
+        """What to multiply an image by whose blur has the total `predicted`, so that it has the frame's."""
+        if abs(self.force) < self._sure or predicted * self.force <= 0:
+            return 1.0
+        return min(max(self.force / predicted, FORCE_BOUNDS[0]), FORCE_BOUNDS[1])
+
+    def resolution(self) -> float:
+        """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""
+        if self.number not in self._resolution:
+            clear = self.modes.gain**2 * self.prior.ratio(self.number)[self.modes.head] > 1
+            finest = float(self.modes.frequency[self.modes.head][clear].max(initial=0.0))
+            widest = max(self.blur.surface_shape)
+            self._resolution[self.number] = self.blur.cell_mm * min(widest, 0.5 / finest if finest else widest)
+        return self._resolution[self.number]

@@ -1,0 +1,227 @@
+"""The running service: it owns the buses, the threads and what is known of their health."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.router import Frames, Router
+from tactiled.config import Config
+from tactiled.config.build import SensorPlan, sensor_plan
+from tactiled.errors import BusError, UnknownSensorError
+from tactiled.frames import Loss, RawFrame
+from tactiled.hub import Hub
+from tactiled.pipeline import Pipeline
+from tactiled.restore.methods import METHODS
+
+State = Literal["live", "stale", "silent", "down"]
+POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
+BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How a sensor is doing now."""
+
+    state: State
+    age_s: float | None  # s since the last frame came in; None before the first
+    rate_hz: float  # frames a second, over the last second or so; 0 unless live
+    detail: str  # one line for people
+    loss: Loss
+
+
+class Sensor:
+    """One array: a worker thread that restores its newest frame, the newest image, and its health."""
+
+    def __init__(self, plan: SensorPlan, clock: Callable[[], float] = time.monotonic) -> None:
+        self.name, self.bus_name, self.codec_name, self.codec = plan.name, plan.bus, plan.codec_name, plan.codec
+        self.array, self.kernel, self.cell_mm = plan.array, plan.kernel, plan.cell_mm
+        self.calibration = plan.calibration
+        self.methods = tuple(METHODS)
+        self.hub = Hub()
+        self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
+        self._plan, self._clock = plan, clock
+        self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
+        self._wake = threading.Condition()
+        self._waiting: RawFrame | None = None
+        self._stopping = False
+        self._skipped = 0
+        self._last: float | None = None
+        self._period = 0.0
+        self._loss = Loss()
+        self._failed: str | None = None
+        self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
+
+    @property
+    def method(self) -> str:
+        """Name of the method asked for."""
+        return self._pipeline.method
+
+    def set_method(self, name: str) -> None:
+        """Restore by `name` from the next frame on; ConfigError if there is no such method."""
+        self._pipeline.set_method(name)
+
+    def tare(self) -> None:
+        """Take the mean of the next frames as the unloaded array."""
+        self._pipeline.tare()
+
+    def start(self) -> None:
+        """Start restoring."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop restoring; returns when the thread has ended."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        self._thread.join()
+
+    def offer(self, frame: RawFrame) -> None:
+        """Take a new frame; one that still waits for its turn is skipped and counted."""
+        now = self._clock()
+        if self._last is not None:
+            gap = now - self._last
+            self._period += (gap - self._period) * min(1.0, max(gap, 0.02)) if self._period else gap
+        with self._wake:
+            self._last = now
+            self._skipped += self._waiting is not None
+            self._waiting = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
+            self._loss = self._waiting.loss
+            self._wake.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._stopping or self._waiting is not None)
+                if self._stopping:
+                    return
+                frame, self._waiting = self._waiting, None
+            if frame is not None:
+                self._restore(frame)
+
+    def _restore(self, frame: RawFrame) -> None:
+        """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
+        try:
+            self.hub.publish(self._pipeline.process(frame))
+            self._failed = None
+        except Exception as error:
+            self._failed = f"restoration failed: {type(error).__name__}: {error}"
+
+    def status(self, now: float | None = None) -> Status:
+        """Health at `now` (s on this sensor's clock; default: this moment)."""
+        last = self._last
+        age = None if last is None else max(0.0, (self._clock() if now is None else now) - last)
+        state, detail = self._judge(age)
+        rate = 1 / self._period if state == "live" and self._period else 0.0
+        return Status(state, age, rate, detail, self._loss)
+
+    def _judge(self, age: float | None) -> tuple[State, str]:
+        if self.down is not None:
+            return "down", self.down
+        if age is None:
+            return "silent", f"no frame yet on {self.bus_name}"
+        if age > self._plan.stale_after_s:
+            return "stale", f"no frame for {age:.1f} s"
+        return ("stale", self._failed) if self._failed else ("live", "")
+
+
+class Listener:
+    """One bus and the thread that reads it; the bus is opened again, with back-off, when it goes away."""
+
+    def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
+        self.name, self._settings, self._sensors = name, settings, sensors
+        self._router = Router({each.name: each.codec for each in sensors.values()})
+        self._stop = threading.Event()
+        self._reader: Reader | None = None
+        self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
+
+    def start(self) -> None:
+        """Open the bus (BusError where it cannot be) and start to read it."""
+        self._reader = open_bus(**self._settings)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop reading and close the bus."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        if self._reader is not None:
+            self._reader.close()
+
+    def _run(self) -> None:
+        wait = BACK_OFF_S[0]
+        while not self._stop.is_set():
+            try:
+                self._reader = self._reader or open_bus(**self._settings)
+                self._tell(None)
+                wait = BACK_OFF_S[0]
+                self._read(self._reader)
+            except BusError as error:
+                self._tell(str(error))
+                self._drop()
+                self._stop.wait(wait)
+                wait = min(2 * wait, BACK_OFF_S[1])
+
+    def _read(self, reader: Reader) -> None:
+        """Take messages until the stop, or until a BusError."""
+        while not self._stop.is_set():
+            message = reader.receive(POLL_S)
+            if message is None:
+                self._hand(self._router.flush(time.time() - POLL_S))
+            else:
+                self._hand(self._router.push(message))
+
+    def _hand(self, frames: Frames) -> None:
+        for name, frame in frames:
+            self._sensors[name].offer(frame)
+
+    def _tell(self, down: str | None) -> None:
+        for sensor in self._sensors.values():
+            sensor.down = down
+
+    def _drop(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+
+class Service:
+    """Every sensor of a configuration, on its bus."""
+
+    def __init__(self, config: Config) -> None:
+        plans = [sensor_plan(name, each) for name, each in config.sensor.items()]
+        self.sensors = {plan.name: Sensor(plan) for plan in plans}
+        self._listeners = [
+            Listener(
+                name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}
+            )
+            for name, bus in config.bus.items()
+        ]
+
+    def sensor(self, name: str) -> Sensor:
+        """The sensor of that name; UnknownSensorError where there is none."""
+        try:
+            return self.sensors[name]
+        except KeyError as error:
+            known = ", ".join(self.sensors)
+            raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {known}") from error
+
+    def start(self) -> None:
+        """Start everything; BusError, with nothing left running, where a bus cannot be opened."""
+        for sensor in self.sensors.values():
+            sensor.start()
+        try:
+            for listener in self._listeners:
+                listener.start()
+        except BusError:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """Stop everything that runs."""
+        for listener in self._listeners:
+            listener.stop()
+        for sensor in self.sensors.values():
+            sensor.stop()

@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from tactiled.calibrate import Calibration
+from tactiled.errors import ConfigError
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Loss, RawFrame
+from tactiled.geometry import grid
+from tactiled.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
+from tactiled.restore.blur import Blur
+
+SHAPE = (6, 5)
+
+
+@pytest.fixture
+def make():
+    """Pipelines of a 6 x 5 array under a cover that does nothing but halve what neighbours differ by."""
+    stencil = np.zeros((11, 9))
+    stencil[5, 4], stencil[4, 4], stencil[6, 4], stencil[5, 3], stencil[5, 5] = 0.6, 0.1, 0.1, 0.1, 0.1
+
+    def pipeline(method="wiener", warnings=(), **calibration):
+        blur = Blur.grid(stencil, SHAPE, 1, 1.0)
+        return Pipeline("palm", grid(*SHAPE, 1.0), blur, Calibration(**calibration), method, warnings)
+
+    return pipeline
+
+
+def frame(counts, sequence=0, flags=None):
+    counts = np.asarray(counts, np.uint16).ravel()
+    flags = np.zeros(counts.size, np.uint8) if flags is None else np.asarray(flags, np.uint8).ravel()
+    return RawFrame(sequence, 12.5, 0.001, counts, flags, Loss(lost=3))
+
+
+def pressed(background=100):
+    counts = np.full(SHAPE, background)
+    counts[2:4, 2:4] += 400
+    return counts
+
+
+def test_an_image_says_where_it_comes_from(make):
+    image = make("wiener", ("uncalibrated",), no_load=100, kpa_per_count=0.5, noise_kpa=0.5).process(
+        frame(pressed(), 7)
+    )
+    assert (image.sensor, image.sequence, image.time, image.loss.lost) == ("palm", 7, 12.5, 3)
+    assert (image.method, image.noise_kpa, image.warnings) == ("wiener", 0.5, ("uncalibrated",))
+    assert image.raw.shape == image.restored.shape == SHAPE
+    assert image.raw[2, 2] == 200
+    assert image.restored[2, 2] > image.raw[2, 2]
+    assert image.microseconds > 0
+    assert image.why
+
+
+def test_images_do_not_change_when_the_next_frame_comes(make):
+    pipeline = make(no_load=100, noise_kpa=0.5)
+    first = pipeline.process(frame(pressed()))
+    kept = first.restored.copy()
+    pipeline.process(frame(np.full(SHAPE, 100)))
+    np.testing.assert_array_equal(first.restored, kept)
+
+
+def test_a_method_takes_effect_with_the_next_frame_and_a_wrong_one_changes_nothing(make):
+    pipeline = make("wiener", no_load=100, noise_kpa=0.5)
+    assert pipeline.process(frame(pressed())).method == "wiener"
+    pipeline.set_method("raw")
+    image = pipeline.process(frame(pressed()))
+    assert image.method == "raw"
+    np.testing.assert_array_equal(image.restored, image.raw)
+    with pytest.raises(ConfigError, match="method = 'sharpen': no such method: choose one of "):
+        pipeline.set_method("sharpen")
+    assert pipeline.method == "raw"
+
+
+@pytest.mark.parametrize("method", ["raw", "wiener", "auto"])
+def test_a_taxel_that_is_not_known_is_null_in_raw_inferred_in_restored_and_told(make, method):
+    flags = np.zeros(SHAPE)
+    flags[2, 2], flags[0, 0] = MISSING, BAD
+    image = make(method, no_load=100, noise_kpa=0.5, dead=(29,)).process(frame(pressed(), flags=flags))
+    assert np.isnan(image.raw[[2, 0, 5], [2, 0, 4]]).all()
+    assert np.isfinite(image.restored).all()
+    assert image.restored[2, 2] > 50
+    assert image.flags[5, 4] == DEAD
+    assert [warning[:12] for warning in image.warnings] == ["1 taxels did", "1 taxels cal", "1 taxels dea"]
+
+
+def test_saturation_is_told(make):
+    image = make(no_load=100, saturation=500, noise_kpa=0.5).process(frame(pressed()))
+    assert np.count_nonzero(image.flags & SATURATED) == 4
+    assert image.warnings == ("4 taxels saturated: their pressure is a lower bound",)
+
+
+def test_an_unknown_noise_is_measured_from_the_first_frames(make):
+    random = np.random.default_rng(3)
+    pipeline = make(no_load=100)
+    images = [
+        pipeline.process(frame(np.round(pressed() + random.normal(0, 4, SHAPE)), n))
+        for n in range(NOISE_FRAMES + 1)
+    ]
+    assert images[0].noise_kpa == pytest.approx(12**-0.5)
+    assert images[-1].noise_kpa == pytest.approx(4, rel=0.15)
+
+
+def test_tare_takes_the_mean_of_the_next_frames(make):
+    pipeline = make("raw", no_load=100, noise_kpa=0.5)
+    pipeline.tare()
+    tilted = np.arange(30).reshape(SHAPE) + 140
+    flags = np.zeros(SHAPE)
+    flags[0, 0] = MISSING
+    for n in range(TARE_FRAMES):
+        image = pipeline.process(frame(tilted + n % 2, n, flags if n % 2 else None))
+    np.testing.assert_array_equal(image.raw[1:], 0.5)  # the last frame stands half a count over the mean
+    assert pipeline.process(frame(tilted)).raw[0, 0] == 0
