@@ -31,7 +31,7 @@ class Gaps:
         self.bounded = np.zeros(self.frame.shape, bool)
 
     def fill(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Image:
-        """Give the frame with every unknown taxel inferred, a saturated one not below its value; sets the masks."""
+        """Give the frame, each unknown taxel inferred, a saturated one not below its value; sets the masks."""
         np.isfinite(frame, out=self.unknown)
         np.logical_not(self.unknown, out=self.unknown)
         self.bounded[...] = False

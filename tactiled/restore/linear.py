@@ -15,8 +15,13 @@ class Filter:
         weight = modes.gain * S / (modes.gain**2 * S + 1)
         self.weight = np.asarray(weight, np.float32)
         self.predicted = np.asarray(scene.ones * (weight * modes.gain).ravel(), np.float32)
+        self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
         cells = np.prod(scene.blur.surface_shape)
         self.noise_gain = float(np.sqrt((weight**2).sum() / cells))
+
+    def correction(self, power: Image) -> float:
+        """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
+        return float(np.dot(self._changed, power))
 
 
 class Wiener:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
 from tactiled.restore.blur import Blur
+from tactiled.restore.choose import ITERATIONS, STEADY, Auto
 from tactiled.restore.gaps import Gaps
 from tactiled.restore.linear import Wiener, deviation
 from tactiled.restore.lucy import Lucy
@@ -17,8 +18,6 @@ from tactiled.restore.scene import Restored, Scene
 Run = Callable[[Image], Restored]
 
 LUCY = 30  # iterations of Richardson-Lucy
-NONNEG = 30  # iterations of non-negative least squares at most
-STEADY = 0.1  # noise standard deviations: an iteration that changes less has no more to give
 ASKED = "as asked"
 
 
@@ -38,7 +37,6 @@ class Restorer:
         self._gappy = not float(np.dot(flat, flat)) < np.inf or (flags is not None and bool(flags.any()))
         if self._gappy:
             y = self._gaps.fill(y, flags)
-        self._scene.look(y)
         return self._run(y)
 
     def reset(self) -> None:
@@ -51,7 +49,7 @@ class Restorer:
 
 
 def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
-    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other name or noise."""
+    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other."""
     if name not in METHODS:
         raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
     if not (np.isfinite(noise_kpa) and noise_kpa > 0):
@@ -69,6 +67,7 @@ def _raw(scene: Scene) -> tuple[Run, Callable[[], None]]:
     cells = image.reshape([each for m, k in zip(scene.blur.frame_shape, repeat, strict=True) for each in (m, k)])
 
     def run(y: Image) -> Restored:
+        scene.look(y)
         cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
         return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
 
@@ -78,7 +77,8 @@ def _raw(scene: Scene) -> tuple[Run, Callable[[], None]]:
 def _wiener(scene: Scene) -> tuple[Run, Callable[[], None]]:
     wiener = Wiener(scene)
 
-    def run(_: Image) -> Restored:
+    def run(y: Image) -> Restored:
+        scene.look(y)
         image = wiener()
         return Restored(image, "wiener", ASKED, 0, wiener.filter.noise_gain, scene.resolution())
 
@@ -90,6 +90,7 @@ def _lucy(scene: Scene, accelerate: bool = False) -> tuple[Run, Callable[[], Non
     name = "rl-fast" if accelerate else "rl"
 
     def run(y: Image) -> Restored:
+        scene.look(y)
         done = lucy(y)
         return Restored(lucy.image, name, ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
@@ -99,14 +100,21 @@ def _lucy(scene: Scene, accelerate: bool = False) -> tuple[Run, Callable[[], Non
 def _nonneg(scene: Scene) -> tuple[Run, Callable[[], None]]:
     nonneg, wiener = Nonneg(scene), Wiener(scene)
 
-    def run(_: Image) -> Restored:
-        done = nonneg(wiener, NONNEG, enough=STEADY * scene.noise)
+    def run(y: Image) -> Restored:
+        scene.look(y)
+        done = nonneg(wiener, ITERATIONS, enough=STEADY * scene.noise)
         return Restored(nonneg.image, "nnls", ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
     return run, nonneg.reset
 
 
+def _auto(scene: Scene) -> tuple[Run, Callable[[], None]]:
+    auto = Auto(scene)
+    return auto, auto.reset
+
+
 METHODS: dict[str, Callable[[Scene], tuple[Run, Callable[[], None]]]] = {
+    "auto": _auto,
     "raw": _raw,
     "wiener": _wiener,
     "rl": _lucy,

@@ -1,8 +1,8 @@
 """The blur's own modes: patterns that it passes on unchanged but for a gain.
 
-A circularly symmetric blur with nothing outside the array is all but diagonal in products of the singular vectors of
-its marginal along each axis (within 1 % of its norm at t/pitch 0.5 to 3), and the true boundary comes with them. Two small matrix
-products on either side then replace a padded Fourier transform.
+A circularly symmetric blur with nothing outside the array is all but diagonal in products of the singular vectors
+of its marginal along each axis (within 1 % of its norm at t/pitch 0.5 to 3), and its true boundary comes along.
+Two small matrix products on either side then replace a padded Fourier transform.
 """
 
 from dataclasses import dataclass

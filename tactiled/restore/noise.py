@@ -10,8 +10,8 @@ FALL_BACK = 1e-4  # of the largest pressure: the noise assumed where the frames 
 def estimate(frames: NDArray[np.floating]) -> float:
     """Standard deviation (kPa) of a taxel from frames (T, ...), NaN ignored; over 0 unless all frames are 0.
 
-    From second differences in time, which a steady or evenly moving load leaves alone; from one or two frames, from
-    second differences between neighbours, which the cover keeps small. The median discards the rest.
+    From second differences in time, which a steady or evenly moving load leaves alone; from one or two frames,
+    from second differences between neighbours, which the cover keeps small. The median discards the rest.
     """
     values = np.asarray(frames, float)
     if len(values) >= 3:

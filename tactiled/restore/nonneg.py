@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from tactiled.restore.gaps import Gaps
 from tactiled.restore.linear import Wiener
 from tactiled.restore.scene import Scene
 
@@ -27,8 +26,8 @@ class _Step:
 class Nonneg:
     """Restores the frame that its scene last looked at, starting from the image before.
 
-    ADMM on min |H x - y|^2 / 2 + SLACK sigma^2 x' S^-1 x / 2 + SPARSE sigma sum(x), x >= 0: with t = x + u - SPARSE
-    sigma / PENALTY, the image is max(t, 0), and the next x depends on |t| and min(t, 0) only.
+    ADMM on min |H x - y|^2 / 2 + SLACK sigma^2 x' S^-1 x / 2 + SPARSE sigma sum(x), x >= 0: with
+    t = x + u - SPARSE sigma / PENALTY, the image is max(t, 0), and the next x depends on |t| and min(t, 0) only.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -49,7 +48,7 @@ class Nonneg:
         """Forget the image before."""
         self._warm = False
 
-    def __call__(self, wiener: Wiener, iterations: int, gaps: Gaps | None = None, enough: float = 0.0) -> int:
+    def __call__(self, wiener: Wiener, iterations: int, enough: float = 0.0) -> int:
         """Iterate until an iteration's root mean square change is `enough` (kPa); gives how many were made."""
         scene = self._scene
         if not self._warm:

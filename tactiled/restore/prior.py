@@ -1,4 +1,4 @@
-"""How rough is this scene? Its spectrum, picked by likelihood from the frame alone, ties regularisation to the noise.
+"""How rough is this scene? Its spectrum, picked by likelihood from the frame, ties regularisation to the noise.
 
 A surface mode of frequency q is taken to be normal with variance S(q) = A / (1 + (q/q0)^2)^p, so a taxel mode has
 variance h^2 S + sigma^2. Of a fixed family of (A, q0, p) the most likely one is taken, from the power of the taxel
@@ -8,14 +8,13 @@ modes pooled in blocks: a small matrix product a frame, and no cross-validation 
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactiled.restore.modes import Floats, Image, Modes
 
 CORNERS = (0.02, 0.04, 0.08, 0.16)  # q0, cycles a cell
 POWERS = (1.0, 1.5, 2.0)  # p: 1.5 is the fall of a sharp edge in the plane
-LEVELS = 4.0 ** np.arange(
-    -2, 19
-)  # A over the noise's variance: from nothing there to noise of 1e-4 of a full array
+LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from nothing there to noise of 1e-4 of it all
 
 
 class Prior:
@@ -26,32 +25,37 @@ class Prior:
         self.modes = modes
         self._shapes = [(1 + (modes.frequency / q0) ** 2) ** -p for q0 in CORNERS for p in POWERS]
         seen = np.stack([shape[modes.head] for shape in self._shapes]) * modes.gain**2
-        self._left, self._right = _blocks(modes.gain.shape)
+        self._first = [_half_octaves(n) for n in modes.gain.shape]
+        indicators = [_indicator(n, first) for n, first in zip(modes.gain.shape, self._first, strict=True)]
+        self._left = indicators[0]
+        self._right = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
         inverse, self._log = [], []
         for variance in seen:
             for level in LEVELS:
                 v = noise**2 * (level * variance + 1)
                 inverse.append(self._pool(1 / v).ravel())
                 self._log.append(np.log(v).sum())
-        count = self._pool(np.ones(modes.gain.shape)).ravel()
-        self._inverse = np.asarray(np.stack(inverse) / count, np.float32)
+        count = self._pool(np.ones(modes.gain.shape))
+        self._inverse = np.asarray(np.stack(inverse) / count.ravel(), np.float32)
         self._log_float = np.asarray(self._log, np.float32)
-        self._squares = np.empty(modes.gain.shape, np.float32)
-        self._power = np.empty(self._pool(self._squares).shape, np.float32)
+        self.squares = np.empty(modes.gain.shape, np.float32)
+        self._power = np.empty(count.shape, np.float32)
         self._between = np.empty((len(self._left), *modes.gain.shape[1:]), np.float32)
         self._cost = np.empty(len(self._inverse), np.float32)
 
     def _pool(self, values: Floats | Image) -> Floats:
-        across = self._left @ values
-        return np.asarray(across if self._right is None else across @ self._right)
+        # Not by a matrix product: BLAS kernels may raise floating-point flags from lanes that they then discard.
+        for axis, first in enumerate(self._first):
+            values = np.add.reduceat(values, first, axis=axis)
+        return np.asarray(values, float)
 
     def pick(self, c: Image) -> int:
         """Number of the most likely spectrum for taxel modes' coefficients."""
-        np.multiply(c, c, out=self._squares)
+        np.multiply(c, c, out=self.squares)
         if self._right is None:
-            np.dot(self._left, self._squares, out=self._power)
+            np.dot(self._left, self.squares, out=self._power)
         else:
-            np.dot(self._left, self._squares, out=self._between)
+            np.dot(self._left, self.squares, out=self._between)
             np.dot(self._between, self._right, out=self._power)
         np.dot(self._inverse, self._power.reshape(-1), out=self._cost)
         np.add(self._cost, self._log_float, out=self._cost)
@@ -63,17 +67,15 @@ class Prior:
         return np.asarray(LEVELS[level] * self._shapes[shape])
 
 
-def _blocks(shape: tuple[int, ...]) -> tuple[Image, Image | None]:
-    """Indicators of half-octave blocks of modes along each axis."""
-    axes = [_half_octaves(n) for n in shape]
-    return axes[0], np.ascontiguousarray(axes[1].T) if len(axes) == 2 else None
-
-
 @cache
-def _half_octaves(n: int) -> Image:
+def _half_octaves(n: int) -> NDArray[np.intp]:
+    """Where blocks of half an octave of n modes begin."""
     edges = [0, 1, 2, 3]
     while edges[-1] < n:
         edges.append(edges[-2] * 2)
-    first = np.array([edge for edge in edges if edge < n])
+    return np.array([edge for edge in edges if edge < n])
+
+
+def _indicator(n: int, first: NDArray[np.intp]) -> Image:
     block = np.searchsorted(first, np.arange(n), side="right") - 1
     return np.asarray(block == np.arange(len(first))[:, None], np.float32)

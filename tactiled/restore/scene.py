@@ -24,7 +24,7 @@ class Restored(NamedTuple):
 
 
 class Scene:
-    """Holds the newest frame's modes, the spectrum picked for it, and its total force; allocates nothing a frame."""
+    """Holds the newest frame's modes, the spectrum picked for it, and its force; allocates nothing a frame."""
 
     def __init__(self, blur: Blur, noise: float) -> None:
         self.blur, self.noise = blur, noise
@@ -36,15 +36,21 @@ class Scene:
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
         self._sure = SURE * noise * float(np.sqrt(ones.size))
+        self.power = self.prior.squares.reshape(-1)  # c squared
         self.force = 0.0  # kPa times taxels
         self.number = 0  # of the spectrum in the prior
         self._resolution: dict[int, float] = {}
+        self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
     def look(self, y: Image) -> None:
         """Take in a frame without gaps."""
         self._there(y, self.c)
         self.number = self.prior.pick(self.c)
         self.force = float(np.dot(self.ones, self.flat))
+
+    def empty(self) -> None:
+        """Take in that there is nothing to see, without looking."""
+        self.number, self.force = 0, 0.0
 
     def force_scale(self, predicted: float) -> float:
         """What to multiply an image by whose blur has the total `predicted`, so that it has the frame's."""
@@ -57,6 +63,6 @@ class Scene:
         if self.number not in self._resolution:
             clear = self.modes.gain**2 * self.prior.ratio(self.number)[self.modes.head] > 1
             finest = float(self.modes.frequency[self.modes.head][clear].max(initial=0.0))
-            widest = max(self.blur.surface_shape)
-            self._resolution[self.number] = self.blur.cell_mm * min(widest, 0.5 / finest if finest else widest)
+            half_period = 0.5 * self.blur.cell_mm / finest if finest else self.widest_mm
+            self._resolution[self.number] = min(self.widest_mm, half_period)
         return self._resolution[self.number]

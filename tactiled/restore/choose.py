@@ -1,0 +1,94 @@
+"""What does this scene need? Nothing, the raw image, a linear filter, or non-negativity: no more than it earns.
+
+Every test is against the noise, on numbers that are there anyway. A test that was passed last frame is passed
+again up to `STAY` times further, so that a scene on the border does not flicker.
+"""
+
+from math import log, sqrt
+
+import numpy as np
+
+from tactiled.restore.linear import Wiener
+from tactiled.restore.modes import Image
+from tactiled.restore.nonneg import Nonneg
+from tactiled.restore.scene import Restored, Scene
+
+STAY = 1.5  # how much further a test reaches for the method of the frame before
+SURE = 4.0  # standard deviations that count as more than noise
+SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
+NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
+ITERATIONS = 30  # at most
+STEADY = 0.1  # noise standard deviations: an iteration that changes less has no more to give
+
+IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
+RAW = "the cover hardly matters here: all it changes is under the noise"
+WIENER = "linear is enough: hardly any of the image falls below zero"
+NNLS = "sharp, sparse or touching zero: linear would ring below zero"
+
+
+class Idle:
+    """Tests whether a frame is noise and nothing else."""
+
+    def __init__(self, scene: Scene) -> None:
+        size = scene.flat.size
+        self._ones = np.ones(size, np.float32)
+        self._peak = scene.noise * (sqrt(2 * log(size + 1)) + 1.5)
+        self._sum = SURE * scene.noise * sqrt(size)
+
+    def __call__(self, y: Image, reach: float) -> bool:
+        """Whether peak, trough and sum stay within `reach` times what noise does."""
+        flat = y.reshape(-1)
+        peak = reach * self._peak
+        if flat[flat.argmax()] > peak or flat[flat.argmin()] < -peak:
+            return False
+        return abs(float(np.dot(self._ones, flat))) < reach * self._sum
+
+
+class Auto:
+    """Restores each frame by the least that it needs."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._idle, self._wiener, self._nonneg = Idle(scene), Wiener(scene), Nonneg(scene)
+        self._square = scene.blur.frame_shape == scene.blur.surface_shape
+        self._below = np.empty(scene.blur.surface_shape, np.float32)
+        self._enough = STEADY * scene.noise
+        self._method = ""
+        zeros = np.zeros(scene.blur.surface_shape, np.float32)
+        zeros.setflags(write=False)
+        self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._method = ""
+        self._nonneg.reset()
+
+    def _reach(self, method: str) -> float:
+        return STAY if self._method == method else 1.0
+
+    def __call__(self, y: Image) -> Restored:
+        """Restore a frame without gaps."""
+        if self._idle(y, self._reach("idle")):
+            self._method = "idle"
+            self._scene.empty()
+            return self._nothing
+        done = self._some(y)
+        self._method = done.method
+        return done
+
+    def _some(self, y: Image) -> Restored:
+        scene = self._scene
+        scene.look(y)
+        filter_ = self._wiener.filter
+        if self._square and filter_.correction(scene.power) < (self._reach("raw") * SEEN) ** 2 * scene.noise**2:
+            return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
+        image = self._wiener()
+        np.minimum(image, 0, out=self._below)
+        flat, below = image.reshape(-1), self._below.reshape(-1)
+        limit = (self._reach("wiener") * NEGATIVE) ** 2
+        if float(np.dot(below, below)) <= limit * float(np.dot(flat, flat)):
+            return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
+        if self._method != "nnls":
+            self._nonneg.reset()
+        iterations = self._nonneg(self._wiener, ITERATIONS, enough=self._enough)
+        return Restored(self._nonneg.image, "nnls", NNLS, iterations, filter_.noise_gain, scene.resolution())
