@@ -80,7 +80,7 @@ triangles = [0, 1, 2, 3, 4]
 thermal_pads = false
 
 [sensor.hand.array]
-aperture_mm = 4.0
+aperture_mm = 3.6
 aperture = "round"
 
 [sensor.hand.cover]

@@ -67,13 +67,18 @@ def test_a_message_that_is_not_the_layouts_is_refused(message):
 
 
 def test_an_array_larger_than_the_layout_carries_is_refused_with_the_limit():
-    with pytest.raises(ConfigError, match="1025 taxels of 12 bits need 257 messages .* at most 256"):
+    with pytest.raises(ConfigError, match=r"1025 taxels of 12 bits need 257 messages .* at most 256"):
         Packed(1025, 12)
 
 
-@pytest.mark.parametrize(("settings", "says"), [
-    ({"bits": 7}, "codec.bits = 7"), ({"bits": 17}, "codec.bits = 17"), ({"base_id": 0x7FF, "array_id": 1}, "0x800"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"bits": 7}, "codec.bits = 7"),
+        ({"bits": 17}, "codec.bits = 17"),
+        ({"base_id": 0x7FF, "array_id": 1}, "0x800"),
+    ],
+)
 def test_a_setting_that_cannot_be_is_refused_by_name(settings, says):
     with pytest.raises(ConfigError, match=says):
         Packed(4, **settings)
