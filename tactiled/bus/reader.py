@@ -15,6 +15,7 @@ HINTS = {
     errno.ENETDOWN: "the interface is down: `ip link set CHANNEL up`",
     errno.EAFNOSUPPORT: "this machine's kernel has no SocketCAN: choose another interface",
     errno.ENOENT: "no such device",
+    errno.ENOBUFS: "its queue is full: no other node acknowledges, or more is sent than the bus carries",
 }
 
 

@@ -1,6 +1,12 @@
 """One file a verb; importing a file here gives the command line its verb."""
 
+from tactiled.cli import bench_latency as bench_latency
+from tactiled.cli import check as check
 from tactiled.cli import cover as cover
+from tactiled.cli import demo as demo
+from tactiled.cli import init as init
+from tactiled.cli import run as run
+from tactiled.cli import simulate as simulate
 from tactiled.cli.app import main
 
 __all__ = ["main"]

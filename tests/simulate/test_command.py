@@ -1,0 +1,101 @@
+import os
+import signal
+from threading import Timer
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tactiled.bus.reader import open_bus
+from tactiled.bus.router import Router
+from tactiled.cli.app import app
+from tactiled.cli.simulate import simulate
+from tactiled.config import parse
+from tactiled.config.build import make_codec
+from tactiled.config.example import EXAMPLE, GRASP
+from tactiled.errors import BusError, ConfigError
+
+__all__ = ["simulate"]  # importing it gives the command line its verb
+
+
+def run(arguments):
+    return CliRunner().invoke(app, ["simulate", *arguments.split()], catch_exceptions=True)
+
+
+@pytest.fixture
+def listener(request):
+    bus = open_bus(interface="virtual", channel=request.node.name)
+    yield bus
+    bus.close()
+
+
+def frames_of(listener, codec):
+    router = Router({"it": codec})
+    frames = []
+    while (message := listener.receive(0)) is not None:
+        frames += [frame for _, frame in router.push(message)]
+    return frames, router.assemblers["it"].loss
+
+
+def test_the_examples_sensor_without_a_file(listener, request):
+    codec = make_codec(parse(EXAMPLE).sensor["palm"])
+    result = run(f"--interface virtual --channel {request.node.name} --seconds 0.1 --scene ring --noise-kpa 0")
+    assert result.exit_code == 0, result.output
+    assert "sent 10 frames of 25 messages" in result.output
+    frames, loss = frames_of(listener, codec)
+    assert [frame.sequence for frame in frames] == list(range(10))
+    assert (loss.lost, loss.foreign, loss.malformed) == (0, 0, 0)
+    pressed = frames[0].counts.reshape(32, 32)
+    assert pressed[16, 16] < pressed[3:29].max() / 2  # the ring is hollow
+    assert pressed.max() > 400
+
+
+def test_classic_messages_instead(listener, request):
+    codec = make_codec(parse(EXAMPLE.replace("fd = true", "fd = false")).sensor["palm"])
+    run(f"--interface virtual --channel {request.node.name} --seconds 0.02 --classic")
+    frames, loss = frames_of(listener, codec)
+    assert len(frames) == 2
+    assert loss.malformed == 0
+
+
+def test_a_sensor_of_a_file_on_the_files_own_bus(listener, request, tmp_path):
+    text = GRASP.replace("socketcan", "virtual").replace('channel = "can0"', f'channel = "{request.node.name}"')
+    path = tmp_path / "hand.toml"
+    path.write_text(text)
+    assert run(f"--config {path} --seconds 0.05 --scene uniform").exit_code == 0
+    frames, _ = frames_of(listener, make_codec(parse(text).sensor["hand"]))
+    assert len(frames) == 5
+    assert np.all(frames[0].counts < 245)  # pressure lowers them
+
+
+def test_an_interrupt_ends_it_between_two_frames(listener, request):
+    Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    result = run(f"--interface virtual --channel {request.node.name} --scene empty")
+    assert result.exit_code == 0
+    frames, loss = frames_of(listener, make_codec(parse(EXAMPLE).sensor["palm"]))
+    assert f"sent {len(frames)} frames" in result.output
+    assert loss.incomplete == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        ("", ConfigError, "--interface is missing"),
+        ("--interface nope", BusError, "python-can has no interface of that name"),
+        ("--interface virtual --sensor tip", ConfigError, "--sensor tip: no such sensor: choose one of palm"),
+        ("--interface virtual --scene rain", ConfigError, "scene = 'rain'"),
+        ("--config gone.toml", ConfigError, "gone.toml: No such file"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(arguments, error, says):
+    told = run(arguments).exception
+    assert isinstance(told, error)
+    assert says in str(told)
+    assert "\n" not in str(told)
+
+
+def test_a_skin_of_classic_messages_does_not_take_fd(tmp_path):
+    path = tmp_path / "hand.toml"
+    path.write_text(GRASP)
+    told = run(f"--config {path} --interface virtual --fd").exception
+    assert str(told) == "--fd: sensor hand speaks icub, which is classic CAN"
