@@ -53,7 +53,8 @@ class _Sender:
 def measure(service: Service, settings: Config, source: Source, rate_hz: float, seconds: float) -> Latency:
     """Serve the first sensor to one client, a process of its own, while `source` is sent at `rate_hz`."""
     (bus,) = settings.bus.values()
-    sender = _Sender(open_bus(**bus.settings()), source)
+    bus_end = open_bus(**bus.settings())
+    sender = _Sender(bus_end, source)
     context = multiprocessing.get_context("spawn")
     receive, give = context.Pipe(duplex=False)
     service.start()
@@ -70,6 +71,7 @@ def measure(service: Service, settings: Config, source: Source, rate_hz: float, 
         arrived: dict[int, float] = receive.recv()
         client.join()
     service.stop()
+    bus_end.close()
     return _summary(sender.times, arrived, int(WARM_UP_S * rate_hz), cores)
 
 

@@ -20,6 +20,10 @@ from tactiled.simulate import Player, play, player
 from tactiled.web.server import serve
 
 NOISE_KPA = 0.2  # of a simulated taxel
+REAL_BUS, VIRTUAL_BUS = (
+    f'interface = "{interface}"\nchannel = "{channel}"'
+    for interface, channel in (("socketcan", "can0"), ("virtual", "demo"))
+)
 Source = Callable[[Reader, Event], object]
 
 
@@ -47,7 +51,7 @@ def demo(
 def demo_config(record: str | None = None) -> Config:
     """The configuration that `tactiled init` writes, or that of a recorded grasp, on a virtual bus."""
     text = GRASP if record else EXAMPLE
-    return parse(text.replace('"socketcan"', '"virtual"').replace('"can0"', '"tactiled-demo"'), "demo")
+    return parse(text.replace(REAL_BUS, VIRTUAL_BUS), "demo")
 
 
 @contextmanager

@@ -1,0 +1,76 @@
+"""The ASGI application: REST, streams and the viewer's files."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI, WebSocket
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+
+from tactiled import __version__
+from tactiled.errors import UnknownSensorError
+from tactiled.service import Service
+from tactiled.web import problems, stream
+from tactiled.web.feed import Feed
+from tactiled.web.guard import Guard
+from tactiled.web.rest import router
+
+STATIC = Path(__file__).parent / "static"
+TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
+ABOUT = """Raw and restored pressure images of covered tactile arrays.
+
+Live images: `WS /api/v1/sensors/{name}/stream`, described in the README."""
+
+
+def create(service: Service, loopback: bool = True) -> FastAPI:
+    """Make the application of a service; on `loopback` it answers to loopback's names only."""
+    feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        ticking = asyncio.create_task(_tick(feeds))
+        yield
+        ticking.cancel()
+
+    app = FastAPI(
+        title="tactiled",
+        version=__version__,
+        description=ABOUT,
+        lifespan=lifespan,
+        openapi_url="/api/v1/openapi.json",
+        docs_url=None,  # its page needs the internet
+        redoc_url=None,
+    )
+    problems.install(app)
+    app.state.service = service
+    app.include_router(router)
+
+    @app.websocket("/api/v1/sensors/{name}/stream")
+    async def _stream(socket: WebSocket, name: str) -> None:
+        await socket.accept()
+        try:
+            service.sensor(name)
+            asked = stream.wish(socket.query_params)
+        except UnknownSensorError as error:
+            await socket.close(stream.NOT_FOUND, str(error)[:120])
+        except ValueError as error:
+            await socket.close(stream.BAD_REQUEST, str(error)[:120])
+        else:
+            await stream.Stream(socket, feeds[name], asked).run()
+
+    @app.get("/", include_in_schema=False)
+    def viewer() -> FileResponse:
+        return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
+
+    app.mount("/static", StaticFiles(directory=STATIC), name="static")
+    app.add_middleware(Guard, loopback=loopback)
+    return app
+
+
+async def _tick(feeds: dict[str, Feed]) -> None:
+    while True:
+        await asyncio.sleep(TICK_S)
+        for feed in feeds.values():
+            feed.wake()

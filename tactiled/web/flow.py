@@ -1,0 +1,61 @@
+"""A WebSocket that knows how far its client has read, so that a slow one is never sent what it cannot take.
+
+TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read.
+Here a ping follows every few messages; a client answers when it has read that far, and until then no more is sent.
+"""
+
+import asyncio
+from typing import Any
+
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame
+
+EVERY = 4  # messages a ping
+WINDOW = 2  # pings that may be unanswered: at most EVERY * WINDOW messages are on their way
+MARK = b"tactiled"
+
+
+class PacedWebSocket(WebSocketsSansIOProtocol):
+    """uvicorn's protocol, its `send` held back while the client is more than a few messages behind."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._sent = 0
+        self._pinged = 0
+        self._answered = 0
+        self._keeping_up = asyncio.Event()
+        self._keeping_up.set()
+
+    async def send(self, message: Any) -> None:
+        """Send one ASGI message once the client has read enough of those before."""
+        await self._keeping_up.wait()
+        await super().send(message)
+        if message["type"] != "websocket.send" or message.get("bytes") is None:
+            return
+        self._sent += 1
+        if self._sent % EVERY == 0 and not self.close_sent and not self.transport.is_closing():
+            self._pinged += 1
+            self.conn.send_ping(MARK + self._pinged.to_bytes(8, "big"))
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            if self._pinged - self._answered >= WINDOW:
+                self._keeping_up.clear()
+
+    def handle_pong(self, event: Frame) -> None:
+        """Take note of how far the client has read."""
+        data = bytes(event.data)
+        if not data.startswith(MARK) or len(data) != len(MARK) + 8:
+            super().handle_pong(event)
+            return
+        self._answered = max(self._answered, min(int.from_bytes(data[len(MARK) :], "big"), self._pinged))
+        if self._pinged - self._answered < WINDOW:
+            self._keeping_up.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Let a `send` that waits see that there is nobody left."""
+        self._keeping_up.set()
+        super().connection_lost(exc)
+
+    def shutdown(self) -> None:
+        """Let a `send` that waits end when the server does."""
+        self._keeping_up.set()
+        super().shutdown()

@@ -1,0 +1,316 @@
+"""What the API says, field by field: the models behind OpenAPI, and how they are made from images and sensors."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactiled.cover.meaning import meaning
+from tactiled.frames import Image
+from tactiled.service import Sensor, Service, State, Status
+from tactiled.web.wire import Kind
+
+DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
+
+Name = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
+
+
+class Form(BaseModel):
+    """A JSON object of the API."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class Loss(Form):
+    """What went wrong on the way in, counted since the start."""
+
+    lost: int = Field(description="messages that never came", examples=[0])
+    repeated: int = Field(description="messages that came twice", examples=[0])
+    late: int = Field(description="messages out of order", examples=[0])
+    foreign: int = Field(description="messages on the bus that belong to no sensor", examples=[0])
+    malformed: int = Field(description="messages that the codec cannot mean", examples=[0])
+    incomplete: int = Field(description="frames with taxels missing", examples=[0])
+    skipped: int = Field(description="frames not restored because a newer one was there", examples=[0])
+
+
+class SensorState(Form):
+    """A sensor and how it is doing."""
+
+    name: Name
+    bus: str = Field(examples=["can0"])
+    codec: str = Field(examples=["packed"])
+    rows: int | None = Field(description="null where the layout is no grid", examples=[32])
+    columns: int | None = Field(description="null where the layout is no grid", examples=[32])
+    taxels: int = Field(examples=[1024])
+    pitch_mm: float = Field(examples=[1.0])
+    method: str = Field(description="asked for", examples=["auto"])
+    methods: tuple[str, ...] = Field(examples=[("auto", "raw", "wiener", "rl", "nnls")])
+    state: State = Field(description="live; stale: no new frame; silent: none yet; down: the bus is gone")
+    age_s: float | None = Field(description="s since the last frame came in", examples=[0.004])
+    rate_hz: float = Field(description="frames a second", examples=[100.0])
+    detail: str = Field(description="one line on the state", examples=[""])
+    sequence: int | None = Field(description="of the newest image", examples=[5123])
+    loss: Loss
+
+
+class Sensors(Form):
+    """Every sensor."""
+
+    sensors: tuple[SensorState, ...]
+
+
+class Health(Form):
+    """Whether the service runs, and whether its sensors do."""
+
+    status: Literal["ok", "degraded"] = Field(description="degraded: at least one sensor is not live")
+    sensors: dict[str, SensorState]
+
+
+class Frame(Form):
+    """One image of one sensor."""
+
+    type: Literal["frame"] = "frame"
+    sensor: Name
+    kind: Kind
+    unit: Literal["kPa"] = "kPa"
+    sequence: int = Field(examples=[5123])
+    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
+    state: State
+    age_s: float | None = Field(description="s since the last frame came in", examples=[0.004])
+    values: list[list[float | None]] | list[float | None] = Field(
+        description="rows of a grid, or one list; null where nothing is known",
+        examples=[[[0.0, 12.5], [3.25, 0.0]]],
+    )
+    flags: list[list[int]] | list[int] = Field(
+        description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; always of the raw image's shape",
+        examples=[[[0, 0], [0, 0]]],
+    )
+    method: str = Field(description="that ran", examples=["nnls"])
+    why: str = Field(examples=["as asked"])
+    iterations: int = Field(examples=[3])
+    microseconds: float = Field(description="from counts to the restored image", examples=[62.0])
+    noise_kpa: float = Field(description="standard deviation of a raw taxel", examples=[0.2])
+    noise_gain: float = Field(description="restored noise over raw noise", examples=[1.4])
+    resolution_mm: float = Field(description="finest half-period above the noise", examples=[1.2])
+    loss: Loss
+    warnings: tuple[str, ...] = Field(examples=[()])
+
+
+class StreamStatus(Form):
+    """What a stream says in text, at least once a second and on every change."""
+
+    type: Literal["status"] = "status"
+    sensor: Name
+    state: State
+    age_s: float | None
+    rate_hz: float
+    detail: str
+    loss: Loss
+    method: str
+    ran: str | None = None
+    why: str | None = None
+    iterations: int | None = None
+    microseconds: float | None = None
+    noise_kpa: float | None = None
+    noise_gain: float | None = None
+    resolution_mm: float | None = None
+    warnings: tuple[str, ...] = ()
+
+
+class KernelForm(Form):
+    """What the cover does."""
+
+    model: str = Field(examples=["fem"])
+    error_estimate: float = Field(description="of the gain", examples=[4e-4])
+    r_mm: list[float] = Field(description="distance from a point load", examples=[[0.0, 0.5, 1.0]])
+    g_per_mm2: list[float] = Field(
+        description="normal stress under the cover for a unit point load", examples=[[0.9, 0.4, 0.05]]
+    )
+    q_per_mm: list[float] = Field(description="spatial frequency, cycles/mm", examples=[[0.0, 0.25, 0.5]])
+    gain: list[float] = Field(description="contrast left at q", examples=[[1.0, 0.6, 0.1]])
+    nyquist_per_mm: float = Field(description="1 / (2 pitch)", examples=[0.5])
+    nyquist_gain: float = Field(examples=[0.1])
+    smallest_gap_mm: float | None = Field(
+        description="between two indenters that is still seen at a noise of 1 %; null: none", examples=[1.3]
+    )
+
+
+class ImageShape(Form):
+    """Cells of an image."""
+
+    rows: int = Field(examples=[32])
+    columns: int = Field(examples=[32])
+    cell_mm: float = Field(examples=[1.0])
+
+
+class Geometry(Form):
+    """Where the taxels are: x to the right, y down, mm."""
+
+    shape: tuple[int, int] | None = Field(description="null where the layout is no grid", examples=[(32, 32)])
+    positions_mm: list[tuple[float, float]] = Field(examples=[[(0.0, 0.0), (1.0, 0.0)]])
+    pitch_mm: float = Field(examples=[1.0])
+    aperture: Literal["square", "round"]
+    aperture_mm: float = Field(description="side, or diameter", examples=[0.8])
+    raw: ImageShape
+    restored: ImageShape
+
+
+class Method(Form):
+    """How a sensor's frames are restored."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    method: str = Field(examples=["nnls"])
+
+
+class Colormap(Form):
+    """The viewer's colours, dark for no pressure."""
+
+    name: str = Field(examples=["magma"])
+    colors: list[tuple[int, int, int]] = Field(description="256 of red, green, blue", examples=[[(0, 0, 4)]])
+
+
+class Problem(Form):
+    """RFC 9457 problem details."""
+
+    type: str = Field("about:blank", examples=["about:blank"])
+    title: str = Field(examples=["Not Found"])
+    status: int = Field(examples=[404])
+    detail: str = Field(examples=["sensor 'plam': no such sensor: there are palm"])
+
+
+def loss(status: Status) -> Loss:
+    """Counts of a status."""
+    counts = status.loss
+    return Loss(
+        lost=counts.lost,
+        repeated=counts.repeated,
+        late=counts.late,
+        foreign=counts.foreign,
+        malformed=counts.malformed,
+        incomplete=counts.incomplete,
+        skipped=counts.skipped,
+    )
+
+
+def sensor_state(sensor: Sensor) -> SensorState:
+    """A sensor as it is now."""
+    status, image, shape = sensor.status(), sensor.hub.latest(), sensor.array.shape
+    return SensorState(
+        name=sensor.name,
+        bus=sensor.bus_name,
+        codec=sensor.codec_name,
+        rows=shape[0] if shape else None,
+        columns=shape[1] if shape else None,
+        taxels=sensor.array.size,
+        pitch_mm=sensor.array.pitch,
+        method=sensor.method,
+        methods=sensor.methods,
+        state=status.state,
+        age_s=status.age_s,
+        rate_hz=status.rate_hz,
+        detail=status.detail,
+        sequence=image.sequence if image else None,
+        loss=loss(status),
+    )
+
+
+def health(service: Service) -> Health:
+    """The service as it is now."""
+    sensors = {name: sensor_state(sensor) for name, sensor in service.sensors.items()}
+    live = all(each.state == "live" for each in sensors.values())
+    return Health(status="ok" if live else "degraded", sensors=sensors)
+
+
+def _numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[float | None]:
+    """Round to DECIMALS; null for what JSON has no number for."""
+    numbers = np.round(values.astype(float), DECIMALS).astype(object)
+    numbers[~np.isfinite(values)] = None
+    listed: list[list[float | None]] = numbers.tolist()
+    return listed
+
+
+def frame(image: Image, kind: Kind, status: Status) -> Frame:
+    """One image, with the sensor's present state."""
+    return Frame(
+        sensor=image.sensor,
+        kind=kind,
+        sequence=image.sequence,
+        timestamp=image.time,
+        state=status.state,
+        age_s=status.age_s,
+        values=_numbers(image.raw if kind == "raw" else image.restored),
+        flags=image.flags.tolist(),
+        method=image.method,
+        why=image.why,
+        iterations=image.iterations,
+        microseconds=image.microseconds,
+        noise_kpa=image.noise_kpa,
+        noise_gain=image.noise_gain,
+        resolution_mm=image.resolution_mm,
+        loss=loss(status),
+        warnings=image.warnings,
+    )
+
+
+def stream_status(sensor: Sensor, image: Image | None, status: Status) -> StreamStatus:
+    """A sensor's state and how its newest image was made."""
+    made = (
+        {}
+        if image is None
+        else {
+            "ran": image.method,
+            "why": image.why,
+            "iterations": image.iterations,
+            "microseconds": image.microseconds,
+            "noise_kpa": image.noise_kpa,
+            "noise_gain": image.noise_gain,
+            "resolution_mm": image.resolution_mm,
+            "warnings": image.warnings,
+        }
+    )
+    return StreamStatus.model_validate(
+        {
+            "sensor": sensor.name,
+            "state": status.state,
+            "age_s": status.age_s,
+            "rate_hz": status.rate_hz,
+            "detail": status.detail,
+            "loss": loss(status),
+            "method": sensor.method,
+            **made,
+        }
+    )
+
+
+def kernel(sensor: Sensor) -> KernelForm:
+    """A sensor's cover."""
+    solved, told = sensor.kernel, meaning(sensor.kernel, sensor.array)
+    return KernelForm(
+        model=solved.model,
+        error_estimate=solved.error_estimate,
+        r_mm=solved.r.tolist(),
+        g_per_mm2=solved.g.tolist(),
+        q_per_mm=solved.q.tolist(),
+        gain=solved.gain.tolist(),
+        nyquist_per_mm=told.nyquist,
+        nyquist_gain=told.nyquist_gain,
+        smallest_gap_mm=told.smallest_gap if np.isfinite(told.smallest_gap) else None,
+    )
+
+
+def geometry(sensor: Sensor) -> Geometry:
+    """Where a sensor's taxels and surface cells are."""
+    array = sensor.array
+    rows, columns = array.shape or (1, array.size)
+    refine = round(array.pitch / sensor.cell_mm) if array.shape else 1
+    return Geometry(
+        shape=array.shape,
+        positions_mm=[(float(x), float(y)) for x, y in array.positions],
+        pitch_mm=array.pitch,
+        aperture=array.aperture,
+        aperture_mm=array.width,
+        raw=ImageShape(rows=rows, columns=columns, cell_mm=array.pitch),
+        restored=ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=sensor.cell_mm),
+    )

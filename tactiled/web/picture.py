@@ -1,0 +1,56 @@
+"""An image as a picture for people: colours, a legend in kPa, axes in mm."""
+
+from io import BytesIO
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+
+from tactiled.frames import Image
+from tactiled.service import Sensor
+from tactiled.web.wire import Kind
+
+COLORS = "magma"  # even in lightness, and told apart by the colour-blind
+UNKNOWN = "#8a8a8a"
+
+
+def colors() -> list[tuple[int, int, int]]:
+    """The 256 colours (red, green, blue) from no pressure to the most."""
+    table = np.round(mpl.colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int)
+    return [(int(r), int(g), int(b)) for r, g, b in table]
+
+
+def png(sensor: Sensor, image: Image, kind: Kind, top: float | None) -> bytes:
+    """Draw one image, from 0 to `top` kPa (default: its own peak)."""
+    values = image.raw if kind == "raw" else image.restored
+    peak = top or max(float(np.nanmax(values, initial=0.0)), image.noise_kpa, 1e-6)
+    figure = Figure(figsize=(6.0, 5.0), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set_facecolor(UNKNOWN)
+    pitch = sensor.array.pitch
+    low, high = sensor.array.positions.min(axis=0) - pitch / 2, sensor.array.positions.max(axis=0) + pitch / 2
+    cmap = mpl.colormaps[COLORS].with_extremes(bad=UNKNOWN)
+    shown: ScalarMappable
+    if values.ndim == 2:
+        extent = (low[0], high[0], high[1], low[1])
+        shown = axes.imshow(values, cmap, vmin=0, vmax=peak, extent=extent, interpolation="nearest")
+    else:
+        side = np.full(values.size, 0.9 * pitch)
+        discs = EllipseCollection(
+            side, side, np.zeros(values.size), units="x", offsets=sensor.array.positions, cmap=cmap,
+            offset_transform=axes.transData,
+        )  # fmt: skip
+        discs.set_array(np.ma.masked_invalid(values))
+        discs.set_clim(0, peak)
+        axes.add_collection(discs)
+        shown = discs
+        axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", facecolor="#101010")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title=f"{image.sensor}, {kind}, frame {image.sequence}")
+    figure.colorbar(shown, label="pressure (kPa)")
+    out = BytesIO()
+    figure.savefig(out, format="png")
+    return out.getvalue()
