@@ -1,0 +1,99 @@
+import time
+from threading import Event, Timer
+
+import numpy as np
+import pytest
+
+from tactiled.bus.codecs.packed import Packed
+from tactiled.calibrate import Calibration
+from tactiled.cover.kernel import solve
+from tactiled.cover.stack import Layer, Stack
+from tactiled.errors import ConfigError
+from tactiled.frames import Message
+from tactiled.geometry import grid
+from tactiled.simulate import play, player
+from tactiled.simulate.play import STAY_S, TOUR
+
+
+def one(sequence, t, now):
+    return [Message(now, sequence, b""), Message(now, sequence, b"")]
+
+
+@pytest.fixture(scope="module")
+def make():
+    kernel = solve(Stack((Layer(1.2, 0.6, 0.48),)), "layered")
+
+    def players(scene):
+        return player(grid(8, 8, 1.0), kernel, Packed(64), Calibration(0.05, 80), scene, 0.0)
+
+    return players
+
+
+def test_frames_leave_at_their_rate_and_do_not_drift():
+    """Slow frames delay themselves only: the last is as near to its own deadline as the first."""
+    sent = []
+
+    def slow(sequence, t, now):
+        sent.append((t, time.monotonic()))
+        time.sleep(0.003)
+        return one(sequence, t, now)
+
+    began = time.monotonic()
+    assert play(slow, lambda _: None, 100.0, Event(), 1.0) == 100
+    np.testing.assert_allclose([t for t, _ in sent], np.arange(100) / 100, atol=0.02)
+    late = np.array([at - began - n / 100 for n, (_, at) in enumerate(sent)])
+    assert abs(np.median(late[-20:]) - np.median(late[:20])) < 0.003
+
+
+def test_a_hold_up_is_not_made_good_by_a_burst():
+    at = []
+
+    def held_up(sequence, t, now):
+        at.append(time.monotonic())
+        if sequence == 5:
+            time.sleep(0.3)
+        return one(sequence, t, now)
+
+    play(held_up, lambda _: None, 100.0, Event(), 0.5)
+    assert np.count_nonzero(np.diff(at) < 0.004) <= 1
+
+
+def test_messages_go_out_in_order_with_the_time_of_their_frame():
+    sent = []
+    play(one, sent.append, 200.0, Event(), 0.05)
+    assert [each.id for each in sent] == sorted(2 * list(range(10)))
+    assert all(abs(each.time - time.time()) < 5 for each in sent)
+
+
+def test_the_stop_is_seen_between_two_frames():
+    stop = Event()
+    Timer(0.1, stop.set).start()
+    assert play(one, lambda _: None, 1.0, stop) == 1
+
+
+def test_a_player_encodes_its_scene(make):
+    source = make("uniform")
+    codec = source.codec
+    counts = np.concatenate([codec.decode(each).counts for each in source.messages(7, np.pi / 2, 4.5)])
+    assert {each.time for each in source.messages(7, 0.0, 4.5)} == {4.5}
+    assert codec.decode(source.messages(7, 0.0, 4.5)[0]).sequence == 7
+    sensed = source.surface.sense(np.full_like(source.surface.x, 60.0))  # kPa, the scene's peak
+    np.testing.assert_allclose((counts - 80.0) * 0.05, sensed, atol=0.0251)
+    assert 50 < sensed.max() < 60
+
+
+def test_a_tour_goes_round_its_scenes(make):
+    """The last stay is empty; the one after is the first again."""
+    source = make("tour")
+    sums = [
+        sum(int(source.codec.decode(each).counts.sum()) for each in source.messages(0, (n + 0.1) * STAY_S, 0.0))
+        for n in range(len(TOUR) + 1)
+    ]
+    assert sums[-2] == 64 * 80
+    assert min(sums[:-2]) > 64 * 80
+    assert sums[-1] > 64 * 80
+
+
+def test_a_scene_that_is_not_there_is_refused_with_those_that_are(make):
+    with pytest.raises(ConfigError, match="scene = 'rain': no such scene: choose tour or one of ring, "):
+        make("rain")

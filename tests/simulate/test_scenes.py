@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from tactiled.simulate.scenes import SCENES
+
+SIZE = 32.0  # mm
+GRAIN = 0.125  # mm
+
+
+@pytest.fixture(scope="module")
+def field():
+    half = np.arange(-SIZE / 2 + GRAIN / 2, SIZE / 2, GRAIN)
+    return np.meshgrid(half, half)
+
+
+def force(pressure):
+    """Total force in mN: kPa x mm^2."""
+    return float(pressure.sum()) * GRAIN**2
+
+
+def finger(t, side):
+    """Force of one walking fingertip: a half-ellipsoid of pressure holds 2/3 peak x area."""
+    step = (0.4 * t + 0.5 * side) % 1.0
+    peak = 70 * np.sin(np.pi * min(step / 0.6, 1.0))
+    return 2 / 3 * peak * np.pi * 1.35 * (0.11 * SIZE) ** 2
+
+
+FORCES = {
+    "ring": (80, lambda _: 80 * (1.0**2 - 0.6**2) * (SIZE / 2) ** 2),
+    "indenters": (120, lambda _: 2 * 120 * np.pi * (0.05 * SIZE) ** 2),
+    "sphere": (100, lambda _: 2 / 3 * 100 * np.pi * (0.14 * SIZE) ** 2),
+    "edge": (90, lambda _: 90 * 0.06 * SIZE * 0.7 * SIZE),
+    "fingertip": (70, lambda t: finger(t, 0) + finger(t, 1)),
+    "uniform": (60, lambda t: 30 * (1 + np.sin(t)) * SIZE**2),
+    "empty": (0, lambda _: 0.0),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("t", [0.0, 0.7, 2.9])
+def test_a_scene_is_a_pressure_in_kpa_of_known_peak_and_total_force(field, name, t):
+    peak, expected = FORCES[name]
+    pressure = SCENES[name](*field, t, SIZE, GRAIN)
+    assert pressure.shape == field[0].shape
+    assert pressure.min() >= 0
+    assert pressure.max() <= peak * (1 + 1e-9)
+    assert force(pressure) == pytest.approx(expected(t), rel=3e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_has_no_grid_of_its_own(field, name):
+    """Any point of the plane has the same pressure, whichever other points are asked for."""
+    whole = SCENES[name](*field, 1.1, SIZE, GRAIN)
+    rows, columns = np.random.default_rng(0).integers(0, whole.shape[0], (2, 50))
+    points = (each[rows, columns] for each in field)
+    np.testing.assert_array_equal(SCENES[name](*points, 1.1, SIZE, GRAIN), whole[rows, columns])
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name not in ("uniform", "empty")])
+def test_a_moving_outline_does_not_jump_from_cell_to_cell(field, name):
+    """Total force of what only moves stays the same to a fraction of one cell's."""
+    forces = [force(SCENES[name](*field, t, SIZE, GRAIN)) - FORCES[name][1](t) for t in np.arange(0, 0.05, 0.002)]
+    assert np.ptp(forces) < 0.002 * FORCES[name][1](0.3)
+
+
+def test_a_ring_is_hollow_and_two_indenters_part():
+    at = np.array([0.0, 0.2 * SIZE]), np.zeros(2)
+    np.testing.assert_array_equal(SCENES["ring"](*at, 0.0, SIZE, GRAIN), [0, 80])
+    x = np.linspace(-SIZE / 2, SIZE / 2, 2001)
+    pressed = SCENES["indenters"](x, 0 * x, 0.0, SIZE, GRAIN) > 60
+    assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
