@@ -24,7 +24,7 @@ class Broken(can.BusABC):
         self.error = error
         self._is_shutdown = True  # keeps python-can from warning of a bus that was never opened
 
-    def _recv_internal(self, *_):
+    def _recv_internal(self, **_):
         raise self.error
 
     def send(self, *_):
@@ -92,7 +92,7 @@ def test_a_missing_device_is_named():
 
 
 def test_an_interface_without_its_driver_is_one_line():
-    with pytest.raises(BusError, match="^bus kvaser 0: ") as caught:
+    with pytest.raises(BusError, match=r"^bus kvaser 0: ") as caught:
         open_bus(interface="kvaser", channel=0)
     one_line(caught.value)
 

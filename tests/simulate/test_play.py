@@ -15,7 +15,7 @@ from tactiled.simulate import play, player
 from tactiled.simulate.play import STAY_S, TOUR
 
 
-def one(sequence, t, now):
+def one(sequence, _, now):
     return [Message(now, sequence, b""), Message(now, sequence, b"")]
 
 
