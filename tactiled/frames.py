@@ -22,14 +22,12 @@ class Message(NamedTuple):
     fd: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """The counts that one message carries, and which part of which frame they are."""
+class Reading(NamedTuple):
+    """What one message carries, not yet unpacked, and which part of which frame it is."""
 
     time: float  # s
     segment: int  # 0 ... segments - 1
-    first: int  # index of the first taxel carried
-    counts: NDArray[np.uint16]  # (n,)
+    payload: bytes  # the segment's taxels, as its codec packs them
     sequence: int | None = None  # modulo the codec's `modulus`; None where the skin sends none
     bad: tuple[int, ...] = ()  # taxels, by their index in the frame, that the sensor calls out of range
 

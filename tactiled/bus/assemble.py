@@ -14,18 +14,16 @@ class _Open:
 
     def __init__(self, codec: Codec, reading: Reading) -> None:
         self.began = self.ended = reading.time
-        self.counts: NDArray[np.uint16] = np.zeros(codec.size, np.uint16)
-        self.flags: NDArray[np.uint8] = np.full(codec.size, MISSING, np.uint8)
+        self.payloads: list[bytes | None] = [None] * codec.segments
+        self.left = codec.segments
         self.bad: list[int] = []
-        self.seen = np.zeros(codec.segments, bool)
         self.highest = -1
 
     def add(self, reading: Reading) -> None:
-        span = slice(reading.first, reading.first + len(reading.counts))
-        self.counts[span] = reading.counts
-        self.flags[span] = 0
-        self.bad += reading.bad
-        self.seen[reading.segment] = True
+        self.payloads[reading.segment] = reading.payload
+        self.left -= 1
+        if reading.bad:
+            self.bad += reading.bad
         self.highest = max(self.highest, reading.segment)
         self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
 
@@ -42,7 +40,7 @@ class Assembler:
         self.codec = codec
         self._counts: Counter[str] = Counter()
         self._open: _Open | None = None
-        self._closed = np.zeros(codec.segments, bool)  # segments seen of the frame closed last
+        self._closed: list[bytes | None] = [None] * codec.segments  # what the frame closed last had
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
 
@@ -59,20 +57,20 @@ class Assembler:
         """Take one reading; returns the frames that it closes, oldest first."""
         step = self._step(reading)
         if step <= 0 and (step < 0 or self._open is None):
-            again = step == 0 and self._closed[reading.segment]
+            again = step == 0 and self._closed[reading.segment] is not None
             self.count("repeated" if again else "late")
             return ()
         closed = self._begin(reading, step) if step else ()
         frame = self._open
         if frame is None:  # a step begins a frame, and without one there was a frame
             return closed
-        if frame.seen[reading.segment]:
+        if frame.payloads[reading.segment] is not None:
             self.count("repeated")
             return closed
         if reading.segment < frame.highest and self.codec.modulus is not None:
             self.count("late")
         frame.add(reading)
-        return (*closed, *self._close()) if frame.seen.all() else closed
+        return closed if frame.left else (*closed, *self._close())
 
     def flush(self, before: float) -> tuple[RawFrame, ...]:
         """Close, marked, a frame whose last message came before time `before` (s)."""
@@ -90,7 +88,7 @@ class Assembler:
 
     def _comes_again(self, frame: _Open, segment: int) -> bool:
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
-        return bool(frame.seen[segment:end].any())
+        return any(each is not None for each in frame.payloads[segment:end])
 
     def _begin(self, reading: Reading, step: int) -> tuple[RawFrame, ...]:
         """Close the open frame, count the frames between as lost, open the reading's own."""
@@ -104,10 +102,18 @@ class Assembler:
         frame, self._open = self._open, None
         if frame is None:
             return ()
-        self._closed = frame.seen
-        missing = int(np.count_nonzero(~frame.seen))
-        self.count("lost", missing)
-        self.count("incomplete", int(missing > 0))
-        frame.flags[frame.bad] |= BAD
+        self._closed = frame.payloads
+        self.count("lost", frame.left)
+        self.count("incomplete", int(frame.left > 0))
         skew = frame.ended - frame.began
-        return (RawFrame(self._sequence, frame.began, skew, frame.counts, frame.flags, self.loss),)
+        counts = self.codec.unpack(frame.payloads)
+        return (RawFrame(self._sequence, frame.began, skew, counts, self._flags(frame), self.loss),)
+
+    def _flags(self, frame: _Open) -> NDArray[np.uint8]:
+        flags = np.zeros(self.codec.size, np.uint8)
+        if frame.left:
+            for segment, payload in enumerate(frame.payloads):
+                if payload is None:
+                    flags[self.codec.span(segment)] = MISSING
+        flags[frame.bad] |= BAD
+        return flags

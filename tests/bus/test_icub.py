@@ -15,11 +15,11 @@ def message(text):
 
 
 def values(codec, *texts):
-    counts = np.zeros(codec.size, np.uint16)
+    payloads = [None] * codec.segments
     for text in texts:
         reading = codec.decode(message(text))
-        counts[reading.first : reading.first + len(reading.counts)] = reading.counts
-    return counts.tolist()
+        payloads[reading.segment] = reading.payload
+    return codec.unpack(payloads).tolist()
 
 
 def test_genuine_taxels_of_a_grasp():
@@ -63,7 +63,8 @@ def test_diagnostics_name_the_taxels_that_cannot_be_believed(code, bad):
 
 def test_a_tail_without_diagnostics_is_a_tail():
     reading = Icub(0, (0,)).decode(message("400#C0F0F0F0F0F0"))
-    assert (len(reading.counts), reading.bad) == (4, ())
+    assert (reading.segment, reading.bad) == (1, ())
+    assert Icub(0, (0,)).unpack([None, reading.payload]).tolist() == [0] * 6 + [240] * 4
 
 
 @pytest.mark.parametrize("text", ["400#", "400#40", "400#41F0F0F0F0F0F0F0", "400#C0F0", "401#40F0F0F0F0F0F0F0"])
@@ -81,13 +82,15 @@ def test_what_is_neither_head_nor_tail_is_refused(text):
 def test_decode_inverts_encode(board, triangles, thermal, seed):
     codec = Icub(board, tuple(triangles), thermal)
     counts = np.random.default_rng(seed).integers(0, 256, codec.size).astype(np.uint16)
-    back = np.zeros(codec.size, np.uint16)
-    for segment, each in enumerate(codec.encode(counts, 0, 0.0)):
-        assert (each.id, each.extended) in codec.ids
-        reading = codec.decode(each)
-        assert reading.segment == segment
-        back[codec.span(segment)] = reading.counts
-    np.testing.assert_array_equal(back, counts)
+    messages = codec.encode(counts, 0, 0.0)
+    readings = [codec.decode(each) for each in messages]
+    assert {(each.id, each.extended) for each in messages} <= codec.ids
+    assert [reading.segment for reading in readings] == list(range(codec.segments))
+    payloads = [reading.payload for reading in readings]
+    np.testing.assert_array_equal(codec.unpack(payloads), counts)
+    lost = seed % codec.segments
+    counts[codec.span(lost)] = 0
+    np.testing.assert_array_equal(codec.unpack([*payloads[:lost], None, *payloads[lost + 1 :]]), counts)
 
 
 def test_set_up_messages():

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,13 +14,31 @@ from tactiled.frames import Message
 def test_decode_inverts_encode_over_the_whole_range(bits, fd, size, seed):
     codec = Packed(size, bits, fd)
     counts = np.random.default_rng(seed).integers(0, 1 << bits, size, dtype=np.uint16)
-    back = np.full(size, 0xFFFF, np.uint16)
-    for segment, message in enumerate(codec.encode(counts, 300, 1.5)):
-        reading = codec.decode(message)
+    readings = [codec.decode(message) for message in codec.encode(counts, 300, 1.5)]
+    for segment, reading in enumerate(readings):
         assert (reading.segment, reading.sequence, reading.time) == (segment, 300 % 256, 1.5)
-        assert codec.span(segment) == slice(reading.first, reading.first + len(reading.counts))
-        back[codec.span(segment)] = reading.counts
-    np.testing.assert_array_equal(back, counts)
+    payloads = [reading.payload for reading in readings]
+    np.testing.assert_array_equal(codec.unpack(payloads), counts)
+    lost = seed % codec.segments
+    counts[codec.span(lost)] = 0
+    np.testing.assert_array_equal(codec.unpack([*payloads[:lost], None, *payloads[lost + 1 :]]), counts)
+
+
+@given(bits=st.integers(8, 16), fd=st.booleans(), size=st.integers(1, 200), seed=st.integers(0, 2**32 - 1))
+def test_the_payload_is_one_little_endian_integer_of_whole_taxels(bits, fd, size, seed):
+    """The README's words, done with Python's own integers."""
+    codec = Packed(size, bits, fd)
+    counts = np.random.default_rng(seed).integers(0, 1 << bits, size, dtype=np.uint16)
+    capacity = (496 if fd else 48) // bits
+    parts = [counts[at : at + capacity].tolist() for at in range(0, size, capacity)]
+    messages = codec.encode(counts, 9, 0.0)
+    assert len(messages) == codec.segments == len(parts)
+    for segment, (message, part) in enumerate(zip(messages, parts, strict=True)):
+        needs = 2 + math.ceil(len(part) * bits / 8)
+        assert len(message.data) == min(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= needs)
+        assert message.data[:2] == bytes((9, segment))
+        value = sum(taxel << (n * bits) for n, taxel in enumerate(part))
+        assert int.from_bytes(message.data[2:], "little") == value
 
 
 def test_golden_bytes_of_a_classic_message():

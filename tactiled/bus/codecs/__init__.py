@@ -1,5 +1,6 @@
 """CAN bytes to readings and back: one file a skin, pure functions of bytes."""
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -41,5 +42,8 @@ class Codec(Protocol):
     def decode(self, message: Message) -> Reading:
         """What a message on one of `ids` says; CodecError if it says nothing that can be meant."""
 
+    def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+        """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
+
     def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
-        """The messages of one frame (N,), the inverse of `decode`."""
+        """The messages of one frame (N,), the inverse of `decode` and `unpack`."""

@@ -4,6 +4,7 @@ Source of the layout: robotology's icub-firmware-shared (canProtocolLib), icub-f
 icub-main (canBusSkin, skinLib).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,7 +50,7 @@ class Icub:
         if len(set(self.triangles)) != len(self.triangles):
             raise ConfigError(f"codec.triangles = {list(self.triangles)}: names a triangle twice")
 
-    @property
+    @cached_property
     def pads(self) -> tuple[int, ...]:
         """The pads of a triangle that are taxels."""
         return tuple(pad for pad in range(PADS) if not (self.thermal_pads and pad in THERMAL))
@@ -109,23 +110,23 @@ class Icub:
 
     def decode(self, message: Message) -> Reading:
         """What one message says; CodecError where it is neither a head nor a tail."""
-        data = message.data
-        if message.fd or message.id & 0xF not in self._order:
+        data, place = message.data, self._order.get(message.id & 0xF)
+        if message.fd or place is None:
             raise CodecError(f"message {message.id:#x} is no classic message of a configured triangle")
-        if data[:1] == bytes((HEAD,)) and len(data) == 8:
-            return self._reading(message, tail=False)
-        if data[:1] == bytes((TAIL,)) and len(data) in (6, 8):
-            return self._reading(message, tail=True)
+        if len(data) == 8 and data[0] == HEAD:
+            return Reading(message.time, 2 * place, data[1:])
+        if len(data) in (6, 8) and data[0] == TAIL:
+            bad = self._bad(place, data) if any(data[6:]) else ()
+            return Reading(message.time, 2 * place + 1, data[1:6], bad=bad)
         raise CodecError(
             f"message {message.id:#x} of {len(data)} bytes is neither the head nor the tail of a triangle"
         )
 
-    def _reading(self, message: Message, *, tail: bool) -> Reading:
-        segment = 2 * self._order[message.id & 0xF] + tail
-        offset = 6 if tail else -1  # from a pad to its byte
-        counts = np.array([message.data[pad - offset] for pad in self._parts[tail]], np.uint16)
-        bad = self._bad(segment // 2, message.data) if tail and len(message.data) == 8 else ()
-        return Reading(message.time, segment, self.span(segment).start, counts, bad=bad)
+    def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+        """The counts (N,) of one frame; 0 where a segment is None."""
+        whole = (bytes(5 if at % 2 else 7) if each is None else each for at, each in enumerate(payloads))
+        pads = np.frombuffer(b"".join(whole), np.uint8).reshape(-1, PADS)
+        return pads[:, self.pads].astype(np.uint16).ravel()
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
@@ -141,13 +142,13 @@ class Icub:
             raise CodecError(
                 f"counts {counts.shape} up to {counts.max()}: expected {self.size} up to {self.full_scale}"
             )
+        pads = np.full((len(self.triangles), PADS), NO_LOAD, np.uint8)
+        pads[:, self.pads] = counts.reshape(len(self.triangles), -1)
         messages = []
-        for triangle, taxels in zip(self.triangles, counts.reshape(-1, len(self.pads)), strict=True):
-            pads = np.full(PADS, NO_LOAD, np.uint8)
-            pads[list(self.pads)] = taxels
+        for triangle, data in zip(self.triangles, map(bytes, pads), strict=True):
             id_ = PERIODIC | self.board << 4 | triangle
-            messages.append(Message(time, id_, bytes((HEAD, *pads[:7]))))
-            messages.append(Message(time, id_, bytes((TAIL, *pads[7:], 0, 0))))
+            messages.append(Message(time, id_, bytes((HEAD, *data[:7]))))
+            messages.append(Message(time, id_, bytes((TAIL, *data[7:], 0, 0))))
         return messages
 
 

@@ -1,6 +1,8 @@
 """The packed layout: any array of 8 to 16 bit taxels, sequence number and segment index in every message."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,12 +65,12 @@ class Packed:
         """Largest count."""
         return (1 << self.bits) - 1
 
-    @property
+    @cached_property
     def taxels(self) -> int:
         """Taxels in a full segment."""
         return ((FD if self.fd else CLASSIC) - HEADER) * 8 // self.bits
 
-    @property
+    @cached_property
     def segments(self) -> int:
         """Messages in a whole frame."""
         return -(-self.size // self.taxels)
@@ -81,6 +83,20 @@ class Packed:
         """Bytes of the message that carries so many taxels."""
         return next(length for length in LENGTHS if length >= HEADER + -(-taxels * self.bits // 8))
 
+    @cached_property
+    def _forms(self) -> tuple[tuple[int, int, int], ...]:
+        """For each segment the message's length and, byte and bit, where its padding begins."""
+        spans = [self.span(segment) for segment in range(self.segments)]
+        sizes = [span.stop - span.start for span in spans]
+        return tuple((self._length(n), HEADER + n * self.bits // 8, n * self.bits % 8) for n in sizes)
+
+    @cached_property
+    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
+        """For each taxel the byte, in the joined payloads, and the bit where it begins."""
+        segment, place = np.divmod(np.arange(self.size), self.taxels)
+        byte, bit = np.divmod(place * self.bits, 8)
+        return segment * (self._forms[0][0] - HEADER) + byte, bit.astype(np.uint32)
+
     def decode(self, message: Message) -> Reading:
         """What one message says; CodecError where its kind, index, length or padding is not the layout's."""
         data = message.data
@@ -88,45 +104,39 @@ class Packed:
             raise CodecError(f"{'CAN FD' if message.fd else 'classic'} message where the other kind is configured")
         if len(data) < HEADER or data[1] >= self.segments:
             raise CodecError(f"segment {data[1] if len(data) > 1 else 'index missing'} of {self.segments}")
-        span = self.span(data[1])
-        count = span.stop - span.start
-        if len(data) != self._length(count):
-            raise CodecError(f"{len(data)} bytes in segment {data[1]}, expected {self._length(count)}")
-        counts, rest = _unpack(data[HEADER:], count, self.bits)
-        if rest:
+        length, byte, bit = self._forms[data[1]]
+        if len(data) != length:
+            raise CodecError(f"{len(data)} bytes in segment {data[1]}, expected {length}")
+        if int.from_bytes(data[byte:], "little") >> bit:
             raise CodecError(f"padding of segment {data[1]} is not 0")
-        return Reading(message.time, data[1], span.start, counts, data[0])
+        return Reading(message.time, data[1], data[HEADER:], data[0])
+
+    def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+        """The counts (N,) of one frame; 0 where a segment is None."""
+        pairs = zip(payloads, self._forms, strict=True)
+        whole = (bytes(form[0] - HEADER) if each is None else each for each, form in pairs)
+        stream = np.frombuffer(b"".join((*whole, bytes(2))), np.uint8).astype(np.uint32)
+        windows = stream[:-2] | stream[1:-1] << 8 | stream[2:] << 16  # 24 bits from every byte on hold any taxel
+        byte, bit = self._places
+        return (windows[byte] >> bit & self.full_scale).astype(np.uint16)
 
     def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); CodecError where a count needs more bits."""
-        counts = np.ascontiguousarray(counts, np.uint16)
+        counts = np.asarray(counts, "<u2")
         if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:
             raise CodecError(
                 f"counts {counts.shape} up to {counts.max()}: expected {self.size} up to {self.full_scale}"
             )
-        return [self._message(counts, sequence % 256, segment, time) for segment in range(self.segments)]
-
-    def _message(self, counts: NDArray[np.uint16], sequence: int, segment: int, time: float) -> Message:
-        part = counts[self.span(segment)]
-        payload = _pack(part, self.bits)
-        data = bytes((sequence, segment)) + payload
-        return Message(time, self.id, data.ljust(self._length(len(part)), b"\0"), self.extended, self.fd)
-
-
-def _pack(counts: NDArray[np.uint16], bits: int) -> bytes:
-    """Counts as one little-endian integer of `bits` a taxel."""
-    if bits == 16:
-        return counts.astype("<u2").tobytes()
-    if bits == 8:
-        return counts.astype(np.uint8).tobytes()
-    pairs = np.unpackbits(counts.astype("<u2").view(np.uint8), bitorder="little").reshape(-1, 16)
-    return np.packbits(pairs[:, :bits], bitorder="little").tobytes()
-
-
-def _unpack(payload: bytes, count: int, bits: int) -> tuple[NDArray[np.uint16], bool]:
-    """The first `count` taxels of a payload, and whether any bit behind them is set."""
-    stream = np.unpackbits(np.frombuffer(payload, np.uint8), bitorder="little")
-    used = count * bits
-    wide = np.zeros((count, 16), np.uint8)
-    wide[:, :bits] = stream[:used].reshape(count, bits)
-    return np.packbits(wide, bitorder="little").view("<u2").astype(np.uint16), bool(stream[used:].any())
+        padded = np.zeros(self.segments * self.taxels, "<u2")
+        padded[: self.size] = counts
+        bits = np.unpackbits(padded.view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")[:, : self.bits]
+        payload = np.packbits(bits.reshape(self.segments, -1), axis=1, bitorder="little")
+        width = HEADER + payload.shape[1]  # of a full segment: no segment is longer
+        table = np.empty((self.segments, width), np.uint8)
+        table[:, 0], table[:, 1] = sequence % 256, np.arange(self.segments)
+        table[:, HEADER:] = payload
+        data = table.tobytes()
+        return [
+            Message(time, self.id, data[at * width : at * width + form[0]], self.extended, self.fd)
+            for at, form in enumerate(self._forms)
+        ]
