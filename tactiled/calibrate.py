@@ -43,7 +43,7 @@ class Calibrator:
         self._dead = np.zeros(size, np.uint8)
         beyond = [taxel for taxel in calibration.dead if not 0 <= taxel < size]
         if beyond:
-            raise ConfigError(f"dead names taxel {beyond[0]}: the array has taxels 0 to {size - 1}")
+            raise ConfigError(f"dead names taxel {beyond[0]}: the array has 0 to {size - 1}")
         self._dead[list(calibration.dead)] = DEAD
 
     def tare(self, counts: NDArray[np.float64]) -> None:

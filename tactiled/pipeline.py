@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate import Calibration, Calibrator
-from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
 from tactiled.geometry import Array
 from tactiled.restore.blur import Blur
-from tactiled.restore.methods import METHODS, Restorer, make
+from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
 
 NOISE_FRAMES = 32  # frames from which an unknown noise is measured
@@ -50,8 +49,7 @@ class Pipeline:
 
     def set_method(self, name: str) -> None:
         """Restore the next frames by `name`; ConfigError if there is no such method."""
-        if name not in METHODS:
-            raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
+        require(name)
         self._method = name
 
     def tare(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
-from tactiled.config.build import SensorPlan, sensor_plan
+from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.errors import BusError, UnknownSensorError
 from tactiled.frames import Loss, RawFrame
 from tactiled.hub import Hub
@@ -191,8 +191,7 @@ class Service:
     """Every sensor of a configuration, on its bus."""
 
     def __init__(self, config: Config) -> None:
-        plans = [sensor_plan(name, each) for name, each in config.sensor.items()]
-        self.sensors = {plan.name: Sensor(plan) for plan in plans}
+        self.sensors = {plan.name: Sensor(plan) for plan in sensor_plans(config)}
         self._listeners = [
             Listener(
                 name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}

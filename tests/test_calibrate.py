@@ -65,7 +65,7 @@ def test_a_calibration_that_means_nothing_is_refused_by_name(settings, names):
 
 
 def test_a_dead_taxel_that_the_array_does_not_have_is_refused():
-    with pytest.raises(ConfigError, match="dead names taxel 4: the array has taxels 0 to 3"):
+    with pytest.raises(ConfigError, match="dead names taxel 4: the array has 0 to 3"):
         Calibrator(Calibration(dead=(4,)), 4)
 
 

@@ -1,7 +1,7 @@
 """One file a verb; importing a file here gives the command line its verb."""
 
-from tactiled.cli import bench_cover as bench_cover
 from tactiled.cli import bench_bus as bench_bus
+from tactiled.cli import bench_cover as bench_cover
 from tactiled.cli import bench_latency as bench_latency
 from tactiled.cli import check as check
 from tactiled.cli import cover as cover

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from tactiled.cli.app import app
 from tactiled.config import load
-from tactiled.config.build import SensorPlan, sensor_plan
+from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.cover.meaning import Meaning, meaning
 
 
@@ -17,7 +17,7 @@ from tactiled.cover.meaning import Meaning, meaning
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
     """Validate CONFIG and say what each cover does to its array."""
     settings = load(config)
-    plans = [sensor_plan(name, sensor) for name, sensor in settings.sensor.items()]
+    plans = sensor_plans(settings)
     console = Console(soft_wrap=True)
     for plan in plans:
         console.print(_table(plan, meaning(plan.kernel, plan.array)))

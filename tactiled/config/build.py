@@ -7,7 +7,8 @@ import numpy as np
 from tactiled.bus.codecs import Codec
 from tactiled.bus.codecs.icub import NO_LOAD, Icub
 from tactiled.bus.codecs.packed import Packed
-from tactiled.calibrate import Calibration
+from tactiled.bus.router import Router
+from tactiled.calibrate import Calibration, Calibrator
 from tactiled.config import schema
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.operator import matrix, stencil
@@ -15,6 +16,7 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
 from tactiled.geometry import Array, grid, layout
 from tactiled.restore.blur import Blur
+from tactiled.restore.methods import require
 
 UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
 
@@ -37,6 +39,14 @@ class SensorPlan:
     warnings: tuple[str, ...]  # that hold for every image
 
 
+def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
+    """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus."""
+    plans = tuple(sensor_plan(name, sensor) for name, sensor in config.sensor.items())
+    for bus in config.bus:
+        Router({plan.name: plan.codec for plan in plans if plan.bus == bus})
+    return plans
+
+
 def sensor_plan(name: str, sensor: schema.Sensor) -> SensorPlan:
     """Solve the cover and build the operator of one sensor; a TactileError names the sensor."""
     try:
@@ -49,6 +59,9 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
     array, codec = make_array(sensor), make_codec(sensor)
     if codec.size != array.size:
         raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
+    require(sensor.method)
+    calibration = make_calibration(sensor)
+    Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
     kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy)
     return SensorPlan(
         name=name,
@@ -59,7 +72,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         kernel=kernel,
         blur=make_blur(kernel, array, sensor.refine),
         cell_mm=array.pitch / sensor.refine,
-        calibration=make_calibration(sensor),
+        calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
         warnings=() if sensor.calibration.kpa_per_count else (UNCALIBRATED,),

@@ -81,6 +81,9 @@ def _short(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+FD_IF_TOLD = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interfaces that speak CAN FD with fd = true
+
+
 def _crossed(config: Config) -> Iterator[str]:
     """Faults between sections."""
     for name, sensor in config.sensor.items():
@@ -88,3 +91,11 @@ def _crossed(config: Config) -> Iterator[str]:
             yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"
         if not sensor.cover:
             yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"
+        bus = config.bus.get(sensor.bus)
+        if (
+            bus
+            and getattr(sensor.codec, "fd", False)
+            and not bus.settings().get("fd")
+            and bus.interface in FD_IF_TOLD
+        ):
+            yield f"sensor.{name}.codec.fd = true: bus {sensor.bus} is not CAN FD: set bus.{sensor.bus}.fd = true"

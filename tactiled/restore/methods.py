@@ -48,10 +48,15 @@ class Restorer:
         return deviation(self._scene)
 
 
-def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
-    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other."""
+def require(name: str) -> None:
+    """ConfigError where there is no method of that name."""
     if name not in METHODS:
         raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
+
+
+def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
+    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other."""
+    require(name)
     if not (np.isfinite(noise_kpa) and noise_kpa > 0):
         raise ConfigError(f"noise = {noise_kpa} kPa: give a taxel's standard deviation, above 0")
     return Restorer(name, blur, float(noise_kpa))

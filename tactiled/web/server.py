@@ -24,12 +24,14 @@ def _listen(host: str, port: int) -> socket.socket:
     """Take the port; TactileError, one line, where it cannot be had."""
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
     except socket.gaierror as error:
         raise TactileError(f"host {host}: {error.strerror}: give an address of this machine") from error
+    listener = socket.socket(family, kind)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind(address)
     except OSError as error:
+        listener.close()
         advice = {
             errno.EADDRINUSE: "in use: choose another port, or 0 for any free one",
             errno.EACCES: "not permitted: choose a port of 1024 or more",

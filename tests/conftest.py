@@ -1,0 +1,92 @@
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tactiled.bus.reader import open_bus
+from tactiled.config import parse
+from tactiled.service import Service
+from tactiled.web.server import running
+
+SIDE = 8
+NO_LOAD, GAIN = 100, 0.5  # counts, kPa a count
+CONFIG = """
+[bus.can0]
+interface = "virtual"
+channel = "{channel}"
+
+[sensor.palm]
+bus = "can0"
+method = "wiener"
+stale_after_s = 0.3
+codec = {{ name = "packed", bits = 12, fd = true }}
+array = {{ rows = 8, columns = 8, pitch_mm = 1.0 }}
+cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
+kernel = {{ model = "layered" }}
+calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5, saturation = 4000 }}
+"""
+
+
+class Rig:
+    """A service on a virtual bus, and the other end of that bus."""
+
+    def __init__(self, channel):
+        self.config = parse(CONFIG.format(channel=channel), "rig")
+        self.service = Service(self.config)
+        self.bus = open_bus(interface="virtual", channel=channel)
+        self.sensor = self.service.sensor("palm")
+        self.sequence = -1
+
+    def send(self, counts, drop=()):
+        """Send one frame, some of its messages left out."""
+        self.sequence += 1
+        messages = self.sensor.codec.encode(np.asarray(counts, np.uint16).ravel(), self.sequence, time.time())
+        for segment, message in enumerate(messages):
+            if segment not in drop:
+                self.bus.send(message)
+
+    def show(self, counts):
+        """Send one frame and wait for its image."""
+        self.send(counts)
+        until(lambda: (image := self.sensor.hub.latest()) and image.sequence == self.sequence)
+        return self.sensor.hub.latest()
+
+    def play(self, rate_hz, stop):
+        """Send moving frames on a thread."""
+
+        def go():
+            while not stop.wait(1 / rate_hz):
+                self.send(pressed(self.sequence % 6))
+
+        thread = threading.Thread(target=go, daemon=True)
+        thread.start()
+        return thread
+
+
+def pressed(at=3, force=400):
+    counts = np.full((SIDE, SIDE), NO_LOAD)
+    counts[3:5, at : at + 2] += force
+    return counts
+
+
+def until(true, seconds=5.0):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.002)
+
+
+@pytest.fixture
+def rig(request):
+    made = Rig(request.node.name)
+    made.service.start()
+    yield made
+    made.service.stop()
+    made.bus.close()
+
+
+@pytest.fixture
+def url(rig):
+    with running(rig.service) as address:
+        yield address

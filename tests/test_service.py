@@ -1,0 +1,163 @@
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tactiled.bus.reader import open_bus
+from tactiled.config import parse
+from tactiled.config.build import sensor_plan
+from tactiled.errors import BusError, ConfigError, UnknownSensorError
+from tactiled.frames import Loss, RawFrame
+from tactiled.service import Listener, Sensor, Service
+from tests.conftest import CONFIG, NO_LOAD, pressed, until
+
+
+@pytest.fixture
+def plan():
+    return sensor_plan("palm", parse(CONFIG.format(channel="none")).sensor["palm"])
+
+
+def frame(sequence, counts=None):
+    counts = pressed() if counts is None else counts
+    return RawFrame(
+        sequence, 1.0, 0.0, np.asarray(counts, np.uint16).ravel(), np.zeros(64, np.uint8), Loss(lost=2)
+    )
+
+
+def test_a_sensor_says_how_it_is_doing(plan):
+    now = [100.0]
+    sensor = Sensor(plan, lambda: now[0])
+    assert (sensor.status().state, sensor.status().age_s) == ("silent", None)
+    for n in range(200):
+        now[0] += 0.01
+        sensor.offer(frame(n))
+    status = sensor.status()
+    assert (status.state, status.age_s, status.detail) == ("live", 0, "")
+    assert status.rate_hz == pytest.approx(100, rel=0.01)
+    now[0] += 1.25
+    status = sensor.status()
+    assert (status.state, status.rate_hz, status.detail) == ("stale", 0, "no frame for 1.2 s")
+    assert status.age_s == pytest.approx(1.25)
+    sensor.down = "bus can0: gone"
+    assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
+
+
+def test_a_frame_that_waits_when_the_next_one_comes_is_skipped_and_counted(plan):
+    sensor = Sensor(plan)
+    for n in range(5):
+        sensor.offer(frame(n))
+    sensor.start()
+    until(sensor.hub.latest)
+    image = sensor.hub.latest()
+    sensor.stop()
+    assert image.sequence == 4
+    assert (image.loss.skipped, image.loss.lost) == (4, 2)
+    assert sensor.status().loss.skipped == 4
+
+
+def test_a_frame_that_cannot_be_restored_is_told_and_ends_nothing(plan, monkeypatch):
+    sensor = Sensor(plan)
+    sensor.start()
+    process = sensor._pipeline.process
+    monkeypatch.setattr(sensor._pipeline, "process", lambda _: 1 / 0)
+    sensor.offer(frame(0))
+    until(lambda: sensor.status().state == "stale")
+    assert sensor.status().detail == "restoration failed: ZeroDivisionError: division by zero"
+    monkeypatch.setattr(sensor._pipeline, "process", process)
+    sensor.offer(frame(1))
+    until(lambda: sensor.status().state == "live")
+    sensor.stop()
+    assert sensor.hub.latest().sequence == 1
+
+
+class Bus:
+    """A bus that is there or not, as a test says; stands in for an adapter that is unplugged."""
+
+    def __init__(self):
+        self.there = True
+        self.opened = 0
+        self.closed = 0
+        self.messages = []
+
+    def open(self, **_):
+        if not self.there:
+            raise BusError("bus adapter: no such device")
+        self.opened += 1
+        return self
+
+    def receive(self, timeout):
+        if not self.there:
+            raise BusError("bus adapter: no such device")
+        if not self.messages:
+            time.sleep(timeout / 10)
+            return None
+        return self.messages.pop(0)
+
+    def close(self):
+        self.closed += 1
+
+
+def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, monkeypatch):
+    bus, sensor = Bus(), Sensor(plan)
+    monkeypatch.setattr("tactiled.service.open_bus", bus.open)
+    listener = Listener("can0", {}, {"palm": sensor})
+    sensor.start()
+    listener.start()
+
+    def show(sequence):
+        bus.messages += sensor.codec.encode(pressed().ravel().astype(np.uint16), sequence, time.time())
+        until(lambda: (image := sensor.hub.latest()) and image.sequence == sequence)
+
+    show(0)
+    assert sensor.status().state == "live"
+    bus.there = False
+    until(lambda: sensor.status().state == "down")
+    assert sensor.status().detail == "bus adapter: no such device"
+    assert sensor.hub.latest().sequence == 0  # still there, but no longer served as live
+    bus.there = True
+    until(lambda: sensor.down is None)
+    show(1)
+    assert sensor.status().state == "live"
+    assert (bus.opened, bus.closed) == (2, 1)
+    listener.stop()
+    sensor.stop()
+
+
+def test_several_sensors_on_several_buses(request):
+    names = [f"{request.node.name}-{n}" for n in (0, 1)]
+    text = CONFIG.format(channel=names[0]) + CONFIG.format(channel=names[1]).replace("can0", "can1").replace(
+        "[sensor.palm]", "[sensor.thumb]"
+    )
+    both = text + CONFIG.format(channel="").split("[sensor.palm]")[1].join(["[sensor.index]", ""]).replace(
+        'name = "packed"', 'name = "packed", array_id = 3'
+    )
+    service = Service(parse(both))
+    ends = {"can0": open_bus("virtual", channel=names[0]), "can1": open_bus("virtual", channel=names[1])}
+    service.start()
+    for n, (name, sensor) in enumerate(service.sensors.items()):
+        counts = np.full(64, NO_LOAD + 20 * n, np.uint16)
+        for message in sensor.codec.encode(counts, 0, time.time()):
+            ends[sensor.bus_name].send(message)
+        until(service.sensor(name).hub.latest)
+    service.stop()
+    for end in ends.values():
+        end.close()
+    assert [float(each.hub.latest().raw[0, 0]) for each in service.sensors.values()] == [0, 10, 20]
+    assert service.sensor("palm").hub.latest().loss.foreign == 0
+    with pytest.raises(UnknownSensorError, match="sensor 'toe': no such sensor: there are palm, thumb, index"):
+        service.sensor("toe")
+
+
+def test_two_sensors_that_want_the_same_messages_are_refused():
+    text = CONFIG.format(channel="none") + CONFIG.split("[sensor.palm]")[1].join(["[sensor.twin]", ""]).format()
+    with pytest.raises(ConfigError, match="sensors palm and twin both listen to id 0x500"):
+        Service(parse(text))
+
+
+def test_a_bus_that_cannot_be_opened_leaves_nothing_running():
+    service = Service(parse(CONFIG.format(channel="none").replace('"virtual"', '"nonesuch"')))
+    threads = threading.active_count()
+    with pytest.raises(BusError, match="bus nonesuch none: python-can has no interface of that name"):
+        service.start()
+    assert threading.active_count() == threads

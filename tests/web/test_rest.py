@@ -1,0 +1,196 @@
+import io
+
+import httpx
+import matplotlib.image
+import numpy as np
+import pytest
+
+from tests.conftest import GAIN, NO_LOAD, pressed, until
+
+
+@pytest.fixture
+def client(url):
+    with httpx.Client(base_url=url + "/api/v1") as made:
+        yield made
+
+
+def problem(answer, status):
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    body = answer.json()
+    assert body["status"] == status
+    assert body["title"]
+    return body["detail"]
+
+
+def test_before_the_first_frame_it_says_so(client):
+    answer = client.get("/sensors/palm/frames/raw")
+    assert problem(answer, 503) == "sensor 'palm': no frame yet on can0"
+    assert answer.headers["retry-after"] == "1"
+    health = client.get("/health").json()
+    assert health["status"] == "degraded"
+    assert health["sensors"]["palm"]["state"] == "silent"
+    assert health["sensors"]["palm"]["age_s"] is None
+
+
+def test_a_frame_is_the_same_in_every_format(rig, client):
+    image = rig.show(pressed())
+    told = client.get("/sensors/palm/frames/raw").json()
+    assert (told["unit"], told["sequence"], told["kind"], told["state"]) == ("kPa", 0, "raw", "live")
+    np.testing.assert_allclose(told["values"], (pressed() - NO_LOAD) * GAIN)
+    assert told["timestamp"] == image.time
+    assert told["loss"]["lost"] == 0
+    restored = client.get("/sensors/palm/frames/restored", headers={"Accept": "application/x-npy"})
+    np.testing.assert_array_equal(np.load(io.BytesIO(restored.content)), image.restored)
+    assert restored.headers["x-tactiled-sequence"] == "0"
+    assert restored.headers["x-tactiled-unit"] == "kPa"
+    png = client.get("/sensors/palm/frames/restored", params={"format": "png", "top_kpa": 300})
+    assert png.headers["content-type"] == "image/png"
+    assert matplotlib.image.imread(io.BytesIO(png.content)).shape[2] == 4
+
+
+def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
+    rig.show(pressed())
+    rig.send(pressed(), drop=[0])
+    rig.send(pressed())  # closes the one before, marked
+    rig.send(pressed(), drop=[0])
+    until(lambda: rig.sensor.status().loss.incomplete == 1)
+    until(lambda: rig.sensor.status().loss.lost == 2)  # the last one is given up on when it is too old
+    until(lambda: rig.sensor.hub.latest().sequence == 3)
+    told = client.get("/sensors/palm/frames/raw").json()
+    taxels = rig.sensor.codec.taxels
+    values, flags = np.ravel(told["values"]), np.ravel(told["flags"])
+    assert all(value is None for value in values[:taxels])
+    assert all(value is not None for value in values[taxels:])
+    assert (flags[:taxels] == 1).all()
+    assert told["warnings"] == [f"{taxels} taxels did not arrive: restored from their neighbours"]
+    assert None not in np.ravel(client.get("/sensors/palm/frames/restored").json()["values"])
+
+
+def test_a_stale_frame_says_how_stale(rig, client):
+    rig.show(pressed())
+    until(lambda: client.get("/health").json()["status"] == "degraded")
+    told = client.get("/sensors/palm/frames/raw").json()
+    assert told["state"] == "stale"
+    assert told["age_s"] > 0.3
+    state = client.get("/sensors/palm").json()
+    assert (state["state"], state["rate_hz"]) == ("stale", 0)
+    assert state["detail"].startswith("no frame for 0.")
+
+
+def test_polling_an_unchanged_image_costs_nothing(rig, client):
+    rig.show(pressed())
+    first = client.get("/sensors/palm/frames/raw", headers={"Accept": "application/x-npy"})
+    tag = {"If-None-Match": first.headers["etag"], "Accept": "application/x-npy"}
+    again = client.get("/sensors/palm/frames/raw", headers=tag)
+    assert (again.status_code, again.content) == (304, b"")
+    rig.show(pressed())
+    assert client.get("/sensors/palm/frames/raw", headers=tag).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("accept", "gives"),
+    [
+        ("*/*", "application/json"),
+        ("image/*, application/json;q=0.5", "image/png"),
+        ("text/html, application/x-npy;q=0.1", "application/x-npy"),
+        ("application/json;q=0, image/png;q=x", 406),
+        ("text/html", 406),
+    ],
+)
+def test_the_accept_header_chooses(rig, client, accept, gives):
+    rig.show(pressed())
+    answer = client.get("/sensors/palm/frames/raw", headers={"Accept": accept})
+    if gives == 406:
+        assert accept in problem(answer, 406)
+    else:
+        assert answer.headers["content-type"] == gives
+
+
+def test_the_method_is_changed_within_a_frame_and_a_wrong_one_changes_nothing(rig, client):
+    rig.show(pressed())
+    assert client.put("/sensors/palm/method", json={"method": "raw"}).json() == {"method": "raw"}
+    assert rig.show(pressed()).method == "raw"
+    assert "method = 'sharpen': no such method" in problem(
+        client.put("/sensors/palm/method", json={"method": "sharpen"}), 422
+    )
+    problem(client.put("/sensors/palm/method", json={"methd": "raw"}), 422)
+    problem(client.put("/sensors/palm/method", content=b"{"), 422)
+    assert client.get("/sensors/palm/method").json() == {"method": "raw"}
+
+
+def test_tare_takes_the_load_off(rig, client):
+    client.put("/sensors/palm/method", json={"method": "raw"})
+    assert client.post("/sensors/palm/tare").status_code == 202
+    for _ in range(17):
+        image = rig.show(pressed())
+    assert np.abs(image.raw).max() == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "says"),
+    [
+        ("/sensors/plam", 404, "sensor 'plam': no such sensor: there are palm"),
+        ("/sensors/plam/frames/raw", 404, "there are palm"),
+        ("/sensors/palm/frames/blurred", 422, "kind = 'blurred'"),
+        ("/sensors/palm/frames/raw?format=tiff", 422, "format = 'tiff'"),
+        ("/sensors/palm/frames/raw?top_kpa=-1", 422, "top_kpa = '-1'"),
+        ("/nothing", 404, ""),
+    ],
+)
+def test_what_is_wrong_is_named(rig, client, path, status, says):
+    rig.show(pressed())
+    assert says in problem(client.get(path), status)
+
+
+def test_the_kernel_and_the_geometry(client):
+    kernel = client.get("/sensors/palm/kernel").json()
+    assert kernel["q_per_mm"][0] == 0
+    assert kernel["gain"][0] == pytest.approx(1, abs=1e-6)
+    q, gain = np.array(kernel["q_per_mm"]), np.array(kernel["gain"])
+    r, g = np.array(kernel["r_mm"]), np.array(kernel["g_per_mm2"])
+    assert np.interp(kernel["nyquist_per_mm"], q, gain) == pytest.approx(kernel["nyquist_gain"], abs=1e-3)
+    assert np.trapezoid(2 * np.pi * r * g, r) == pytest.approx(1, abs=5e-3)  # all of the force gets through
+    geometry = client.get("/sensors/palm/geometry").json()
+    assert geometry["positions_mm"][9] == [1.0, 1.0]
+    assert geometry["restored"] == {"rows": 8, "columns": 8, "cell_mm": 1.0}
+
+
+def test_every_error_of_every_resource_is_documented_as_a_problem_and_every_field_has_a_type(client):
+    spec = client.get("/openapi.json").json()
+    assert len(spec["paths"]) == 9
+    for path, operations in spec["paths"].items():
+        for operation in operations.values():
+            for status, answer in operation["responses"].items():
+                if status >= "400":
+                    assert "application/problem+json" in answer["content"], (path, status)
+            assert operation["summary"], path
+    assert "HTTPValidationError" not in spec["components"]["schemas"]
+
+
+def test_the_examples_of_the_documentation_are_valid(client):
+    from tactiled.web import forms
+
+    schemas = client.get("/openapi.json").json()["components"]["schemas"]
+    for name in ("Loss", "Method", "Problem", "KernelForm", "Colormap"):
+        example = {field: about["examples"][0] for field, about in schemas[name]["properties"].items()}
+        getattr(forms, name).model_validate(example)
+
+
+@pytest.mark.parametrize(
+    ("headers", "says"),
+    [
+        ({"Origin": "https://elsewhere.example"}, "pages of another site may not use this service"),
+        ({"Host": "elsewhere.example"}, "this service answers to localhost only"),
+    ],
+)
+def test_pages_of_other_sites_are_refused(client, headers, says):
+    assert says in problem(client.put("/sensors/palm/method", json={"method": "raw"}, headers=headers), 403)
+    assert client.get("/sensors/palm/method").json() == {"method": "wiener"}
+
+
+def test_every_answer_carries_the_security_headers(client):
+    for path in ("/health", "/nothing"):
+        headers = client.get(path).headers
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"

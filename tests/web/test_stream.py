@@ -1,0 +1,191 @@
+import json
+import socket
+import threading
+import time
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from tactiled.web.wire import unpack
+from tests.conftest import GAIN, NO_LOAD, pressed, until
+
+FEW = 10  # messages that may be on their way to a client that does not read
+
+
+def stream(url, query="", **options):
+    return connect(
+        f"{url.replace('http', 'ws', 1)}/api/v1/sensors/palm/stream{query}", compression=None, **options
+    )
+
+
+def images(client, count, timeout=5.0):
+    """The next binary messages."""
+    got = []
+    while len(got) < count:
+        data = client.recv(timeout=timeout)
+        if isinstance(data, bytes):
+            got.append(unpack(data))
+    return got
+
+
+def texts(client, seconds):
+    """The text messages of the next seconds."""
+    got, end = [], time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        try:
+            data = client.recv(timeout=left)
+        except TimeoutError:
+            break
+        if isinstance(data, str):
+            got.append(json.loads(data))
+    return got
+
+
+def test_from_can_messages_to_a_websocket_client(rig, url):
+    with stream(url) as client:
+        for force in (0, 200, 400):
+            rig.send(pressed(force=force))
+            raw, restored = images(client, 2)
+            assert (raw.kind, restored.kind) == ("raw", "restored")
+            assert raw.sequence == restored.sequence == rig.sequence
+            np.testing.assert_allclose(raw.values, (pressed(force=force) - NO_LOAD) * GAIN)
+            np.testing.assert_array_equal(restored.values, rig.sensor.hub.latest().restored)
+            assert abs(time.time() - raw.sent) < 1
+            assert raw.timestamp <= raw.sent
+        assert restored.values.max() > raw.values.max()  # the cover's blur undone
+
+
+def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
+    rig.show(pressed())
+    with stream(url) as client:
+        first, *_, last = texts(client, 1.5)
+    assert first["type"] == "status"
+    assert (first["state"], first["method"], first["ran"]) == ("live", "wiener", "wiener")
+    assert last["state"] == "stale"
+    assert last["age_s"] > 0.3
+    assert last["loss"]["lost"] == 0
+
+
+def test_kinds_format_and_rate(rig, url):
+    stop = threading.Event()
+    sender = rig.play(100, stop)
+    with stream(url, "?kinds=restored&rate_hz=20&format=json") as client:
+        began, sequences = time.monotonic(), []
+        while time.monotonic() - began < 1.0:
+            told = json.loads(client.recv(timeout=2))
+            if told["type"] == "frame":
+                assert told["kind"] == "restored"
+                assert np.shape(told["values"]) == (8, 8)
+                sequences.append(told["sequence"])
+    stop.set()
+    sender.join()
+    assert 14 <= len(sequences) <= 22
+    assert sequences == sorted(set(sequences))
+
+
+def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
+    with stream(url, "?flow=credit") as client:
+        rig.show(pressed())
+        assert all(text["type"] == "status" for text in texts(client, 0.3))
+        client.send('{"type": "next"}')
+        assert [each.kind for each in images(client, 2)] == ["raw", "restored"]
+        rig.show(pressed(4))
+        rig.show(pressed(5))
+        assert all(text["type"] == "status" for text in texts(client, 0.2))
+        client.send('{"type": "next"}')
+        assert [each.sequence for each in images(client, 2)] == [2, 2]  # the newest, not the one in between
+
+
+@pytest.mark.parametrize(
+    ("path", "code", "reason"),
+    [
+        ("palm/stream?kinds=raw,blurred", 4400, "kinds=raw,blurred"),
+        ("palm/stream?rate_hz=nan", 4400, "rate_hz=nan"),
+        ("palm/stream?rate_hz=fast", 4400, "rate_hz=fast"),
+        ("palm/stream?format=xml", 4400, "format=xml"),
+        ("palm/stream?flow=all", 4400, "flow=all"),
+        ("palm/stream?kind=raw", 4400, "kind: no such parameter"),
+        ("plam/stream", 4404, "no such sensor"),
+    ],
+)
+def test_a_wrong_address_is_refused_with_the_reason(url, path, code, reason):
+    with connect(f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{path}") as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert caught.value.rcvd.code == code
+        assert reason in caught.value.rcvd.reason
+
+
+def test_a_message_that_means_nothing_ends_the_stream_with_the_reason(url):
+    with stream(url) as client:
+        client.send("more!")
+        with pytest.raises(ConnectionClosed) as caught:
+            images(client, 1)
+        assert caught.value.rcvd.code == 4400
+        assert "more!" in caught.value.rcvd.reason
+
+
+def test_a_page_of_another_site_gets_no_stream(url):
+    with stream(url, origin="https://elsewhere.example") as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert caught.value.rcvd.code == 4403
+
+
+def handshake(url):
+    """A client that reads nothing but the answer to its handshake."""
+    host, port = url.removeprefix("http://").split(":")
+    plug = socket.create_connection((host, int(port)))
+    plug.sendall(
+        f"GET /api/v1/sensors/palm/stream HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
+    )
+    return plug
+
+
+def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice(rig, url):
+    stop = threading.Event()
+    with handshake(url) as stalled, stream(url, "?kinds=raw") as reading:
+        sender = rig.play(200, stop)
+        sequences = [each.sequence for each in images(reading, 300)]
+        stop.set()
+        sender.join()
+        until(lambda: rig.sensor.hub.latest().sequence == rig.sequence)
+        waiting = 0
+        stalled.settimeout(0.2)
+        try:
+            while data := stalled.recv(1 << 20):
+                waiting += data.count(b"TCTL")
+        except TimeoutError:
+            pass
+    assert rig.sequence >= 299
+    assert len(sequences) == len(set(sequences)) == 300
+    assert np.diff(sequences).max() <= 3
+    assert 0 < waiting <= FEW
+
+
+def test_a_slow_client_that_reads_on_sees_the_newest(rig, url):
+    stop = threading.Event()
+    with stream(url, "?kinds=raw", max_queue=1) as client:
+        sender = rig.play(100, stop)
+        images(client, 5)
+        time.sleep(1.0)
+        began = time.time()
+        old = [began - each.sent for each in images(client, 30)]
+        stop.set()
+        sender.join()
+    assert sum(age > 0.1 for age in old) <= FEW
+    assert max(old[FEW:]) < 0.1
+
+
+def test_clients_that_leave_leave_nothing_behind(rig, url):
+    rig.show(pressed())
+    threads = threading.active_count()
+    for _ in range(5):
+        with stream(url) as client:
+            images(client, 2)
+    until(lambda: not rig.sensor.hub._listeners)
+    assert threading.active_count() <= threads + 1

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from tactiled.frames import MISSING, Image
+from tactiled.web.wire import HEADER, pack, unpack
+
+
+def image(raw, restored):
+    flags = np.where(np.isnan(raw), MISSING, 0).astype(np.uint8)
+    return Image(
+        "palm", 2**40 + 7, 1763712000.125, raw, restored, flags, "nnls", "because", 9, 61.5, 0.25, 1.5, 0.75
+    )
+
+
+@pytest.fixture
+def grid():
+    raw = np.arange(6, dtype=np.float32).reshape(2, 3)
+    raw[1, 2] = np.nan
+    return image(raw, np.arange(24, dtype=np.float32).reshape(4, 6))
+
+
+def test_the_bytes_are_as_the_readme_says(grid):
+    data = pack(grid, "raw", 1763712000.5)
+    assert HEADER.size == 64
+    assert data[:6] == b"TCTL\x01\x00"
+    assert data[6:12] == bytes((2, 0, 3, 0, 6, 0))
+    assert int.from_bytes(data[16:24], "little") == 2**40 + 7
+    assert np.frombuffer(data, "<f8", 2, 24).tolist() == [1763712000.125, 1763712000.5]
+    assert np.frombuffer(data, "<f4", 4, 40).tolist() == [0.25, 1.5, 0.75, 61.5]
+    assert int.from_bytes(data[56:60], "little") == 9
+    assert np.frombuffer(data, "<f4", 3, 64).tolist() == [0, 1, 2]
+    assert data[64 + 24 :] == bytes((0, 0, 0, 0, 0, MISSING))
+
+
+def test_what_is_packed_is_unpacked(grid):
+    raw, restored = (unpack(pack(grid, kind, 2.0)) for kind in ("raw", "restored"))
+    np.testing.assert_array_equal(raw.values, grid.raw)
+    np.testing.assert_array_equal(raw.flags, grid.flags.ravel())
+    np.testing.assert_array_equal(restored.values, grid.restored)
+    assert restored.flags.size == 0
+    assert (raw.kind, restored.kind) == ("raw", "restored")
+    assert (raw.sequence, raw.timestamp, raw.sent) == (grid.sequence, grid.time, 2.0)
+    assert (raw.noise_kpa, raw.noise_gain, raw.resolution_mm, raw.microseconds, raw.iterations) == (
+        0.25, 1.5, 0.75, 61.5, 9,
+    )  # fmt: skip
+
+
+def test_a_layout_that_is_no_grid_is_one_row():
+    values = np.arange(5, dtype=np.float32)
+    assert unpack(pack(image(values, values), "restored", 0.0)).values.shape == (1, 5)
+
+
+@given(st.binary(max_size=200))
+def test_bytes_that_are_no_message_are_refused(data):
+    with pytest.raises(ValueError, match="bytes"):
+        unpack(data)
+
+
+@given(st.integers(-111, -1), st.binary(max_size=4))
+def test_a_message_cut_or_longer_is_refused(end, more):
+    assume(len(more) != -end)
+    data = pack(image(np.zeros((2, 3), np.float32), np.zeros((4, 3), np.float32)), "restored", 0.0)
+    with pytest.raises(ValueError, match="bytes"):
+        unpack(data[:end] + more)
