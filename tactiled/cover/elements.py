@@ -148,7 +148,8 @@ def solve(elements: Elements, load: Floats) -> Floats:
         return solveh_banded(bands.reshape(elements.size, width).T, load, lower=True, check_finite=False)
     except LinAlgError as error:
         raise PhysicsError(
-            "finite elements are singular in double precision: bring the layers' moduli closer"
+            "finite elements are singular in double precision: bring the layers' moduli closer together "
+            "or Poisson's ratio further from 0.5"
         ) from error
 
 

@@ -24,7 +24,7 @@ FOOTPRINT = 0.25  # the footprint's radius, and
 CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
 GROWTHS = 0.5 / 2 ** np.arange(0, 5.1, 0.5)  # element size over distance from the core's far side, level by level
 FEWEST = 0.5  # elements through a layer, over the growth
-SHRINK = 0.5  # the error of a level over its difference from the level before, at worst
+SHRINK = 1.0  # the error of a level over its difference from the level before, at worst: on coarse ones
 NEAR = 10.0  # radius of the disc over the stack's thickness, to begin with
 BEND = 0.004  # the largest loss of gain at the disc's lowest frequency
 COARSE = 5e-3  # the accuracy of a coarse mesh
@@ -67,7 +67,7 @@ def solve(
     """
     if not FINEST <= accuracy < 1:
         raise PhysicsError(f"accuracy of the gain is {accuracy}: give {FINEST:g} to less than 1, such as 1e-3")
-    end, reach = _survey(stack, profile, radius, accuracy)
+    end, reach = _survey(stack, profile, radius, accuracy, late)
     q = _frequencies(reach, end)
     before, error = np.full_like(q, np.inf), np.inf
     for growth in GROWTHS:
@@ -80,8 +80,9 @@ def solve(
         if error <= accuracy:
             return Solution(q, gain, error, mesh.shape, mesh.unknowns, reach)
         if late():
+            known = f"the estimate is {error:.1e}" if np.isfinite(error) else "there is no estimate yet"
             raise PhysicsError(
-                f"accuracy {accuracy:g} of the gain is not met in the given time: the estimate is {error:.1e}; "
+                f"accuracy {accuracy:g} of the gain is not met in the given time: {known}; "
                 "allow more time or ask for less"
             )
         before = gain
@@ -90,7 +91,9 @@ def solve(
     )
 
 
-def _survey(stack: Stack, profile: Profile | None, radius: float | None, accuracy: float) -> tuple[float, float]:
+def _survey(
+    stack: Stack, profile: Profile | None, radius: float | None, accuracy: float, late: Callable[[], bool]
+) -> tuple[float, float]:
     """Find by coarse meshes the frequency (cycles/mm) where the gain ends and the radius (mm) the disc needs.
 
     High frequencies hear the coarse mesh's own error, which lessens with the mesh fitted closer: in steps.
@@ -107,6 +110,11 @@ def _survey(stack: Stack, profile: Profile | None, radius: float | None, accurac
                 raise PhysicsError(
                     f"domain radius {radius:g} mm cuts the far field of a stack {stack.faces[-1]:g} mm thick: "
                     f"the gain is {gain[1]:.3f} at its lowest frequency; give a wider domain or none"
+                )
+            if late():
+                raise PhysicsError(
+                    f"accuracy {accuracy:g} of the gain is not met in the given time: the far field reaches past "
+                    f"{reach:.3g} mm; allow more time"
                 )
             reach *= 2
         elif falling and 3 * last < end:

@@ -26,7 +26,8 @@ def gain(stack: Stack, q: Floats | float) -> Floats:
     result = np.ones(q.size)
     waves = q.ravel() * 2 * np.pi * stack.faces[-1] > 1e-9
     if waves.any():
-        result[waves] = _solve(stack, 2 * np.pi * q.ravel()[waves])
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by its rounding error
+            result[waves] = _solve(stack, 2 * np.pi * q.ravel()[waves])
     return result.reshape(q.shape)
 
 
