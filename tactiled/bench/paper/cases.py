@@ -1,12 +1,13 @@
 """The covers, loads and cells of Shimojo's paper, each solved by finite elements and exactly."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
+from scipy.special import spherical_jn
 
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import matrix, stencil
@@ -28,6 +29,7 @@ ELEMENTS = 40
 CELL = 4.57  # mm, side of the experiment's pressure cells
 SHEETS = (0.25, 0.5, 1.0)  # mm of rubber
 ROD = 3.0  # mm, radius of the rod's tip
+POINT = 0.02  # mm, side of the square that stands for a point load
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,9 +51,14 @@ def covered(thickness: float = 0.2, young: float = 98.0, poisson: float = 0.3) -
     return Pair(solve(stack, "fem"), solve(stack, "layered"))
 
 
+def centres() -> Floats:
+    """Give the places (40,) in mm of the elements' centres along one side."""
+    return np.asarray((np.arange(ELEMENTS) - (ELEMENTS - 1) / 2) * ELEMENT, np.float64)
+
+
 def ring() -> Floats:
     """Give the square ring (40, 40): 1 inside its outer side of 1.0 mm and outside its inner side of 0.6 mm."""
-    along = np.abs(np.arange(ELEMENTS) - (ELEMENTS - 1) / 2) * ELEMENT
+    along = np.abs(centres())
     reach = np.maximum(along[:, None], along)
     return np.asarray((reach < 0.5) & (reach > 0.3), float)
 
@@ -73,3 +80,9 @@ def cell_force(kernel: Kernel, x: Floats, contact: float) -> Floats:
 def rod_contact(young: float, poisson: float) -> float:
     """Give the radius (mm) of the rod's contact on a deep cover, (3 F R / 4 E*)^(1/3) (Hertz)."""
     return float((3 * LOAD * ROD * (1 - poisson**2) / (4 * young)) ** (1 / 3))
+
+
+def spread(kernel: Kernel, radius: float) -> Kernel:
+    """Give what a cover makes of Hertz's pressure, sqrt(1 - r^2 / radius^2), in place of a point load."""
+    x = 2 * np.pi * radius * np.maximum(kernel.q, 1e-12)
+    return replace(kernel, gain=kernel.gain * 3 * spherical_jn(1, x) / x)
