@@ -56,6 +56,12 @@ class Pipeline:
         """Take the mean of the next frames as the unloaded array."""
         self._tare.ask()
 
+    def deviation(self, image: Image) -> NDArray[np.float32]:
+        """Standard deviation (kPa) of every cell of `image.restored`, one of this pipeline's; any thread."""
+        again = make(self._method, self.blur, image.noise_kpa)
+        again(image.raw, image.flags)
+        return again.deviation().astype(np.float32)
+
     def _make(self) -> Restorer:
         self._made = (self._method, self._noise.kpa)
         return make(self._made[0], self.blur, self._noise.kpa)

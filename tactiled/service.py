@@ -6,12 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.errors import BusError, UnknownSensorError
-from tactiled.frames import Loss, RawFrame
+from tactiled.frames import Image, Loss, RawFrame
 from tactiled.hub import Hub
 from tactiled.pipeline import Pipeline
 from tactiled.restore.methods import METHODS
@@ -62,6 +65,10 @@ class Sensor:
     def set_method(self, name: str) -> None:
         """Restore by `name` from the next frame on; ConfigError if there is no such method."""
         self._pipeline.set_method(name)
+
+    def deviation(self, image: Image) -> NDArray[np.float32]:
+        """Standard deviation (kPa) of every cell of `image.restored`, given its frame and the noise."""
+        return self._pipeline.deviation(image)
 
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""

@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactiled.cover.meaning import meaning
 from tactiled.frames import Image
 from tactiled.service import Sensor, Service, State, Status
-from tactiled.web.wire import Kind
 
+Shown = Literal["raw", "restored", "deviation"]
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
 Name = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
@@ -72,7 +72,7 @@ class Frame(Form):
 
     type: Literal["frame"] = "frame"
     sensor: Name
-    kind: Kind
+    kind: Shown
     unit: Literal["kPa"] = "kPa"
     sequence: int = Field(examples=[5123])
     timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
@@ -231,8 +231,16 @@ def _numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[flo
     return listed
 
 
-def frame(image: Image, kind: Kind, status: Status) -> Frame:
+def values(sensor: Sensor, image: Image, kind: Shown) -> NDArray[np.float32]:
+    """What is shown of an image, kPa."""
+    if kind == "deviation":
+        return sensor.deviation(image)
+    return image.raw if kind == "raw" else image.restored
+
+
+def frame(sensor: Sensor, image: Image, kind: Shown) -> Frame:
     """One image, with the sensor's present state."""
+    status = sensor.status()
     return Frame(
         sensor=image.sensor,
         kind=kind,
@@ -240,7 +248,7 @@ def frame(image: Image, kind: Kind, status: Status) -> Frame:
         timestamp=image.time,
         state=status.state,
         age_s=status.age_s,
-        values=_numbers(image.raw if kind == "raw" else image.restored),
+        values=_numbers(values(sensor, image, kind)),
         flags=image.flags.tolist(),
         method=image.method,
         why=image.why,

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from tactiled.frames import Image
 from tactiled.service import Sensor
-from tactiled.web.wire import Kind
+from tactiled.web import forms
+from tactiled.web.forms import Shown
 
 COLORS = "magma"  # even in lightness, and told apart by the colour-blind
 UNKNOWN = "#8a8a8a"
@@ -23,10 +24,10 @@ def colors() -> list[tuple[int, int, int]]:
     return [(int(r), int(g), int(b)) for r, g, b in table]
 
 
-def png(sensor: Sensor, image: Image, kind: Kind, top: float | None) -> bytes:
+def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:
     """Draw one image, from 0 to `top` kPa (default: its own peak)."""
-    values = image.raw if kind == "raw" else image.restored
-    peak = top or max(float(np.nanmax(values, initial=0.0)), image.noise_kpa, 1e-6)
+    values = forms.values(sensor, image, kind)
+    peak = top or max(float(np.nanmax(values, initial=0.0)), 1e-6)
     figure = Figure(figsize=(6.0, 5.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -50,7 +51,8 @@ def png(sensor: Sensor, image: Image, kind: Kind, top: float | None) -> bytes:
         shown = discs
         axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", facecolor="#101010")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title=f"{image.sensor}, {kind}, frame {image.sequence}")
-    figure.colorbar(shown, label="pressure (kPa)")
+    label = "standard deviation (kPa)" if kind == "deviation" else "pressure (kPa)"
+    figure.colorbar(shown, label=label)
     out = BytesIO()
     figure.savefig(out, format="png")
     return out.getvalue()

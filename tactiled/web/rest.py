@@ -9,8 +9,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from tactiled.frames import Image
 from tactiled.service import Sensor, Service
 from tactiled.web import forms, picture
+from tactiled.web.forms import Shown
 from tactiled.web.problems import Problem
-from tactiled.web.wire import Kind
 
 Format = Literal["json", "npy", "png"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "png": "image/png"}
@@ -112,8 +112,11 @@ Asked = Annotated[Format | None, Query(alias="format", description="over the Acc
 @router.get(
     "/sensors/{name}/frames/{kind}", tags=["frames"], response_model=forms.Frame, responses=NO_SENSOR | FRAME
 )
-def frame(sensor: Found, kind: Kind, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
-    """The newest image, in kPa; what is known against it is in the JSON, or in X-Tactiled headers."""
+def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
+    """The newest image, in kPa: raw, restored, or the restored one's standard deviation.
+
+    What is known against it is in the JSON, or in X-Tactiled headers.
+    """
     form = form or _accepted(request.headers.get("accept", "*/*"))
     image = sensor.hub.latest()
     if image is None:
@@ -139,7 +142,7 @@ def _like(part: str) -> tuple[float, str]:
 
 
 def _answer(
-    sensor: Sensor, image: Image, kind: Kind, form: Format, request: Request, top_kpa: float | None
+    sensor: Sensor, image: Image, kind: Shown, form: Format, request: Request, top_kpa: float | None
 ) -> Response:
     status = sensor.status()
     tag = f'"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"'
@@ -159,8 +162,8 @@ def _answer(
         content = picture.png(sensor, image, kind, top_kpa)
     elif form == "npy":
         out = BytesIO()
-        np.save(out, image.raw if kind == "raw" else image.restored)
+        np.save(out, forms.values(sensor, image, kind))
         content = out.getvalue()
     else:
-        content = forms.frame(image, kind, status).model_dump_json().encode()
+        content = forms.frame(sensor, image, kind).model_dump_json().encode()
     return Response(content, media_type=MEDIA[form], headers=headers)

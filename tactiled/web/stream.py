@@ -111,9 +111,8 @@ class Stream:
             for message in [self._feed.message(kind) for kind in self._wish.kinds]:
                 await self._socket.send_bytes(message)
             return
-        status = self._feed.sensor.status()
         for kind in self._wish.kinds:
-            frame = forms.frame(image, kind, status)
+            frame = forms.frame(self._feed.sensor, image, kind)
             await self._socket.send_text(frame.model_dump_json())
 
     async def _send_status(self, now: float) -> None:

@@ -49,6 +49,14 @@ def test_a_frame_is_the_same_in_every_format(rig, client):
     assert matplotlib.image.imread(io.BytesIO(png.content)).shape[2] == 4
 
 
+def test_the_deviation_of_a_restored_image_is_told_in_kpa(rig, client):
+    rig.show(pressed())
+    known = np.array(client.get("/sensors/palm/frames/deviation").json()["values"])
+    assert known.shape == (8, 8)
+    assert known.min() > 0.5  # kPa, the noise of a taxel, which undoing the blur amplifies
+    assert known.max() < 5
+
+
 def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
     rig.show(pressed())
     rig.send(pressed(), drop=[0])
