@@ -5,9 +5,10 @@ import numpy as np
 from tactiled.restore.linear import Wiener
 from tactiled.restore.scene import Scene
 
-PENALTY = 0.1  # ADMM's: against a blur whose largest gain is 1
-SLACK = 0.3  # of the Gaussian's weight is left to it; being non-negative does the rest
-SPARSE = 0.3  # weight of the sum of pressures, in noise standard deviations
+PENALTY = 0.2  # ADMM's: against a blur whose largest gain is 1
+SPARSE = 0.13  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
+FEWEST = 0.002  # of the cells pressed: fewer are not told apart
+ANEW = 4  # iterations after which the share of pressed cells is counted again
 
 
 class _Step:
@@ -17,17 +18,18 @@ class _Step:
         S = scene.prior.ratio(scene.number)
         gain = np.zeros_like(S)
         gain[scene.modes.head] = scene.modes.gain
-        inverse = 1 / (gain**2 + SLACK / S + PENALTY)
+        inverse = 1 / (gain**2 + 1 / S + PENALTY)
         self.again = np.asarray(PENALTY * inverse, np.float32)
         self.data = np.asarray(scene.modes.gain * inverse[scene.modes.head], np.float32)
-        self.sparse = np.asarray(SPARSE * scene.noise * inverse, np.float32)
+        self.sparse = np.asarray(-SPARSE * scene.noise * inverse, np.float32)
 
 
 class Nonneg:
     """Restores the frame that its scene last looked at, starting from the image before.
 
-    ADMM on min |H x - y|^2 / 2 + SLACK sigma^2 x' S^-1 x / 2 + SPARSE sigma sum(x), x >= 0: with
-    t = x + u - SPARSE sigma / PENALTY, the image is max(t, 0), and the next x depends on |t| and min(t, 0) only.
+    ADMM on min |H x - y|^2 / 2 + sigma^2 x' S^-1 x / 2 + s sigma sum(x), x >= 0: with t = x + u - s sigma / P,
+    the image is max(t, 0); the next x depends on |t| and min(t, 0). The fewer cells are pressed, the surer
+    is each that it is not: s = SPARSE / sqrt(share), the share being (sum x)^2 / (M sum x^2) of the image so far.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -36,7 +38,8 @@ class Nonneg:
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._predict = scene.modes.to_taxels()
         self._modes, self._data = self._there.empty(), self._there.empty()
-        self._ones = self._there(np.ones(scene.blur.surface_shape, np.float32), self._there.empty())
+        ones = np.ones(scene.blur.surface_shape, np.float32)
+        self._ones, self._flat_ones = self._there(ones, self._there.empty()), ones.reshape(-1)
         self._head, self._seen = self._data[scene.modes.head], np.empty_like(scene.c)
         self._t, self._abs, self._pull = self._back.empty(), self._back.empty(), self._back.empty()
         self.image = self._back.empty()
@@ -59,10 +62,11 @@ class Nonneg:
         if scene.number not in self._steps:
             self._steps[scene.number] = _Step(scene)
         step = self._steps[scene.number]
-        self._load(step)
         limit = enough**2 * self._t.size
         done = 0
         while done < iterations:
+            if done % ANEW == 0:
+                self._load(step)
             done += 1
             if self._iterate(step) <= limit:
                 break
@@ -73,9 +77,13 @@ class Nonneg:
         return done
 
     def _load(self, step: _Step) -> None:
-        """Put the data's part of the modes in place."""
+        """Put in place what the modes owe to the data and to the share of pressed cells."""
+        np.maximum(self._t, 0, out=self.image)
+        flat = self.image.reshape(-1)
+        total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
+        share = max(total**2 / (flat.size * squares), FEWEST) if squares else 1.0
         np.multiply(self._ones, step.sparse, out=self._data)
-        np.negative(self._data, out=self._data)
+        np.multiply(self._data, np.float32(share**-0.5), out=self._data)
         np.multiply(self._scene.c, step.data, out=self._seen)
         np.add(self._head, self._seen, out=self._head)
 

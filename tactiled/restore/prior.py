@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactiled.restore.modes import Floats, Image, Modes
 
-CORNERS = (0.02, 0.04, 0.08, 0.16)  # q0, cycles a cell
+CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
 POWERS = (1.0, 1.5, 2.0)  # p: 1.5 is the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from nothing there to noise of 1e-4 of it all
 

@@ -1,0 +1,196 @@
+"""Restorations side by side with scikit-image's: speed in one run, and error with the truth in hand."""
+
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from skimage import restoration
+
+from tactiled.bench.truth import Press, kernel, presses
+from tactiled.cover.operator import stencil
+from tactiled.geometry import grid
+from tactiled.restore.blur import Blur
+from tactiled.restore.methods import make
+from tactiled.simulate.array import Surface
+from tactiled.simulate.scenes import SCENES
+
+OURS = ("wiener", "rl", "nnls", "auto")
+LUCY = 30  # iterations, of both sides
+# scikit-image has no types.
+wiener: Callable[..., NDArray[Any]] = restoration.wiener
+richardson_lucy: Callable[..., NDArray[Any]] = restoration.richardson_lucy
+
+NOISE = 0.01  # of the frame's peak, where speed is measured
+COVER = 1.0  # t/pitch, where speed is measured
+RATE_HZ = 100.0  # of the moving scenes
+MOVING = ("ring", "indenters", "sphere", "edge", "fingertip")
+ROUNDS = 5  # over which the least median counts: others may be using the machine
+
+# What skimage's two are tuned over, with the truth in hand.
+BALANCES = tuple(10.0 ** (0.5 * n) for n in range(-12, 5))
+STOPS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200)
+SLIPS = 1.02  # times the raw image's error: more is a failure
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """Median microseconds a frame of everything timed at one size, and each fixed method's 99.9th percentile."""
+
+    size: int
+    times: dict[str, float]
+    tails: dict[str, float]
+
+    def ratio(self, slow: str, fast: str) -> float:
+        """How many times `fast` is as fast as `slow`."""
+        return self.times[slow] / self.times[fast]
+
+
+@dataclass(frozen=True, slots=True)
+class Moving:
+    """`auto` on moving scenes: microseconds a frame, and what it chose how often."""
+
+    size: int
+    median: float
+    p99: float
+    worst: float
+    idle: float
+    chosen: dict[str, int]
+
+
+@dataclass(slots=True)
+class Accuracy:
+    """NRMSE of every method over the presses, in their order; `best` is scikit-image's better one each time."""
+
+    presses: list[tuple[str, float, float]] = field(default_factory=list)  # scene, t/pitch, noise
+    errors: dict[str, list[float]] = field(default_factory=dict)
+
+    def mean(self, method: str, scene: str | None = None) -> float:
+        """Mean NRMSE over all presses or those of a scene."""
+        found = zip(self.presses, self.errors[method], strict=True)
+        return statistics.fmean(error for (name, *_), error in found if scene in (None, name))
+
+    def worst(self, method: str) -> float:
+        """Largest error over the raw image's."""
+        return max(e / raw for e, raw in zip(self.errors[method], self.errors["raw"], strict=True))
+
+    def slips(self, method: str) -> int:
+        """How many presses are worse than raw by more than 2 %."""
+        return sum(e > SLIPS * raw for e, raw in zip(self.errors[method], self.errors["raw"], strict=True))
+
+
+def timed(run: Callable[[], Any], seconds: float) -> NDArray[np.float64]:
+    """Microseconds of each of as many runs as fit in `seconds`, ten at least, after three to warm up."""
+    for _ in range(3):
+        run()
+    times: list[float] = []
+    end = perf_counter() + seconds
+    while len(times) < 10 or perf_counter() < end:
+        start = perf_counter()
+        run()
+        times.append(perf_counter() - start)
+    return 1e6 * np.array(times)
+
+
+def speed(size: int, seconds: float) -> Speed:
+    """Time everything at size x size in turn, for `seconds` each."""
+    press = next(press for press in presses(size, (COVER,), (NOISE,)) if press.scene == "punches")
+    runs = _skimage(press) | {"FFT pair": _pair(size)}
+    for method in OURS:
+        restorer = make(method, press.blur, press.sigma)
+        runs[method] = lambda restorer=restorer: restorer(press.frame)  # type: ignore[misc]
+    rounds = {name: [timed(run, seconds / ROUNDS) for _ in range(ROUNDS)] for name, run in runs.items()}
+    times = {name: min(float(np.median(each)) for each in found) for name, found in rounds.items()}
+    tails = {name: min(float(np.percentile(each, 99.9)) for each in rounds[name]) for name in OURS}
+    return Speed(size, times, tails)
+
+
+def _skimage(press: Press) -> dict[str, Callable[[], Any]]:
+    frame = (press.frame / press.frame.max()).astype(np.float32)
+    psf = press.psf.astype(np.float32)
+    positive = np.maximum(frame, 0)
+    return {
+        "skimage wiener": lambda: wiener(frame, psf, 0.01, clip=False),
+        "skimage rl": lambda: richardson_lucy(positive, psf, LUCY, clip=False),
+    }
+
+
+def _pair(size: int) -> Callable[[], Any]:
+    """Transform, filter, inverse: what no linear filter by Fourier can do without."""
+    x = np.ones((size, size), np.float32)
+    gain = fft.rfft2(x)
+
+    def run() -> Any:
+        spectrum = fft.rfft2(x)
+        np.multiply(spectrum, gain, out=spectrum)
+        return fft.irfft2(spectrum, overwrite_x=True)
+
+    return run
+
+
+def moving(size: int, frames: int) -> Moving:
+    """Run `auto` over scenes that move at 100 Hz, and over an idle pad."""
+    array = grid(size, size, 1.0, 0.8)
+    surface = Surface(kernel(COVER, "layered"), array)
+    blur = Blur.grid(stencil(kernel(COVER, "fem"), array), (size, size))
+    random = np.random.default_rng(0)
+    chosen: Counter[str] = Counter()
+    times: list[NDArray[np.float64]] = []
+    for name in MOVING:
+        pressures = (
+            SCENES[name](surface.x, surface.y, n / RATE_HZ, surface.size, surface.grain) for n in range(frames)
+        )
+        clean = np.array([surface.sense(each).reshape(size, size) for each in pressures])
+        sigma = NOISE * clean.max()
+        film = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
+        restorer = make("auto", blur, sigma)
+        took = []
+        for frame in film:
+            start = perf_counter()
+            done = restorer(frame)
+            took.append(perf_counter() - start)
+            chosen[done.method] += 1
+        times.append(1e6 * np.array(took[1:]))
+    all_ = np.concatenate(times)
+    pad = random.normal(0, 1, (size, size)).astype(np.float32)
+    restorer = make("auto", blur, 1.0)
+    idle = min(float(np.median(timed(lambda: restorer(pad), 0.05))) for _ in range(ROUNDS))
+    return Moving(size, float(np.median(all_)), float(np.percentile(all_, 99)), float(all_.max()), idle, chosen)
+
+
+def accuracy(cases: Iterator[Press]) -> Accuracy:
+    """Restore presses by our methods, told nothing but the noise, and by skimage's two, told the truth."""
+    found = Accuracy()
+    for press in cases:
+        found.presses.append((press.scene, press.thickness, press.noise))
+        images = {"raw": press.frame} | {
+            name: make(name, press.blur, press.sigma)(press.frame).image for name in OURS
+        }
+        errors = {name: nrmse(image, press.truth) for name, image in images.items()} | _tuned(press)
+        errors["best"] = min(errors["skimage wiener"], errors["skimage rl"])
+        for name, error in errors.items():
+            found.errors.setdefault(name, []).append(error)
+    return found
+
+
+def _tuned(press: Press) -> dict[str, float]:
+    """The least errors that scikit-image's two reach over all their settings."""
+    scale = float(press.frame.max())
+    frame = press.frame.astype(float) / scale
+    positive = np.maximum(frame, 0)
+    linear = (wiener(frame, press.psf, balance, clip=False) for balance in BALANCES)
+    lucy = (richardson_lucy(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
+    return {
+        "skimage wiener": min(nrmse(scale * image, press.truth) for image in linear),
+        "skimage rl": min(nrmse(scale * image, press.truth) for image in lucy),
+    }
+
+
+def nrmse(image: NDArray[Any], truth: NDArray[Any]) -> float:
+    """||image - truth|| / ||truth||."""
+    return float(np.linalg.norm(image - truth) / np.linalg.norm(truth))

@@ -1,0 +1,98 @@
+"""`tactiled bench restore`: speed and accuracy of restoration, beside scikit-image's, in one run on one thread."""
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from tactiled.bench.machine import describe
+from tactiled.bench.restore import OURS, Accuracy, Moving, Speed, accuracy, moving, speed
+from tactiled.bench.truth import DRAWN, presses
+from tactiled.cli.app import bench
+
+SIZES = (16, 32, 64)
+THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
+NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
+WIENER_AIMS = {32: 8.0, 64: 4.0}
+MOVING_AIMS = {16: "median under 40 µs", 32: "median under skimage wiener, p99 under 1 ms", 64: "p99 under 2 ms"}
+
+
+@bench.command()
+def restore(
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer presses, shorter timings: under 30 s.")] = False,
+    repeats: Annotated[int, typer.Option(help="Random places of every scene.", min=1)] = 3,
+    seed: Annotated[int, typer.Option(help="Of the random places and the noise.")] = 1,
+) -> None:
+    """Time our methods and scikit-image's at 16, 32 and 64 squared, and compare their errors."""
+    console = Console(soft_wrap=True)
+    with threadpool_limits(1):
+        speeds = [speed(size, 0.1 if quick else 1.0) for size in SIZES]
+        console.print(_speeds(speeds))
+        console.print(_aims(speeds))
+        console.print(_moving([moving(size, 60 if quick else 400) for size in SIZES], speeds))
+        for size in (32,) if quick else SIZES:
+            covers = (1.0, 3.0) if quick else THICKNESSES
+            cases = presses(size, covers, NOISES, 1 if quick else repeats, seed)
+            console.print(_accuracy(accuracy(cases), size, covers))
+    console.print(describe(), highlight=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for number, name in enumerate(columns):
+        table.add_column(name, justify="right" if number else "left")
+    return table
+
+
+def _speeds(found: list[Speed]) -> Table:
+    table = _table("Median µs a frame, one thread", "method", *(f"{each.size} x {each.size}" for each in found))
+    for name in found[0].times:
+        table.add_row(name, *(f"{each.times[name]:.1f}" for each in found))
+    return table
+
+
+def _aims(found: list[Speed]) -> Table:
+    table = _table("Side by side", "ratio", *(f"{each.size} x {each.size}" for each in found), "aim")
+    row = table.add_row
+    aim = ", ".join(f"{least:g} at {size}" for size, least in WIENER_AIMS.items())
+    row("wiener: faster than skimage's", *(f"{s.ratio('skimage wiener', 'wiener'):.1f} x" for s in found), aim)
+    row("wiener: over the bare FFT pair", *(f"{s.ratio('wiener', 'FFT pair'):.2f} x" for s in found), "under 3")
+    row("rl, 30: faster than skimage's", *(f"{s.ratio('skimage rl', 'rl'):.1f} x" for s in found), "8 at 32")
+    for name in OURS:
+        row(f"{name}: 99.9 % over median", *(f"{s.tails[name] / s.times[name]:.1f} x" for s in found), "under 5")
+    return table
+
+
+def _moving(found: list[Moving], speeds: list[Speed]) -> Table:
+    columns = (
+        "size",
+        "median µs",
+        "p99 µs",
+        "worst µs",
+        "skimage wiener µs",
+        "idle pad µs (aim 5)",
+        "chosen",
+        "aim",
+    )
+    table = _table("auto on scenes that move at 100 frames a second", *columns)
+    for each, fixed in zip(found, speeds, strict=True):
+        chosen = ", ".join(f"{name} {count}" for name, count in sorted(each.chosen.items()))
+        times = (each.median, each.p99, each.worst, fixed.times["skimage wiener"], each.idle)
+        table.add_row(f"{each.size}", *(f"{t:.1f}" for t in times), chosen, MOVING_AIMS[each.size])
+    return table
+
+
+def _accuracy(found: Accuracy, size: int, covers: tuple[float, ...]) -> Table:
+    title = f"NRMSE at {size} x {size}, {len(found.presses)} presses, t/pitch {covers}, noise 0.2, 1, 5 %"
+    names = ("raw", *OURS, "skimage wiener", "skimage rl", "best")
+    titles = ("raw", *OURS, "skimage wiener, tuned", "skimage rl, tuned", "better of these")
+    table = _table(title, "scene", *titles)
+    for scene in DRAWN:
+        table.add_row(scene, *(f"{found.mean(name, scene):.3f}" for name in names))
+    table.add_section()
+    table.add_row("mean", *(f"{found.mean(name):.3f}" for name in names))
+    table.add_row("worst over raw", *(f"{found.worst(name):.2f}" for name in names))
+    table.add_row("worse than raw by over 2 %", *(f"{found.slips(name)}" for name in names))
+    return table
