@@ -1,5 +1,6 @@
 """`tactiled check`: whether a configuration is right, and what its cover will do to its array."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -18,14 +19,18 @@ def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML)
     """Validate CONFIG and say what each cover does to its array."""
     settings = load(config)
     plans = sensor_plans(settings)
-    console = Console(soft_wrap=True)
+    console = Console(soft_wrap=True, highlight=False)
     for plan in plans:
         console.print(_table(plan, meaning(plan.kernel, plan.array)))
         for warning in plan.warnings:
             console.print(f"  {warning}")
     console.print(
-        f"{config}: right: {len(plans)} sensors on {len(settings.bus)} buses", markup=False, highlight=False
+        f"{config}: right: {_listed('sensor', settings.sensor)}; {_listed('bus', settings.bus)}", markup=False
     )
+
+
+def _listed(what: str, named: Mapping[str, object]) -> str:
+    return f"{what} {', '.join(named)}"
 
 
 def _table(plan: SensorPlan, told: Meaning) -> Table:
