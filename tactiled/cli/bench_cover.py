@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from tactiled.bench.cover import Times, Trial, sweep, times
 from tactiled.bench.machine import describe
 from tactiled.cli.app import bench
-from tactiled.cover.stack import Stack
 
 
 @bench.command()
@@ -27,10 +26,10 @@ def cover(
     solved = [trial for trial in trials if not trial.refusal]
     if solved:
         worst = max(solved, key=lambda trial: trial.error)
-        console.print(f"Worst error: {_stack(worst.stack)}; {worst.unknowns} unknowns.")
+        console.print(f"Worst error: {worst.stack}; {worst.unknowns} unknowns.")
     for trial in trials:
         if trial.refusal:
-            console.print(f"Refused: {_stack(trial.stack)}: {trial.refusal}.")
+            console.print(f"Refused: {trial.stack}: {trial.refusal}.")
 
 
 def _table(trials: list[Trial], taken: Times) -> Table:
@@ -58,9 +57,3 @@ def _table(trials: list[Trial], taken: Times) -> Table:
 
 def _ms(seconds: float) -> str:
     return f"{seconds * 1e3:.3g}"
-
-
-def _stack(stack: Stack) -> str:
-    """Name a stack's layers, and after which of them stress is sensed."""
-    layers = [f"{layer.thickness:.3g} mm {layer.young:.3g} MPa {layer.poisson:.4f}" for layer in stack.layers]
-    return " | ".join([*layers[: stack.sensing], "sensed", *layers[stack.sensing :]])

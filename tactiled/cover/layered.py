@@ -24,10 +24,11 @@ def gain(stack: Stack, q: Floats | float) -> Floats:
     if not np.isfinite(q).all() or (q < 0).any():
         raise PhysicsError("spatial frequency q must be finite and not negative (cycles/mm)")
     result = np.ones(q.size)
-    waves = q.ravel() * 2 * np.pi * stack.faces[-1] > 1e-9
-    if waves.any():
-        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by its rounding error
-            result[waves] = _solve(stack, 2 * np.pi * q.ravel()[waves])
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows inside is refused by its rounding error
+        k = 2 * np.pi * q.ravel()
+        waves = k * stack.faces[-1] > 1e-9
+        if waves.any():
+            result[waves] = _solve(stack, k[waves])
     return result.reshape(q.shape)
 
 

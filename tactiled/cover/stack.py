@@ -26,6 +26,10 @@ class Layer:
                 f"layer Poisson's ratio is {self.poisson}: give 0 to less than 0.5 (rubber: 0.49 to 0.4999)"
             )
 
+    def __str__(self) -> str:
+        """Say it as a designer would."""
+        return f"{self.thickness:.3g} mm {self.young:.4g} MPa {self.poisson:.4g}"
+
     @property
     def shear(self) -> float:
         """Shear modulus mu (MPa)."""
@@ -60,6 +64,12 @@ class Stack:
             object.__setattr__(self, "bonds", (True,) * count)
         if len(self.bonds) != count:
             raise PhysicsError(f"{len(self.bonds)} bonds for {count} interfaces: give one each, the base included")
+
+    def __str__(self) -> str:
+        """Name the layers from the top down, a double line where stress is sensed."""
+        names = [str(layer) for layer in self.layers]
+        above, below = (" | ".join(part) for part in (names[: self.sensing], names[self.sensing :]))
+        return f"{above} ‖ {below or 'base'}"
 
     @property
     def faces(self) -> tuple[float, ...]:

@@ -7,14 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
-from tactiled.bench.charts import COLOURS, MARKS, figure
+from tactiled.bench.charts import COLOURS, FREQUENCY, MARKS, figure
 from tactiled.bench.paper import cases
 from tactiled.bench.paper.cases import Floats, Pair, covered
 from tactiled.cover.fem import FLOOR
 
 Q = np.linspace(0, 6, 301)  # cycles/mm
 SPACING = 20  # points of a line between marks
-FREQUENCY = "spatial frequency q (cycles/mm)"
 
 NINE = (  # thickness (mm), Young's modulus (MPa), Poisson's ratio
     *((thickness, 98.0, 0.3) for thickness in (0.1, 0.4, 0.6)),
@@ -122,7 +121,7 @@ def _gains(path: Path, title: str, of: Sequence[float], pair: Callable[[float], 
             _line(right, number, Q, error * 1e3, name.format(value))
         _gain_axes(left, title)
         left.legend(title="cover")
-        right.set(title="Finite elements less exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
+        right.set(title="Finite elements − exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
         right.set(xlim=(0, 6), ylim=(-1.1, 1.1), yticks=(-1, -0.5, 0, 0.5, 1))
         for aim in (-1, 1):
             right.axhline(aim, color="#444444", lw=1, ls=(0, (4, 3)))

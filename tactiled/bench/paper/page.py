@@ -38,7 +38,7 @@ span { border-radius: .3rem; font-weight: 600; padding: .1rem .45rem; white-spac
 .no { background: #fbe3d2; color: #7d3600; }
 .open { background: #e8eaed; color: #3c4248; }
 figure { margin: 0 0 2rem; }
-img { height: auto; max-width: 100%; }
+img { height: auto; max-width: 60rem; width: 100%; }
 figcaption { color: #444b53; font-size: .95rem; }
 </style>
 </head>
