@@ -1,0 +1,80 @@
+/**
+ * The legend: the shared colour scale with its ticks in kPa.
+ * @module
+ */
+
+import { fit, inks, pen } from "./paint.js";
+import { tickText, ticks } from "./scale.js";
+
+/** @typedef {import("./heatmap.js").Palette} Palette */
+/** @typedef {import("./scale.js").Scale} Scale */
+
+const BAR = 16; // px across the bar
+const END = 9; // px kept free at each end, for half a label
+
+export class Colorbar {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this._pen = pen(canvas);
+    this._shown = "";
+  }
+
+  /** Draw again even where nothing seems to have changed, as after a change of theme. */
+  forget() {
+    this._shown = "";
+  }
+
+  /**
+   * Draw, where the range or the size is another than the last time; tall boxes get a standing bar.
+   * @param {Scale} scale
+   * @param {Palette} palette
+   */
+  draw(scale, palette) {
+    const width = this.canvas.clientWidth;
+    const height = this.canvas.clientHeight;
+    if (!width || !height) return;
+    const { low, high } = scale;
+    if (this._shown === `${low} ${high} ${width} ${height}`) return;
+    this._shown = `${low} ${high} ${width} ${height}`;
+    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
+    const ratio = fit(this.canvas, width, height);
+    const draw = this._pen;
+    const ink = inks();
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+    draw.clearRect(0, 0, width, height);
+    draw.font = `12px ${ink.font}`;
+    const standing = height > width;
+    const length = (standing ? height : width) - 2 * END;
+    for (let i = 0; i < 256; i += 1) {
+      draw.fillStyle = palette.css[i];
+      const from = (i / 256) * length;
+      const step = length / 256 + 0.6;
+      if (standing) draw.fillRect(0, END + length - from - step, BAR, step);
+      else draw.fillRect(END + from, 0, step, BAR);
+    }
+    draw.fillStyle = ink.text;
+    draw.strokeStyle = ink.muted;
+    draw.lineWidth = 1;
+    draw.textAlign = standing ? "left" : "center";
+    draw.textBaseline = standing ? "middle" : "top";
+    for (const value of ticks(low, high, length / (standing ? 44 : 52))) {
+      const at = ((value - low) / (high - low)) * length;
+      const text = tickText(value, high - low);
+      draw.beginPath();
+      if (standing) {
+        const y = Math.round(END + length - at) + 0.5;
+        draw.moveTo(BAR, y);
+        draw.lineTo(BAR + 5, y);
+        draw.stroke();
+        draw.fillText(text, BAR + 8, y);
+      } else {
+        const x = Math.round(END + at) + 0.5;
+        draw.moveTo(x, BAR);
+        draw.lineTo(x, BAR + 4);
+        draw.stroke();
+        draw.fillText(text, x, BAR + 6);
+      }
+    }
+  }
+}

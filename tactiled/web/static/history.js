@@ -1,0 +1,108 @@
+/**
+ * The last seconds of a sensor, in buffers that are allocated once.
+ * @module
+ */
+
+import { measure, measures } from "./measures.js";
+
+/** @typedef {import("./wire.js").Packet} Packet */
+/** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./measures.js").Measures} Measures */
+
+const FRAMES = 600; // ten seconds at 60 a second
+const BYTES = 96 * 2 ** 20; // never more memory than this
+const NO_FLAGS = new Uint8Array(0);
+
+/**
+ * One frame as kept.
+ * @typedef {object} Frame
+ * @property {Float32Array} raw kPa
+ * @property {Float32Array} restored kPa
+ * @property {Uint8Array} flags
+ * @property {number} sequence
+ * @property {number} timestamp Unix s
+ * @property {number} sent Unix s
+ * @property {number} noiseKpa
+ * @property {number} noiseGain
+ * @property {number} resolutionMm
+ * @property {number} microseconds
+ * @property {number} iterations
+ * @property {boolean} saturated any taxel is
+ * @property {Measures} ofRaw
+ * @property {Measures} ofRestored
+ */
+
+export class History {
+  /** @param {Plane} plane */
+  constructor(plane) {
+    this._plane = plane;
+    const { raw: { count: n }, restored: { count: m } } = plane;
+    this.capacity = Math.max(2, Math.min(FRAMES, Math.floor(BYTES / (5 * n + 4 * m))));
+    const raw = new Float32Array(this.capacity * n);
+    const restored = new Float32Array(this.capacity * m);
+    const flags = new Uint8Array(this.capacity * n);
+    /** @type {Frame[]} */
+    this._frames = Array.from({ length: this.capacity }, (_, i) => ({
+      raw: raw.subarray(i * n, (i + 1) * n),
+      restored: restored.subarray(i * m, (i + 1) * m),
+      flags: flags.subarray(i * n, (i + 1) * n),
+      sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0, resolutionMm: 0, microseconds: 0,
+      iterations: 0, saturated: false, ofRaw: measures(), ofRestored: measures(),
+    }));
+    this._head = 0;
+    /** How many frames are kept. */
+    this.length = 0;
+  }
+
+  /**
+   * Does a pair fit this sensor's geometry?
+   * @param {Packet} raw
+   * @param {Packet} restored
+   * @returns {boolean}
+   */
+  fits(raw, restored) {
+    return raw.kpa.length === this._plane.raw.count && restored.kpa.length === this._plane.restored.count;
+  }
+
+  /**
+   * Keep a pair, over the oldest where there is no more room.
+   * @param {Packet} raw
+   * @param {Packet} restored
+   * @returns {Frame}
+   */
+  push(raw, restored) {
+    const frame = this._frames[this._head];
+    this._head = (this._head + 1) % this.capacity;
+    this.length = Math.min(this.capacity, this.length + 1);
+    frame.raw.set(raw.kpa);
+    frame.restored.set(restored.kpa);
+    const flags = raw.flags ?? NO_FLAGS;
+    frame.saturated = false;
+    for (let i = 0; i < frame.flags.length; i += 1) {
+      frame.flags[i] = flags[i] | 0;
+      if (flags[i] & 8) frame.saturated = true;
+    }
+    frame.sequence = restored.sequence;
+    frame.timestamp = restored.timestamp;
+    frame.sent = restored.sent;
+    frame.noiseKpa = restored.noiseKpa;
+    frame.noiseGain = restored.noiseGain;
+    frame.resolutionMm = restored.resolutionMm;
+    frame.microseconds = restored.microseconds;
+    frame.iterations = restored.iterations;
+    const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
+    const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
+    measure(frame.raw, this._plane.raw, noise, frame.ofRaw);
+    measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored);
+    return frame;
+  }
+
+  /**
+   * @param {number} back 0 for the newest, 1 for the one before it, ...
+   * @returns {Frame|null}
+   */
+  at(back) {
+    if (back < 0 || back >= this.length) return null;
+    return this._frames[(this._head - 1 - back + 2 * this.capacity) % this.capacity];
+  }
+}

@@ -1,0 +1,75 @@
+/**
+ * What one image amounts to: force, peak, place of contact.
+ * @module
+ */
+
+/** @typedef {import("./plane.js").Cells} Cells */
+
+/**
+ * @typedef {object} Measures
+ * @property {number} force N, over every cell that is known
+ * @property {number} peak kPa
+ * @property {number} peakIndex -1 where nothing is known
+ * @property {boolean} contact the peak stands clear of the noise
+ * @property {number} x mm, pressure-weighted centre of contact; NaN without contact
+ * @property {number} y mm
+ * @property {number} unknown cells of which nothing is known
+ */
+
+const CLEAR = 5; // noise deviations from which a peak is a contact
+const SHARE = 0.1; // of the peak from which a cell counts towards the centre
+
+/** @returns {Measures} */
+export function measures() {
+  return { force: 0, peak: 0, peakIndex: -1, contact: false, x: NaN, y: NaN, unknown: 0 };
+}
+
+/**
+ * Measure an image.
+ * @param {Float32Array} kpa
+ * @param {Cells} cells
+ * @param {number} noise kPa, standard deviation of one cell
+ * @param {Measures} into
+ */
+export function measure(kpa, cells, noise, into) {
+  const { count, x, y, area } = cells;
+  let sum = 0;
+  let peak = -Infinity;
+  let peakIndex = -1;
+  let unknown = 0;
+  for (let i = 0; i < count; i += 1) {
+    const p = kpa[i];
+    if (p !== p) {
+      unknown += 1;
+    } else {
+      sum += p;
+      if (p > peak) {
+        peak = p;
+        peakIndex = i;
+      }
+    }
+  }
+  into.force = sum * area * 1e-3;
+  into.peak = peakIndex < 0 ? NaN : peak;
+  into.peakIndex = peakIndex;
+  into.unknown = unknown;
+  into.contact = peakIndex >= 0 && peak > CLEAR * noise && peak > 0;
+  into.x = into.y = NaN;
+  if (!into.contact) return;
+  const floor = Math.max(SHARE * peak, 3 * noise);
+  let weight = 0;
+  let mx = 0;
+  let my = 0;
+  for (let i = 0; i < count; i += 1) {
+    const p = kpa[i];
+    if (p >= floor) {
+      weight += p;
+      mx += p * x[i];
+      my += p * y[i];
+    }
+  }
+  if (weight > 0) {
+    into.x = mx / weight;
+    into.y = my / weight;
+  }
+}

@@ -1,0 +1,101 @@
+/**
+ * Where a sensor's cells are, in mm: x to the right, y down.
+ * @module
+ */
+
+/** @typedef {import("./api.js").Geometry} Geometry */
+
+/**
+ * One image's cells.
+ * @typedef {object} Cells
+ * @property {number} rows
+ * @property {number} columns
+ * @property {number} count
+ * @property {Float64Array} x mm, centre of each cell
+ * @property {Float64Array} y mm
+ * @property {number} side mm, drawn side or diameter of one cell
+ * @property {number} area mm^2 that one cell's pressure acts on
+ */
+
+export class Plane {
+  /** @param {Geometry} geometry */
+  constructor(geometry) {
+    this.isGrid = geometry.shape !== null;
+    this.round = geometry.aperture === "round";
+    this.pitch = geometry.pitch_mm;
+    this.aperture = geometry.aperture_mm;
+    const xs = geometry.positions_mm.map((each) => each[0]);
+    const ys = geometry.positions_mm.map((each) => each[1]);
+    const margin = this.isGrid ? this.pitch / 2 : this.pitch;
+    /** Left and top edge, mm. */
+    this.left = Math.min(...xs) - margin;
+    this.top = Math.min(...ys) - margin;
+    /** Extent, mm. */
+    this.width = Math.max(...xs) + margin - this.left;
+    this.height = Math.max(...ys) + margin - this.top;
+    const cell = geometry.restored.cell_mm;
+    if (this.isGrid) {
+      /** @type {Cells} */
+      this.raw = this._grid(geometry.raw.rows, geometry.raw.columns, this.pitch);
+      /** @type {Cells} */
+      this.restored = this._grid(geometry.restored.rows, geometry.restored.columns, cell);
+    } else {
+      this.raw = scattered(xs, ys, this.aperture, this.pitch ** 2);
+      this.restored = scattered(xs, ys, this.aperture, cell ** 2);
+    }
+    /** Cells of a scattered layout from left to right, for cross-sections. */
+    this.order = Int32Array.from(xs.keys()).sort((a, b) => xs[a] - xs[b]);
+  }
+
+  /**
+   * @param {number} rows
+   * @param {number} columns
+   * @param {number} side
+   * @returns {Cells}
+   */
+  _grid(rows, columns, side) {
+    const count = rows * columns;
+    const x = new Float64Array(count);
+    const y = new Float64Array(count);
+    for (let i = 0; i < count; i += 1) {
+      x[i] = this.left + ((i % columns) + 0.5) * side;
+      y[i] = this.top + (Math.floor(i / columns) + 0.5) * side;
+    }
+    return { rows, columns, count, x, y, side, area: side * side };
+  }
+
+  /**
+   * @param {Cells} cells
+   * @param {number} x mm
+   * @param {number} y mm
+   * @returns {number} index of the cell there; -1 where there is none
+   */
+  find(cells, x, y) {
+    if (this.isGrid) {
+      const column = Math.floor((x - this.left) / cells.side);
+      const row = Math.floor((y - this.top) / cells.side);
+      return column < 0 || row < 0 || column >= cells.columns || row >= cells.rows ? -1 : row * cells.columns + column;
+    }
+    let best = -1;
+    let least = (0.75 * this.pitch) ** 2;
+    for (let i = 0; i < cells.count; i += 1) {
+      const distance = (cells.x[i] - x) ** 2 + (cells.y[i] - y) ** 2;
+      if (distance < least) {
+        least = distance;
+        best = i;
+      }
+    }
+    return best;
+  }
+}
+
+/**
+ * @param {number[]} xs
+ * @param {number[]} ys
+ * @param {number} side
+ * @param {number} area
+ * @returns {Cells}
+ */
+function scattered(xs, ys, side, area) {
+  return { rows: 1, columns: xs.length, count: xs.length, x: Float64Array.from(xs), y: Float64Array.from(ys), side, area };
+}

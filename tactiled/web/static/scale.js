@@ -1,0 +1,98 @@
+/**
+ * The pressure range that both maps share: fixed by hand, or following the data without flicker.
+ * @module
+ */
+
+const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
+const DECAY_S = 6; // the range forgets a peak over about this long
+const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
+const LEAST_KPA = 1;
+
+/**
+ * @param {number} value above 0
+ * @returns {number} the least round number that is not below it
+ */
+export function roundUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  for (const step of STEPS) if (step * power >= value * (1 - 1e-9)) return step * power;
+  return 10 * power;
+}
+
+export class Scale {
+  constructor() {
+    this.auto = true;
+    /** Bottom and top of the range, kPa. */
+    this.low = 0;
+    this.high = 10;
+    this._peak = 0;
+    this._time = 0;
+  }
+
+  /** Forget what was seen, as for another sensor; a fixed range stays. */
+  reset() {
+    this._peak = 0;
+    this._time = 0;
+    if (this.auto) this.high = 10;
+  }
+
+  /**
+   * Follow a frame.
+   * @param {number} peak kPa, the largest of both images
+   * @param {number} noise kPa, of both images' noise the larger: noise alone never fills the range
+   * @param {number} time s, of the frame
+   */
+  follow(peak, noise, time) {
+    const gone = Math.min(1, Math.max(0, time - this._time));
+    this._time = time;
+    this._peak = Math.max(peak, LEAST_KPA, 8 * noise, this._peak * Math.exp(-gone / DECAY_S));
+    if (!this.auto) return;
+    const wanted = roundUp(this._peak);
+    if (wanted > this.high || roundUp(this._peak / HYSTERESIS) < this.high) this.high = wanted;
+  }
+
+  /**
+   * Fix the range.
+   * @param {number} low kPa
+   * @param {number} high kPa
+   * @returns {boolean} false, with nothing changed, where that is no range
+   */
+  fix(low, high) {
+    if (!Number.isFinite(low) || !Number.isFinite(high) || high <= low) return false;
+    this.auto = false;
+    this.low = low;
+    this.high = high;
+    return true;
+  }
+
+  /** Follow the data again. */
+  release() {
+    this.auto = true;
+    this.low = 0;
+    this.high = roundUp(Math.max(this._peak, LEAST_KPA));
+  }
+}
+
+/**
+ * @param {number} low
+ * @param {number} high
+ * @param {number} most how many at most, about
+ * @returns {number[]} round numbers in the range, evenly spaced
+ */
+export function ticks(low, high, most) {
+  const rough = (high - low) / Math.max(1, most);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].map((each) => each * power).find((each) => each >= rough * (1 - 1e-9)) ?? 10 * power;
+  const out = [];
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i += 1) out.push(i === 0 ? 0 : i * step);
+  return out;
+}
+
+/**
+ * @param {number} value
+ * @param {number} span of the range it stands in, which sets its decimals
+ * @returns {string}
+ */
+export function tickText(value, span) {
+  const decimals = Math.max(0, Math.min(3, 1 - Math.floor(Math.log10(span))));
+  return String(Number(value.toFixed(decimals))).replace("-", "\u2212");
+}

@@ -1,0 +1,84 @@
+/**
+ * The cross-section: pressure along a horizontal line, raw and restored.
+ * @module
+ */
+
+import { Chart, line } from "./chart.js";
+import { fixed } from "./paint.js";
+
+/** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./plane.js").Cells} Cells */
+/** @typedef {import("./history.js").Frame} Frame */
+/** @typedef {import("./scale.js").Scale} Scale */
+/** @typedef {import("./chart.js").Line} Line */
+
+export class Section {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.chart = new Chart(canvas);
+    /** @type {Plane|null} */
+    this._plane = null;
+    this._raw = line(0, "raw");
+    this._restored = line(0, "restored");
+    this._lines = [this._raw, this._restored];
+    /** @type {import("./chart.js").Axes} */
+    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "x, mm", y: "kPa" };
+  }
+
+  /** @param {Plane} plane */
+  use(plane) {
+    this._plane = plane;
+    const style = plane.isGrid ? "steps" : "dots";
+    this._raw = line(plane.raw.columns, "raw", style);
+    this._restored = line(plane.restored.columns, "restored", style);
+    this._lines = [this._raw, this._restored];
+    this._axes.left = plane.left;
+    this._axes.right = plane.left + plane.width;
+  }
+
+  /**
+   * @param {Frame|null} frame
+   * @param {number} y mm, height of the line
+   * @param {number} probeX mm; NaN for none
+   * @param {Scale} scale
+   */
+  draw(frame, y, probeX, scale) {
+    const plane = this._plane;
+    if (!plane) return;
+    this._axes.top = scale.high;
+    this._axes.bottom = Math.min(scale.low, scale.low - 0.06 * (scale.high - scale.low));
+    this._raw.length = this._restored.length = 0;
+    if (frame) {
+      cut(plane, plane.raw, frame.raw, y, this._raw);
+      cut(plane, plane.restored, frame.restored, y, this._restored);
+    }
+    this.chart.draw(this._axes, this._lines, probeX, Number.isFinite(probeX) ? `x ${fixed(probeX, 1)} mm` : "");
+  }
+}
+
+/**
+ * @param {Plane} plane
+ * @param {Cells} cells
+ * @param {Float32Array} kpa
+ * @param {number} y mm
+ * @param {Line} into
+ */
+function cut(plane, cells, kpa, y, into) {
+  let n = 0;
+  if (plane.isGrid) {
+    const row = Math.max(0, Math.min(cells.rows - 1, Math.floor((y - plane.top) / cells.side)));
+    const first = row * cells.columns;
+    for (; n < cells.columns; n += 1) {
+      into.x[n] = cells.x[first + n];
+      into.y[n] = kpa[first + n];
+    }
+  } else {
+    for (const i of plane.order) {
+      if (Math.abs(cells.y[i] - y) > plane.pitch / 2) continue;
+      into.x[n] = cells.x[i];
+      into.y[n] = kpa[i];
+      n += 1;
+    }
+  }
+  into.length = n;
+}

@@ -1,0 +1,77 @@
+/**
+ * The stream's binary messages: one image each, a 64-byte header and then its pressures.
+ * @module
+ */
+
+export const RAW = 0;
+export const RESTORED = 1;
+export const HEADER_BYTES = 64;
+
+/** Flags of a raw taxel. */
+export const MISSING = 1;
+export const BAD = 2;
+export const DEAD = 4;
+export const SATURATED = 8;
+
+const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
+const VERSION = 1;
+
+/**
+ * One message, taken apart. The arrays are views into the message, not copies.
+ * @typedef {object} Packet
+ * @property {number} kind RAW or RESTORED
+ * @property {number} rows 1 for a layout that is no grid
+ * @property {number} columns
+ * @property {number} sequence
+ * @property {number} timestamp Unix time, s, of the frame's first bus message
+ * @property {number} sent Unix time, s, at which the service sent this
+ * @property {number} noiseKpa
+ * @property {number} noiseGain
+ * @property {number} resolutionMm
+ * @property {number} microseconds
+ * @property {number} iterations
+ * @property {Float32Array} kpa rows * columns; NaN where nothing is known
+ * @property {Uint8Array|null} flags one per taxel in a raw image, else null
+ */
+
+/** @returns {Packet} an empty packet for `parse` to fill */
+export function packet() {
+  return {
+    kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0,
+    resolutionMm: 0, microseconds: 0, iterations: 0, kpa: new Float32Array(0), flags: null,
+  };
+}
+
+/**
+ * Take a message apart.
+ * @param {ArrayBuffer} buffer
+ * @param {Packet} into filled and returned, so that the caller may use one packet for ever
+ * @returns {Packet}
+ * @throws {RangeError} where the message is not one of ours
+ */
+export function parse(buffer, into) {
+  if (buffer.byteLength < HEADER_BYTES) throw new RangeError(`image of ${buffer.byteLength} bytes has no header`);
+  const view = new DataView(buffer);
+  if (view.getUint32(0, true) !== MAGIC) throw new RangeError("image does not start with TCTL");
+  const version = view.getUint8(4);
+  if (version !== VERSION) throw new RangeError(`image format is version ${version}, this page reads ${VERSION}`);
+  into.kind = view.getUint8(5);
+  into.rows = view.getUint16(6, true);
+  into.columns = view.getUint16(8, true);
+  const flagsBytes = view.getUint16(10, true);
+  into.sequence = view.getUint32(16, true) + view.getUint32(20, true) * 2 ** 32;
+  into.timestamp = view.getFloat64(24, true);
+  into.sent = view.getFloat64(32, true);
+  into.noiseKpa = view.getFloat32(40, true);
+  into.noiseGain = view.getFloat32(44, true);
+  into.resolutionMm = view.getFloat32(48, true);
+  into.microseconds = view.getFloat32(52, true);
+  into.iterations = view.getUint32(56, true);
+  const count = into.rows * into.columns;
+  if (buffer.byteLength < HEADER_BYTES + 4 * count + flagsBytes) {
+    throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${buffer.byteLength} bytes`);
+  }
+  into.kpa = new Float32Array(buffer, HEADER_BYTES, count);
+  into.flags = flagsBytes ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagsBytes) : null;
+  return into;
+}
