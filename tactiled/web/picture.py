@@ -16,6 +16,7 @@ from tactiled.web.forms import Shown
 
 COLORS = "magma"  # even in lightness, and told apart by the colour-blind
 UNKNOWN = "#8a8a8a"
+GROUND = "#dfe3e6"  # between the taxels of a layout that is no grid
 
 
 def colors() -> list[tuple[int, int, int]]:
@@ -28,12 +29,14 @@ def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:
     """Draw one image, from 0 to `top` kPa (default: its own peak)."""
     values = forms.values(sensor, image, kind)
     peak = top or max(float(np.nanmax(values, initial=0.0)), 1e-6)
-    figure = Figure(figsize=(6.0, 5.0), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.set_facecolor(UNKNOWN)
     pitch = sensor.array.pitch
     low, high = sensor.array.positions.min(axis=0) - pitch / 2, sensor.array.positions.max(axis=0) + pitch / 2
+    tall = float((high - low)[1] / (high - low)[0])
+    wide = tall < 0.6  # the legend goes below
+    figure = Figure(figsize=(6.0, min(max(5.0 * tall, 0.8), 8.0) + (1.6 if wide else 0.5)), dpi=110)
+    figure.set_layout_engine("constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(facecolor=UNKNOWN)
     cmap = mpl.colormaps[COLORS].with_extremes(bad=UNKNOWN)
     shown: ScalarMappable
     if values.ndim == 2:
@@ -49,10 +52,10 @@ def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:
         discs.set_clim(0, peak)
         axes.add_collection(discs)
         shown = discs
-        axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", facecolor="#101010")
+        axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal", facecolor=GROUND)
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title=f"{image.sensor}, {kind}, frame {image.sequence}")
     label = "standard deviation (kPa)" if kind == "deviation" else "pressure (kPa)"
-    figure.colorbar(shown, label=label)
+    figure.colorbar(shown, label=label, location="bottom" if wide else "right")
     out = BytesIO()
     figure.savefig(out, format="png")
     return out.getvalue()
