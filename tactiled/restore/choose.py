@@ -10,15 +10,14 @@ import numpy as np
 
 from tactiled.restore.linear import Wiener
 from tactiled.restore.modes import Image
-from tactiled.restore.nonneg import Nonneg
+from tactiled.restore.nonneg import ZERO, Nonneg
 from tactiled.restore.scene import Restored, Scene
 
 STAY = 1.5  # how much further a test reaches for the method of the frame before
+REVIEW = 8  # frames after which one that needed iterations is asked again whether linear would do
 SURE = 4.0  # standard deviations that count as more than noise
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
-ITERATIONS = 30  # at most
-STEADY = 0.1  # noise standard deviations: an iteration that changes less has no more to give
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
 RAW = "the cover hardly matters here: all it changes is under the noise"
@@ -52,8 +51,7 @@ class Auto:
         self._idle, self._wiener, self._nonneg = Idle(scene), Wiener(scene), Nonneg(scene)
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
-        self._enough = STEADY * scene.noise
-        self._method = ""
+        self._method, self._age = "", 0
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
@@ -79,16 +77,24 @@ class Auto:
     def _some(self, y: Image) -> Restored:
         scene = self._scene
         scene.look(y)
+        if self._method == "nnls" and self._age < REVIEW:
+            self._age += 1
+            return self._iterated()
         filter_ = self._wiener.filter
-        if self._square and filter_.correction(scene.power) < (self._reach("raw") * SEEN) ** 2 * scene.noise**2:
+        if self._square and filter_.correction(scene.power) < (self._reach("raw") * SEEN * scene.noise) ** 2:
             return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
         image = self._wiener()
-        np.minimum(image, 0, out=self._below)
+        np.minimum(image, ZERO, out=self._below)
         flat, below = image.reshape(-1), self._below.reshape(-1)
         limit = (self._reach("wiener") * NEGATIVE) ** 2
         if float(np.dot(below, below)) <= limit * float(np.dot(flat, flat)):
             return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
         if self._method != "nnls":
             self._nonneg.reset()
-        iterations = self._nonneg(self._wiener, ITERATIONS, enough=self._enough)
-        return Restored(self._nonneg.image, "nnls", NNLS, iterations, filter_.noise_gain, scene.resolution())
+        self._age = 1
+        return self._iterated()
+
+    def _iterated(self) -> Restored:
+        done = self._nonneg(self._wiener)
+        gain = self._wiener.filter.noise_gain
+        return Restored(self._nonneg.image, "nnls", NNLS, done, gain, self._scene.resolution())

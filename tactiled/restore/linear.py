@@ -14,7 +14,7 @@ class Filter:
         S = scene.prior.ratio(scene.number)[modes.head]
         weight = modes.gain * S / (modes.gain**2 * S + 1)
         self.weight = np.asarray(weight, np.float32)
-        self.predicted = np.asarray(scene.ones * (weight * modes.gain).ravel(), np.float32)
+        self.missed = np.asarray(scene.ones * (1 - weight * modes.gain).ravel(), np.float32)
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
         cells = np.prod(scene.blur.surface_shape)
         self.noise_gain = float(np.sqrt((weight**2).sum() / cells))
@@ -45,7 +45,7 @@ class Wiener:
         """Give the surface pressure, total force kept; may be negative."""
         chosen, scene = self.filter, self._scene
         np.multiply(scene.c, chosen.weight, out=self._modes)
-        scale = scene.force_scale(float(np.dot(chosen.predicted, scene.flat)))
+        scale = scene.force_scale(float(np.dot(chosen.missed, scene.flat)))
         if scale != 1.0:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
         return self._back(self._modes, self.image)

@@ -52,6 +52,7 @@ class Lucy:
             enough,
             self._accelerate,
         )
-        scale = self._scene.force_scale(float(np.vdot(self._scene.blur.reach, self.image)))
+        predicted = float(np.vdot(self._scene.blur.reach, self.image))
+        scale = self._scene.force_scale(self._scene.force - predicted)
         np.multiply(self.image, np.float32(scale), out=self.image)
         return done

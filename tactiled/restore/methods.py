@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
 from tactiled.restore.blur import Blur
-from tactiled.restore.choose import ITERATIONS, STEADY, Auto
+from tactiled.restore.choose import Auto
 from tactiled.restore.gaps import Gaps
 from tactiled.restore.linear import Wiener, deviation
 from tactiled.restore.lucy import Lucy
@@ -107,7 +107,7 @@ def _nonneg(scene: Scene) -> tuple[Run, Callable[[], None]]:
 
     def run(y: Image) -> Restored:
         scene.look(y)
-        done = nonneg(wiener, ITERATIONS, enough=STEADY * scene.noise)
+        done = nonneg(wiener)
         return Restored(nonneg.image, "nnls", ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
     return run, nonneg.reset

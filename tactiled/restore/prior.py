@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactiled.restore.modes import Floats, Image, Modes
 
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
-POWERS = (1.0, 1.5, 2.0)  # p: 1.5 is the fall of a sharp edge in the plane
+POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from nothing there to noise of 1e-4 of it all
 
 
@@ -29,19 +29,20 @@ class Prior:
         indicators = [_indicator(n, first) for n, first in zip(modes.gain.shape, self._first, strict=True)]
         self._left = indicators[0]
         self._right = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
-        inverse, self._log = [], []
+        inverse, log = [], []
         for variance in seen:
             for level in LEVELS:
                 v = noise**2 * (level * variance + 1)
                 inverse.append(self._pool(1 / v).ravel())
-                self._log.append(np.log(v).sum())
+                log.append(np.log(v).sum())
         count = self._pool(np.ones(modes.gain.shape))
-        self._inverse = np.asarray(np.stack(inverse) / count.ravel(), np.float32)
-        self._log_float = np.asarray(self._log, np.float32)
+        # The logarithms ride along as one more block, whose power is always 1.
+        self._cost_of = np.asarray(np.column_stack([np.stack(inverse) / count.ravel(), log]), np.float32)
         self.squares = np.empty(modes.gain.shape, np.float32)
-        self._power = np.empty(count.shape, np.float32)
+        self._blocks = np.ones(count.size + 1, np.float32)
+        self._power = self._blocks[:-1].reshape(count.shape)
         self._between = np.empty((len(self._left), *modes.gain.shape[1:]), np.float32)
-        self._cost = np.empty(len(self._inverse), np.float32)
+        self._cost = np.empty(len(self._cost_of), np.float32)
 
     def _pool(self, values: Floats | Image) -> Floats:
         # Not by a matrix product: BLAS kernels may raise floating-point flags from lanes that they then discard.
@@ -57,8 +58,7 @@ class Prior:
         else:
             np.dot(self._left, self.squares, out=self._between)
             np.dot(self._between, self._right, out=self._power)
-        np.dot(self._inverse, self._power.reshape(-1), out=self._cost)
-        np.add(self._cost, self._log_float, out=self._cost)
+        np.dot(self._cost_of, self._blocks, out=self._cost)
         return int(self._cost.argmin())
 
     def ratio(self, number: int) -> Floats:

@@ -9,6 +9,7 @@ from tactiled.restore.modes import Image
 from tactiled.restore.prior import Prior
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
+AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
 SURE = 4.0  # standard deviations that a total force must stand out by to be held to
 
 
@@ -35,9 +36,9 @@ class Scene:
         self.flat = self.c.reshape(-1)
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
-        self._sure = SURE * noise * float(np.sqrt(ones.size))
+        noise_of_sum = noise * float(np.sqrt(ones.size))
+        self._sure, self._agreed = SURE * noise_of_sum, AGREED * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
-        self.force = 0.0  # kPa times taxels
         self.number = 0  # of the spectrum in the prior
         self._resolution: dict[int, float] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
@@ -46,17 +47,25 @@ class Scene:
         """Take in a frame without gaps."""
         self._there(y, self.c)
         self.number = self.prior.pick(self.c)
-        self.force = float(np.dot(self.ones, self.flat))
+
+    @property
+    def force(self) -> float:
+        """Sum over the frame (kPa)."""
+        return float(np.dot(self.ones, self.flat))
 
     def empty(self) -> None:
         """Take in that there is nothing to see, without looking."""
-        self.number, self.force = 0, 0.0
+        self.number = 0
 
-    def force_scale(self, predicted: float) -> float:
-        """What to multiply an image by whose blur has the total `predicted`, so that it has the frame's."""
-        if abs(self.force) < self._sure or predicted * self.force <= 0:
+    def force_scale(self, missed: float) -> float:
+        """What to multiply an image by whose blur's total misses `missed` of the frame's, so that it does not."""
+        if -self._agreed < missed < self._agreed:
             return 1.0
-        return min(max(self.force / predicted, FORCE_BOUNDS[0]), FORCE_BOUNDS[1])
+        force = self.force
+        predicted = force - missed
+        if abs(force) < self._sure or predicted * force <= 0:
+            return 1.0
+        return min(max(force / predicted, FORCE_BOUNDS[0]), FORCE_BOUNDS[1])
 
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""
