@@ -1,0 +1,117 @@
+"""These tests need vcan0 (classic) and vcan1 (CAN FD), up: this machine's own, or those of `kernel.py`."""
+
+import contextlib
+import os
+import platform
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tactiled.bus.reader import open_bus
+
+THERE = all(Path("/sys/class/net", name).exists() for name in ("vcan0", "vcan1"))
+HERE = Path(__file__).parent
+HOW = f"{sys.executable} {HERE / 'kernel.py'} {sys.executable} -m pytest {HERE}"
+RAN = pytest.StashKey[int]()
+
+
+def pytest_collection_modifyitems(config, items):
+    mine = [item for item in items if HERE in item.path.parents]
+    for item in mine:
+        item.add_marker(pytest.mark.timeout(120))
+        if not THERE:
+            item.add_marker(pytest.mark.skip(reason="this kernel has no vcan0 and vcan1"))
+    config.stash[RAN] = len(mine)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if count := config.stash.get(RAN, 0):
+        own = "User Mode Linux" in Path("/proc/cpuinfo").read_text()
+        where = f"ran on {'a kernel of their own' if own else 'this machine'}, Linux {platform.release()}"
+        terminalreporter.write_line(
+            f"vcan: {count} tests {where if THERE else 'DID NOT RUN: this kernel has no vcan0 and vcan1: ' + HOW}"
+        )
+
+
+@pytest.fixture
+def bus():
+    """Opens buses, classic on vcan0 and CAN FD on vcan1, and closes them."""
+    with contextlib.ExitStack() as stack:
+
+        def opened(fd=False, **settings):
+            one = open_bus(interface="socketcan", channel="vcan1" if fd else "vcan0", fd=fd, **settings)
+            stack.callback(one.close)
+            return one
+
+        yield opened
+
+
+@pytest.fixture
+def small(bus):
+    """A reader whose socket holds little."""
+
+    def made(size, **settings):
+        reader = bus(**settings)
+        reader._bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
+        return reader
+
+    return made
+
+
+@pytest.fixture
+def run():
+    """Starts processes, and ends them."""
+    with contextlib.ExitStack() as stack:
+
+        def started(*command, **settings):
+            process = subprocess.Popen(
+                [str(part) for part in command],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                **settings,
+            )
+            stack.callback(ended, process)
+            return process
+
+        yield started
+
+
+def ended(process):
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.communicate(timeout=20)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def link():
+    """Sets a link down or up; it is up again afterwards."""
+
+    def put(name, state):
+        sudo = [] if os.geteuid() == 0 else ["sudo"]
+        subprocess.run([*sudo, "ip", "link", "set", name, state], check=True)
+
+    yield put
+    for name in ("vcan0", "vcan1"):
+        put(name, "up")
+
+
+@pytest.fixture
+def until():
+    def wait(true, seconds=30.0):
+        end = time.monotonic() + seconds
+        while not (value := true()):
+            assert time.monotonic() < end, "it did not happen in time"
+            time.sleep(0.02)
+        return value
+
+    return wait
