@@ -139,6 +139,7 @@ export const tare = (name) => request(`${at(name)}/tare`, { method: "POST" });
 export function streamUrl(name) {
   const url = new URL(`${ROOT}${at(name)}/stream`, location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-  url.search = "?kinds=raw,restored&rate_hz=60&flow=credit";
+  // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
+  url.search = "?kinds=raw,restored&rate_hz=75&flow=credit";
   return url.href;
 }

@@ -9,7 +9,7 @@ import { measure, measures } from "./measures.js";
 /** @typedef {import("./plane.js").Plane} Plane */
 /** @typedef {import("./measures.js").Measures} Measures */
 
-const FRAMES = 600; // ten seconds at 60 a second
+const FRAMES = 750; // ten seconds at 75 a second
 const BYTES = 96 * 2 ** 20; // never more memory than this
 const NO_FLAGS = new Uint8Array(0);
 
@@ -52,6 +52,11 @@ export class History {
     this._head = 0;
     /** How many frames are kept. */
     this.length = 0;
+  }
+
+  /** Keep nothing. */
+  clear() {
+    this._head = this.length = 0;
   }
 
   /**

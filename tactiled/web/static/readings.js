@@ -1,0 +1,123 @@
+/**
+ * The side panel's numbers and words.
+ * @module
+ */
+
+import { byId, fixed, number, say } from "./paint.js";
+
+/** @typedef {import("./history.js").Frame} Frame */
+/** @typedef {import("./stream.js").Status} Status */
+/** @typedef {import("./api.js").Sensor} Sensor */
+
+/** What each method is called. */
+const METHODS = {
+  auto: "Automatic", raw: "None: show as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
+  "rl-fast": "Richardson–Lucy, accelerated", nnls: "Non-negative least squares", idle: "idle, nothing touches",
+};
+
+const LOSSES = /** @type {const} */ ([
+  ["lost", "Messages that never came"],
+  ["late", "Messages out of order"],
+  ["repeated", "Messages that came twice"],
+  ["malformed", "Messages that the codec cannot mean"],
+  ["incomplete", "Frames published with taxels missing"],
+  ["skipped", "Frames not restored, because a newer one was there"],
+  ["foreign", "Messages on the bus that belong to no sensor"],
+]);
+
+/**
+ * @param {string} name
+ * @returns {string}
+ */
+export const methodTitle = (name) => METHODS[/** @type {keyof METHODS} */ (name)] ?? name;
+
+export class Readings {
+  constructor() {
+    const list = byId("loss");
+    /** @type {Map<string, HTMLElement>} */
+    this._loss = new Map();
+    for (const [kind, title] of LOSSES) {
+      const name = document.createElement("dt");
+      const value = document.createElement("dd");
+      name.textContent = kind;
+      name.title = title;
+      value.textContent = "\u2013";
+      list.append(name, value);
+      this._loss.set(kind, value);
+    }
+    this._at = Object.fromEntries([
+      "force-raw", "force-restored", "peak-raw", "peak-restored", "x-raw", "x-restored", "y-raw", "y-restored",
+      "ran", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
+      "fps", "latency",
+    ].map((id) => [id, byId(id)]));
+    this._warnings = byId("warnings");
+    this._warned = "";
+  }
+
+  /** @param {Sensor} sensor */
+  about(sensor) {
+    const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
+    say(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
+    this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;
+  }
+
+  /** @param {Frame|null} frame */
+  frame(frame) {
+    const at = this._at;
+    for (const kind of /** @type {const} */ (["raw", "restored"])) {
+      const of = frame ? (kind === "raw" ? frame.ofRaw : frame.ofRestored) : null;
+      say(at[`force-${kind}`], fixed(of ? of.force : NaN, 2));
+      say(at[`peak-${kind}`], fixed(of ? of.peak : NaN, 1));
+      say(at[`x-${kind}`], fixed(of ? of.x : NaN, 1));
+      say(at[`y-${kind}`], fixed(of ? of.y : NaN, 1));
+    }
+    say(at.iterations, frame ? String(frame.iterations) : "\u2013");
+    say(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
+    say(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
+    say(at.noise, frame ? `${number(frame.noiseKpa, 2)} kPa` : "\u2013");
+    say(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
+    say(at.sequence, frame ? String(frame.sequence) : "\u2013");
+  }
+
+  /** @param {Status|null} status */
+  status(status) {
+    const at = this._at;
+    say(at.ran, status?.ran ? methodTitle(status.ran) : "\u2013");
+    say(at.why, status?.why ?? "");
+    say(at.rate, status ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
+    for (const [kind, element] of this._loss) {
+      const count = status ? status.loss[/** @type {keyof import("./api.js").Loss} */ (kind)] : 0;
+      say(element, status ? String(count) : "\u2013");
+      element.classList.toggle("some", count > 0);
+    }
+    const warnings = status?.warnings ?? [];
+    const joined = warnings.join("\n");
+    if (joined === this._warned) return;
+    this._warned = joined;
+    this._warnings.replaceChildren(...warnings.map((each) => {
+      const item = document.createElement("li");
+      item.textContent = each;
+      return item;
+    }));
+  }
+
+  /**
+   * @param {number} fps
+   * @param {number} latencyMs NaN where the picture is not live
+   * @param {number} skewS how far the two clocks are apart, s; 0 where they agree
+   */
+  pace(fps, latencyMs, skewS) {
+    say(this._at.fps, `${fixed(fps, 0)} fps`);
+    say(this._at.latency, Number.isFinite(latencyMs) ? `${fixed(latencyMs, 0)} ms` : "\u2013");
+    this._at.latency.title = skewS
+      ? `This browser's clock is ${fixed(skewS, 1)} s off the service's: the way over the network is left out` : "";
+  }
+}
+
+/**
+ * @param {number} microseconds
+ * @returns {string}
+ */
+function time(microseconds) {
+  return microseconds < 1000 ? `${fixed(microseconds, 0)} µs` : `${fixed(microseconds / 1000, 2)} ms`;
+}

@@ -1,0 +1,87 @@
+/**
+ * One tab a sensor, each with its state.
+ * @module
+ */
+
+import { byId, say } from "./paint.js";
+
+/** @typedef {import("./api.js").Sensor} Sensor */
+
+export class Tabs {
+  /** @param {(name: string) => void} onChoose */
+  constructor(onChoose) {
+    this._onChoose = onChoose;
+    this._list = byId("tabs");
+    /** @type {Map<string, HTMLButtonElement>} */
+    this._tabs = new Map();
+    this._list.addEventListener("keydown", (event) => this._move(event));
+  }
+
+  /** @returns {string[]} */
+  get names() {
+    return [...this._tabs.keys()];
+  }
+
+  /** @param {Sensor[]} sensors */
+  update(sensors) {
+    const names = sensors.map((each) => each.name);
+    if (names.join("\n") !== this.names.join("\n")) this._build(names);
+    for (const sensor of sensors) this.mark(sensor.name, sensor.state);
+  }
+
+  /**
+   * @param {string} name
+   * @param {string} state
+   */
+  mark(name, state) {
+    const tab = this._tabs.get(name);
+    if (!tab || tab.dataset.state === state) return;
+    tab.dataset.state = state;
+    say(/** @type {Element} */ (tab.lastElementChild), state === "live" ? "" : state);
+  }
+
+  /** @param {string} name */
+  choose(name) {
+    for (const [each, tab] of this._tabs) {
+      tab.setAttribute("aria-selected", String(each === name));
+      tab.tabIndex = each === name ? 0 : -1;
+    }
+  }
+
+  /** @param {string[]} names */
+  _build(names) {
+    this._tabs.clear();
+    this._list.replaceChildren();
+    for (const name of names) {
+      const tab = document.createElement("button");
+      tab.type = "button";
+      tab.setAttribute("role", "tab");
+      tab.setAttribute("aria-controls", "main");
+      tab.setAttribute("aria-selected", "false");
+      const dot = document.createElement("span");
+      dot.className = "dot";
+      dot.setAttribute("aria-hidden", "true");
+      const title = document.createElement("span");
+      title.textContent = name;
+      const state = document.createElement("span");
+      state.className = "sub";
+      tab.append(dot, title, state);
+      tab.addEventListener("click", () => this._onChoose(name));
+      this._tabs.set(name, tab);
+      this._list.append(tab);
+    }
+  }
+
+  /** @param {KeyboardEvent} event */
+  _move(event) {
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    const names = this.names;
+    const now = names.findIndex((each) => this._tabs.get(each) === document.activeElement);
+    if (!step || now < 0 || names.length < 2) return;
+    event.stopPropagation();
+    event.preventDefault();
+    const next = names[(now + step + names.length) % names.length];
+    this._onChoose(next);
+    this._tabs.get(next)?.focus();
+  }
+}
