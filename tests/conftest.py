@@ -1,3 +1,4 @@
+import re
 import threading
 import time
 
@@ -79,7 +80,7 @@ def until(true, seconds=5.0):
 
 @pytest.fixture
 def rig(request):
-    made = Rig(request.node.name)
+    made = Rig(re.sub(r"\W", "-", request.node.name))
     made.service.start()
     yield made
     made.service.stop()

@@ -58,7 +58,7 @@ def measure(service: Service, settings: Config, source: Source, rate_hz: float, 
     context = multiprocessing.get_context("spawn")
     receive, give = context.Pipe(duplex=False)
     service.start()
-    with running(service, "127.0.0.1", 0) as url:
+    with running(service) as url:
         stream = (
             f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{next(iter(service.sensors))}/stream?kinds=restored"
         )

@@ -2,18 +2,21 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from secrets import token_urlsafe
 from threading import Event, Thread
 from typing import Annotated
 
 import typer
+from pydantic import SecretStr
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli.app import app
-from tactiled.config import Config, parse
+from tactiled.config import Config, Server, parse
 from tactiled.config.build import make_stack
 from tactiled.config.example import EXAMPLE, GRASP
+from tactiled.config.schema import LOOPBACK
 from tactiled.cover.kernel import solve
 from tactiled.service import Sensor, Service
 from tactiled.simulate import Player, play, player
@@ -45,7 +48,16 @@ def demo(
         (sensor,) = service.sensors.values()
         source = _recorded(record) if record else _played(simulated(config, sensor, scene), rate_hz)
         with running(service, config, source):
-            serve(service, host, port)
+            serve(service, _server(host, port))
+
+
+def _server(host: str, port: int) -> Server:
+    """Where to serve; beyond loopback with a token made for this run."""
+    if host in LOOPBACK:
+        return Server(host=host, port=port)
+    token = token_urlsafe(12)
+    print(f"tactiled: other machines open http://{host}:{port}/?token={token}")
+    return Server(host=host, port=port, control_token=SecretStr(token))
 
 
 def demo_config(record: str | None = None) -> Config:

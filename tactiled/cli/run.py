@@ -20,6 +20,6 @@ def run(config: Annotated[Path, typer.Argument(help="Configuration file (TOML)."
         service = Service(settings)
         service.start()
         try:
-            serve(service, settings.server.host, settings.server.port)
+            serve(service, settings.server)
         finally:
             service.stop()

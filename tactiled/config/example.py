@@ -4,8 +4,12 @@ EXAMPLE = """\
 # tactiled configuration. Units stand in the keys: mm, MPa, kPa, s.
 
 [server]
-host = "127.0.0.1"          # loopback only; see "Security" in the README before you change it
+host = "127.0.0.1"          # loopback only; any other address needs control_token
 port = 8000
+# read_token = "…"          # 16 characters or more: a client shows it to see images
+# control_token = "…"       # and this one to change anything as well
+# tls_certificate = "/etc/tactiled/cert.pem"
+# tls_key = "/etc/tactiled/key.pem"
 
 # One table a CAN bus. `interface` and `channel` are python-can's, and so is any further key:
 #   socketcan (can0), slcan (/dev/ttyUSB0), pcan (PCAN_USBBUS1), kvaser (0), udp_multicast, virtual, ...

@@ -54,6 +54,10 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: unknown key{_meant(str(fault['loc'][-1]))}"
     if fault["type"] == "missing":
         return f"{place}: missing"
+    if fault["type"] == "value_error":  # of a whole table, whose values may be secrets
+        return f"{place}: {fault['msg'].removeprefix('Value error, ')}"
+    if place.endswith("_token"):
+        return f"{place}: {fault['msg']}"
     return f"{place} = {_short(fault['input'])}: {fault['msg']}"
 
 

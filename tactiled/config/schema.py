@@ -1,8 +1,9 @@
 """What a configuration file may say: every key, its unit in its name, its bounds."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
@@ -14,11 +15,36 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+Token = Annotated[SecretStr, Field(min_length=16, max_length=200)]
+
+
 class Server(Section):
-    """Where HTTP clients find the service."""
+    """Where HTTP clients find the service, and what they must show."""
 
     host: str = "127.0.0.1"
     port: int = Field(8000, ge=0, le=65535)
+    read_token: Token | None = None  # to see images
+    control_token: Token | None = None  # to see them and to change methods and tare
+    tls_certificate: Path | None = None  # PEM
+    tls_key: Path | None = None  # PEM
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        return self.host in LOOPBACK
+
+    @model_validator(mode="after")
+    def _open_to_the_network(self) -> "Server":
+        if not self.loopback and self.control_token is None:
+            raise ValueError(
+                "other machines could reach it: give control_token, a secret of 16 characters or more"
+            )
+        if self.read_token is not None and self.control_token is None:
+            raise ValueError("read_token without control_token: anyone could control it: give both")
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            raise ValueError("tls_certificate and tls_key: give both or neither")
+        return self
 
 
 class Bus(BaseModel):

@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
 from tactiled import __version__
+from tactiled.config import Server
 from tactiled.errors import UnknownSensorError
 from tactiled.service import Service
 from tactiled.web import problems, stream
@@ -24,8 +25,8 @@ ABOUT = """Raw and restored pressure images of covered tactile arrays.
 Live images: `WS /api/v1/sensors/{name}/stream`, described in the README."""
 
 
-def create(service: Service, loopback: bool = True) -> FastAPI:
-    """Make the application of a service; on `loopback` it answers to loopback's names only."""
+def create(service: Service, server: Server) -> FastAPI:
+    """Make the application of a service."""
     feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
 
     @asynccontextmanager
@@ -65,7 +66,7 @@ def create(service: Service, loopback: bool = True) -> FastAPI:
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(Guard, loopback=loopback)
+    app.add_middleware(Guard, server=server)
     return app
 
 

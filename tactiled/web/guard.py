@@ -2,10 +2,16 @@
 
 from urllib.parse import urlsplit
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers, MutableHeaders, QueryParams
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from tactiled.config import Server
+from tactiled.config.schema import LOOPBACK
 from tactiled.web import problems
+from tactiled.web.keys import COOKIE, Keys
+
+Refusal = tuple[int, str]
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -18,50 +24,74 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-FORBIDDEN = 4403
+FORBIDDEN, UNAUTHORIZED = 4403, 4401  # close codes of streams, after HTTP's
+SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+ALONE = "; HttpOnly; SameSite=Strict; Path=/"
 
 
 class Guard:
-    """Refuses a page of another origin, and on loopback a host name that is not loopback's (DNS rebinding)."""
+    """Refuses pages of another origin, a foreign host name on loopback (DNS rebinding), and a missing token."""
 
-    def __init__(self, app: ASGIApp, loopback: bool) -> None:
-        self._app, self._loopback = app, loopback
+    def __init__(self, app: ASGIApp, server: Server) -> None:
+        self._app, self._server, self._keys = app, server, Keys(server)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        refusal = self._refusal(Headers(scope=scope))
+        headers, query = Headers(scope=scope), QueryParams(scope["query_string"])
+        refusal = self._stranger(headers) or self._keyless(scope, headers, query)
         if scope["type"] == "websocket":
             await (_close(refusal, receive, send) if refusal else self._app(scope, receive, send))
             return
 
         async def guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
+                answer = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
+                    answer.setdefault(name, value)
             await send(message)
 
-        app = problems.response(403, refusal) if refusal else self._app
+        app = self._app
+        if refusal:
+            app = problems.response(*refusal, {"WWW-Authenticate": "Bearer"} if refusal[0] == 401 else None)
+        elif self._keys.needed and scope["path"] == "/" and "token" in query:
+            app = self._welcome(query["token"])
         await app(scope, receive, guarded)
 
-    def _refusal(self, headers: Headers) -> str:
-        """Why not, or nothing."""
+    def _stranger(self, headers: Headers) -> Refusal | None:
+        """Why a request from elsewhere is refused."""
         host = headers.get("host", "")
         name = urlsplit(f"//{host}").hostname or ""
-        if self._loopback and name not in LOOPBACK:
-            return f"Host: {host}: this service answers to localhost only"
+        if self._server.loopback and name not in LOOPBACK:
+            return 403, f"Host: {host}: this service answers to localhost only"
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
-            return f"Origin: {origin}: pages of another site may not use this service"
-        return ""
+            return 403, f"Origin: {origin}: pages of another site may not use this service"
+        return None
+
+    def _keyless(self, scope: Scope, headers: Headers, query: QueryParams) -> Refusal | None:
+        """Why a request without the token that it needs is refused."""
+        allowed = self._keys.allowed(headers, query)
+        if "read" not in allowed:
+            return 401, "a token is needed: Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
+        if scope.get("method", "GET") not in SAFE and "control" not in allowed:
+            return 403, "this token reads only: show the control token to change anything"
+        return None
+
+    def _welcome(self, token: str) -> Response:
+        """Keep a token in a cookie that no script can read, and out of the address."""
+        answer = Response(status_code=303, headers={"Location": "/", "Cache-Control": "no-store"})
+        secure = "; Secure" if self._server.tls_certificate else ""
+        answer.headers["Set-Cookie"] = f"{COOKIE}={token}{ALONE}{secure}"
+        return answer
 
 
-async def _close(reason: str, receive: Receive, send: Send) -> None:
+async def _close(refusal: Refusal, receive: Receive, send: Send) -> None:
     """Accept, so that the client can be told why, and close."""
+    status, reason = refusal
     await receive()
     await send({"type": "websocket.accept"})
-    await send({"type": "websocket.close", "code": FORBIDDEN, "reason": reason[:120]})
+    code = UNAUTHORIZED if status == 401 else FORBIDDEN
+    await send({"type": "websocket.close", "code": code, "reason": reason[:120]})

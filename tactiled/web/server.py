@@ -10,18 +10,19 @@ from contextlib import contextmanager
 
 import uvicorn
 
+from tactiled.config import Server
 from tactiled.errors import TactileError
 from tactiled.service import Service
 from tactiled.web.app import create
 from tactiled.web.flow import PacedWebSocket
-from tactiled.web.guard import LOOPBACK
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def _listen(at: Server) -> socket.socket:
     """Take the port; TactileError, one line, where it cannot be had."""
+    host, port = at.host, at.port
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except socket.gaierror as error:
@@ -41,33 +42,39 @@ def _listen(host: str, port: int) -> socket.socket:
     return listener
 
 
-def _server(service: Service, loopback: bool) -> uvicorn.Server:
+def _server(service: Service, at: Server) -> uvicorn.Server:
     sys.setswitchinterval(SWITCH_S)
+    for path in (at.tls_certificate, at.tls_key):
+        if path is not None and not path.is_file():
+            raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
     return uvicorn.Server(
         uvicorn.Config(
-            create(service, loopback),
+            create(service, at),
             ws=PacedWebSocket,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
             log_level="warning",
             access_log=False,
             timeout_graceful_shutdown=2,
             server_header=False,
+            ssl_certfile=at.tls_certificate,
+            ssl_keyfile=at.tls_key,
         )
     )
 
 
-def _url(listener: socket.socket) -> str:
+def _url(listener: socket.socket, at: Server) -> str:
     host, port = listener.getsockname()[:2]
     shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
-    return f"http://{shown}:{port}"
+    return f"{'https' if at.tls_certificate else 'http'}://{shown}:{port}"
 
 
-def serve(service: Service, host: str, port: int) -> None:
+def serve(service: Service, at: Server) -> None:
     """Serve until interrupted; TactileError where the address cannot be had."""
-    listener = _listen(host, port)
-    print(f"tactiled: {', '.join(service.sensors)} live at {_url(listener)}/ (stop: Ctrl-C)", flush=True)
+    listener = _listen(at)
     try:
-        _server(service, host in LOOPBACK).run(sockets=[listener])
+        server = _server(service, at)
+        print(f"tactiled: {', '.join(service.sensors)} live at {_url(listener, at)}/ (stop: Ctrl-C)", flush=True)
+        server.run(sockets=[listener])
     except KeyboardInterrupt:
         return
     finally:
@@ -75,19 +82,20 @@ def serve(service: Service, host: str, port: int) -> None:
 
 
 @contextmanager
-def running(service: Service, host: str = "127.0.0.1", port: int = 0) -> Iterator[str]:
-    """Serve on a thread meanwhile; gives the server's URL."""
-    listener = _listen(host, port)
-    server = _server(service, host in LOOPBACK)
+def running(service: Service, at: Server | None = None) -> Iterator[str]:
+    """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
+    at = at or Server(port=0)
+    listener = _listen(at)
+    server = _server(service, at)
     thread = threading.Thread(target=server.run, args=([listener],), name="server", daemon=True)
     thread.start()
     end = time.monotonic() + START_S
     while not server.started:
         if not thread.is_alive() or time.monotonic() > end:
-            raise TactileError(f"server at {_url(listener)} did not start")
+            raise TactileError(f"server at {_url(listener, at)} did not start")
         time.sleep(0.005)
     try:
-        yield _url(listener)
+        yield _url(listener, at)
     finally:
         server.should_exit = True
         thread.join()

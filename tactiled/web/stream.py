@@ -13,7 +13,7 @@ from tactiled.web import forms
 from tactiled.web.feed import Feed
 from tactiled.web.wire import KINDS, Kind
 
-BAD_REQUEST, NOT_FOUND, FORBIDDEN = 4400, 4404, 4403  # close codes, after HTTP's
+BAD_REQUEST, NOT_FOUND = 4400, 4404  # close codes, after HTTP's
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
 CHANGE_S = 0.1  # and of a change no more often than this
 MOST = 64 * 1024  # bytes of a client's message
@@ -31,7 +31,7 @@ class Wish:
 
 def wish(query: Mapping[str, str]) -> Wish:
     """Read the address's query; ValueError that names the parameter and its value."""
-    unknown = set(query) - {"kinds", "rate_hz", "format", "flow"}
+    unknown = set(query) - {"kinds", "rate_hz", "format", "flow", "token"}
     if unknown:
         raise ValueError(f"{min(unknown)}: no such parameter: there are kinds, rate_hz, format, flow")
     kinds = tuple(query.get("kinds", "raw,restored").split(","))
