@@ -22,7 +22,8 @@ Floats = NDArray[np.float64]
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
 FOOTPRINT = 0.25  # the footprint's radius, and
 CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
-GROWTHS = 0.5 / 2 ** np.arange(0, 5.1, 0.5)  # element size over distance from the core's far side, level by level
+COARSEST = 0.5  # element size over distance from the core's far side, outwards and downwards, and its
+LEVELS = [(COARSEST * 2**-step, COARSEST * 2 ** (-step / 2)) for step in np.arange(0, 5.1, 0.5)]  # refinement
 FEWEST = 0.5  # elements through a layer, over the growth
 SHRINK = 1.0  # the error of a level over its difference from the level before, at worst: on coarse ones
 NEAR = 10.0  # radius of the disc over the stack's thickness, to begin with
@@ -31,7 +32,7 @@ COARSE = 5e-3  # the accuracy of a coarse mesh
 LOW = 17  # frequencies that tell whether the disc samples the low end closely enough
 SAMPLES = 48  # frequencies a decade
 FINEST = 1e-6  # the interpolation between frequencies is no better
-LARGEST = 60_000  # unknowns
+LARGEST = 120_000  # unknowns
 WIDEST = 1e5  # radius of the disc over the stack's thickness
 
 
@@ -70,8 +71,8 @@ def solve(
     end, reach = _survey(stack, profile, radius, accuracy, late)
     q = _frequencies(reach, end)
     before, error = np.full_like(q, np.inf), np.inf
-    for growth in GROWTHS:
-        mesh = _mesh(stack, profile, reach, CORE / end, growth)
+    for growths in LEVELS:
+        mesh = _mesh(stack, profile, reach, CORE / end, *growths)
         if mesh.unknowns > LARGEST:
             break
         gain = _gain(stack, mesh, FOOTPRINT / end, q)
@@ -103,7 +104,7 @@ def _survey(
     falling = True
     while reach < WIDEST * _extent(stack, profile):
         q = _frequencies(reach, end)
-        gain = _gain(stack, _mesh(stack, profile, reach, CORE / end, GROWTHS[0]), FOOTPRINT / end, q)
+        gain = _gain(stack, _mesh(stack, profile, reach, CORE / end, *LEVELS[0]), FOOTPRINT / end, q)
         last = _last(q, gain, COARSE)
         if abs(1 - gain[1]) > BEND or _between(q[:LOW], gain[:LOW]) > accuracy / 4:
             if radius is not None:
@@ -164,18 +165,22 @@ def _gain(stack: Stack, mesh: elements.Mesh, radius: float, q: Floats) -> Floats
     return felt / given
 
 
-def _mesh(stack: Stack, profile: Profile | None, reach: float, core: float, growth: float) -> elements.Mesh:
-    """Grade a mesh from the load outwards and downwards, bent to the profile in the top layer."""
-    fewest = int(np.ceil(FEWEST / growth))
+def _mesh(
+    stack: Stack, profile: Profile | None, reach: float, core: float, outwards: float, downwards: float
+) -> elements.Mesh:
+    """Grade a mesh from the load outwards and downwards, bent to the profile in the top layer.
+
+    Hard skins that bend over foam need many elements outwards but no more downwards, where levels refine by less.
+    """
     corners = profile.radius if profile else (0.0,)
     r = np.concatenate(
         [
             [0.0],
-            *(_between_corners(*ends, core, growth) for ends in pairwise(corners)),
-            _graded(corners[-1], reach, core, growth, fewest, corners[-1]),
+            *(_between_corners(*ends, core, outwards) for ends in pairwise(corners)),
+            _graded(corners[-1], reach, core, outwards, corners[-1]),
         ]
     )
-    parts = [_graded(*ends, core, growth, fewest, 0.0) for ends in pairwise(stack.faces)]
+    parts = [_graded(*ends, core, downwards, 0.0) for ends in pairwise(stack.faces)]
     z = np.tile(np.concatenate([[0.0], *parts]), (len(r), 1))
     if profile:
         cover = stack.layers[0].thickness
@@ -184,9 +189,10 @@ def _mesh(stack: Stack, profile: Profile | None, reach: float, core: float, grow
     return elements.Mesh(r, z, (0, *np.cumsum([len(part) for part in parts]).tolist()))
 
 
-def _graded(start: float, stop: float, core: float, growth: float, fewest: int, origin: float) -> Floats:
+def _graded(start: float, stop: float, core: float, growth: float, origin: float) -> Floats:
     """Give the ends of elements from `start` to `stop`, each `growth` times as long as it is far from `origin`."""
     first, last = start - origin + core, stop - origin + core
+    fewest = int(np.ceil(FEWEST / growth))
     count = max(fewest, int(np.ceil(np.log(last / first) / np.log1p(growth))))
     ends = np.geomspace(first, last, count + 1)[1:] - core + origin
     ends[-1] = stop
@@ -196,7 +202,7 @@ def _graded(start: float, stop: float, core: float, growth: float, fewest: int, 
 def _between_corners(start: float, stop: float, core: float, growth: float) -> Floats:
     """Grade from both corners of a profile to the middle."""
     half = (stop - start) / 2
-    out = _graded(0.0, half, core, growth, 1, 0.0)
+    out = _graded(0.0, half, core, growth, 0.0)
     return start + np.concatenate([out, (2 * half - out[:-1])[::-1], [2 * half]])
 
 

@@ -58,10 +58,18 @@ def test_gain_converges_at_twice_the_degree(paper, poisson):
     stack, growths = paper(poisson=poisson), np.array([0.5, 0.25, 0.125])
     q = fem._frequencies(12.0, 7.0)
     exact = layered.gain(stack, q)
-    meshes = [fem._mesh(stack, None, 12.0, 0.1, growth) for growth in growths]
+    meshes = [fem._mesh(stack, None, 12.0, 0.1, growth, growth) for growth in growths]
     errors = [np.sqrt(np.mean((fem._gain(stack, mesh, 0.035, q) - exact) ** 2)) for mesh in meshes]
     slope = np.polyfit(np.log(np.log1p(growths)), np.log(errors), 1)[0]
     assert slope > 5
+
+
+@pytest.mark.parametrize("sensing", [1, 2, 3])
+def test_hard_skins_that_bend_over_soft_ones(sensing):
+    hard = Layer(0.5, 8_400.0, 0.4996), Layer(0.7, 4_200.0, 0.4988)
+    stack = Stack((*hard, Layer(2.2, 57.0, 0.3), Layer(6.2, 2.6, 0.4999)), sensing)
+    found = fem.solve(stack, 1e-3)
+    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
 
 
 def test_loads_of_a_flat_profile_change_nothing(paper):
