@@ -1,0 +1,52 @@
+import shutil
+import time
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+
+@pytest.fixture(scope="session")
+def browser():
+    path = shutil.which("chromium")
+    assert path, "no chromium: sh tests/run installs it"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Opens the viewer; at the end, nothing may have gone wrong in the page."""
+    contexts, faults = [], []
+
+    def open_page(url, width=1280, height=860):
+        context = browser.new_context(viewport={"width": width, "height": height})
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+        page.on("request", lambda request: faults.append(request.url) if not local(request.url, url) else None)
+        page.faults = faults
+        page.goto(url)
+
+        wait(page, "Number(document.documentElement.dataset.painted) > 0")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert faults == []
+
+
+def wait(page, true, seconds=10.0):
+    """Wait until an expression is true in the page (the page's own policy forbids Playwright's way)."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(true):
+        assert time.monotonic() < end, f"never: {true}"
+        page.wait_for_timeout(20)
+
+
+def local(address, url):
+    """Whether a request stays with the service."""
+    return address.startswith((url, url.replace("http", "ws", 1), "blob:", "data:"))
