@@ -2,6 +2,7 @@
 
 from tactiled.cli import bench_bus as bench_bus
 from tactiled.cli import bench_cover as bench_cover
+from tactiled.cli import bench_frontier as bench_frontier
 from tactiled.cli import bench_latency as bench_latency
 from tactiled.cli import bench_restore as bench_restore
 from tactiled.cli import check as check

@@ -1,0 +1,114 @@
+"""A skin to measure on: an array under a cover, blurred exactly, restored with what a user would have solved."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bench.truth import APERTURE, DRAWN, psf_of, stack
+from tactiled.config import load
+from tactiled.config.build import make_array, make_blur, make_stack
+from tactiled.cover.kernel import cached, solve
+from tactiled.cover.operator import stencil
+from tactiled.cover.stack import Stack
+from tactiled.errors import ConfigError
+from tactiled.geometry import Array, grid
+from tactiled.restore.blur import Blur
+from tactiled.simulate.array import FINER, Surface
+
+Floats = NDArray[np.float64]
+Frames = NDArray[np.float32]
+
+STEP = 0.1  # pitches that a scene moves from one frame of its film to the next
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """An array under a cover: the surface that blurs scenes exactly, and the operators that undo it."""
+
+    name: str
+    thickness: float  # pitches, of all that lies over the taxels
+    array: Array
+    surface: Surface
+    blur: Blur
+    psf: Floats | None  # odd; None where the array is no grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Film:
+    """Successive frames of one scene and the truth under each, kPa."""
+
+    scene: str
+    sigma: float  # kPa, a taxel's standard deviation
+    frames: Frames
+    truths: Floats  # means over cells of the pitch
+
+
+def rubber(thickness: float, size: int, true: Stack | None = None) -> Skin:
+    """Lay rubber, `thickness` pitches, over size x size taxels; `true` blurs where it is not as believed."""
+    array = grid(size, size, 1.0, APERTURE)
+    believed = stack(thickness)
+    return _skin(f"t/pitch {thickness:g}", thickness, array, true or believed, believed)
+
+
+def changed(thickness: float, /, **cover: float) -> Stack:
+    """The rubber cover and its board, the cover's `thickness`, `young` or `poisson` another."""
+    over, board = stack(thickness).layers
+    return Stack((replace(over, **cover), board))
+
+
+def configured(path: Path, sensor: str | None = None) -> Skin:
+    """Take a sensor of a configuration, the first if none is named; ConfigError where there is none."""
+    sensors = load(path).sensor
+    name = sensor or next(iter(sensors))
+    if name not in sensors:
+        raise ConfigError(f"{path}: no sensor {name!r}: choose one of {', '.join(sensors)}")
+    chosen = sensors[name]
+    array, under = make_array(chosen), make_stack(chosen)
+    thickness = sum(layer.thickness_mm for layer in chosen.cover) / array.pitch
+    made = _skin(name, thickness, array, under, under)
+    if min(array.frame_shape) < 2:
+        raise ConfigError(
+            f"{path}: sensor {name} has a single line of taxels: measure on one with both dimensions"
+        )
+    return made
+
+
+def _skin(name: str, thickness: float, array: Array, true: Stack, believed: Stack) -> Skin:
+    solved = cached(believed)
+    psf = None if array.shape is None else psf_of(stencil(solved, array))
+    return Skin(name, thickness, array, Surface(solve(true, "layered"), array), make_blur(solved, array, 1), psf)
+
+
+def films(skin: Skin, noise: float, count: int, seed: int, scenes: tuple[str, ...] = ()) -> Iterator[Film]:
+    """Film every scene, `count` frames long, with white noise of `noise` of its first frame's peak."""
+    for scene in scenes or DRAWN:
+        fine = [drawn(skin, scene, seed, STEP * n) for n in range(count)]
+        clean = np.stack([skin.surface.sense(each).reshape(skin.array.frame_shape) for each in fine])
+        sigma = noise * float(clean[0].max())
+        random = np.random.default_rng([seed, 1, int(1e6 * noise)])
+        frames = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
+        yield Film(scene, sigma, frames, np.stack([means(skin, each) for each in fine]))
+
+
+def drawn(skin: Skin, scene: str, seed: int, along: float = 0.0, down: float = 0.0) -> Floats:
+    """Draw a scene on the fine cells, moved by `along` and `down` pitches."""
+    x, y = skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
+    return DRAWN[scene](x - along, y - down, np.random.default_rng([seed, 0]))
+
+
+def means(skin: Skin, fine: Floats) -> Floats:
+    """Mean of fine cells over each restored cell: a square of the pitch around every taxel."""
+    if skin.array.shape is not None:
+        rows, columns = skin.array.shape
+        return np.asarray(fine.reshape(rows, FINER, columns, FINER).mean(axis=(1, 3)))
+    low, high = skin.array.positions.min(axis=0), skin.array.positions.max(axis=0)
+    places = skin.array.positions - (low + high) / 2
+    x, y = skin.surface.x[0], skin.surface.y[:, 0]
+    half = skin.array.pitch / 2
+    rows_of = (np.abs(y[None] - places[:, 1:]) <= half).astype(float)
+    columns_of = (np.abs(x[None] - places[:, :1]) <= half).astype(float)
+    inside = np.maximum(rows_of.sum(1) * columns_of.sum(1), 1)
+    return np.asarray(np.einsum("ni,ij,nj->n", rows_of, fine, columns_of, optimize=True) / inside)

@@ -1,0 +1,65 @@
+"""`tactiled bench frontier`: which method is worth its time, under which cover and noise."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from tactiled.bench.machine import describe
+from tactiled.cli.app import bench
+from tactiled.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tactiled.bench import frontier as measure
+
+
+@bench.command()
+def frontier(
+    config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for frontier.svg, .csv and .json.")] = Path("bench"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer covers, noises and frames.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
+) -> None:
+    """Chart error against time for every method of ours and for scikit-image's, in one run on one thread."""
+    from tactiled.bench import frontier as measure  # matplotlib and scikit-image take a second
+    from tactiled.bench.frontier_chart import draw
+    from tactiled.bench.skin import configured, rubber
+
+    effort = measure.QUICK if quick else measure.Effort()
+    folder = made(out)
+    with threadpool_limits(1):
+        skins = [configured(config, sensor)] if config else [rubber(t, effort.size) for t in effort.covers]
+        count = len(skins) * len(effort.noises)
+        found = list(track(measure.panels(skins, effort, seed), "Frontier", count, transient=True))
+    measure.write(folder, found, seed)
+    draw(folder / "frontier.svg", found)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(_table(found))
+    console.print(f"Seed {seed}. One thread. {describe()}")
+    console.print(f"Written: {folder}/frontier.svg, frontier.csv, frontier.json")
+
+
+def made(folder: Path) -> Path:
+    """Make a folder for results; ConfigError where it cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
+    return folder
+
+
+def _table(found: "list[measure.Panel]") -> Table:
+    table = Table(title="NRMSE, and median µs a frame", title_justify="left")
+    table.add_column("method")
+    for one in found:
+        table.add_column(f"{one.skin}\n{100 * one.noise:g} %", justify="right")
+    for mark in found[0].marks:
+        cells = (one.mark(mark.method) for one in found)
+        table.add_row(mark.method, *(f"{'*' if c.front else ''}{c.nrmse:.3f}\n{c.median:.0f}" for c in cells))
+    table.caption = "* on the Pareto front"
+    return table
