@@ -1,12 +1,18 @@
 """From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tactiled.bus.codecs import Codec
+from tactiled.bus.codecs.barrett import Barrett
+from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import NO_LOAD, Icub
+from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.poweron import PowerOn
+from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.config import schema
@@ -18,6 +24,14 @@ from tactiled.geometry import Array, grid, layout
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import require
 
+SKINS: dict[str, Callable[..., Codec]] = {
+    "icub": Icub,
+    "xela": Xela,
+    "barrett": Barrett,
+    "poweron": PowerOn,
+    "cyskin": CySkin,
+    "linker": Linker,
+}
 UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
 
 
@@ -113,9 +127,10 @@ def _refuse(array: schema.Array, *keys: str) -> None:
 
 def make_codec(sensor: schema.Sensor) -> Codec:
     """The codec of a sensor; ConfigError where the array is larger than it can carry."""
-    if isinstance(sensor.codec, schema.Icub):
-        return _icub(sensor.codec)
-    return Packed(make_array(sensor).size, **sensor.codec.model_dump(exclude={"name"}))
+    settings = sensor.codec.model_dump(exclude={"name"})
+    if isinstance(sensor.codec, schema.Packed):
+        return Packed(make_array(sensor).size, **settings)
+    return SKINS[sensor.codec.name](**settings)
 
 
 def _icub(codec: schema.Icub) -> Icub:

@@ -6,17 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tactiled.config.schema import Array, Bus, Calibration, Config, Icub, Kernel, Layer, Packed, Sensor, Server
+from tactiled.config.schema import Bus, Config, Section
 from tactiled.errors import ConfigError
 
-_KNOWN = {
-    key
-    for section in (Array, Bus, Calibration, Config, Icub, Kernel, Layer, Packed, Sensor, Server)
-    for key in section.model_fields
-}
+_SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())
+_KNOWN = {key for section in _SECTIONS for key in section.model_fields}
 
 
 def load(path: Path) -> Config:
@@ -67,7 +64,7 @@ def _place(loc: Sequence[int | str]) -> str:
     tagged = [
         part
         for at, part in enumerate(parts)
-        if not (at and parts[at - 1] == ".codec" and part in (".packed", ".icub"))
+        if not (at == 3 and parts[2] == ".codec")  # sensor.NAME.codec.TAG
     ]
     return "".join(tagged).lstrip(".")
 

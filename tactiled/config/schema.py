@@ -114,6 +114,47 @@ class Icub(Section):
     thermal_pads: bool = True  # false: pads 6 and 10 are taxels too, as on a fingertip
 
 
+class Xela(Section):
+    """XELA uSkin: the normal axis of one module."""
+
+    name: Literal["xela"]
+    profile: Literal["current", "4x4-old", "4x4-new", "4x6-old", "single"] = "current"
+    controller: int = Field(1, ge=0, le=15)
+    rows: tuple[Annotated[int, Field(ge=0, le=7)], ...] = Field((4, 3, 2, 1), min_length=1)  # SDAs, top row first
+    columns: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1)  # taxels
+
+
+class Barrett(Section):
+    """BarrettHand pads."""
+
+    name: Literal["barrett"]
+    node: int = Field(ge=0, le=31)
+
+
+class PowerOn(Section):
+    """PowerON TouchDetect."""
+
+    name: Literal["poweron"]
+    base_id: int = Field(0x300, ge=0, le=0x7F4)
+
+
+class CySkin(Section):
+    """CySkin on a CPM-Finger."""
+
+    name: Literal["cyskin"]
+
+
+class Linker(Section):
+    """LinkerHand fingers."""
+
+    name: Literal["linker"]
+    hand: Literal["right", "left"] = "right"
+    fingers: tuple[Annotated[int, Field(ge=1, le=5)], ...] = Field((1,), min_length=1)  # 1 thumb ... 5 little
+
+
+Codec = Packed | Icub | Xela | Barrett | PowerOn | CySkin | Linker
+
+
 class Calibration(Section):
     """Counts to kPa."""
 
@@ -128,7 +169,7 @@ class Sensor(Section):
     """One array on one bus."""
 
     bus: Name
-    codec: Annotated[Packed | Icub, Field(discriminator="name")]
+    codec: Annotated[Codec, Field(discriminator="name")]
     array: Array = Array()
     cover: Layers
     substrate: Layers = ()

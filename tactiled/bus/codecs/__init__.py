@@ -36,8 +36,8 @@ class Codec(Protocol):
     def full_scale(self) -> int:
         """Largest count."""
 
-    def span(self, segment: int) -> slice:
-        """The taxels that a segment carries."""
+    def span(self, segment: int) -> slice | list[int]:
+        """The taxels that a segment carries, as an index into a frame."""
 
     def decode(self, message: Message) -> Reading:
         """What a message on one of `ids` says; CodecError if it says nothing that can be meant."""

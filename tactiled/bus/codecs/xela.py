@@ -1,0 +1,102 @@
+"""XELA uSkin: three axes a taxel, a message a taxel; the normal axis is the image.
+
+Source of the layout: the vendor's manual of the 4 x 6 module (August 2023) for today's ids; community drivers for
+those of older generations, whose payload is the same.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bus.codecs.plain import Plain
+from tactiled.errors import CodecError, ConfigError
+from tactiled.frames import Message, Reading
+
+STATUS = 0x83  # first byte of what `encode` makes
+REST = 0x4000  # counts of an axis that `encode` says nothing of
+OLDER = {
+    "4x4-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(4)),
+    "4x4-new": tuple(0x200 + 8 * row + column for row in range(4) for column in range(4)),
+    "4x6-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(6)),
+    "single": tuple(range(0x710, 0x720)),
+}
+
+
+@dataclass(frozen=True)
+class Xela(Plain):
+    """One module. In the profile "current" an id is SDA << 8 | taxel << 4 | microcontroller.
+
+    `rows` are the SDAs from the top row down, `columns` the taxels of each from left to right (the 4 x 6 module
+    with its connector on the left); the older profiles have fixed ids instead.
+    """
+
+    profile: str = "current"
+    controller: int = 1
+    rows: tuple[int, ...] = (4, 3, 2, 1)
+    columns: tuple[int, ...] = (5, 4, 3, 2, 1, 0)
+    taxels = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a profile that is not known, and an SDA or a taxel named twice."""
+        if self.profile != "current" and self.profile not in OLDER:
+            raise ConfigError(f"codec.profile = {self.profile!r}: choose current or one of {', '.join(OLDER)}")
+        if len(set(self._ids)) != len(self._ids):
+            raise ConfigError("codec.rows or codec.columns names an SDA or a taxel twice")
+
+    @cached_property
+    def _ids(self) -> tuple[int, ...]:
+        """The id of every taxel, row by row."""
+        if self.profile != "current":
+            return OLDER[self.profile]
+        return tuple(sda << 8 | taxel << 4 | self.controller for sda in self.rows for taxel in self.columns)
+
+    @cached_property
+    def _place(self) -> dict[int, int]:
+        return {id_: taxel for taxel, id_ in enumerate(self._ids)}
+
+    @property
+    def size(self) -> int:
+        """Taxels in a frame."""
+        return len(self._ids)
+
+    @property
+    def ordered(self) -> int:
+        """Segments that come in order: none is known to."""
+        return 1
+
+    @property
+    def full_scale(self) -> int:
+        """Largest count."""
+        return 0xFFFF
+
+    @property
+    def ids(self) -> frozenset[tuple[int, bool]]:
+        """The (id, extended) of the messages it listens to."""
+        return frozenset((id_, False) for id_ in self._ids)
+
+    def decode(self, message: Message) -> Reading:
+        """What one message says: a taxel's status, X, Y, Z and status, eight bytes."""
+        if message.fd or len(message.data) != 8 or message.id not in self._place:
+            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is no taxel's classic eight")
+        return Reading(message.time, self._place[message.id], message.data[1:7])
+
+    def axes(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+        """The counts of X, Y and Z (N, 3) of one frame; 0 where a segment is None."""
+        return self._bytes(payloads, 6).copy().view(">u2").astype(np.uint16)
+
+    def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+        """The counts of Z (N,), normal to the skin; 0 where a segment is None."""
+        return self.axes(payloads)[:, 2]
+
+    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+        """The messages of one frame (N,) without shear; the sequence number has no place in them."""
+        del sequence
+        axes = np.full((self.size, 3), REST, ">u2")
+        axes[:, 2] = self._checked(counts)
+        return [
+            Message(time, id_, bytes((STATUS, *one.tobytes(), 0)))
+            for id_, one in zip(self._ids, axes, strict=True)
+        ]
