@@ -31,16 +31,16 @@ class Idle:
     def __init__(self, scene: Scene) -> None:
         size = scene.flat.size
         self._ones = np.ones(size, np.float32)
+        self._scene = scene
         self._peak = scene.noise * (sqrt(2 * log(size + 1)) + 1.5)
         self._sum = SURE * scene.noise * sqrt(size)
 
     def __call__(self, y: Image, reach: float) -> bool:
         """Whether peak, trough and sum stay within `reach` times what noise does."""
-        flat = y.reshape(-1)
         peak = reach * self._peak
-        if flat[flat.argmax()] > peak or flat[flat.argmin()] < -peak:
+        if self._scene.high > peak or self._scene.low < -peak:
             return False
-        return abs(float(np.dot(self._ones, flat))) < reach * self._sum
+        return abs(float(np.dot(self._ones, y.reshape(-1)))) < reach * self._sum
 
 
 class Auto:

@@ -9,7 +9,7 @@ from tactiled.restore.solvers import conjugate_gradients
 
 UNKNOWN = MISSING | BAD | DEAD
 ROUNDS = 12  # of conjugate gradients: a lone dead taxel needs two or three
-HUGE = np.float32(1e12)  # kPa: beyond any sensor, and its square still fits float32
+HUGE = 1e12  # kPa: beyond any sensor, and its square still fits float32
 SCENE = (0.04, 1.5, 1e4)  # corner (cycles a cell), power and level over the noise of the scene that fills gaps
 
 
@@ -32,7 +32,8 @@ class Gaps:
 
     def fill(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Image:
         """Give the frame, each unknown taxel inferred, a saturated one not below its value; sets the masks."""
-        np.isfinite(frame, out=self.unknown)
+        np.abs(frame, out=self.frame)
+        np.less(self.frame, HUGE, out=self.unknown)
         np.logical_not(self.unknown, out=self.unknown)
         self.bounded[...] = False
         if flags is not None:
@@ -40,7 +41,6 @@ class Gaps:
             self.bounded |= ((flags & SATURATED) != 0) & ~self.unknown
         self.frame[...] = frame
         self.frame[self.unknown] = 0
-        np.clip(self.frame, -HUGE, HUGE, out=self.frame)
         open_ = self.unknown | self.bounded
         if open_.all():
             return self.frame

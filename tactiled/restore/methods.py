@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tactiled.errors import ConfigError
 from tactiled.restore.blur import Blur
 from tactiled.restore.choose import Auto
-from tactiled.restore.gaps import Gaps
+from tactiled.restore.gaps import HUGE, Gaps
 from tactiled.restore.linear import Wiener, deviation
 from tactiled.restore.lucy import Lucy
 from tactiled.restore.modes import Floats, Image
@@ -27,16 +27,16 @@ class Restorer:
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
         self._gaps = Gaps(blur.modes)
-        self._gappy = False
         self._run, self._forget = METHODS[method](self._scene)
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
         y = np.ascontiguousarray(frame, np.float32)
-        flat = y.reshape(-1)
-        self._gappy = not float(np.dot(flat, flat)) < np.inf or (flags is not None and bool(flags.any()))
-        if self._gappy:
+        scene = self._scene
+        scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
+        if not (scene.high < HUGE and scene.low > -HUGE) or (flags is not None and flags.any()):
             y = self._gaps.fill(y, flags)
+            scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
         return self._run(y)
 
     def reset(self) -> None:

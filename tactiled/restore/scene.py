@@ -40,6 +40,7 @@ class Scene:
         self._sure, self._agreed = SURE * noise_of_sum, AGREED * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
         self.number = 0  # of the spectrum in the prior
+        self.high = self.low = 0.0  # kPa, the frame's largest and smallest
         self._resolution: dict[int, float] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 

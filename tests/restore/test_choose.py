@@ -1,0 +1,100 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from tactiled.frames import DEAD
+from tactiled.restore.methods import make
+
+SIGMA = 0.5
+SHAPE = (24, 24)
+
+
+def bump(width, peak=60.0):
+    y, x = np.mgrid[:24, :24] - 11.7
+    return peak * np.exp(-(x**2 + y**2) / (2 * width**2))
+
+
+@pytest.fixture
+def sensed(covered):
+    """Noisy frames of a scene under a cover."""
+    random = np.random.default_rng(5)
+
+    def make_frame(truth, thickness=1.0, sigma=SIGMA):
+        clean = covered(SHAPE, thickness).forward(np.asarray(truth, float))
+        return (clean + random.normal(0, sigma, SHAPE)).astype(np.float32)
+
+    return make_frame
+
+
+def test_noise_alone_is_idle_and_its_image_zero(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    chosen = [auto(sensed(np.zeros(SHAPE))) for _ in range(200)]
+    assert sum(done.method == "idle" for done in chosen) >= 198
+    assert all(not done.image.any() for done in chosen if done.method == "idle")
+    assert all(done.iterations == 0 for done in chosen if done.method == "idle")
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [np.eye(24) * (np.arange(24) == 12) * 40.0, np.full(SHAPE, 0.2), np.full(SHAPE, -0.2)],
+    ids=["a point", "a faint uniform load", "a faint uniform drift"],
+)
+def test_what_stands_out_in_one_taxel_or_in_the_sum_is_not_idle(covered, sensed, truth):
+    assert make("auto", covered(SHAPE), SIGMA)(sensed(truth)).method != "idle"
+
+
+def test_raw_where_the_cover_hardly_matters(covered, sensed):
+    frame = sensed(bump(5, 20), 0.05)
+    done = make("auto", covered(SHAPE, 0.05), SIGMA)(frame)
+    assert done.method == "raw"
+    np.testing.assert_array_equal(done.image, frame)
+
+
+def test_linear_where_it_hardly_rings(covered, sensed):
+    assert make("auto", covered(SHAPE), SIGMA)(sensed(20 + bump(5))).method == "wiener"
+
+
+def test_non_negative_where_the_scene_is_sharp(covered, sensed):
+    truth = np.zeros(SHAPE)
+    truth[10:13, 10:13] = 100
+    done = make("auto", covered(SHAPE, 2.0), SIGMA)(sensed(truth, 2.0))
+    assert done.method == "nnls"
+    assert done.image.min() >= 0
+
+
+def test_every_choice_says_why_in_words(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    said = {auto(sensed(truth)).why for truth in (0 * bump(1), 20 + bump(5), bump(1))}
+    assert len(said) == 3
+    assert all(len(why.split()) > 5 for why in said)
+
+
+def test_a_scene_on_the_border_does_not_flicker(covered, sensed):
+    """Through the strength where the choice changes, it changes a few times, not at every other frame."""
+    auto = make("auto", covered(SHAPE), SIGMA)
+    methods = [auto(sensed(bump(3, peak))).method for peak in np.linspace(0, 40, 300)]
+    changes = sum(a != b for a, b in itertools.pairwise(methods))
+    assert methods[0] == "idle"
+    assert methods[-1] != "idle"
+    assert changes < 12
+
+
+def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    flags = np.zeros(SHAPE, np.uint8)
+    flags[3, 4] = DEAD
+    frame = sensed(np.zeros(SHAPE))
+    frame[3, 4] = 500
+    assert auto(frame, flags).method == "idle"
+
+
+def test_an_old_image_does_not_come_back(covered, sensed):
+    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
+    left, right = np.zeros(SHAPE), np.zeros(SHAPE)
+    left[10:13, 4:7], right[10:13, 17:20] = 100, 100
+    for _ in range(5):
+        auto(sensed(left, 2.0))
+    for _ in range(3):
+        image = auto(sensed(right, 2.0)).image
+    assert image[:, :10].sum() < 0.02 * image.sum()

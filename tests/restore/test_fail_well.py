@@ -1,0 +1,125 @@
+"""Frames and arrays that no one wants: never a NaN, never an explosion, never a warning (they are errors here)."""
+
+import numpy as np
+import pytest
+
+from tactiled.frames import DEAD, SATURATED
+from tactiled.restore.methods import METHODS, make
+
+SIGMA = 0.5
+BOUND = 200.0  # times the largest pressure that could be meant: no image may exceed it
+
+
+def noise(shape, seed=0):
+    return np.random.default_rng(seed).normal(0, SIGMA, shape).astype(np.float32)
+
+
+def single(shape):
+    frame = noise(shape)
+    frame.flat[frame.size // 2] = 200
+    return frame
+
+
+def spoiled(shape, value):
+    frame = single(shape)
+    frame.flat[:: max(frame.size // 7, 2)] = value
+    return frame
+
+
+FRAMES = {
+    "all zero": lambda shape: (np.zeros(shape, np.float32), None),
+    "noise": lambda shape: (noise(shape), None),
+    "uniform": lambda shape: (np.full(shape, 100, np.float32), None),
+    "single taxel": lambda shape: (single(shape), None),
+    "NaN": lambda shape: (spoiled(shape, np.nan), None),
+    "Inf": lambda shape: (spoiled(shape, np.inf), None),
+    "-Inf": lambda shape: (spoiled(shape, -np.inf), None),
+    "nothing but NaN": lambda shape: (np.full(shape, np.nan, np.float32), None),
+    "nothing but Inf": lambda shape: (np.full(shape, np.inf, np.float32), None),
+    "absurd": lambda shape: (spoiled(shape, 1e30), None),
+    "absurd both ways": lambda shape: (spoiled(shape, 3e38) * np.resize([1, -1], shape), None),
+    "huge": lambda shape: (spoiled(shape, 1e9), None),
+    "denormal": lambda shape: (np.full(shape, 1e-42, np.float32), None),
+    "all saturated": lambda shape: (np.full(shape, 200, np.float32), np.full(shape, SATURATED, np.uint8)),
+    "all dead": lambda shape: (noise(shape) + 100, np.full(shape, DEAD, np.uint8)),
+    "negative drift": lambda shape: (noise(shape) - 30, None),
+    "half negative": lambda shape: ((100 * np.sign(noise(shape))).astype(np.float32), None),
+    "chequered": lambda shape: (np.resize([100.0, 0.0, 0.0], shape).astype(np.float32), None),
+}
+ARRAYS = {
+    "grid": {"shape": (12, 10)},
+    "refined": {"shape": (7, 6), "refine": 2},
+    "layout": {"shape": (6, 6), "layout": True},
+    "one taxel": {"shape": (1, 1)},
+    "one row": {"shape": (1, 16)},
+    "one column": {"shape": (16, 1)},
+    "one row, refined": {"shape": (1, 9), "refine": 3},
+    "wider than the array": {"shape": (5, 4), "thickness": 8.0},
+    "t/pitch 0.05": {"shape": (10, 10), "thickness": 0.05},
+    "t/pitch 0.3": {"shape": (10, 10), "thickness": 0.3},
+    "t/pitch 3": {"shape": (10, 10), "thickness": 3.0},
+    "t/pitch 10": {"shape": (20, 20), "thickness": 10.0},
+}
+
+
+def meant(frame):
+    """The largest pressure of a frame that a sensor could mean."""
+    known = np.abs(frame[np.isfinite(frame)])
+    return max(float(known.max(initial=0.0)), 4 * SIGMA)
+
+
+@pytest.mark.parametrize("array", ARRAYS)
+@pytest.mark.parametrize("case", FRAMES)
+@pytest.mark.parametrize("method", METHODS)
+def test_never_nan_never_an_explosion(covered, method, case, array):
+    blur = covered(**ARRAYS[array])
+    restorer = make(method, blur, SIGMA)
+    frame, flags = FRAMES[case](blur.frame_shape)
+    for _ in range(3):
+        done = restorer(frame, flags)
+        assert done.image.shape == blur.surface_shape
+        assert np.isfinite(done.image).all()
+        assert float(np.abs(done.image).max()) <= BOUND * meant(frame)
+        assert np.isfinite([done.noise_gain, done.resolution_mm]).all()
+        assert np.isfinite(restorer.deviation()).all()
+
+
+@pytest.mark.parametrize("case", FRAMES)
+@pytest.mark.parametrize("method", METHODS)
+def test_a_bad_frame_does_not_spoil_the_next(covered, pressed, method, case):
+    blur = covered((12, 12))
+    frame, truth = pressed(blur, SIGMA)
+    alone = make(method, blur, SIGMA)(frame).image.copy()
+    restorer = make(method, blur, SIGMA)
+    restorer(*FRAMES[case]((12, 12)))
+    for _ in range(4):
+        image = restorer(frame).image
+    size = np.linalg.norm(truth)
+    assert np.linalg.norm(image - truth) / size < 1.1 * np.linalg.norm(alone - truth) / size + 0.02
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("method", METHODS)
+def test_any_noise_will_do(covered, pressed, method, sigma):
+    blur = covered((12, 12))
+    frame, _ = pressed(blur, 0.5)
+    image = make(method, blur, sigma)(frame).image
+    assert np.isfinite(image).all()
+    assert float(np.abs(image).max()) <= BOUND * max(float(frame.max()), 4 * sigma)
+
+
+@pytest.mark.parametrize("method", ["wiener", "nnls", "auto"])
+def test_nothing_but_dead_taxels_is_nothing(covered, method):
+    blur = covered((12, 12))
+    image = make(method, blur, SIGMA)(np.full((12, 12), 100, np.float32), np.full((12, 12), DEAD, np.uint8)).image
+    assert not image.any()
+
+
+def test_ten_thousand_iterations_stay_where_they_are(covered, pressed):
+    blur = covered((12, 12))
+    frame, _ = pressed(blur, SIGMA)
+    restorer = make("nnls", blur, SIGMA)
+    first = restorer(frame).image.copy()
+    for _ in range(3000):
+        last = restorer(frame).image
+    assert np.linalg.norm(last - first) < 0.2 * np.linalg.norm(first)

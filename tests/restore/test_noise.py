@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+
+from tactiled.restore.noise import estimate
+
+
+@pytest.fixture
+def film():
+    """Frames of a press that moves evenly, with noise."""
+
+    def make(frames, sigma, peak=100.0, seed=0):
+        y, x = np.mgrid[:20, :20]
+        middle = 6 + 8 * np.arange(frames)[:, None, None] / max(frames, 60)
+        clean = peak * np.exp(-((x - middle) ** 2 + (y - 10) ** 2) / 18)
+        return clean + np.random.default_rng(seed).normal(0, sigma, clean.shape)
+
+    return make
+
+
+@pytest.mark.parametrize("sigma", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("frames", [3, 10, 100])
+def test_noise_is_found_under_a_moving_press(film, frames, sigma):
+    assert estimate(film(frames, sigma)) == pytest.approx(sigma, rel=0.12)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_one_frame_has_to_do(film, frames):
+    assert estimate(film(frames, 2.0)) == pytest.approx(2.0, rel=0.5)
+
+
+def test_what_is_not_known_is_left_out(film):
+    frames = film(20, 1.0)
+    frames[:, 3] = np.nan
+    frames[5, 7, 7] = np.inf
+    assert estimate(frames) == pytest.approx(1.0, rel=0.12)
+
+
+def test_a_few_wild_taxels_do_not_count(film):
+    frames = film(20, 1.0)
+    frames[:, :1] = np.random.default_rng(1).normal(0, 1000, frames[:, :1].shape)
+    assert estimate(frames) == pytest.approx(1.0, rel=0.2)
+
+
+def test_frames_without_noise_still_have_some(film):
+    assert estimate(np.repeat(film(1, 0.0), 5, axis=0)) == pytest.approx(100 * 1e-4, rel=0.01)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 1, 5), (4, 7), (1, 2)])
+def test_any_shape_will_do(shape):
+    assert estimate(np.ones(shape)) == pytest.approx(1e-4)
+
+
+def test_nothing_known_is_nothing_found():
+    assert estimate(np.full((4, 3, 3), np.nan)) == 0
+    assert estimate(np.zeros((4, 3, 3))) == 0
