@@ -1,0 +1,112 @@
+import asyncio
+import threading
+
+import numpy as np
+import pytest
+from pydantic import SecretStr
+
+from tactiled.client import connect
+from tactiled.config import Server
+from tactiled.errors import ConfigError, TactileError
+from tactiled.web.server import running
+from tests.conftest import pressed, until
+
+
+@pytest.fixture
+def playing(rig):
+    stop = threading.Event()
+    sender = rig.play(100, stop)
+    yield rig
+    stop.set()
+    sender.join()
+
+
+def test_live_images_as_arrays(playing, url):
+    seen = []
+    for image in connect(url).stream("palm", patience_s=5):
+        assert image.raw.shape == image.restored.shape == (8, 8)
+        assert image.flags.shape == (64,)
+        seen.append(image.sequence)
+        if len(seen) == 20:
+            break
+    assert seen == sorted(set(seen))
+    assert playing.sensor.hub.latest().sequence - seen[-1] < 20
+
+
+@pytest.mark.usefixtures("playing")
+def test_the_status_comes_with_the_images(url):
+    for image in connect(url).stream("palm", patience_s=5):
+        if image.status:
+            assert image.status["state"] == "live"
+            assert image.status["sensor"] == "palm"
+            break
+
+
+def test_the_same_for_asyncio(playing, url):
+    async def three():
+        seen = []
+        async for image in connect(url).astream("palm", rate_hz=50, patience_s=5):
+            seen.append(image)
+            if len(seen) == 3:
+                break
+        return seen
+
+    images = asyncio.run(three())
+    assert len({image.sequence for image in images}) == 3
+    assert np.isfinite(images[-1].restored).all()
+    assert playing.sensor.status().state == "live"
+
+
+def test_a_stream_goes_on_when_the_service_is_back(playing):
+    with running(playing.service) as url:
+        stream = connect(url).stream("palm", patience_s=20)
+        before = next(stream)
+    with running(playing.service, Server(port=int(url.rsplit(":", 1)[1]))):
+        after = next(image for image in stream if image.sequence > before.sequence + 5)
+    assert after.sequence > before.sequence
+    stream.close()
+
+
+def test_a_silent_sensor_ends_patience(rig, url):
+    rig.show(pressed())
+    stream = connect(url).stream("palm", patience_s=0.3)
+    next(stream)
+    with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 0.3 s"):
+        next(stream)
+
+
+def test_asking(rig, url):
+    client = connect(url + "/")
+    assert [each["name"] for each in client.sensors()] == ["palm"]
+    client.set_method("palm", "raw")
+    until(lambda: rig.sensor.method == "raw")
+    client.tare("palm")
+
+
+@pytest.mark.parametrize("streamed", [True, False])
+def test_refusals_are_in_the_services_own_words(url, streamed):
+    client = connect(url)
+    with pytest.raises(TactileError, match="sensor 'plam': no such sensor: there are palm"):
+        next(client.stream("plam")) if streamed else client.tare("plam")
+
+
+def test_a_token_is_shown(rig):
+    rig.show(pressed())
+    with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
+        assert next(connect(url, "c" * 16).stream("palm", patience_s=5)).sequence == 0
+        connect(url, "c" * 16).tare("palm")
+        with pytest.raises(TactileError, match="a token is needed"):
+            next(connect(url).stream("palm", patience_s=5))
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8000", "file:///etc/passwd", "http://", ""])
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(ConfigError, match="give the service's address"):
+        connect(url)
+
+
+def test_a_service_that_is_not_there_is_told():
+    with pytest.raises(TactileError, match="is the service running"):
+        connect("http://127.0.0.1:9").sensors()
+    with pytest.raises(TactileError, match=r"no image for 0.1 s"):
+        next(connect("http://127.0.0.1:9").stream("palm", patience_s=0.1))
