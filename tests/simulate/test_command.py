@@ -70,6 +70,13 @@ def test_a_sensor_of_a_file_on_the_files_own_bus(listener, request, tmp_path):
     assert np.all(frames[0].counts < 245)  # pressure lowers them
 
 
+def test_an_option_goes_over_what_the_file_says_of_its_bus(listener, request, tmp_path):
+    path = tmp_path / "hand.toml"
+    path.write_text(GRASP.replace("socketcan", "virtual"))
+    assert run(f"--config {path} --channel {request.node.name} --seconds 0.05").exit_code == 0
+    assert listener.receive(0) is not None
+
+
 def test_an_interrupt_ends_it_between_two_frames(listener, request):
     Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     result = run(f"--interface virtual --channel {request.node.name} --scene empty")
