@@ -52,7 +52,7 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
         drawn = Figure(figsize=(width, height), layout="constrained")
         yield drawn
         try:
-            drawn.savefig(path)
+            drawn.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
         except OSError as error:
             raise ConfigError(f"picture {path} cannot be written: {error.strerror}") from error
 

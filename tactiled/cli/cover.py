@@ -15,6 +15,7 @@ from rich.table import Table
 from tactiled.cli.app import app
 from tactiled.config import load
 from tactiled.config.build import make_array, make_stack
+from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.meaning import Meaning, meaning
 from tactiled.cover.stack import Layer, Profile, Stack
@@ -43,6 +44,9 @@ def cover(
     sensor_young: Annotated[float, typer.Option(help="Under the cover: Young's modulus, MPa.")] = 980.0,
     sensor_poisson: Annotated[float, typer.Option(help="Under the cover: Poisson's ratio.")] = 0.3,
     profile: Annotated[list[str] | None, typer.Option(help=PROFILE_HELP)] = None,
+    footprint: Annotated[
+        float | None, typer.Option(help="Press evenly on a disc of this radius, mm, and tell the stress.")
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="Take cover and array from this file.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Which sensor of the file.")] = None,
     pitch: Annotated[float, typer.Option(help="Distance between taxels, mm.")] = 1.0,
@@ -61,15 +65,18 @@ def cover(
     if config:
         stack, array = _configured(config, sensor)
     asked = _frequencies(at) if at else None
+    bent = _profile(profile)
     start = perf_counter()
-    kernel = solve(stack, model, accuracy, _profile(profile), perf_counter, budget)
+    kernel = solve(stack, model, accuracy, bent, perf_counter, budget)
     seconds = perf_counter() - start
     told = meaning(kernel, array, noise)
+    press = None if footprint is None else _pressed(stack, model, footprint, accuracy, bent, start + budget)
     q = _telling(told) if asked is None else asked
     if as_json:
-        print(json.dumps(_record(kernel, q, seconds, told)))
+        print(json.dumps(_record(kernel, q, seconds, told) | _footprint(footprint, press)))
     else:
         _show(kernel, q, seconds, told, noise)
+        _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
 
@@ -132,6 +139,23 @@ def _configured(path: Path, name: str | None) -> tuple[Stack, Array]:
     return make_stack(sensors[name]), make_array(sensors[name])
 
 
+def _pressed(
+    stack: Stack, model: str, radius: float, accuracy: float, profile: Profile | None, end: float
+) -> Press:
+    """Solve a footprint; time is up at `end` (s)."""
+    if model != "fem":
+        raise ConfigError("--footprint needs --model fem: leave one of them out")
+    return pressed(stack, radius, accuracy, profile, lambda: perf_counter() > end)
+
+
+def _footprint(radius: float | None, press: Press | None) -> dict[str, object]:
+    """What --footprint adds to --json."""
+    if press is None:
+        return {}
+    told = {"r": press.r.tolist(), "stress": press.stress.tolist(), "error_estimate": press.error_estimate}
+    return {"footprint": {"radius": radius, **told}}
+
+
 def _record(kernel: Kernel, q: Floats, seconds: float, told: Meaning) -> dict[str, object]:
     """What --json prints; null stands for infinity, which JSON does not know."""
     return {
@@ -165,6 +189,19 @@ def _show(kernel: Kernel, q: Floats, seconds: float, told: Meaning, noise: float
     columns, rows = kernel.mesh
     how = f"{columns} x {rows} elements, {kernel.unknowns} unknowns" if kernel.model == "fem" else "exact"
     console.print(f"Error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms).")
+
+
+def _show_press(radius: float | None, press: Press | None) -> None:
+    """Print what a footprint leaves in the middle, and how far out."""
+    if press is None:
+        return
+    middle = press.stress[0]
+    half, tenth = (press.r[np.flatnonzero(press.stress >= part * middle)[-1]] for part in (0.5, 0.1))
+    Console(highlight=False, soft_wrap=True).print(
+        f"Pressed on a disc of {radius:g} mm radius: {middle:.3f} of the pressure in the middle, half of that "
+        f"{half:.2g} mm and a tenth {tenth:.2g} mm from it; "
+        f"error {press.error_estimate:.1e} of the pressure or less."
+    )
 
 
 def _plot(path: Path, kernel: Kernel) -> None:

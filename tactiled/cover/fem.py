@@ -32,6 +32,7 @@ COARSE = 5e-3  # the accuracy of a coarse mesh
 LOW = 17  # frequencies that tell whether the disc samples the low end closely enough
 SAMPLES = 48  # frequencies a decade
 FINEST = 1e-6  # the interpolation between frequencies is no better
+PLACES = 301  # where the stress under a footprint is given
 LARGEST = 120_000  # unknowns
 WIDEST = 1e5  # radius of the disc over the stack's thickness
 
@@ -46,6 +47,15 @@ class Solution:
     mesh: tuple[int, int]  # elements along r and along z
     unknowns: int
     radius: float  # mm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """What a footprint leaves at the sensing plane."""
+
+    r: Floats  # (n,) mm from its middle, 0 first
+    stress: Floats  # (n,) over the footprint's pressure
+    error_estimate: float
 
 
 def interpolant(q: Floats, gain: Floats) -> Callable[[Floats], Floats]:
@@ -66,8 +76,7 @@ def solve(
 
     `radius` (mm) fixes the disc; `late` says that time is up. PhysicsError where either forbids the accuracy.
     """
-    if not FINEST <= accuracy < 1:
-        raise PhysicsError(f"accuracy of the gain is {accuracy}: give {FINEST:g} to less than 1, such as 1e-3")
+    _asked(accuracy)
     end, reach = _survey(stack, profile, radius, accuracy, late)
     q = _frequencies(reach, end)
     before, error = np.full_like(q, np.inf), np.inf
@@ -80,16 +89,69 @@ def solve(
         error = SHRINK * float(np.abs(gain - before)[heard].max()) + _between(q[heard], gain[heard])
         if error <= accuracy:
             return Solution(q, gain, error, mesh.shape, mesh.unknowns, reach)
-        if late():
-            known = f"the estimate is {error:.1e}" if np.isfinite(error) else "there is no estimate yet"
-            raise PhysicsError(
-                f"accuracy {accuracy:g} of the gain is not met in the given time: {known}; "
-                "allow more time or ask for less"
-            )
+        _check(late, accuracy, error)
         before = gain
     raise PhysicsError(
         f"accuracy {accuracy:g} of the gain cannot be met: the error estimate stands at {error:.1e}; ask for less"
     )
+
+
+def pressed(
+    stack: Stack,
+    radius: float,
+    accuracy: float = 1e-3,
+    profile: Profile | None = None,
+    late: Callable[[], bool] = lambda: False,
+) -> Press:
+    """Give the stress under even pressure on a disc of `radius` (mm), to `accuracy` of that pressure.
+
+    Under a profile no gain can tell it: what a load leaves there depends on where it presses.
+    """
+    if not 0 < radius < np.inf:
+        raise PhysicsError(f"footprint radius is {radius} mm: give a finite number above 0")
+    _asked(accuracy)
+    bent = _with_corner(profile, radius)
+    end, reach = _survey(stack, bent, None, accuracy, late)
+    r = np.linspace(0, 2 * radius + 3 * stack.depth, PLACES)
+    before, error = np.full_like(r, np.inf), np.inf
+    for growths in LEVELS:
+        mesh = _mesh(stack, bent, reach, CORE / end, *growths)
+        if mesh.unknowns > LARGEST:
+            break
+        force = elements.sensed(
+            stack, mesh, line.forces(mesh.r, np.asarray(line.points(mesh.r)[0] < radius, float))
+        )
+        stress = line.between(mesh.r, line.recover(mesh.r, force), r)
+        error = SHRINK * float(np.abs(stress - before).max())
+        if error <= accuracy:
+            return Press(r, stress, error)
+        _check(late, accuracy, error)
+        before = stress
+    raise PhysicsError(
+        f"accuracy {accuracy:g} of the stress cannot be met: the estimate stands at {error:.1e}; ask for less"
+    )
+
+
+def _with_corner(profile: Profile | None, radius: float) -> Profile:
+    """Give a profile with a corner of the mesh at `radius` (mm)."""
+    corners = np.unique([0.0, radius, *(profile.radius if profile else ())])
+    rise = np.interp(corners, profile.radius, profile.rise) if profile else np.zeros_like(corners)
+    return Profile(tuple(corners.tolist()), tuple(rise.tolist()))
+
+
+def _asked(accuracy: float) -> None:
+    """Refuse an accuracy that means nothing."""
+    if not FINEST <= accuracy < 1:
+        raise PhysicsError(f"accuracy is {accuracy}: give {FINEST:g} to less than 1, such as 1e-3")
+
+
+def _check(late: Callable[[], bool], accuracy: float, error: float) -> None:
+    """Refuse to go on when time is up."""
+    if late():
+        known = f"the estimate is {error:.1e}" if np.isfinite(error) else "there is no estimate yet"
+        raise PhysicsError(
+            f"accuracy {accuracy:g} is not met in the given time: {known}; allow more time or ask for less"
+        )
 
 
 def _survey(
@@ -114,7 +176,7 @@ def _survey(
                 )
             if late():
                 raise PhysicsError(
-                    f"accuracy {accuracy:g} of the gain is not met in the given time: the far field reaches past "
+                    f"accuracy {accuracy:g} is not met in the given time: the far field reaches past "
                     f"{reach:.3g} mm; allow more time"
                 )
             reach *= 2

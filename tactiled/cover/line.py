@@ -59,6 +59,14 @@ def recover(r: Floats, force: Floats) -> Floats:
     return np.asarray(solveh_banded(np.array(bands), force, lower=True))
 
 
+def between(r: Floats, value: Floats, at: Floats) -> Floats:
+    """Give a nodal `value` at the places `at` (n,) in mm."""
+    element = np.clip(np.searchsorted(r, at, side="right") - 1, 0, len(r) - 2)
+    local = (at - r[element]) / np.diff(r)[element]
+    nodal = value[_of(r)][element]
+    return np.asarray(sum(nodal[:, node] * lagrange(node, local)[0] for node in range(DEGREE + 1)), np.float64)
+
+
 def hankel(r: Floats, value: Floats, q: Floats) -> Floats:
     """Give 2 pi integral of value J0(2 pi q r) r dr for q (n,) in cycles/mm, growing, of a nodal `value`.
 

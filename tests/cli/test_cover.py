@@ -62,6 +62,21 @@ def test_a_boss_filters_more():
     assert boss[1] < flat[1] - 0.1
 
 
+def test_a_footprint_leaves_most_of_its_pressure_in_the_middle_and_little_outside():
+    pressed = told(f"{PAPER} --footprint 1 --at 1")["footprint"]
+    r, stress = np.array(pressed["r"]), np.array(pressed["stress"])
+    assert pressed["radius"] == 1
+    assert 0 < pressed["error_estimate"] <= 1e-3
+    assert stress[0] == pytest.approx(1, abs=0.1)
+    assert np.interp(1, r, stress) == pytest.approx(0.5, abs=0.1)
+    assert abs(np.interp(1.6, r, stress)) < 0.02
+
+
+def test_the_table_says_what_a_footprint_leaves():
+    output = run(f"{PAPER} --footprint 1").output
+    assert "Pressed on a disc of 1 mm radius: " in output
+
+
 def test_the_table_says_what_it_means():
     output = run(f"{PAPER} --pitch 0.25 --model layered").output
     assert "Gain 0.5 at 1.76/mm and 0.1 at 3.53/mm." in output
@@ -94,9 +109,11 @@ def test_plot(tmp_path, ending):
         ("--at 1,-1", "--at 1,-1: give finite frequencies"),
         ("--at x", "--at x: give numbers"),
         ("--noise 0", "noise is 0.0"),
+        ("--footprint 0", "footprint radius is 0.0 mm"),
+        ("--footprint 1 --model layered", "--footprint needs --model fem"),
         ("--pitch 0", "array pitch is 0.0 mm"),
-        ("--accuracy 0", "accuracy of the gain is 0.0"),
-        ("--accuracy 1e-5 --budget 0", "accuracy 1e-05 of the gain is not met in the given time"),
+        ("--accuracy 0", "accuracy is 0.0"),
+        ("--accuracy 1e-5 --budget 0", "accuracy 1e-05 is not met in the given time"),
         ("--plot cover.bmp", "picture cover.bmp: give a name"),
         ("--config nowhere.toml", "nowhere.toml: No such file"),
     ],

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.special import j0, j1
 
 from tactiled.cover import fem, layered
 from tactiled.cover.stack import Layer, Profile, Stack
@@ -100,3 +102,26 @@ def test_a_small_boss_lowers_and_a_small_dimple_raises_the_gain(paper):
 def test_the_same_domain_serves_a_thin_stack(paper):
     found = fem.solve(paper(), radius=20.0)
     assert error(paper(), found) <= 1e-3
+
+
+def under_a_disc(stack, radius, r):
+    """Stress under unit pressure on a disc, from the exact gain."""
+    q = np.linspace(0, 60 / stack.depth, 400_001)
+    waves = CubicSpline(q[::50], layered.gain(stack, q[::50]))(q) * 2 * np.pi * radius * j1(2 * np.pi * q * radius)
+    return np.array([np.trapezoid(waves * j0(2 * np.pi * q * one), q) for one in r])
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.5, 3.0])
+def test_a_footprint_of_any_radius_leaves_the_stress_that_the_exact_gain_gives(paper, radius):
+    found = fem.pressed(paper(), radius)
+    some = slice(None, None, 15)
+    exact = under_a_disc(paper(), radius, found.r[some])
+    assert np.abs(found.stress[some] - exact).max() <= min(1e-3, 2 * found.error_estimate)
+
+
+def test_a_boss_takes_stress_from_the_middle_of_a_footprint(paper):
+    flat, boss = (
+        fem.pressed(paper(), 0.3, profile=profile).stress[0]
+        for profile in (None, Profile((0.0, 0.3, 0.4), (0.1, 0.1, 0.0)))
+    )
+    assert boss < flat - 0.02

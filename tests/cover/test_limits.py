@@ -79,9 +79,7 @@ def test_an_accuracy_that_cannot_be_met(paper):
 
 
 def test_a_time_that_is_too_short(paper):
-    with pytest.raises(
-        PhysicsError, match=r"accuracy 1e-05 of the gain is not met in the given time: the estimate is \d"
-    ):
+    with pytest.raises(PhysicsError, match=r"accuracy 1e-05 is not met in the given time: the estimate is \d"):
         solve(paper(), "fem", 1e-5, clock=count().__next__, budget_s=5.5)
 
 
@@ -98,8 +96,27 @@ def test_a_time_that_is_too_short_to_find_the_far_field():
 
 @pytest.mark.parametrize("accuracy", [0.0, -1e-3, 1e-7, 1.0, float("nan")])
 def test_an_accuracy_that_means_nothing(paper, accuracy):
-    with pytest.raises(PhysicsError, match="accuracy of the gain is"):
+    with pytest.raises(PhysicsError, match=r"accuracy is .*: give 1e-06 to less than 1"):
         fem.solve(paper(), accuracy)
+    with pytest.raises(PhysicsError, match=r"accuracy is .*: give 1e-06 to less than 1"):
+        fem.pressed(paper(), 1.0, accuracy)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_footprint_that_is_none(paper, radius):
+    with pytest.raises(PhysicsError, match=f"footprint radius is {radius} mm"):
+        fem.pressed(paper(), radius)
+
+
+def test_a_time_that_is_too_short_for_a_footprint(paper):
+    with pytest.raises(PhysicsError, match="not met in the given time: there is no estimate yet"):
+        fem.pressed(paper(), 1.0, late=lambda: True)
+
+
+def test_an_accuracy_that_cannot_be_met_under_a_footprint(paper, monkeypatch):
+    monkeypatch.setattr(fem, "LARGEST", 5000)
+    with pytest.raises(PhysicsError, match="accuracy 1e-05 of the stress cannot be met: the estimate stands at"):
+        fem.pressed(paper(), 1.0, 1e-5)
 
 
 def test_a_dimple_through_the_cover(paper):
