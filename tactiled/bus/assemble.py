@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from tactiled.bus.codecs import Codec
 from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
 
+RESTART_S = 0.25  # of silence, after which a sequence number that looks old is a sender's that began anew
+
 
 class _Open:
     """A frame of which not every segment has come yet."""
@@ -33,7 +35,8 @@ class Assembler:
 
     A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
-    one that it always comes before, begins a newer frame.
+    one that it always comes before, begins a newer frame. A sender that begins its sequence numbers anew after a
+    silence is followed at once.
     """
 
     def __init__(self, codec: Codec) -> None:
@@ -43,6 +46,7 @@ class Assembler:
         self._closed: list[bytes | None] = [None] * codec.segments  # what the frame closed last had
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
+        self._newest = float("-inf")  # s, time of the newest message
 
     def count(self, kind: str, by: int = 1) -> None:
         """Add to one kind of loss."""
@@ -56,6 +60,7 @@ class Assembler:
     def push(self, reading: Reading) -> tuple[RawFrame, ...]:
         """Take one reading; returns the frames that it closes, oldest first."""
         step = self._step(reading)
+        self._newest = max(self._newest, reading.time)
         if step <= 0 and (step < 0 or self._open is None):
             again = step == 0 and self._closed[reading.segment] is not None
             self.count("repeated" if again else "late")
@@ -84,7 +89,9 @@ class Assembler:
         if reading.sequence is None or self._wire is None:
             return 1
         ahead = (reading.sequence - self._wire) % modulus
-        return ahead if ahead <= modulus // 2 else ahead - modulus
+        step = ahead if ahead <= modulus // 2 else ahead - modulus
+        old = step < 0 or (step == 0 and self._open is None)
+        return 1 if old and reading.time - self._newest > RESTART_S else step
 
     def _comes_again(self, frame: _Open, segment: int) -> bool:
         end = (segment // self.codec.ordered + 1) * self.codec.ordered

@@ -97,6 +97,22 @@ def test_a_half_received_frame_is_closed_when_its_sender_falls_silent():
     assert assembler.flush(before=9.0) == ()
 
 
+@pytest.mark.parametrize("again", [0, 7, 8])  # 7: its last message was the very frame that it begins with
+def test_a_sender_that_begins_anew_after_a_silence_is_followed_at_once(again):
+    before = [each._replace(time=each.time / 100) for n in range(8) for each in sent(n)]
+    after = [each._replace(time=1.0 + each.time / 100) for n in range(again, again + 3) for each in sent(n)]
+    frames, loss = run([*before, *after])
+    assert [frame.sequence for frame in frames] == list(range(11))
+    assert loss == Loss()
+    np.testing.assert_array_equal(frames[8].counts, counts_of(again))
+
+
+def test_old_messages_without_a_silence_are_late():
+    frames, loss = run([each._replace(time=0.0) for n in (5, 6, 0, 1) for each in sent(n)])
+    assert len(frames) == 2
+    assert loss == Loss(late=6)
+
+
 ICUB = Icub(0, (0, 1), thermal_pads=False)
 HEAD0, TAIL0, HEAD1, TAIL1 = ICUB.encode(np.arange(24, dtype=np.uint16), 0, 0.0)
 
