@@ -17,7 +17,7 @@ import { Probe } from "./probe.js";
 import { Readings, methodTitle } from "./readings.js";
 import { savePng, saveCsv } from "./save.js";
 import { Scale } from "./scale.js";
-import { Section } from "./section.js";
+import { Section, highest } from "./section.js";
 import { Stream } from "./stream.js";
 import { Tabs } from "./tabs.js";
 import { theme } from "./theme.js";
@@ -28,6 +28,7 @@ import { DEAD, MISSING, BAD, SATURATED } from "./wire.js";
 
 const READ_MS = 125; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors
+const STAYS = 0.85; // of the peak that the cross-section must still reach where it is
 const FLAGS = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
 
 const root = document.documentElement;
@@ -124,8 +125,11 @@ function paint(now) {
 function placeMarks(frame, on) {
   const { ofRestored } = frame;
   if (Number.isFinite(probe.y)) sectionY = probe.y;
-  else if (ofRestored.contact) sectionY = on.restored.y[ofRestored.peakIndex];
-  else if (!Number.isFinite(sectionY)) sectionY = on.top + on.height / 2;
+  else if (ofRestored.contact) {
+    // The line stays until the peak has clearly moved: noise alone must not make it jump between equal rows.
+    const stays = highest(on, sectionY, frame.restored) >= STAYS * ofRestored.peak;
+    if (!stays) sectionY = on.restored.y[ofRestored.peakIndex];
+  } else if (!Number.isFinite(sectionY)) sectionY = on.top + on.height / 2;
   marks.lineY = sectionY;
   marks.probeX = probe.x;
   marks.probeY = probe.y;
@@ -163,6 +167,7 @@ function layout() {
   const length = roundDown((0.3 * box.clientWidth) / zoom);
   byId("ruler-bar").style.width = `${length * zoom}px`;
   say(byId("ruler-text"), `${length} mm`);
+  byId("legend").style.setProperty("--map-height", `${plane.height * zoom}px`);
   colorbar.forget();
   kernelPanel.draw();
   refresh();
@@ -191,7 +196,7 @@ function read() {
   showProbe(frame);
   showRange();
   showPlayback(frame, live);
-  say(byId("section-where"), Number.isFinite(sectionY) && frame ? `y ${fixed(sectionY, 1)} mm${probe.pinned ? ", pinned" : Number.isFinite(probe.y) ? "" : ", through the peak"}` : "");
+  say(byId("section-where"), Number.isFinite(sectionY) && frame ? `y ${fixed(sectionY, 1)} mm${probe.pinned ? ", pinned" : Number.isFinite(probe.y) ? "" : ", at the peak"}` : "");
 }
 
 /** @returns {import("./health.js").Health} */

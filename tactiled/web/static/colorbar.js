@@ -10,7 +10,7 @@ import { tickText, ticks } from "./scale.js";
 /** @typedef {import("./scale.js").Scale} Scale */
 
 const BAR = 16; // px across the bar
-const END = 9; // px kept free at each end, for half a label
+const ENDS = { standing: 9, lying: 16 }; // px kept free at each end, for half a label
 
 export class Colorbar {
   /** @param {HTMLCanvasElement} canvas */
@@ -45,13 +45,14 @@ export class Colorbar {
     draw.clearRect(0, 0, width, height);
     draw.font = `12px ${ink.font}`;
     const standing = height > width;
-    const length = (standing ? height : width) - 2 * END;
+    const end = standing ? ENDS.standing : ENDS.lying;
+    const length = (standing ? height : width) - 2 * end;
     for (let i = 0; i < 256; i += 1) {
       draw.fillStyle = palette.css[i];
       const from = (i / 256) * length;
       const step = length / 256 + 0.6;
-      if (standing) draw.fillRect(0, END + length - from - step, BAR, step);
-      else draw.fillRect(END + from, 0, step, BAR);
+      if (standing) draw.fillRect(0, end + length - from - step, BAR, step);
+      else draw.fillRect(end + from, 0, step, BAR);
     }
     draw.fillStyle = ink.text;
     draw.strokeStyle = ink.muted;
@@ -63,13 +64,13 @@ export class Colorbar {
       const text = tickText(value, high - low);
       draw.beginPath();
       if (standing) {
-        const y = Math.round(END + length - at) + 0.5;
+        const y = Math.round(end + length - at) + 0.5;
         draw.moveTo(BAR, y);
         draw.lineTo(BAR + 5, y);
         draw.stroke();
         draw.fillText(text, BAR + 8, y);
       } else {
-        const x = Math.round(END + at) + 0.5;
+        const x = Math.round(end + at) + 0.5;
         draw.moveTo(x, BAR);
         draw.lineTo(x, BAR + 4);
         draw.stroke();

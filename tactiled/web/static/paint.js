@@ -64,12 +64,20 @@ export function fit(canvas, width, height) {
 
 /** @returns {Inks} */
 export function inks() {
-  const style = getComputedStyle(document.documentElement);
-  const of = (/** @type {string} */ name) => style.getPropertyValue(name).trim();
-  return {
-    text: of("--text"), muted: of("--muted"), line: of("--line"), panel: of("--panel"), raw: of("--raw"),
-    restored: of("--restored"), accent: of("--accent"), font: of("--font"),
+  const swatch = document.createElement("i");
+  swatch.hidden = true;
+  document.body.append(swatch);
+  const style = getComputedStyle(swatch);
+  const of = (/** @type {string} */ name) => {
+    swatch.style.color = `var(--${name})`;
+    return style.color;
   };
+  const found = {
+    text: of("text"), muted: of("muted"), line: of("line"), panel: of("panel"), raw: of("raw"),
+    restored: of("restored"), accent: of("accent"), font: getComputedStyle(document.body).fontFamily,
+  };
+  swatch.remove();
+  return found;
 }
 
 /**

@@ -11,8 +11,8 @@ import { byId, fixed, number, say } from "./paint.js";
 
 /** What each method is called. */
 const METHODS = {
-  auto: "Automatic", raw: "None: show as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
-  "rl-fast": "Richardson–Lucy, accelerated", nnls: "Non-negative least squares", idle: "idle, nothing touches",
+  auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
+  "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)", idle: "idle",
 };
 
 const LOSSES = /** @type {const} */ ([
@@ -24,6 +24,9 @@ const LOSSES = /** @type {const} */ ([
   ["skipped", "Frames not restored, because a newer one was there"],
   ["foreign", "Messages on the bus that belong to no sensor"],
 ]);
+
+/** Counts that belong to a healthy service: a shared bus, a frame overtaken by the next. */
+const HARMLESS = new Set(["foreign", "skipped"]);
 
 /**
  * @param {string} name
@@ -88,7 +91,7 @@ export class Readings {
     for (const [kind, element] of this._loss) {
       const count = status ? status.loss[/** @type {keyof import("./api.js").Loss} */ (kind)] : 0;
       say(element, status ? String(count) : "\u2013");
-      element.classList.toggle("some", count > 0);
+      element.classList.toggle("some", count > 0 && !HARMLESS.has(kind));
     }
     const warnings = status?.warnings ?? [];
     const joined = warnings.join("\n");

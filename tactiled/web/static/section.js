@@ -58,6 +58,22 @@ export class Section {
 
 /**
  * @param {Plane} plane
+ * @param {number} y mm
+ * @param {Float32Array} kpa of the restored image
+ * @returns {number} the largest pressure along the line
+ */
+export function highest(plane, y, kpa) {
+  const cells = plane.restored;
+  const reach = (plane.isGrid ? cells.side : plane.pitch) / 2;
+  let most = -Infinity;
+  for (let i = 0; i < cells.count; i += 1) {
+    if (kpa[i] > most && Math.abs(cells.y[i] - y) <= reach) most = kpa[i];
+  }
+  return most;
+}
+
+/**
+ * @param {Plane} plane
  * @param {Cells} cells
  * @param {Float32Array} kpa
  * @param {number} y mm
