@@ -13,6 +13,7 @@ from tactiled.bus.reader import Reader, open_bus
 from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
+from tactiled.contacts import APART, Contact, Finder, Tracker
 from tactiled.errors import BusError, UnknownSensorError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.hub import Hub
@@ -47,6 +48,11 @@ class Sensor:
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self._plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
+        self._finder = Finder(plan.array, plan.cell_mm)
+        self._tracker = Tracker(APART * plan.array.pitch)
+        self._looking = threading.Lock()
+        self._looked_at: Image | None = None
+        self._contacts: tuple[Contact, ...] = ()
         self._wake = threading.Condition()
         self._waiting: RawFrame | None = None
         self._stopping = False
@@ -69,6 +75,15 @@ class Sensor:
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation (kPa) of every cell of `image.restored`, given its frame and the noise."""
         return self._pipeline.deviation(image)
+
+    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+        """The newest image and the contacts in it, tracked from call to call; any thread."""
+        with self._looking:
+            image = self.hub.latest()
+            if image is not None and image is not self._looked_at:
+                found = self._finder(image.restored, image.noise_kpa * max(image.noise_gain, 1.0))
+                self._looked_at, self._contacts = image, tuple(self._tracker(found))
+            return image, self._contacts
 
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""

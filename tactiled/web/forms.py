@@ -1,5 +1,6 @@
 """What the API says, field by field: the models behind OpenAPI, and how they are made from images and sensors."""
 
+from dataclasses import asdict
 from typing import Annotated, Literal
 
 import numpy as np
@@ -116,6 +117,31 @@ class StreamStatus(Form):
     noise_gain: float | None = None
     resolution_mm: float | None = None
     warnings: tuple[str, ...] = ()
+
+
+class ContactForm(Form):
+    """Where something touches."""
+
+    id: int = Field(description="the same while the contact lasts", examples=[3])
+    x_mm: float = Field(description="centre of pressure", examples=[10.3])
+    y_mm: float = Field(examples=[12.0])
+    force_n: float = Field(examples=[1.68])
+    area_mm2: float = Field(examples=[42.0])
+    peak_kpa: float = Field(examples=[98.5])
+    major_mm: float = Field(description="standard deviation of pressure along the longer axis", examples=[1.49])
+    minor_mm: float = Field(examples=[1.47])
+    angle_rad: float = Field(description="of the longer axis, from x towards y", examples=[0.1])
+
+
+class Contacts(Form):
+    """The contacts in the newest restored image."""
+
+    type: Literal["contacts"] = "contacts"
+    sensor: Name
+    sequence: int = Field(examples=[5123])
+    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
+    state: State
+    contacts: tuple[ContactForm, ...]
 
 
 class KernelForm(Form):
@@ -259,6 +285,20 @@ def frame(sensor: Sensor, image: Image, kind: Shown) -> Frame:
         resolution_mm=image.resolution_mm,
         loss=loss(status),
         warnings=image.warnings,
+    )
+
+
+def contacts(sensor: Sensor) -> Contacts | None:
+    """Where something touches now; None before the first frame."""
+    image, found = sensor.contacts()
+    if image is None:
+        return None
+    return Contacts(
+        sensor=sensor.name,
+        sequence=image.sequence,
+        timestamp=image.time,
+        state=sensor.status().state,
+        contacts=tuple(ContactForm(**asdict(each)) for each in found),
     )
 
 

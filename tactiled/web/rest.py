@@ -105,6 +105,15 @@ def tare(sensor: Found) -> None:
     sensor.tare()
 
 
+@router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | {503: FRAME[503]})
+def contacts(sensor: Found) -> forms.Contacts:
+    """Where something touches: centre, force, area, axes, tracked from request to request."""
+    found = forms.contacts(sensor)
+    if found is None:
+        raise _no_frame(sensor)
+    return found
+
+
 Top = Annotated[float | None, Query(gt=0, allow_inf_nan=False, description="PNG: end of the colour scale")]
 Asked = Annotated[Format | None, Query(alias="format", description="over the Accept header")]
 
@@ -120,8 +129,12 @@ def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_
     form = form or _accepted(request.headers.get("accept", "*/*"))
     image = sensor.hub.latest()
     if image is None:
-        raise Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
+        raise _no_frame(sensor)
     return _answer(sensor, image, kind, form, request, top_kpa)
+
+
+def _no_frame(sensor: Sensor) -> Problem:
+    return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
 
 
 def _accepted(header: str) -> Format:

@@ -15,6 +15,7 @@ from tactiled.web.wire import KINDS, Kind
 
 BAD_REQUEST, NOT_FOUND = 4400, 4404  # close codes, after HTTP's
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
+CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
 MOST = 64 * 1024  # bytes of a client's message
 
@@ -26,14 +27,15 @@ class Wish:
     kinds: tuple[Kind, ...] = KINDS
     rate_hz: float = 0.0  # 0: every frame
     form: Literal["binary", "json"] = "binary"
+    contacts: bool = False  # as text messages
     credit: bool = False  # one image of each kind for each {"type": "next"}
 
 
 def wish(query: Mapping[str, str]) -> Wish:
     """Read the address's query; ValueError that names the parameter and its value."""
-    unknown = set(query) - {"kinds", "rate_hz", "format", "flow", "token"}
+    unknown = set(query) - {"kinds", "rate_hz", "format", "flow", "contacts", "token"}
     if unknown:
-        raise ValueError(f"{min(unknown)}: no such parameter: there are kinds, rate_hz, format, flow")
+        raise ValueError(f"{min(unknown)}: no such parameter: there are kinds, rate_hz, format, flow, contacts")
     kinds = tuple(query.get("kinds", "raw,restored").split(","))
     if not set(kinds) <= set(KINDS):
         raise ValueError(f"kinds={query['kinds']}: give raw, restored or raw,restored")
@@ -48,7 +50,15 @@ def wish(query: Mapping[str, str]) -> Wish:
         raise ValueError(f"format={form}: give binary or json")
     if flow not in ("newest", "credit"):
         raise ValueError(f"flow={flow}: give newest or credit")
-    return Wish(cast(tuple[Kind, ...], kinds), rate_hz, cast(Literal["binary", "json"], form), flow == "credit")
+    if (contacts := query.get("contacts", "0")) not in ("0", "1"):
+        raise ValueError(f"contacts={contacts}: give 0 or 1")
+    return Wish(
+        cast(tuple[Kind, ...], kinds),
+        rate_hz,
+        cast(Literal["binary", "json"], form),
+        contacts == "1",
+        flow == "credit",
+    )
 
 
 class Stream:
@@ -61,6 +71,8 @@ class Stream:
         self._told: tuple[object, ...] = ()
         self._told_at = 0.0
         self._due = 0.0
+        self._touched = -1
+        self._touched_at = 0.0
 
     async def run(self) -> None:
         """Serve until the client leaves, or says something that means nothing."""
@@ -97,6 +109,8 @@ class Stream:
             self._wake.clear()
             await self._send_image()
             await self._send_status(loop.time())
+            if self._wish.contacts:
+                await self._send_contacts(loop.time())
 
     async def _send_image(self) -> None:
         image = self._feed.image
@@ -124,6 +138,14 @@ class Stream:
             return
         self._told, self._told_at = told, now
         await self._socket.send_text(forms.stream_status(self._feed.sensor, image, status).model_dump_json())
+
+    async def _send_contacts(self, now: float) -> None:
+        if now - self._touched_at < CONTACTS_S:
+            return
+        found = await asyncio.to_thread(forms.contacts, self._feed.sensor)
+        if found is not None and found.sequence != self._touched:
+            self._touched, self._touched_at = found.sequence, now
+            await self._socket.send_text(found.model_dump_json())
 
 
 def _asks_for_next(text: str) -> bool:

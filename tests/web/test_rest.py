@@ -75,6 +75,17 @@ def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
     assert None not in np.ravel(client.get("/sensors/palm/frames/restored").json()["values"])
 
 
+def test_contacts_keep_their_id_from_request_to_request(rig, client):
+    assert client.get("/sensors/palm/contacts").status_code == 503
+    for at in (2, 3):
+        image = rig.show(pressed(at))
+        told = client.get("/sensors/palm/contacts").json()
+        (contact,) = told["contacts"]
+        assert (told["sequence"], contact["id"]) == (image.sequence, 1)
+        assert contact["x_mm"] == pytest.approx(at + 0.5, abs=0.1)
+        assert contact["y_mm"] == pytest.approx(3.5, abs=0.1)
+
+
 def test_a_stale_frame_says_how_stale(rig, client):
     rig.show(pressed())
     until(lambda: client.get("/health").json()["status"] == "degraded")
@@ -166,7 +177,7 @@ def test_the_kernel_and_the_geometry(client):
 
 def test_every_error_of_every_resource_is_documented_as_a_problem_and_every_field_has_a_type(client):
     spec = client.get("/openapi.json").json()
-    assert len(spec["paths"]) == 9
+    assert len(spec["paths"]) == 10
     for path, operations in spec["paths"].items():
         for operation in operations.values():
             for status, answer in operation["responses"].items():

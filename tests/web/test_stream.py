@@ -85,6 +85,14 @@ def test_kinds_format_and_rate(rig, url):
     assert sequences == sorted(set(sequences))
 
 
+def test_contacts_on_request(rig, url):
+    rig.show(pressed())
+    with stream(url, "?contacts=1") as client:
+        told = [text for text in texts(client, 0.5) if text["type"] == "contacts"]
+    assert [len(each["contacts"]) for each in told] == [1]
+    assert told[0]["sequence"] == 0
+
+
 def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
     with stream(url, "?flow=credit") as client:
         rig.show(pressed())
@@ -106,6 +114,7 @@ def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
         ("palm/stream?rate_hz=fast", 4400, "rate_hz=fast"),
         ("palm/stream?format=xml", 4400, "format=xml"),
         ("palm/stream?flow=all", 4400, "flow=all"),
+        ("palm/stream?contacts=yes", 4400, "contacts=yes"),
         ("palm/stream?kind=raw", 4400, "kind: no such parameter"),
         ("plam/stream", 4404, "no such sensor"),
     ],
