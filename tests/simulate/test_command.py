@@ -1,5 +1,6 @@
 import os
 import signal
+import tty
 from threading import Timer
 
 import numpy as np
@@ -75,6 +76,27 @@ def test_an_option_goes_over_what_the_file_says_of_its_bus(listener, request, tm
     path.write_text(GRASP.replace("socketcan", "virtual"))
     assert run(f"--config {path} --channel {request.node.name} --seconds 0.05").exit_code == 0
     assert listener.receive(0) is not None
+
+
+def test_a_serial_adapter_gets_its_own_words(tmp_path):
+    """What an slcan adapter is told, read by hand at the other end of a pseudo-terminal."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    path = tmp_path / "hand.toml"
+    path.write_text(GRASP)
+    bus = f"--interface slcan --channel {os.ttyname(theirs)} --bitrate 1000000"
+    try:
+        assert run(f"--config {path} {bus} --seconds 0.3 --rate-hz 10 --scene empty").exit_code == 0
+        lines = os.read(ours, 65536).decode().split("\r")
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert "S8" in lines  # 1 Mbit/s
+    assert "O" in lines
+    said = [line for line in lines if line.startswith("t")]
+    assert len(said) in (10, 20, 30)
+    assert said[0] == "t4E0840F5F5F5F5F5F5F5"  # id, length, a head of seven pads without load
+    assert said[1] == "t4E08C0F5F5F5F5F50000"
 
 
 def test_an_interrupt_ends_it_between_two_frames(listener, request):
