@@ -31,6 +31,7 @@ const POLL_MS = 2000; // between two looks at the list of sensors
 const STAYS = 0.85; // of the peak that the cross-section must still reach where it is
 const FLAGS = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
 
+const DESK = matchMedia("(min-width: 900px)"); // where the maps share the window's height
 const root = document.documentElement;
 const boxes = byId("boxes");
 const banner = byId("banner");
@@ -65,6 +66,8 @@ let history = null;
 let status = null;
 let toldAt = 0;
 let pairAt = 0;
+/** @type {import("./api.js").Sensor[]} */
+let sensors = [];
 let chosen = "";
 let selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
 let paused = false;
@@ -153,21 +156,23 @@ function clocksDiffer() {
 function layout() {
   if (!plane) return;
   const box = /** @type {HTMLElement} */ (rawMap.frame.parentElement);
-  const standing = getComputedStyle(box).height;
-  const height = parseFloat(standing) || box.clientWidth;
+  const stacked = plane.width > 1.5 * plane.height;
+  boxes.classList.toggle("stacked", stacked);
+  const height = DESK.matches ? box.clientHeight : 0.7 * window.innerHeight;
   let zoom = Math.min(box.clientWidth / plane.width, height / plane.height);
   if (plane.isGrid) {
     const cell = Math.min(plane.raw.side, plane.restored.side);
     const ratio = window.devicePixelRatio || 1;
     const whole = Math.floor(zoom * cell * ratio) / ratio / cell;
-    if (whole > 0.88 * zoom) zoom = whole;
+    if (whole > 0.94 * zoom) zoom = whole;
   }
   rawMap.resize(zoom);
   restoredMap.resize(zoom);
   const length = roundDown((0.3 * box.clientWidth) / zoom);
   byId("ruler-bar").style.width = `${length * zoom}px`;
   say(byId("ruler-text"), `${length} mm`);
-  byId("legend").style.setProperty("--map-height", `${plane.height * zoom}px`);
+  const apart = restoredMap.frame.getBoundingClientRect().top - rawMap.frame.getBoundingClientRect().top;
+  byId("legend").style.setProperty("--map-height", `${apart + plane.height * zoom}px`);
   colorbar.forget();
   kernelPanel.draw();
   refresh();
@@ -196,7 +201,7 @@ function read() {
   showProbe(frame);
   showRange();
   showPlayback(frame, live);
-  say(byId("section-where"), Number.isFinite(sectionY) && frame ? `y ${fixed(sectionY, 1)} mm${probe.pinned ? ", pinned" : Number.isFinite(probe.y) ? "" : ", at the peak"}` : "");
+  say(byId("section-where"), Number.isFinite(sectionY) && frame ? `y ${fixed(sectionY, 1)} mm${probe.pinned ? ", pinned" : ""}` : "");
 }
 
 /** @returns {import("./health.js").Health} */
@@ -251,7 +256,7 @@ function showProbe(frame) {
   }
   const raw = Number.isNaN(frame.raw[r]) ? "unknown" : `${fixed(frame.raw[r], 1)} kPa`;
   const flags = FLAGS.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => name);
-  const taxel = plane.isGrid ? `row ${Math.floor(r / plane.raw.columns)}, column ${r % plane.raw.columns}` : `taxel ${r}`;
+  const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
   say(line, `${place}  raw ${raw}  restored ${fixed(frame.restored[s], 1)} kPa  ${taxel}${flags.length ? `, ${flags.join(", ")}` : ""}`);
 }
 
@@ -370,6 +375,7 @@ async function select(name) {
   restoredMap.clear();
   kernelPanel.use(null);
   tabs.choose(name);
+  showSensor(sensors.find((each) => each.name === name));
   try {
     window.history.replaceState(null, "", `#${encodeURIComponent(name)}`);
   } catch {
@@ -457,8 +463,9 @@ function onLink() {
   read();
 }
 
-/** @param {import("./api.js").Sensor} sensor */
+/** @param {import("./api.js").Sensor|undefined} sensor */
 function showSensor(sensor) {
+  if (!sensor) return;
   readings.about(sensor);
   const names = sensor.methods.includes(sensor.method) ? sensor.methods : [sensor.method, ...sensor.methods];
   if (names.join() === [...picker.options].map((each) => each.value).join()) return;
@@ -471,13 +478,14 @@ async function poll() {
   try {
     const listed = await api.sensors();
     reachable = true;
+    sensors = listed;
     tabs.update(listed);
     if (!palette) palette = new Palette((await api.colormap()).colors);
     const asked = decodeURIComponent(location.hash.slice(1));
     const known = listed.find((each) => each.name === (chosen || asked)) ?? listed[0];
     if (known && known.name !== chosen) select(known.name);
     tabs.choose(chosen);
-    if (known) showSensor(known);
+    showSensor(listed.find((each) => each.name === chosen));
     if (stream?.link === "closed") stream.retry();
     if (!listed.length) notice("No sensor is configured.", true);
   } catch (error) {

@@ -47,13 +47,12 @@ export class Colorbar {
     const standing = height > width;
     const end = standing ? ENDS.standing : ENDS.lying;
     const length = (standing ? height : width) - 2 * end;
-    for (let i = 0; i < 256; i += 1) {
-      draw.fillStyle = palette.css[i];
-      const from = (i / 256) * length;
-      const step = length / 256 + 0.6;
-      if (standing) draw.fillRect(0, end + length - from - step, BAR, step);
-      else draw.fillRect(end + from, 0, step, BAR);
-    }
+    const ramp = standing
+      ? draw.createLinearGradient(0, end + length, 0, end) : draw.createLinearGradient(end, 0, end + length, 0);
+    for (let i = 0; i < 256; i += 5) ramp.addColorStop(i / 255, palette.css[i]);
+    draw.fillStyle = ramp;
+    if (standing) draw.fillRect(0, end, BAR, length);
+    else draw.fillRect(end, 0, length, BAR);
     draw.fillStyle = ink.text;
     draw.strokeStyle = ink.muted;
     draw.lineWidth = 1;
