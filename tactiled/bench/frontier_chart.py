@@ -12,6 +12,7 @@ from tactiled.bench.frontier import FLOOR, Mark, Panel
 
 BLUE, RED, GREEN, PINK, BLACK, SKY = COLOURS
 GREY = "#777777"
+SIZES = {"auto": 10, "nnls": 14}  # points: auto often picks nnls, and then both must show
 DASHES = (0, (5, 3))
 END = 1e7  # µs, past the right edge
 STYLES = {  # name as it begins -> label, mark, colour; the longest that fits counts
@@ -50,8 +51,8 @@ def draw(path: Path, found: list[Panel]) -> None:
 
 
 def _top(row: list[Panel]) -> float:
-    """The largest error of a row that is drawn to scale: the raw image's and a little more."""
-    return 1.1 * max(one.mark("raw").nrmse for one in row)
+    """The largest error of a row that is drawn to scale: the raw image's and a quarter more."""
+    return 1.25 * max(one.mark("raw").nrmse for one in row)
 
 
 def style(name: str) -> tuple[str, str, str]:
@@ -76,30 +77,20 @@ def _panel(axes: Axes, panel: Panel, top: float) -> None:
 
 
 def _mark(axes: Axes, mark: Mark, top: float) -> None:
-    """Draw one method, at the upper edge with an arrow where it is off the scale."""
+    """Draw one method; at the upper edge with an arrow where it is off the scale."""
     _, shape, colour = style(mark.method)
-    y = min(mark.nrmse, top)
-    big = mark.method == "auto"
-    fill = colour if mark.ours else "white"
+    y, size = min(mark.nrmse, top), SIZES.get(mark.method, 6.5)
+    fill = colour if mark.ours and mark.method != "nnls" else "white"
     axes.plot(
-        mark.median, y, shape, color=colour, mfc=fill, ms=13 if big else 6.5, mew=1.2, zorder=4 if big else 3
+        mark.median, y, shape, color=colour, mfc=fill, ms=size, mew=1.2, zorder=4 if mark.method == "auto" else 3
     )
     if mark.nrmse > top:
-        axes.annotate(
-            f"{mark.nrmse:.2g} ↑",
-            (mark.median, y),
-            (0, -7),
-            textcoords="offset points",
-            fontsize=7.5,
-            ha="center",
-            va="top",
-            color=colour,
-        )
+        axes.annotate("↑", (mark.median, y), (7, 0), textcoords="offset points", va="center", color=colour)
 
 
 def _legend(drawn: Figure, panel: Panel) -> None:
     present = [STYLES[key] for key in STYLES if any(style(m.method) is STYLES[key] for m in panel.marks)]
-    theirs = {label for label, *_ in present if label.startswith("scikit")}
+    hollow = {label for label, *_ in present if label.startswith("scikit") or label == "nnls"}
     handles = [
         Line2D(
             [],
@@ -107,12 +98,12 @@ def _legend(drawn: Figure, panel: Panel) -> None:
             ls="",
             marker=shape,
             color=colour,
-            mfc="white" if label in theirs else colour,
-            ms=11 if label == "auto" else 6.5,
+            mfc="white" if label in hollow else colour,
+            ms=SIZES.get(label, 6.5),
             label=label,
         )
         for label, shape, colour in present
     ]
-    handles.append(Line2D([], [], color="#999999", lw=1.3, label="Pareto front: nothing faster is as accurate"))
+    handles.append(Line2D([], [], color="#999999", lw=1.3, label="Pareto front: nothing else beats it in both"))
     handles.append(Line2D([], [], color=PINK, lw=1.3, ls=DASHES, label=FLOOR))
     drawn.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5, columnspacing=1.5)

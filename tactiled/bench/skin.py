@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,7 @@ class Film:
     truths: Floats  # means over cells of the pitch
 
 
+@cache
 def rubber(thickness: float, size: int, true: Stack | None = None) -> Skin:
     """Lay rubber, `thickness` pitches, over size x size taxels; `true` blurs where it is not as believed."""
     array = grid(size, size, 1.0, APERTURE)

@@ -1,0 +1,282 @@
+"""Where methods fail: what goes wrong swept from harmless to hopeless, and whether anyone would notice."""
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactiled.bench.machine import describe
+from tactiled.bench.restore import nrmse, richardson_lucy, wiener
+from tactiled.bench.skin import Frames
+from tactiled.bench.sweeps import SWEEPS, Case, Setting, Sweep
+from tactiled.bench.truth import DRAWN
+from tactiled.restore.methods import METHODS, make
+
+OURS = tuple(name for name in METHODS if name != "raw")
+THEIRS = ("skimage wiener", "skimage rl")
+BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
+WORSE = 1.02  # times the raw image's error: more is a failure
+HONEST = 0.5  # of the true error: a claimed deviation of less is no warning
+MODEL = 0.005  # of the frame's peak: what a true model misses, as scenes do not lie on its grid
+ALARMS = 0.01  # share of sound images that a test of the residual may call doubtful
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What one method made of one frame."""
+
+    sweep: str
+    value: float
+    scene: str
+    method: str
+    ran: str  # the method that auto chose; empty for scikit-image's
+    nrmse: float
+    over_raw: float
+    over_wiener: float
+    error: float  # kPa, root mean square
+    claimed: float  # kPa, root mean square of the standard deviation that we state; NaN where none is stated
+    residual: float  # root mean square of H x - y, over the noise told and what a true model may miss
+    flagged: bool  # some taxels carry flags, which the image's warnings name
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Where a method stops being worth it, and what says so."""
+
+    sweep: str
+    unit: str
+    method: str
+    breaks_at: tuple[float, ...]  # first values, going out from the harmless one, that are worse than raw
+    worst: float  # largest error over the raw image's, mean of the scenes
+    worst_at: float
+    scene: str  # that first is worse than raw by itself
+    scene_at: float | None  # where it is; None where none ever is
+    noticed: str  # "yes", "partly", "no", or "" where nothing failed
+    by: str
+
+
+def measure(setting: Setting, values: slice) -> Iterator[tuple[Sweep, list[Row]]]:
+    """Run every sweep, at all its values or those of a slice and the harmless one."""
+    for sweep in SWEEPS:
+        chosen = [v for v in sweep.values if v in sweep.values[values] or v == sweep.harmless]
+        yield (
+            sweep,
+            [row for value in chosen for case in sweep.make(value, setting) for row in rows(sweep, value, case)],
+        )
+
+
+def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
+    """Restore one frame by every method."""
+    told: dict[str, tuple[str, Frames, float]] = {}
+    for name in ("raw", *OURS):
+        restorer = make(name, case.skin.blur, case.noise)
+        done = restorer(case.frame, case.flags)
+        told[name] = (done.method, done.image.copy(), _rms(restorer.deviation()))
+    told |= {name: ("", image, np.nan) for name, image in _theirs(case).items()}
+    errors = {name: nrmse(image, case.truth) for name, (_, image, _) in told.items()}
+    flagged = case.flags is not None and bool(case.flags.any())
+    return [
+        Row(
+            sweep=sweep.name,
+            value=value,
+            scene=case.scene,
+            method=name,
+            ran=ran,
+            nrmse=errors[name],
+            over_raw=errors[name] / errors["raw"],
+            over_wiener=errors[name] / errors["wiener"],
+            error=_rms(image - case.truth),
+            claimed=claimed,
+            residual=_residual(case, image),
+            flagged=flagged,
+        )
+        for name, (ran, image, claimed) in told.items()
+    ]
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=float))))
+
+
+def _residual(case: Case, image: Frames) -> float:
+    """Of the taxels that are to be believed."""
+    rest = case.skin.blur.forward(np.asarray(image, np.float32)) - case.frame
+    sound = rest if case.flags is None else rest[case.flags == 0]
+    expected = np.hypot(case.noise, MODEL * float(np.abs(case.frame).max()))
+    return float(_rms(sound) / expected) if sound.size else np.nan
+
+
+def _theirs(case: Case) -> dict[str, Frames]:
+    """scikit-image's two, at settings that need no truth; they know nothing of flags."""
+    if case.skin.psf is None:
+        return {}
+    psf = case.skin.psf.astype(np.float32)
+    peak = max(float(case.frame.max()), case.noise)
+    balance = BALANCE * case.noise / peak
+    lucy = richardson_lucy(np.maximum(case.frame, 0), psf, LUCY, clip=False, filter_epsilon=1e-6 * peak)
+    return {"skimage wiener": wiener(case.frame, psf, balance, clip=False), "skimage rl": lucy}
+
+
+def curve(found: list[Row], method: str, over: str = "raw") -> dict[float, float]:
+    """Mean error of the scenes over that of `over`, by what was swept."""
+    means = _means(found, method), _means(found, over)
+    return {value: means[0][value] / means[1][value] for value in means[0]}
+
+
+def _means(found: list[Row], method: str) -> dict[float, float]:
+    values = dict.fromkeys(row.value for row in found)
+    return {
+        value: float(np.mean([row.nrmse for row in found if (row.value, row.method) == (value, method)]))
+        for value in values
+    }
+
+
+def breaks(ratios: dict[float, float], harmless: float, limit: float = WORSE) -> tuple[float, ...]:
+    """The first value over the limit on either side of the harmless one, itself if it is over."""
+    if ratios.get(harmless, 0.0) > limit:
+        return (harmless,)
+    sides = (sorted((v for v in ratios if v < harmless), reverse=True), sorted(v for v in ratios if v > harmless))
+    firsts = (next((value for value in side if ratios[value] > limit), None) for side in sides)
+    return tuple(value for value in firsts if value is not None)
+
+
+def failure(sweep: Sweep, found: list[Row], method: str, threshold: float = np.inf) -> Failure:
+    """Judge one method on one sweep; residuals over `threshold` would be noticed by a test of them."""
+    ratios = curve(found, method)
+    worst_at = max(ratios, key=lambda value: ratios[value])
+    scenes = {row.scene for row in found}
+    alone = {
+        scene: breaks(
+            {r.value: r.over_raw for r in found if (r.scene, r.method) == (scene, method)}, sweep.harmless
+        )
+        for scene in sorted(scenes)
+    }
+    firsts = [
+        (abs(_place(sweep, value) - _place(sweep, sweep.harmless)), scene, value)
+        for scene, values in alone.items()
+        for value in values
+    ]
+    _, scene, scene_at = min(firsts, default=(0.0, "", None))
+    failed = [row for row in found if row.method == method and row.over_raw > WORSE]
+    noticed, by = _noticed(failed, threshold)
+    return Failure(
+        sweep=sweep.name,
+        unit=sweep.unit,
+        method=method,
+        breaks_at=breaks(ratios, sweep.harmless),
+        worst=ratios[worst_at],
+        worst_at=worst_at,
+        scene=scene,
+        scene_at=scene_at,
+        noticed=noticed,
+        by=by,
+    )
+
+
+def _place(sweep: Sweep, value: float) -> float:
+    return float(np.log(value)) if sweep.logarithmic else value
+
+
+def noticed(row: Row) -> bool:
+    """Whether the image itself says that it may be wrong: by a flag's warning, or by the deviation it claims."""
+    return row.flagged or row.claimed >= HONEST * row.error
+
+
+def _noticed(failed: list[Row], threshold: float) -> tuple[str, str]:
+    if not failed:
+        return "", ""
+    seen = [row for row in failed if noticed(row)]
+    names = {
+        "flags": any(row.flagged for row in seen),
+        "claimed deviation": any(not row.flagged for row in seen),
+    }
+    by = [name for name, there in names.items() if there]
+    shown = sum(row.residual > threshold for row in failed if not noticed(row))
+    if shown:
+        by.append(f"the residual would show {shown} of {len(failed) - len(seen)} silent")
+    word = "yes" if len(seen) == len(failed) else "partly" if seen else "no"
+    count = "" if word == "yes" else f" ({len(seen)} of {len(failed)})"
+    return word + count, "; ".join(by)
+
+
+def sound(found: Sequence[tuple[Sweep, list[Row]]], method: str) -> list[Row]:
+    """Rows of a method where restoration is told the truth about the array: what must raise no alarm."""
+    told = ("cover", "white noise")
+    return [row for sweep, all_ in found if sweep.name in told for row in all_ if row.method == method]
+
+
+def threshold(found: Sequence[tuple[Sweep, list[Row]]], method: str) -> float:
+    """The residual that sound images stay under, but for the share of `ALARMS`."""
+    residuals = [row.residual for row in sound(found, method)]
+    return float(np.quantile(residuals, 1 - ALARMS)) if residuals else np.inf
+
+
+def table(found: Sequence[tuple[Sweep, list[Row]]]) -> list[Failure]:
+    """Every method on every sweep, sweep by sweep."""
+    present = list(dict.fromkeys(row.method for row in found[0][1] if row.method != "raw"))
+    limits = {method: threshold(found, method) for method in present}
+    return [failure(sweep, rows_, method, limits[method]) for sweep, rows_ in found for method in present]
+
+
+HEADINGS = ("goes wrong", *OURS, *THEIRS, "auto at its worst", "noticed on auto", "by")
+
+
+def lines(failures: Sequence[Failure]) -> list[tuple[str, ...]]:
+    """The table to read, by HEADINGS: where each method is first worse than raw, and what `auto` says of it."""
+    found = []
+    for name in dict.fromkeys(one.sweep for one in failures):
+        by = {one.method: one for one in failures if one.sweep == name}
+        auto = by["auto"]
+        at = [_values(by[method].breaks_at) if method in by else "" for method in (*OURS, *THEIRS)]
+        worst = f"{auto.worst:.2f} at {auto.worst_at:g}"
+        found.append((f"{name} ({auto.unit})", *at, worst, auto.noticed or "nothing to notice", auto.by))
+    return [tuple(cell.replace("-", "−") if number else cell for number, cell in enumerate(row)) for row in found]
+
+
+def _values(values: tuple[float, ...]) -> str:
+    return ", ".join(f"{value:g}" for value in values) or "never"
+
+
+def silent(found: Sequence[tuple[Sweep, list[Row]]], method: str = "auto") -> list[Row]:
+    """Images of a method that are over twice as wrong as claimed, and that no flag warns of."""
+    return [row for _, all_ in found for row in all_ if row.method == method and not noticed(row)]
+
+
+def setting(quick: bool, seed: int) -> tuple[Setting, slice]:
+    """What to run, and which of each sweep's values."""
+    if quick:
+        return Setting(16, seed, ("blobs", "punches", "points")), slice(None, None, 3)
+    return Setting(32, seed, tuple(DRAWN)), slice(None)
+
+
+def write(folder: Path, found: Sequence[tuple[Sweep, list[Row]]], seed: int) -> None:
+    """Put every image into stability.csv, the table into stability-table.csv and stability.json."""
+    _csv(folder / "stability.csv", [asdict(row) for _, all_ in found for row in all_])
+    failures = [asdict(one) for one in table(found)]
+    _csv(folder / "stability-table.csv", failures)
+    told = {
+        "seed": seed,
+        "machine": describe(),
+        "worse than raw by": WORSE,
+        "residual thresholds": {method: threshold(found, method) for method in OURS},
+        "table": failures,
+    }
+    (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+def _csv(path: Path, records: list[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.DictWriter(file, list(records[0]))
+        out.writeheader()
+        for record in records:
+            out.writerow({key: _cell(value) for key, value in record.items()})
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value

@@ -1,0 +1,47 @@
+"""`tactiled bench stability`: where methods fail, and whether anyone would notice."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from tactiled.bench.machine import describe
+from tactiled.cli.app import bench
+from tactiled.cli.bench_frontier import made
+
+
+@bench.command()
+def stability(
+    out: Annotated[Path, typer.Option(help="Folder for the charts and tables.")] = Path("bench"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer values and scenes, 16 x 16 taxels.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
+) -> None:
+    """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
+    from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
+    from tactiled.bench.stability_chart import calibration, draw
+    from tactiled.bench.sweeps import SWEEPS
+
+    folder = made(out)
+    with threadpool_limits(1):
+        sweeps = measure.measure(*measure.setting(quick, seed))
+        found = list(track(sweeps, "Stability", len(SWEEPS), transient=True))
+    measure.write(folder, found, seed)
+    draw(folder / "stability.svg", found)
+    draw(folder / "stability-wiener.svg", found, "wiener")
+    calibration(folder / "calibration.svg", found)
+    table = Table(
+        title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
+    )
+    for name in measure.HEADINGS:
+        table.add_column(name)
+    for row in measure.lines(measure.table(found)):
+        table.add_row(*row)
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(table)
+    console.print(f"Seed {seed}. One thread. {describe()}")
+    console.print(f"Written: {folder}/stability.svg, stability-wiener.svg, calibration.svg, stability.csv,")
+    console.print("stability-table.csv, stability.json")

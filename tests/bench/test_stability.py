@@ -1,0 +1,120 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tactiled.bench import stability
+from tactiled.bench.stability import Row, breaks, curve, failure, lines, noticed, rows, table, threshold
+from tactiled.bench.sweeps import SWEEPS, Setting
+from tactiled.cli.app import app
+
+SMALL = Setting(12, 1, ("punches",))
+SWEEP = {sweep.name: sweep for sweep in SWEEPS}
+
+
+def row(value, over_raw, method="auto", scene="punches", **other):
+    told = {"sweep": "offset", "ran": method, "over_wiener": 1.0, "error": 4.0, "claimed": 1.0, "residual": 1.0}
+    told |= {"flagged": False} | other
+    return Row(value=value, scene=scene, method=method, nrmse=0.5 * over_raw, over_raw=over_raw, **told)
+
+
+def film(ratios, **other):
+    """Rows of auto, and of a raw image of error 0.5."""
+    return [row(value, ratio, **other) for value, ratio in ratios.items()] + [row(v, 1.0, "raw") for v in ratios]
+
+
+def test_breaks_is_the_first_value_over_the_limit_on_either_side():
+    ratios = {-10: 1.5, -5: 1.1, -1: 1.0, 0: 0.5, 1: 0.9, 2: 1.03, 5: 0.9, 10: 2.0}
+    assert breaks(ratios, 0) == (-5, 2)
+    assert breaks(ratios, 0, limit=1.6) == (10,)
+    assert breaks(ratios, 10) == (10,)
+    assert breaks({0: 0.5, 1: 1.02}, 0) == ()
+
+
+def test_breaks_reads_a_sweep_that_is_harmless_at_its_high_end():
+    assert breaks({30: 1.4, 50: 1.1, 100: 0.5}, 100) == (50,)
+
+
+def test_curve_is_the_ratio_of_mean_errors():
+    found = [row(0, 0.2, scene="a"), row(0, 0.6, scene="b"), row(0, 1.0, "raw", "a"), row(0, 1.0, "raw", "b")]
+    assert curve(found, "auto") == pytest.approx({0: 0.4})
+
+
+def test_a_failure_names_its_place_scene_and_whether_it_was_silent():
+    told = failure(SWEEP["offset"], film({0: 0.5, 2: 1.2, 5: 1.4}), "auto")
+    assert (told.breaks_at, told.worst_at, told.scene, told.scene_at) == ((2,), 5, "punches", 2)
+    assert told.worst == pytest.approx(1.4)
+    assert (told.noticed, told.by) == ("no (0 of 2)", "")
+
+
+def test_what_the_residual_would_show_is_counted():
+    found = film({0: 0.5, 2: 1.2}) + film({5: 1.4}, residual=9.0)
+    assert failure(SWEEP["offset"], found, "auto", 3.0).by == "the residual would show 1 of 2 silent"
+
+
+@pytest.mark.parametrize(
+    ("other", "there"),
+    [({}, False), ({"flagged": True}, True), ({"claimed": 2.0}, True), ({"claimed": np.nan}, False)],
+)
+def test_flags_and_honest_claims_are_noticed(other, there):
+    assert noticed(row(0, 1.5, **other)) is there
+
+
+def test_nothing_that_works_is_called_a_failure():
+    told = failure(SWEEP["offset"], film({0: 0.5, 2: 0.6}), "auto")
+    assert (told.breaks_at, told.scene, told.scene_at, told.noticed) == ((), "", None, "")
+
+
+@pytest.mark.parametrize("sweep", SWEEPS, ids=lambda sweep: sweep.name)
+def test_every_sweep_is_harmless_where_it_says_and_deterministic(sweep):
+    assert sweep.harmless in sweep.values
+    first, second = (next(sweep.make(sweep.harmless, SMALL)) for _ in range(2))
+    assert np.array_equal(first.frame, second.frame)
+    assert first.frame.dtype == np.float32
+    assert first.frame.shape == first.truth.shape == (12, 12)
+    worst = max(sweep.values, key=lambda value: abs(value - sweep.harmless))
+    other = next(sweep.make(worst, SMALL))
+    assert not np.array_equal(other.frame, first.frame) or other.noise != first.noise
+
+
+def test_flagged_sweeps_flag_what_they_spoil():
+    clean, gone = (next(SWEEP["dead taxels"].make(value, SMALL)) for value in (0, 10))
+    assert np.count_nonzero(gone.flags) == 14
+    assert np.array_equal(gone.frame[gone.flags == 0], clean.frame[gone.flags == 0])
+    assert np.isin(np.count_nonzero(next(SWEEP["messages lost"].make(10, SMALL)).flags), (14, 15))
+
+
+def test_errors_are_the_same_in_every_run():
+    case = next(SWEEP["thickness wrong"].make(-20, SMALL))
+    told = [[(r.method, round(r.nrmse, 6)) for r in rows(SWEEP["thickness wrong"], -20, case)] for _ in range(2)]
+    assert told[0] == told[1]
+    assert {name for name, _ in told[0]} == {"raw", *stability.OURS, *stability.THEIRS}
+
+
+def test_a_residual_above_the_threshold_is_rare_where_all_is_well():
+    found = [(SWEEP["cover"], [row(1, 0.5, residual=n / 100, sweep="cover") for n in range(200)])]
+    assert sum(r.residual > threshold(found, "auto") for r in found[0][1]) == 2
+
+
+def test_table_has_a_line_for_every_sweep_and_a_failure_for_every_method():
+    found = [(SWEEP["offset"], rows(SWEEP["offset"], 0, next(SWEEP["offset"].make(0, SMALL))))]
+    failures = table(found)
+    assert [one.method for one in failures] == [*stability.OURS, *stability.THEIRS]
+    (line,) = lines(failures)
+    assert len(line) == len(stability.HEADINGS)
+    assert line[0] == "offset (% of the peak)"
+
+
+def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
+    few = tuple(SWEEP[name] for name in ("cover", "offset"))
+    monkeypatch.setattr(stability, "SWEEPS", few)
+    monkeypatch.setattr(stability, "setting", lambda quick, _: (SMALL, slice(0, 1 + quick)))
+    told = CliRunner().invoke(app, ["bench", "stability", "--quick", "--out", str(tmp_path)])
+    assert told.exit_code == 0, told.output
+    for name in ("stability.svg", "stability-wiener.svg", "calibration.svg"):
+        assert (tmp_path / name).read_text().startswith("<?xml")
+    written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
+    assert len(written) == 2 * 7
+    assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == 14
