@@ -64,9 +64,13 @@ class Auto:
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0
 
+    def rests(self, y: Image) -> bool:
+        """Whether there is nothing in a frame."""
+        return self._idle(y, self._reach("idle"))
+
     def __call__(self, y: Image) -> Restored:
         """Restore a frame without gaps."""
-        if self._idle(y, self._reach("idle")):
+        if self.rests(y):
             self._method = "idle"
             self._scene.empty()
             return self._nothing

@@ -30,8 +30,8 @@ class Gaps:
         self.unknown = np.zeros(self.frame.shape, bool)
         self.bounded = np.zeros(self.frame.shape, bool)
 
-    def fill(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Image:
-        """Give the frame, each unknown taxel inferred, a saturated one not below its value; sets the masks."""
+    def mask(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Image:
+        """Give the frame with its unknown taxels at 0, and note which they are."""
         np.abs(frame, out=self.frame)
         np.less(self.frame, HUGE, out=self.unknown)
         np.logical_not(self.unknown, out=self.unknown)
@@ -41,6 +41,10 @@ class Gaps:
             self.bounded |= ((flags & SATURATED) != 0) & ~self.unknown
         self.frame[...] = frame
         self.frame[self.unknown] = 0
+        return self.frame
+
+    def fill(self) -> Image:
+        """Give the frame just masked, each unknown taxel inferred, a saturated one not below its value."""
         open_ = self.unknown | self.bounded
         if open_.all():
             return self.frame

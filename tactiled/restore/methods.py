@@ -1,6 +1,7 @@
 """The table of methods, and the restorer that keeps each of them from harm."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ class Restorer:
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
         self._gaps = Gaps(blur.modes)
-        self._run, self._forget = METHODS[method](self._scene)
+        self._run, self._forget, self._rests = METHODS[method](self._scene)
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
@@ -35,8 +36,11 @@ class Restorer:
         scene = self._scene
         scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
         if not (scene.high < HUGE and scene.low > -HUGE) or (flags is not None and flags.any()):
-            y = self._gaps.fill(y, flags)
+            y = self._gaps.mask(y, flags)
             scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
+            if not self._rests(y):
+                y = self._gaps.fill()
+                scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
         return self._run(y)
 
     def reset(self) -> None:
@@ -62,11 +66,15 @@ def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
     return Restorer(name, blur, float(noise_kpa))
 
 
-def _nothing() -> None:
-    pass
+class Method(NamedTuple):
+    """What a name in METHODS stands for."""
+
+    run: Run
+    forget: Callable[[], None] = lambda: None
+    rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
 
 
-def _raw(scene: Scene) -> tuple[Run, Callable[[], None]]:
+def _raw(scene: Scene) -> Method:
     repeat = [n // m for n, m in zip(scene.blur.surface_shape, scene.blur.frame_shape, strict=True)]
     image = np.empty(scene.blur.surface_shape, np.float32)
     cells = image.reshape([each for m, k in zip(scene.blur.frame_shape, repeat, strict=True) for each in (m, k)])
@@ -76,10 +84,10 @@ def _raw(scene: Scene) -> tuple[Run, Callable[[], None]]:
         cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
         return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
 
-    return run, _nothing
+    return Method(run)
 
 
-def _wiener(scene: Scene) -> tuple[Run, Callable[[], None]]:
+def _wiener(scene: Scene) -> Method:
     wiener = Wiener(scene)
 
     def run(y: Image) -> Restored:
@@ -87,10 +95,10 @@ def _wiener(scene: Scene) -> tuple[Run, Callable[[], None]]:
         image = wiener()
         return Restored(image, "wiener", ASKED, 0, wiener.filter.noise_gain, scene.resolution())
 
-    return run, _nothing
+    return Method(run)
 
 
-def _lucy(scene: Scene, accelerate: bool = False) -> tuple[Run, Callable[[], None]]:
+def _lucy(scene: Scene, accelerate: bool = False) -> Method:
     lucy, wiener = Lucy(scene, LUCY, accelerate), Wiener(scene)
     name = "rl-fast" if accelerate else "rl"
 
@@ -99,10 +107,10 @@ def _lucy(scene: Scene, accelerate: bool = False) -> tuple[Run, Callable[[], Non
         done = lucy(y)
         return Restored(lucy.image, name, ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
-    return run, _nothing
+    return Method(run)
 
 
-def _nonneg(scene: Scene) -> tuple[Run, Callable[[], None]]:
+def _nonneg(scene: Scene) -> Method:
     nonneg, wiener = Nonneg(scene), Wiener(scene)
 
     def run(y: Image) -> Restored:
@@ -110,15 +118,15 @@ def _nonneg(scene: Scene) -> tuple[Run, Callable[[], None]]:
         done = nonneg(wiener)
         return Restored(nonneg.image, "nnls", ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
-    return run, nonneg.reset
+    return Method(run, nonneg.reset)
 
 
-def _auto(scene: Scene) -> tuple[Run, Callable[[], None]]:
+def _auto(scene: Scene) -> Method:
     auto = Auto(scene)
-    return auto, auto.reset
+    return Method(auto, auto.reset, auto.rests)
 
 
-METHODS: dict[str, Callable[[Scene], tuple[Run, Callable[[], None]]]] = {
+METHODS: dict[str, Callable[[Scene], Method]] = {
     "auto": _auto,
     "raw": _raw,
     "wiener": _wiener,
