@@ -1,0 +1,70 @@
+"""`tactiled record`: a bus's raw traffic into a file."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from tactiled.bus.record import open_tap, record
+from tactiled.cli.app import app
+from tactiled.cli.simulate import _interrupt
+from tactiled.config import Config, load
+from tactiled.errors import ConfigError
+
+
+@app.command("record")
+def record_(
+    out: Annotated[
+        Path, typer.Argument(help="File to write, never overwritten: .log, .asc, .blf, .log.gz, .asc.gz.")
+    ],
+    config: Annotated[Path | None, typer.Option(help="Record a bus of this file.")] = None,
+    bus: Annotated[str | None, typer.Option(help="Which, where the file has several.")] = None,
+    interface: Annotated[
+        str | None, typer.Option(help="Or python-can's name of an interface: socketcan, slcan, udp_multicast, ...")
+    ] = None,
+    channel: Annotated[str | None, typer.Option(help="Its channel: can0, /dev/ttyUSB0, 239.74.163.2, ...")] = None,
+    bitrate: Annotated[
+        int | None, typer.Option(help="Bits a second, where the interface sets them.", min=1)
+    ] = None,
+    fd: Annotated[bool, typer.Option("--fd", help="Open the interface for CAN FD.")] = False,
+    seconds: Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)] = None,
+) -> None:
+    """Record every message of a bus, foreign ones and error frames too, for `tactiled replay` and `export`."""
+    given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
+    settings = bus_settings(load(config) if config else None, bus, interface, given)
+    console = Console(soft_wrap=True, highlight=False)
+    tap = open_tap(**settings)
+    try:
+        with _interrupt() as stop:
+            console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
+            written = record(tap, out, stop, float("inf") if seconds is None else seconds)
+    finally:
+        tap.close()
+    console.print(f"{out}: {written} messages", markup=False)
+
+
+def bus_settings(
+    config: Config | None, bus: str | None, interface: str | None, given: dict[str, Any]
+) -> dict[str, Any]:
+    """What to open a bus with: a file's, or that of the options; ConfigError where neither or both say which."""
+    options = {key: value for key, value in given.items() if value is not None}
+    if config is None:
+        if interface is None:
+            raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
+        if bus is not None:
+            raise ConfigError(f"--bus {bus}: names a bus of a --config, and there is none")
+        return {"interface": interface} | options
+    if interface is not None or options:
+        raise ConfigError("--config: says how to open the bus: leave out --interface and the options beside it")
+    return config.bus[bus_name(config, bus)].settings()
+
+
+def bus_name(config: Config, bus: str | None) -> str:
+    """The bus asked for, or the only one there is; ConfigError otherwise."""
+    known = ", ".join(config.bus)
+    if bus is None and len(config.bus) > 1:
+        raise ConfigError(f"--bus is missing: choose one of {known}")
+    if bus is not None and bus not in config.bus:
+        raise ConfigError(f"--bus {bus}: no such bus: choose one of {known}")
+    return bus or next(iter(config.bus))

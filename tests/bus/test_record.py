@@ -1,0 +1,287 @@
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from threading import Event
+
+import can
+import pytest
+
+from tactiled.bus import recording
+from tactiled.bus.record import WRITERS, ChunkFile, Recorder, open_tap, record
+from tactiled.errors import BusError, ConfigError, TactileError
+
+MESSAGES = [
+    can.Message(1.6e9, 0x500, is_extended_id=False, data=b"\x01\x02\x03"),
+    can.Message(1.6e9 + 0.25, 0x1ABCDEF0, data=b""),
+    can.Message(1.6e9 + 0.5, 0x7FF, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(range(64))),
+    can.Message(1.6e9 + 0.75, 0x100, is_extended_id=False, is_remote_frame=True),
+    can.Message(1.6e9 + 1.0, is_error_frame=True),
+    can.Message(1.6e9 + 1.25, 0x123, is_extended_id=False, is_fd=True, data=bytes(12)),
+]
+
+
+def told(messages):
+    """What every format must give back of a message."""
+    first = messages[0].timestamp  # an .asc file counts from its first message
+    return [
+        (round(each.timestamp - first, 3), each.is_error_frame)
+        if each.is_error_frame
+        else (
+            round(each.timestamp - first, 3),
+            each.arbitration_id,
+            each.is_extended_id,
+            each.is_fd,
+            each.is_remote_frame,
+            bytes(each.data),
+        )
+        for each in messages
+    ]
+
+
+def read(path):
+    with can.LogReader(path) as log:
+        return list(log)
+
+
+def plain(number):
+    return can.Message(1.6e9 + number / 1000, 0x500, is_extended_id=False, data=number.to_bytes(8, "big"))
+
+
+def numbers(path):
+    return [int.from_bytes(each.data, "big") for each in recording.read(path)]
+
+
+def endless(path):
+    """The numbers of a compressed file that lacks its end mark."""
+    got, messages = [], recording.read(path)
+    with pytest.raises(ConfigError, match="end-of-stream"):
+        got.extend(int.from_bytes(each.data, "big") for each in messages)
+    return got
+
+
+def flood(recorder, sent):
+    for number in range(100_000):
+        recorder.put(plain(number))
+        sent.append(number)
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("channel", [None, "can1", 2, "my own bus 300", "/dev/ttyUSB0", ""])
+def test_every_format_gives_back_what_was_on_the_bus(tmp_path, ending, channel):
+    path = tmp_path / f"a{ending}"
+    recorder = Recorder(path)
+    for each in MESSAGES:
+        each.channel = channel
+        recorder.put(each)
+    recorder.close()
+    assert recorder.written == len(MESSAGES)
+    assert told(read(path)) == told(MESSAGES)
+    assert read(path)[0].timestamp == (0.0 if ".asc" in ending else 1.6e9)
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_a_recording_of_nothing_can_be_read(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    Recorder(path).close()
+    assert read(path) == []
+
+
+def test_another_ending_or_a_file_that_is_there_is_refused_and_left_alone(tmp_path):
+    for name in ("a.mf4", "a.csv", "a.blf.gz", "a", "log"):
+        with pytest.raises(ConfigError, match=r"let its name end in one of \.log, \.asc, \.blf"):
+            Recorder(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+    there = tmp_path / "a.log"
+    there.write_text("mine")
+    with pytest.raises(ConfigError, match="is there already"):
+        Recorder(there)
+    assert there.read_text() == "mine"
+    with pytest.raises(ConfigError, match="No such file or directory"):
+        Recorder(tmp_path / "gone" / "a.log")
+
+
+def test_an_upper_case_ending_is_known(tmp_path):
+    recorder = Recorder(tmp_path / "A.LOG")
+    recorder.put(plain(7))
+    recorder.close()
+    assert numbers(tmp_path / "A.LOG") == [7]
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_what_has_come_is_on_the_disk_within_a_second(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    recorder = Recorder(path)
+    for number in range(5):
+        recorder.put(plain(number))
+    time.sleep(1.0)
+    assert recorder.written == 5
+    seen = path.read_bytes()
+    copy = tmp_path / f"copy{ending}"
+    copy.write_bytes(seen)
+    if ending.endswith(".gz"):
+        assert endless(copy) == list(range(5))
+    else:
+        assert numbers(copy) == list(range(5))
+    recorder.close()
+
+
+class Full:
+    """A disk that takes so many bytes and no more."""
+
+    def __init__(self, room):
+        self.room, self.real = room, os.pwrite
+
+    def __call__(self, fd, data, at):
+        fits = bytes(data)[: max(0, self.room - at)]
+        if not fits:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return self.real(fd, fits, at)
+
+
+def fill(recorder, most=20_000):
+    """Put messages, a chunk at a time, until the recorder refuses one."""
+    for number in range(most):
+        recorder.put(plain(number))
+        if number % 50 == 49:
+            time.sleep(0.03)
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_a_full_disk_ends_it_loudly_and_leaves_a_file_that_can_be_read(tmp_path, monkeypatch, ending):
+    path = tmp_path / f"a{ending}"
+    monkeypatch.setattr(os, "pwrite", Full(8_000 if ending.endswith(".gz") else 60_000))
+    recorder = Recorder(path)
+    with pytest.raises(TactileError, match="No space left on device: the recording ends early"):
+        fill(recorder)
+    with pytest.raises(TactileError, match=f"early, after {recorder.written} messages"):
+        recorder.close()
+    got = endless(path) if ending.endswith(".gz") else numbers(path)
+    assert got == list(range(recorder.written))
+    assert recorder.written > 50
+
+
+def test_a_disk_full_from_the_start_leaves_an_empty_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "pwrite", Full(0))
+    recorder = Recorder(tmp_path / "a.log")
+    recorder.put(plain(1))
+    with pytest.raises(TactileError, match="after 0 messages"):
+        recorder.close()
+    assert (tmp_path / "a.log").read_bytes() == b""
+
+
+def test_a_disk_that_cannot_keep_up_ends_it_loudly_with_all_that_it_took(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda _: time.sleep(1.0))
+    recorder, sent = Recorder(tmp_path / "a.log", waiting=100), []
+    with pytest.raises(TactileError, match=r"the disk is too slow: 100 messages wait for it: "):
+        flood(recorder, sent)
+    with pytest.raises(TactileError, match=f"early, after {len(sent)} messages"):
+        recorder.close()
+    assert numbers(tmp_path / "a.log") == sent
+
+
+def test_a_chunk_is_in_the_file_whole_or_not_at_all(tmp_path, monkeypatch):
+    file = ChunkFile(tmp_path / "a")
+    file.write(b"first")
+    file.flush()
+    monkeypatch.setattr(os, "pwrite", Full(8))
+    file.write(b"second")
+    with pytest.raises(OSError, match="No space"):
+        file.flush()
+    file.write(b"third")
+    file.close()
+    assert (tmp_path / "a").read_bytes() == b"first"
+
+
+def test_a_bus_is_recorded_with_all_that_is_on_it(tmp_path, request):
+    tap = open_tap("virtual", channel=request.node.name)
+    with can.Bus(interface="virtual", channel=request.node.name) as sender:
+        for each in MESSAGES:
+            sender.send(each)
+        assert record(tap, tmp_path / "a.log", Event(), 0.3) == len(MESSAGES)
+    tap.close()
+    assert [each[1:] for each in told(read(tmp_path / "a.log"))] == [each[1:] for each in told(MESSAGES)]
+
+
+def test_a_bus_that_goes_away_is_told_with_what_was_recorded(tmp_path):
+    class Gone:
+        left = MESSAGES[:3]
+
+        def receive(self, _):
+            if not self.left:
+                raise BusError("bus can0: the interface is down")
+            return self.left.pop(0)
+
+    with pytest.raises(BusError, match="the interface is down: the recording ends early, after 3 messages"):
+        record(Gone(), tmp_path / "a.log", Event())
+    assert len(read(tmp_path / "a.log")) == 3
+
+
+FEED = """
+import sys, time
+from pathlib import Path
+from tactiled.bus.record import Recorder
+import can
+recorder = Recorder(Path(sys.argv[1]))
+began, number = time.monotonic(), 0
+while True:
+    time.sleep(0.002)
+    while number < (time.monotonic() - began) * 8000:
+        data = number.to_bytes(8, "big")
+        recorder.put(can.Message(1.6e9 + number / 1000, 0x500, is_extended_id=False, data=data))
+        number += 1
+    print(number, flush=True)
+"""
+
+
+def child(path, **more):
+    return subprocess.Popen(
+        [sys.executable, "-c", FEED, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        **more,
+    )
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_kill_9_leaves_a_file_that_lacks_at_most_the_last_second(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    process = child(path)
+    put = []
+    began = None
+    for line in process.stdout:
+        put.append((time.monotonic(), int(line)))
+        began = began or put[0][0]
+        if put[-1][0] - began > 2.3:
+            process.kill()
+            break
+    process.stdout.close()
+    process.stderr.close()
+    assert process.wait() == -signal.SIGKILL
+    killed = put[-1][0]
+    got = endless(path) if ending.endswith(".gz") else numbers(path)
+    assert got == list(range(len(got)))
+    assert len(got) >= max(number for when, number in put if when < killed - 1.0)
+    assert len(got) > 5000
+
+
+def test_the_systems_own_limit_on_a_file_ends_it_loudly(tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
+
+    path = tmp_path / "a.log"
+    process = child(path, preexec_fn=limit)
+    _, says = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "TactileError" in says
+    assert "File too large: the recording ends early" in says
+    assert Path(path).read_bytes().endswith(b"\n")
+    assert numbers(path) == list(range(len(numbers(path))))
+    assert 0 < path.stat().st_size <= 400_000
