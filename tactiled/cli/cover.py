@@ -64,7 +64,7 @@ def cover(
     array = grid(1, 1, pitch)
     if config:
         stack, array = _configured(config, sensor)
-    asked = _frequencies(at) if at else None
+    asked = None if at is None else _frequencies(at)
     bent = _profile(profile)
     start = perf_counter()
     kernel = solve(stack, model, accuracy, bent, perf_counter, budget)
@@ -99,7 +99,7 @@ def _frequencies(text: str) -> Floats:
 
 def _telling(told: Meaning) -> Floats:
     """Choose round frequencies over the fall of a gain."""
-    round_ones = np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]
+    round_ones = (np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]).round(9)
     return np.asarray(round_ones[(round_ones > told.half_gain / 8) & (round_ones < 2 * told.tenth_gain)])
 
 

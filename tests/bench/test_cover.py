@@ -1,5 +1,8 @@
+from time import process_time
+
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from tactiled.bench.cover import PAPER, random_stack, sweep, times, trial
 from tactiled.cover.stack import Layer, Stack
@@ -46,8 +49,10 @@ def test_a_wrong_gain_is_told(monkeypatch):
     assert trial(PAPER).error == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_papers_cover_is_fast_enough():
-    taken = times()
+def test_the_papers_cover_takes_little_of_one_core(monkeypatch):
+    monkeypatch.setattr("tactiled.bench.cover.perf_counter", process_time)  # of this process, whatever else runs
+    with threadpool_limits(1):
+        taken = times()
     assert taken.cold < 0.3
     assert taken.warm < 0.005
     assert taken.exact < 0.005

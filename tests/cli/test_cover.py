@@ -84,6 +84,11 @@ def test_the_table_says_what_it_means():
     assert "0.25 mm (the taxels stand no closer)" in output
 
 
+def test_without_at_the_frequencies_are_round_ones_over_the_fall_of_the_gain():
+    record = told(f"{PAPER} --model layered")
+    assert record["q"] == [0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7]
+
+
 def test_infinity_is_null_in_json():
     assert told("--thickness 10 --pitch 0.1 --model layered --at 1")["meaning"]["noise_gain"] is None
 
@@ -108,6 +113,7 @@ def test_plot(tmp_path, ending):
         ("--profile 0,1 --profile 1,0 --model layered", "model 'layered' knows flat layers only"),
         ("--at 1,-1", "--at 1,-1: give finite frequencies"),
         ("--at x", "--at x: give numbers"),
+        ("--at=", "--at : give numbers"),
         ("--noise 0", "noise is 0.0"),
         ("--footprint 0", "footprint radius is 0.0 mm"),
         ("--footprint 1 --model layered", "--footprint needs --model fem"),

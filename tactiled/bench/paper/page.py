@@ -82,7 +82,11 @@ def write(folder: Path) -> Path:
     for name, _, _, draw in FIGURES:
         draw(folder / name)
     page = folder / "index.html"
-    page.write_text("".join(_page(claims())), encoding="utf-8")
+    text = "".join(_page(claims()))
+    try:
+        page.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"page {page} cannot be written: {error.strerror}") from error
     return page
 
 
