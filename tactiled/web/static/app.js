@@ -195,8 +195,8 @@ function read() {
   showHealth(reachable || chosen ? health : unreachable());
   const frame = history?.at(back) ?? null;
   readings.frame(frame);
-  readings.status(status);
   const live = health.level === "live";
+  readings.status(status, live);
   readings.pace(fps(), live && !paused && painted ? latency : NaN, clocksDiffer() ? skew : 0);
   showProbe(frame);
   showRange();

@@ -129,7 +129,7 @@ export class Chart {
     draw.textAlign = "right";
     const rows = axes.decades
       ? Array.from({ length: Math.floor(axes.top) - Math.ceil(axes.bottom) + 1 }, (_, i) => Math.ceil(axes.bottom) + i)
-      : ticks(axes.bottom, axes.top, h / 32);
+      : ticks(axes.bottom, axes.top, h / 28);
     draw.beginPath();
     for (const value of rows) {
       const y = Math.round(HEAD + h - (value - axes.bottom) * sy) + 0.5;

@@ -82,12 +82,15 @@ export class Readings {
     say(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }
 
-  /** @param {Status|null} status */
-  status(status) {
+  /**
+   * @param {Status|null} status
+   * @param {boolean} live what the status says still holds
+   */
+  status(status, live) {
     const at = this._at;
     say(at.ran, status?.ran ? methodTitle(status.ran) : "\u2013");
     say(at.why, status?.why ?? "");
-    say(at.rate, status ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
+    say(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
     for (const [kind, element] of this._loss) {
       const count = status ? status.loss[/** @type {keyof import("./api.js").Loss} */ (kind)] : 0;
       say(element, status ? String(count) : "\u2013");

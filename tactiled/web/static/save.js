@@ -116,7 +116,7 @@ export function savePng(sensor, plane, frame, raw, restored, scale, palette, sta
     draw.fillStyle = "#8d949c";
     draw.fillRect(x, HEAD, w, h);
     if (!plane.isGrid) {
-      draw.fillStyle = "#12161b";
+      draw.fillStyle = "#333c46";
       draw.fillRect(x, HEAD, w, h);
     }
     draw.imageSmoothingEnabled = !plane.isGrid;

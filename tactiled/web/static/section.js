@@ -12,12 +12,17 @@ import { fixed } from "./paint.js";
 /** @typedef {import("./scale.js").Scale} Scale */
 /** @typedef {import("./chart.js").Line} Line */
 
+const MARGIN = 0.06; // of the range, drawn below it
+const DEEP = 0.4; // of the range, drawn below it while something is there
+const HOLD = 180; // frames for which that stays, so that the axis does not jump
+
 export class Section {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.chart = new Chart(canvas);
     /** @type {Plane|null} */
     this._plane = null;
+    this._deep = 0; // frames for which the axis still reaches deep
     this._raw = line(0, "raw");
     this._restored = line(0, "restored");
     this._lines = [this._raw, this._restored];
@@ -45,22 +50,36 @@ export class Section {
   draw(frame, y, probeX, scale) {
     const plane = this._plane;
     if (!plane) return;
+    const span = scale.high - scale.low;
     this._axes.top = scale.high;
-    this._axes.bottom = Math.min(scale.low, scale.low - 0.06 * (scale.high - scale.low));
     this._raw.length = this._restored.length = 0;
     if (frame) {
       cut(plane, plane.raw, frame.raw, y, this._raw);
       cut(plane, plane.restored, frame.restored, y, this._restored);
     }
+    const least = scale.low - MARGIN * span;
+    this._deep = goesBelow(this._raw, least) || goesBelow(this._restored, least) ? HOLD : Math.max(0, this._deep - 1);
+    this._axes.bottom = scale.low - (this._deep ? DEEP : MARGIN) * span;
     this.chart.draw(this._axes, this._lines, probeX, Number.isFinite(probeX) ? `x ${fixed(probeX, 1)} mm` : "");
   }
 }
 
 /**
+ * @param {Line} of
+ * @param {number} least
+ * @returns {boolean} some point is below
+ */
+function goesBelow(of, least) {
+  for (let i = 0; i < of.length; i += 1) if (of.y[i] < least) return true;
+  return false;
+}
+
+/**
+ * The largest pressure along a horizontal line.
  * @param {Plane} plane
  * @param {number} y mm
  * @param {Float32Array} kpa of the restored image
- * @returns {number} the largest pressure along the line
+ * @returns {number} kPa
  */
 export function highest(plane, y, kpa) {
   const cells = plane.restored;
