@@ -44,7 +44,7 @@ export class Scale {
   follow(peak, noise, time) {
     const gone = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
-    this._peak = Math.max(peak, LEAST_KPA, 8 * noise, this._peak * Math.exp(-gone / DECAY_S));
+    this._peak = Math.max(peak, LEAST_KPA, 15 * noise, this._peak * Math.exp(-gone / DECAY_S));
     if (!this.auto) return;
     const wanted = roundUp(this._peak);
     if (wanted > this.high || roundUp(this._peak / HYSTERESIS) < this.high) this.high = wanted;
@@ -93,6 +93,6 @@ export function ticks(low, high, most) {
  * @returns {string}
  */
 export function tickText(value, span) {
-  const decimals = Math.max(0, Math.min(3, 1 - Math.floor(Math.log10(span))));
+  const decimals = Math.max(0, Math.min(4, 2 - Math.floor(Math.log10(span))));
   return String(Number(value.toFixed(decimals))).replace("-", "\u2212");
 }
