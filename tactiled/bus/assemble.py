@@ -1,6 +1,7 @@
 """Readings to frames: what is lost is counted and marked, never mended."""
 
 from collections import Counter
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from tactiled.bus.codecs import Codec
 from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
 
+UNLEARN = 4  # frames in a row that are not whole, after which a learned order is forgotten
+SEAM = 3  # frames in a row with their longest pause at the same place, after which that place is their beginning
 RESTART_S = 0.25  # of silence, after which a sequence number that looks old is a sender's that began anew
 
 
@@ -20,14 +23,53 @@ class _Open:
         self.left = codec.segments
         self.bad: list[int] = []
         self.highest = -1
+        self.came: list[tuple[int, float]] = []  # segments and their times (s) in the order of their coming
 
     def add(self, reading: Reading) -> None:
         self.payloads[reading.segment] = reading.payload
         self.left -= 1
+        self.came.append((reading.segment, reading.time))
         if reading.bad:
             self.bad += reading.bad
         self.highest = max(self.highest, reading.segment)
         self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
+
+
+class _Cycle:
+    """The order in which a skin without sequence numbers sends its segments, learned from whole frames.
+
+    Without it the first messages of a frame could take the place of the same ones lost from the frame before, and
+    every frame from there on would be put together from two.
+    """
+
+    def __init__(self) -> None:
+        self._rank: dict[int, int] = {}
+        self._broken = 0  # frames in a row that were not whole
+        self._seam: tuple[int | None, int] = (
+            None,
+            0,
+        )  # a segment within frames behind a long pause; frames in a row
+
+    def wraps(self, last: int, segment: int) -> bool:
+        """Whether a segment that comes behind `last` is so far back in the order that it begins a new frame."""
+        return bool(self._rank) and 2 * (self._rank[last] - self._rank[segment]) > len(self._rank)
+
+    def learn(self, frame: _Open, pause: float) -> None:
+        """Look at a closed frame that came after a `pause` (s)."""
+        if frame.left:
+            self._broken += 1
+            if self._broken >= UNLEARN:
+                self._rank = {}
+            return
+        self._broken = 0
+        gaps = [after[1] - before[1] for before, after in pairwise(frame.came)]
+        longest = max(gaps, default=0.0)
+        first = gaps.index(longest) + 1 if longest > 4 * max(pause, 0.0) else 0
+        seam = frame.came[first][0] if first else None
+        self._seam = seam, self._seam[1] + 1 if seam == self._seam[0] else 1
+        if self._seam[1] < SEAM:
+            first = 0
+        self._rank = {segment: rank for rank, (segment, _) in enumerate(frame.came[first:] + frame.came[:first])}
 
 
 class Assembler:
@@ -47,6 +89,8 @@ class Assembler:
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
         self._newest = float("-inf")  # s, time of the newest message
+        self._cycle = _Cycle() if codec.modulus is None else None
+        self._ended = float("inf")  # s, when the frame closed last had its last message
 
     def count(self, kind: str, by: int = 1) -> None:
         """Add to one kind of loss."""
@@ -85,7 +129,7 @@ class Assembler:
         """How many frames a reading is ahead of the newest one begun; 0: of it; negative: of an older one."""
         modulus = self.codec.modulus
         if modulus is None:
-            return int(self._open is None or self._comes_again(self._open, reading.segment))
+            return int(self._open is None or self._begins(self._open, reading.segment))
         if reading.sequence is None or self._wire is None:
             return 1
         ahead = (reading.sequence - self._wire) % modulus
@@ -93,9 +137,11 @@ class Assembler:
         old = step < 0 or (step == 0 and self._open is None)
         return 1 if old and reading.time - self._newest > RESTART_S else step
 
-    def _comes_again(self, frame: _Open, segment: int) -> bool:
+    def _begins(self, frame: _Open, segment: int) -> bool:
+        """Whether a segment without a sequence number cannot be of the open frame."""
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
-        return any(each is not None for each in frame.payloads[segment:end])
+        again = any(each is not None for each in frame.payloads[segment:end])
+        return again or (self._cycle is not None and self._cycle.wraps(frame.came[-1][0], segment))
 
     def _begin(self, reading: Reading, step: int) -> tuple[RawFrame, ...]:
         """Close the open frame, count the frames between as lost, open the reading's own."""
@@ -110,6 +156,9 @@ class Assembler:
         if frame is None:
             return ()
         self._closed = frame.payloads
+        if self._cycle is not None:
+            self._cycle.learn(frame, frame.began - self._ended)
+        self._ended = frame.ended
         self.count("lost", frame.left)
         self.count("incomplete", int(frame.left > 0))
         skew = frame.ended - frame.began

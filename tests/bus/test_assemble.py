@@ -134,6 +134,47 @@ def test_a_skin_without_sequence_numbers_loses_what_the_order_proves(messages, m
     assert [frame.sequence for frame in frames] == [0, 1]
 
 
+CYCLE = Icub(1, (0, 1, 2), thermal_pads=False)  # six messages a frame
+
+
+def scans(count, order=(0, 1, 2, 3, 4, 5), codec=CYCLE):
+    """Frames of one value each, sent in bursts every 10 ms."""
+    for n in range(count):
+        messages = codec.encode(np.full(codec.size, n, np.uint16), 0, 0.0)
+        yield [messages[segment]._replace(time=n / 100 + at / 5000) for at, segment in enumerate(order)]
+
+
+def mixed(frame):
+    return len(set(frame.counts[frame.flags == 0])) > 1
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4, 5), (4, 5, 0, 1, 2, 3), (2, 3, 0, 1, 4, 5)])
+def test_the_next_frame_does_not_fill_the_gap_of_a_skin_without_sequence_numbers(order):
+    bursts = list(scans(8, order))
+    del bursts[3][:2]  # the triangle that comes first, head and tail
+    frames, loss = run([each for burst in bursts for each in burst], CYCLE)
+    assert [np.count_nonzero(frame.flags) for frame in frames] == [0, 0, 0, 12, 0, 0, 0, 0]
+    assert not any(mixed(frame) for frame in frames)
+    assert loss == Loss(lost=2, incomplete=1)
+
+
+def test_a_reader_that_starts_within_a_frame_finds_where_frames_begin():
+    frames, loss = run([each for burst in scans(12) for each in burst][4:], CYCLE)
+    assert not any(mixed(frame) for frame in frames[5:])
+    assert all(frame.skew == pytest.approx(1e-3) for frame in frames[5:])
+    assert loss.incomplete <= 1
+
+
+@pytest.mark.parametrize("triangles", [(5, 0, 1, 2, 3, 4), (3, 0, 4, 1, 5, 2), (5, 4, 3, 2, 1, 0)])
+def test_a_skin_that_changes_its_order_is_followed(triangles):
+    codec = Icub(1, (0, 1, 2, 3, 4, 5))
+    order = [2 * triangle + tail for triangle in triangles for tail in (0, 1)]
+    late = [each._replace(time=1.0 + each.time) for burst in scans(16, order, codec) for each in burst]
+    frames, _ = run([*(each for burst in scans(4, range(12), codec) for each in burst), *late], codec)
+    assert not any(frame.flags.any() or mixed(frame) for frame in frames[-6:])
+    assert [frame.counts[0] for frame in frames[-6:]] == list(range(10, 16))
+
+
 def test_diagnostics_reach_the_frame_for_head_and_tail():
     bad = TAIL0._replace(data=TAIL0.data[:6] + bytes((0x00, 0x10)))  # taxel 0, which the head carries
     (frame,), _ = run([HEAD0, bad, HEAD1, TAIL1], ICUB)
