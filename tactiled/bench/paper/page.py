@@ -101,7 +101,7 @@ def _page(checked: list[Claim]) -> Iterator[str]:
     for claim in checked:
         yield _row(claim)
     yield "</table></div>\n<h2>Figures</h2>\n"
-    yield "<p>Lines are the exact solution, marks the finite elements.</p>\n"
+    yield "<p>Lines are the exact solution, marks and pictures the finite elements.</p>\n"
     for name, number, caption, _ in FIGURES:
         picture = f"<img src='{name}' alt='{escape(caption)}'>"
         yield f"<figure>{picture}<figcaption>{number}. {escape(caption)}</figcaption></figure>\n"
