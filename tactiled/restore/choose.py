@@ -8,7 +8,7 @@ from math import log, sqrt
 
 import numpy as np
 
-from tactiled.restore.linear import Wiener
+from tactiled.restore.linear import Filter, Wiener
 from tactiled.restore.modes import Image
 from tactiled.restore.nonneg import ZERO, Nonneg
 from tactiled.restore.scene import Restored, Scene
@@ -17,10 +17,11 @@ STAY = 1.5  # how much further a test reaches for the method of the frame before
 REVIEW = 8  # frames after which one that needed iterations is asked again whether linear would do
 SURE = 4.0  # standard deviations that count as more than noise
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
+CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
-RAW = "the cover hardly matters here: all it changes is under the noise"
+RAW = "the cover hardly matters here: all it changes is under the noise, and that is faint"
 WIENER = "linear is enough: hardly any of the image falls below zero"
 NNLS = "sharp, sparse or touching zero: linear would ring below zero"
 
@@ -85,7 +86,7 @@ class Auto:
             self._age += 1
             return self._iterated()
         filter_ = self._wiener.filter
-        if self._square and filter_.correction(scene.power) < (self._reach("raw") * SEEN * scene.noise) ** 2:
+        if self._square and self._untouched(filter_):
             return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
         image = self._wiener()
         np.minimum(image, ZERO, out=self._below)
@@ -97,6 +98,13 @@ class Auto:
             self._nonneg.reset()
         self._age = 1
         return self._iterated()
+
+    def _untouched(self, chosen: Filter) -> bool:
+        """Whether neither what the cover did nor the noise is worth taking out of the frame looked at."""
+        scene, reach = self._scene, self._reach("raw")
+        if chosen.correction(scene.power) >= (reach * SEEN * scene.noise) ** 2:
+            return False
+        return float(scene.power.sum()) * reach**2 > (CLEAN * scene.noise) ** 2 * scene.power.size
 
     def _iterated(self) -> Restored:
         done = self._nonneg(self._wiener)

@@ -6,12 +6,12 @@ from tactiled.restore.linear import Wiener
 from tactiled.restore.scene import Scene
 
 PENALTY = 0.3  # ADMM's: against a blur whose largest gain is 1
-SPARSE = 0.13  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
+SPARSE = 0.16  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
 FEWEST = 0.002  # of the cells pressed: fewer are not told apart
 ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
 FADED = 1e-2  # of the frame before: the image before would only be in the way
 ITERATIONS = 30  # at most
-STEADY = 0.1  # noise standard deviations: from the start, an iteration that changes less has no more to give
+STEADY = 0.05  # noise standard deviations: from the start, an iteration that changes less has no more to give
 WARM = 0.3  # the same from the image before: it has been through many iterations already
 ANEW = 4  # iterations after which the share of pressed cells is counted again
 

@@ -45,10 +45,11 @@ def test_what_stands_out_in_one_taxel_or_in_the_sum_is_not_idle(covered, sensed,
 
 
 def test_raw_where_the_cover_hardly_matters(covered, sensed):
-    frame = sensed(bump(5, 20), 0.05)
+    frame = sensed(bump(5, 80), 0.05)
     done = make("auto", covered(SHAPE, 0.05), SIGMA)(frame)
     assert done.method == "raw"
     np.testing.assert_array_equal(done.image, frame)
+    assert make("auto", covered(SHAPE, 0.05), SIGMA)(sensed(bump(1, 10), 0.05)).method != "raw"
 
 
 def test_linear_where_it_hardly_rings(covered, sensed):

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import tactiled.cli
+from tactiled.bench.restore import OURS, accuracy, moving, nrmse, speed
+from tactiled.bench.truth import DRAWN, PEAK, presses
+from tactiled.cli.app import app
+
+
+@pytest.fixture
+def few():
+    """Every scene once, small, at one thickness and noise."""
+    return list(presses(16, (1.0,), (0.01,)))
+
+
+def test_presses_are_blurred_truth_with_the_noise_they_say(few):
+    assert [press.scene for press in few] == list(DRAWN)
+    for press in few:
+        assert press.frame.shape == press.truth.shape == (16, 16)
+        assert 0.3 * PEAK < press.truth.max() < 12 * PEAK
+        assert press.truth.min() >= 0
+        assert press.sigma == pytest.approx(0.01 * press.frame.max(), rel=0.1)
+        assert press.psf.shape[0] % 2 == 1
+        assert np.unravel_index(press.psf.argmax(), press.psf.shape) == (press.psf.shape[0] // 2,) * 2
+        predicted = press.blur.forward(press.truth)
+        assert nrmse(predicted, press.frame) < 0.35  # what lies between taxels is not in the truth's cells
+
+
+def test_the_same_seed_draws_the_same_presses(few):
+    for first, second in zip(few, presses(16, (1.0,), (0.01,)), strict=True):
+        np.testing.assert_array_equal(first.frame, second.frame)
+
+
+def test_auto_is_nearer_the_truth_than_skimage_that_knows_it(few):
+    found = accuracy(iter(few))
+    assert found.mean("auto") < found.mean("best") < found.mean("raw")
+    assert found.slips("auto") == 0
+    assert found.worst("auto") < 1.02
+    assert found.mean("best") <= min(found.mean("skimage wiener"), found.mean("skimage rl"))
+
+
+def test_speed_is_measured_side_by_side():
+    found = speed(16, 0.05)
+    assert set(found.times) == {"skimage wiener", "skimage rl", "FFT pair", *OURS}
+    assert found.ratio("skimage wiener", "wiener") > 2
+    assert found.ratio("skimage rl", "rl") > 4
+
+
+def test_moving_scenes_and_an_idle_pad():
+    found = moving(16, 20)
+    assert sum(found.chosen.values()) == 100
+    assert found.idle < found.median <= found.p99 <= found.worst
+
+
+def test_the_command_knows_its_options():
+    assert tactiled.cli
+    result = CliRunner().invoke(app, ["bench", "restore", "--help"], env={"COLUMNS": "200", "NO_COLOR": "1"})
+    assert result.exit_code == 0
+    assert "--quick" in result.output
