@@ -23,7 +23,7 @@ RAN = pytest.StashKey[int]()
 def pytest_collection_modifyitems(config, items):
     mine = [item for item in items if HERE in item.path.parents]
     for item in mine:
-        item.add_marker(pytest.mark.timeout(120))
+        item.add_marker(pytest.mark.timeout(300))
         if not THERE:
             item.add_marker(pytest.mark.skip(reason="this kernel has no vcan0 and vcan1"))
     config.stash[RAN] = len(mine)
@@ -107,11 +107,11 @@ def link():
 
 @pytest.fixture
 def until():
-    def wait(true, seconds=30.0):
+    def wait(true, seconds=120.0):
         end = time.monotonic() + seconds
         while not (value := true()):
             assert time.monotonic() < end, "it did not happen in time"
-            time.sleep(0.02)
+            time.sleep(0.2)  # asking is work, too, for the one processor there
         return value
 
     return wait

@@ -28,6 +28,7 @@ channel = "vcan0"
 
 [sensor.palm]
 bus = "fast"
+stale_after_s = 1.5
 codec = { name = "packed", fd = true }
 array = { rows = 12, columns = 12, pitch_mm = 1.0 }
 cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
@@ -36,6 +37,7 @@ calibration = { kpa_per_count = 0.05, no_load = 80, noise_kpa = 0.1 }
 
 [sensor.hand]
 bus = "slow"
+stale_after_s = 1.5
 codec = { name = "icub", board = 14, triangles = [0, 1, 2, 3, 4], thermal_pads = false }
 array = { aperture_mm = 3.6 }
 cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }
@@ -81,13 +83,13 @@ def state(url):
 
 
 def fetch(address):
-    with urllib.request.urlopen(address, timeout=20) as answer:
+    with urllib.request.urlopen(address, timeout=60) as answer:
         return json.load(answer)
 
 
 @pytest.fixture
 def palm(run, config):
-    return lambda: run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 20)
+    return lambda: run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 10)
 
 
 def test_two_skins_on_two_buses_reach_http_and_websocket(url, state, palm, run, until):
@@ -104,8 +106,8 @@ def test_two_skins_on_two_buses_reach_http_and_websocket(url, state, palm, run, 
 
     with connect(f"{url.replace('http', 'ws', 1)}/api/v1/sensors/palm/stream?kinds=restored") as stream:
         images = []
-        while len(images) < 20:
-            data = stream.recv(timeout=20)
+        while len(images) < 10:
+            data = stream.recv(timeout=60)
             if isinstance(data, bytes):
                 images.append(unpack(data))
     assert all(image.values.shape == (12, 12) for image in images)
@@ -122,7 +124,7 @@ def test_a_link_that_goes_down_is_told_and_a_link_that_comes_back_is_used(state,
     told = until(lambda: (now := state("palm"))["state"] == "down" and now)
     assert "the interface is down: `ip link set" in told["detail"]
     assert state("hand")["state"] == "silent"  # the other bus is not concerned
-    assert one.wait(20) == 2  # the simulator says so, too, and ends
+    assert one.wait(60) == 2  # the simulator says so, too, and ends
     assert "the interface is down" in one.stdout.read()
     link("vcan1", "up")
     palm()
@@ -135,7 +137,7 @@ def test_a_skin_that_falls_silent_is_stale_and_live_again_when_it_restarts(state
     until(lambda: state("palm")["state"] == "live")
     one.terminate()
     stale = until(lambda: (now := state("palm"))["state"] == "stale" and now)
-    assert stale["age_s"] > 0.4
+    assert stale["age_s"] > 1.5
     assert stale["rate_hz"] == 0
     palm()  # its sequence numbers start again
     until(lambda: (now := state("palm"))["state"] == "live" and now["sequence"] > stale["sequence"])
