@@ -16,7 +16,7 @@ from tactiled.bench.truth import Press, kernel, presses
 from tactiled.cover.operator import stencil
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
-from tactiled.restore.methods import make
+from tactiled.restore.methods import Restorer, make
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
 
@@ -29,6 +29,7 @@ richardson_lucy: Callable[..., NDArray[Any]] = restoration.richardson_lucy
 NOISE = 0.01  # of the frame's peak, where speed is measured
 COVER = 1.0  # t/pitch, where speed is measured
 RATE_HZ = 100.0  # of the moving scenes
+PASSES = 3  # through each film, from the start: a frame's least time is its own, the rest is the machine's
 MOVING = ("ring", "indenters", "sphere", "edge", "fingertip")
 ROUNDS = 5  # over which the least median counts: others may be using the machine
 
@@ -148,19 +149,25 @@ def moving(size: int, frames: int) -> Moving:
         clean = np.array([surface.sense(each).reshape(size, size) for each in pressures])
         sigma = NOISE * clean.max()
         film = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        restorer = make("auto", blur, sigma)
-        took = []
-        for frame in film:
-            start = perf_counter()
-            done = restorer(frame)
-            took.append(perf_counter() - start)
-            chosen[done.method] += 1
-        times.append(1e6 * np.array(took[1:]))
+        passes = [_film(make("auto", blur, sigma), film) for _ in range(PASSES)]
+        times.append(np.min([took for took, _ in passes], axis=0))
+        chosen.update(passes[0][1])
     all_ = np.concatenate(times)
     pad = random.normal(0, 1, (size, size)).astype(np.float32)
     restorer = make("auto", blur, 1.0)
     idle = min(float(np.median(timed(lambda: restorer(pad), 0.05))) for _ in range(ROUNDS))
     return Moving(size, float(np.median(all_)), float(np.percentile(all_, 99)), float(all_.max()), idle, chosen)
+
+
+def _film(restorer: Restorer, film: NDArray[np.float32]) -> tuple[list[float], list[str]]:
+    """Microseconds and method of every frame of a film."""
+    took, chosen = [], []
+    for frame in film:
+        start = perf_counter()
+        done = restorer(frame)
+        took.append(1e6 * (perf_counter() - start))
+        chosen.append(done.method)
+    return took, chosen
 
 
 def accuracy(cases: Iterator[Press]) -> Accuracy:

@@ -76,7 +76,9 @@ def _moving(found: list[Moving], speeds: list[Speed]) -> Table:
         "chosen",
         "aim",
     )
-    table = _table("auto on scenes that move at 100 frames a second", *columns)
+    table = _table(
+        "auto on scenes that move at 100 frames a second, each frame the least of three passes", *columns
+    )
     for each, fixed in zip(found, speeds, strict=True):
         chosen = ", ".join(f"{name} {count}" for name, count in sorted(each.chosen.items()))
         times = (each.median, each.p99, each.worst, fixed.times["skimage wiener"], each.idle)

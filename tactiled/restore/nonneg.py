@@ -8,6 +8,8 @@ from tactiled.restore.scene import Scene
 PENALTY = 0.3  # ADMM's: against a blur whose largest gain is 1
 SPARSE = 0.16  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
 FEWEST = 0.002  # of the cells pressed: fewer are not told apart
+FEW = 0.025  # of the cells pressed: a mean over all modes then says little about the few pressed ones
+LOOSE = 0.3  # of the Gaussian's weight is left to it there
 ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
 FADED = 1e-2  # of the frame before: the image before would only be in the way
 ITERATIONS = 30  # at most
@@ -17,13 +19,13 @@ ANEW = 4  # iterations after which the share of pressed cells is counted again
 
 
 class _Step:
-    """One spectrum's constants of the iteration."""
+    """The constants of the iteration for one spectrum, its Gaussian weighed by `slack`."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, slack: float) -> None:
         S = scene.prior.ratio(scene.number)
         gain = np.zeros_like(S)
         gain[scene.modes.head] = scene.modes.gain
-        inverse = 1 / (gain**2 + 1 / S + PENALTY)
+        inverse = 1 / (gain**2 + slack / S + PENALTY)
         self.again = np.asarray(PENALTY * inverse, np.float32)
         self.data = np.asarray(scene.modes.gain * inverse[scene.modes.head], np.float32)
         self.sparse = np.asarray(-SPARSE * scene.noise * inverse, np.float32)
@@ -39,7 +41,7 @@ class Nonneg:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._steps: dict[int, _Step] = {}
+        self._steps: dict[tuple[int, float], _Step] = {}
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._predict = scene.modes.to_taxels()
         self._modes, self._data = self._there.empty(), self._there.empty()
@@ -68,14 +70,11 @@ class Nonneg:
             np.maximum(self._t, 0, out=self._t)
             np.minimum(self._t, 0, out=self._pull)
             self._warm = True
-        if scene.number not in self._steps:
-            self._steps[scene.number] = _Step(scene)
-        step = self._steps[scene.number]
         limit = enough**2 * self._t.size
         done = 0
         while done < ITERATIONS:
             if done % ANEW == 0:
-                self._load(step)
+                step = self._load()
             done += 1
             if self._iterate(step) <= limit:
                 break
@@ -85,16 +84,21 @@ class Nonneg:
             np.multiply(self.image, np.float32(scale), out=self.image)
         return done
 
-    def _load(self, step: _Step) -> None:
-        """Put in place what the modes owe to the data and to the share of pressed cells."""
+    def _load(self) -> _Step:
+        """Put in place what the modes owe to the data and to the share of pressed cells; gives the next step."""
         np.maximum(self._t, ZERO, out=self.image)
         flat = self.image.reshape(-1)
         total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
         share = max(total**2 / (flat.size * squares), FEWEST) if squares else 1.0
+        key = self._scene.number, (LOOSE if share < FEW else 1.0)
+        if key not in self._steps:
+            self._steps[key] = _Step(self._scene, key[1])
+        step = self._steps[key]
         np.multiply(self._ones, step.sparse, out=self._data)
         np.multiply(self._data, np.float32(share**-0.5), out=self._data)
         np.multiply(self._scene.c, step.data, out=self._seen)
         np.add(self._head, self._seen, out=self._head)
+        return step
 
     def _iterate(self, step: _Step) -> float:
         """Move t one iteration on; gives the squared change of the multiplier."""
