@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.contacts import APART, Contact, Finder, Tracker
-from tactiled.errors import BusError, UnknownSensorError
+from tactiled.errors import BusError, TactileError, UnknownSensorError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.hub import Hub
 from tactiled.pipeline import Pipeline
@@ -102,16 +102,26 @@ class Sensor:
 
     def offer(self, frame: RawFrame) -> None:
         """Take a new frame; one that still waits for its turn is skipped and counted."""
-        now = self._clock()
-        if self._last is not None:
-            gap = now - self._last
-            self._period += (gap - self._period) * min(1.0, max(gap, 0.02)) if self._period else gap
+        self._note_time()
         with self._wake:
-            self._last = now
             self._skipped += self._waiting is not None
             self._waiting = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
             self._loss = self._waiting.loss
             self._wake.notify()
+
+    def show(self, frame: RawFrame) -> None:
+        """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
+        self._note_time()
+        self._loss = frame.loss
+        self._restore(frame)
+
+    def _note_time(self) -> None:
+        """A frame comes now."""
+        now = self._clock()
+        if self._last is not None:
+            gap = now - self._last
+            self._period += (gap - self._period) * min(1.0, max(gap, 0.02)) if self._period else gap
+        self._last = now
 
     def _work(self) -> None:
         while True:
@@ -209,13 +219,25 @@ class Listener:
             self._reader = None
 
 
-class Service:
-    """Every sensor of a configuration, on its bus."""
+class Listening(Protocol):
+    """What hands a bus's frames to its sensors."""
 
-    def __init__(self, config: Config) -> None:
+    def start(self) -> None:
+        """Start; a TactileError where it cannot."""
+
+    def stop(self) -> None:
+        """Stop, whether it was started or not."""
+
+
+class Service:
+    """Every sensor of a configuration, on its bus or on what `listen` puts in a bus's place."""
+
+    def __init__(
+        self, config: Config, listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener
+    ) -> None:
         self.sensors = {plan.name: Sensor(plan) for plan in sensor_plans(config)}
         self._listeners = [
-            Listener(
+            listen(
                 name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}
             )
             for name, bus in config.bus.items()
@@ -230,13 +252,13 @@ class Service:
             raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {known}") from error
 
     def start(self) -> None:
-        """Start everything; BusError, with nothing left running, where a bus cannot be opened."""
+        """Start everything; a TactileError, with nothing left running, where a bus cannot be opened."""
         for sensor in self.sensors.values():
             sensor.start()
         try:
             for listener in self._listeners:
                 listener.start()
-        except BusError:
+        except TactileError:
             self.stop()
             raise
 

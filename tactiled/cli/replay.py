@@ -1,0 +1,73 @@
+"""`tactiled replay`: a recording in the place of the bus."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+from threadpoolctl import threadpool_limits
+
+from tactiled.bus.replay import Replay
+from tactiled.cli.app import app
+from tactiled.cli.record import bus_name
+from tactiled.config import Config, Server, load
+from tactiled.errors import ConfigError
+from tactiled.service import Sensor, Service
+from tactiled.web.server import serve
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
+    config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
+    bus: Annotated[str | None, typer.Option(help="Which of its buses was, where it has several.")] = None,
+    speed: Annotated[
+        float, typer.Option(help="1: the recorded pace; N: N times that; 0: no pauses.", min=0)
+    ] = 1.0,
+    host: Annotated[str | None, typer.Option(help="Address to serve on instead of the file's.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port instead of the file's.", min=0, max=65535)] = None,
+) -> None:
+    """Restore every frame of a recording, the same from run to run, and serve it as `run` does."""
+    settings = one_bus(load(config), bus)
+    with threadpool_limits(1):
+        service = replaying(settings, file, speed)
+        at = _server(settings.server, host, port)
+        service.start()
+        try:
+            serve(service, at)
+        finally:
+            service.stop()
+
+
+def replaying(settings: Config, file: Path, speed: float) -> Service:
+    """A service whose only bus is a recording."""
+
+    def listen(_: str, __: object, sensors: dict[str, Sensor]) -> Replay:
+        def ended(line: str) -> None:
+            print(f"tactiled: {line}", flush=True)
+            for each in sensors.values():
+                each.down = line
+
+        codecs = {name: each.codec for name, each in sensors.items()}
+        return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended)
+
+    return Service(settings, listen)
+
+
+def one_bus(settings: Config, bus: str | None) -> Config:
+    """The configuration of one bus and its sensors; ConfigError where it has none."""
+    name = bus_name(settings, bus)
+    sensors = {key: each for key, each in settings.sensor.items() if each.bus == name}
+    if not sensors:
+        raise ConfigError(f"bus {name}: no sensor of the configuration is on it")
+    return settings.model_copy(update={"bus": {name: settings.bus[name]}, "sensor": sensors})
+
+
+def _server(server: Server, host: str | None, port: int | None) -> Server:
+    """The file's server at another address; ConfigError where it may not be served there."""
+    given = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
+    try:
+        return Server(**(server.model_dump() | given))
+    except ValidationError as error:
+        says = error.errors()[0]["msg"].removeprefix("Value error, ")
+        raise ConfigError(f"--host {host}: {says} in [server]") from error

@@ -1,0 +1,148 @@
+import importlib.util
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tactiled.bus import recording
+from tactiled.cli import app as door
+from tactiled.cli.export import METHOD, SECRET, Columns
+from tactiled.config.example import GRASP
+from tactiled.errors import ConfigError, TactileError
+from tactiled.frames import MISSING
+from tactiled.restore.methods import METHODS
+
+_spec = importlib.util.spec_from_file_location("replay_tests", Path(__file__).with_name("test_replay.py"))
+beside = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(beside)
+CONFIG, FRAMES, codec, lossy = beside.CONFIG, beside.FRAMES, beside.codec, beside.lossy
+
+
+def run(*arguments):
+    return CliRunner().invoke(door.app, ["export", *map(str, arguments)])
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[server]\ncontrol_token = "0123456789abcdef"  # secret\n' + CONFIG)
+    return path
+
+
+def test_an_export_is_what_a_replay_shows(tmp_path, config, lossy):
+    out = tmp_path / "a.npz"
+    done = run(lossy, "--config", config, "-o", out)
+    assert done.exit_code == 0, done.output
+    assert f"a.npz: {FRAMES} frames of palm from 177 messages in " in done.output
+    images, _ = beside.images(lossy)
+    with np.load(out) as got:
+        assert got["raw"].shape == got["restored"].shape == got["flags"].shape == (FRAMES, 8, 8)
+        assert (got["raw"].dtype, got["time"].dtype, got["sequence"].dtype) == (np.float32, np.float64, np.int64)
+        for name in ("raw", "restored", "flags"):
+            assert got[name].tobytes() == np.stack([getattr(each, name) for each in images]).tobytes()
+        for name in ("time", "sequence", "method", "noise_kpa"):
+            assert got[name].tolist() == [getattr(each, name) for each in images]
+        assert np.count_nonzero(got["flags"][7] & MISSING) == 41
+        np.testing.assert_array_equal(got["positions_mm"][9], (1, 1))
+        about = json.loads(got["provenance"].item())
+        loss = dict(zip(about["loss_kinds"], got["loss"][-1].tolist(), strict=True))
+    assert loss == about["loss"] | {"foreign": FRAMES - 1}  # one message comes behind the last frame
+    assert about["loss"]["lost"] == about["loss"]["incomplete"] == 3
+    assert about["units"]["raw"] == about["units"]["restored"] == "kPa"
+    assert about["recording"]["file"] == "a.log"
+    assert about["recording"]["messages"] == 177
+    assert 0 < about["cover"]["gain_error"] < 0.01
+    assert about["made_by"].startswith("tactiled ")
+    assert about["config"]["text"] == config.read_text().replace("0123456789abcdef", "...")
+
+
+def test_the_same_export_is_the_same_file(tmp_path, config, lossy):
+    for name in ("a.npz", "b.npz"):
+        assert run(lossy, "--config", config, "-o", tmp_path / name).exit_code == 0
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_a_skin_without_a_grid(tmp_path):
+    path, out = tmp_path / "hand.toml", tmp_path / "a.npz"
+    path.write_text(GRASP)
+    assert run(recording.path("book_1"), "--config", path, "-o", out).exit_code == 0
+    with np.load(out) as got:
+        assert got["restored"].shape == (15, 60)
+        assert "uncalibrated" in json.loads(got["provenance"].item())["warnings"][0]
+
+
+def test_one_of_several_sensors(tmp_path, config, lossy):
+    other = CONFIG.split("[sensor.palm]")[1].replace('name = "packed"', 'name = "packed", array_id = 3')
+    config.write_text(config.read_text() + "[sensor.thumb]" + other)
+    out = tmp_path / "a.npz"
+    told = run(lossy, "--config", config, "-o", out).exception
+    assert str(told) == "--sensor is missing: choose one of palm, thumb"
+    told = run(lossy, "--config", config, "-o", out, "--sensor", "toe").exception
+    assert str(told) == "--sensor toe: no such sensor: choose one of palm, thumb"
+    told = run(lossy, "--config", config, "-o", out, "--sensor", "thumb").exception
+    assert str(told).endswith("a.log: holds no frame of sensor thumb (177 messages)")
+    assert run(lossy, "--config", config, "-o", out, "--sensor", "palm").exit_code == 0
+    with np.load(out) as got:
+        assert len(got["raw"]) == FRAMES
+
+
+def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(tmp_path, config, lossy):
+    there = tmp_path / "there.npz"
+    there.write_text("mine")
+    before = sorted(tmp_path.iterdir())
+    for recorded, out, says in (
+        (lossy, tmp_path / "a.csv", "let its name end in .npz"),
+        (lossy, there, "is there already"),
+        (lossy, tmp_path / "gone" / "a.npz", "no such directory"),
+        (tmp_path / "gone.log", tmp_path / "a.npz", "gone.log: No such file"),
+    ):
+        told = run(recorded, "--config", config, "-o", out).exception
+        assert isinstance(told, ConfigError)
+        assert says in str(told)
+        assert "\n" not in str(told)
+    assert sorted(tmp_path.iterdir()) == before
+    assert there.read_text() == "mine"
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Columns, "add", full)
+    before = sorted(tmp_path.iterdir())
+    told = run(lossy, "--config", config, "-o", tmp_path / "a.npz").exception
+    assert type(told) is TactileError
+    assert str(told).endswith("a.npz: No space left on device: nothing is exported")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path):
+    columns = Columns(tmp_path)
+    row = {"raw": np.ones((64, 64), np.float32), "method": np.array("wiener", METHOD)}
+    tracemalloc.start()
+    for _ in range(2000):
+        columns.add(row)
+    columns.save(tmp_path / "a.npz", {"whole": np.arange(3)})
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 5e6  # of 33e6
+    with np.load(tmp_path / "a.npz") as got:
+        assert got["raw"].shape == (2000, 64, 64)
+        assert got["raw"].sum() == 2000 * 64 * 64
+        assert set(got["method"].tolist()) == {"wiener"}
+        assert got["whole"].tolist() == [0, 1, 2]
+
+
+def test_the_names_of_all_methods_fit():
+    assert all(np.array(name, METHOD) == name for name in METHODS)
+
+
+@pytest.mark.parametrize(
+    "said",
+    ['read_token = "a\\"bc"', "control_token='abc'", 'x = { "read_token" = "abc" }', 'read_token = """\nabc"""'],
+)
+def test_a_token_in_any_spelling_is_left_out(said):
+    assert "bc" not in SECRET.sub(r'\1"..."', said)
