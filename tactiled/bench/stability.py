@@ -11,6 +11,7 @@ import numpy as np
 
 from tactiled.bench.machine import describe
 from tactiled.bench.restore import nrmse, richardson_lucy, wiener
+from tactiled.bench.signs import SIGNS, Signs, signs
 from tactiled.bench.skin import Frames
 from tactiled.bench.sweeps import SWEEPS, Case, Setting, Sweep
 from tactiled.bench.truth import DRAWN
@@ -21,8 +22,7 @@ THEIRS = ("skimage wiener", "skimage rl")
 BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
 WORSE = 1.02  # times the raw image's error: more is a failure
 HONEST = 0.5  # of the true error: a claimed deviation of less is no warning
-MODEL = 0.005  # of the frame's peak: what a true model misses, as scenes do not lie on its grid
-ALARMS = 0.01  # share of sound images that a test of the residual may call doubtful
+ALARMS = 0.005  # share of sound images that each sign may call doubtful
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +39,12 @@ class Row:
     over_wiener: float
     error: float  # kPa, root mean square
     claimed: float  # kPa, root mean square of the standard deviation that we state; NaN where none is stated
-    residual: float  # root mean square of H x - y, over the noise told and what a true model may miss
+    signs: Signs
     flagged: bool  # some taxels carry flags, which the image's warnings name
+
+
+Limits = dict[str, float]  # of each sign
+Found = Sequence[tuple[Sweep, list[Row]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,7 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
             over_wiener=errors[name] / errors["wiener"],
             error=_rms(image - case.truth),
             claimed=claimed,
-            residual=_residual(case, image),
+            signs=signs(case.skin.blur, case.frame, image, case.noise, case.flags),
             flagged=flagged,
         )
         for name, (ran, image, claimed) in told.items()
@@ -100,14 +104,6 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=float))))
-
-
-def _residual(case: Case, image: Frames) -> float:
-    """Of the taxels that are to be believed."""
-    rest = case.skin.blur.forward(np.asarray(image, np.float32)) - case.frame
-    sound = rest if case.flags is None else rest[case.flags == 0]
-    expected = np.hypot(case.noise, MODEL * float(np.abs(case.frame).max()))
-    return float(_rms(sound) / expected) if sound.size else np.nan
 
 
 def _theirs(case: Case) -> dict[str, Frames]:
@@ -144,8 +140,8 @@ def breaks(ratios: dict[float, float], harmless: float, limit: float = WORSE) ->
     return tuple(value for value in firsts if value is not None)
 
 
-def failure(sweep: Sweep, found: list[Row], method: str, threshold: float = np.inf) -> Failure:
-    """Judge one method on one sweep; residuals over `threshold` would be noticed by a test of them."""
+def failure(sweep: Sweep, found: list[Row], method: str, limits: Limits | None = None) -> Failure:
+    """Judge one method on one sweep; a sign over its limit would show a fault."""
     ratios = curve(found, method)
     worst_at = max(ratios, key=lambda value: ratios[value])
     scenes = {row.scene for row in found}
@@ -162,7 +158,7 @@ def failure(sweep: Sweep, found: list[Row], method: str, threshold: float = np.i
     ]
     _, scene, scene_at = min(firsts, default=(0.0, "", None))
     failed = [row for row in found if row.method == method and row.over_raw > WORSE]
-    noticed, by = _noticed(failed, threshold)
+    noticed, by = _noticed(failed, limits or {})
     return Failure(
         sweep=sweep.name,
         unit=sweep.unit,
@@ -186,7 +182,7 @@ def noticed(row: Row) -> bool:
     return row.flagged or row.claimed >= HONEST * row.error
 
 
-def _noticed(failed: list[Row], threshold: float) -> tuple[str, str]:
+def _noticed(failed: list[Row], limits: Limits) -> tuple[str, str]:
     if not failed:
         return "", ""
     seen = [row for row in failed if noticed(row)]
@@ -195,31 +191,41 @@ def _noticed(failed: list[Row], threshold: float) -> tuple[str, str]:
         "claimed deviation": any(not row.flagged for row in seen),
     }
     by = [name for name, there in names.items() if there]
-    shown = sum(row.residual > threshold for row in failed if not noticed(row))
-    if shown:
-        by.append(f"the residual would show {shown} of {len(failed) - len(seen)} silent")
+    silent_ = [row for row in failed if not noticed(row)]
+    if found := sum(bool(shown(row, limits)) for row in silent_):
+        by.append(f"signs would show {found} of {len(silent_)} silent")
     word = "yes" if len(seen) == len(failed) else "partly" if seen else "no"
     count = "" if word == "yes" else f" ({len(seen)} of {len(failed)})"
     return word + count, "; ".join(by)
 
 
-def sound(found: Sequence[tuple[Sweep, list[Row]]], method: str) -> list[Row]:
+def sound(found: Found, method: str) -> list[Row]:
     """Rows of a method where restoration is told the truth about the array: what must raise no alarm."""
     told = ("cover", "white noise")
     return [row for sweep, all_ in found if sweep.name in told for row in all_ if row.method == method]
 
 
-def threshold(found: Sequence[tuple[Sweep, list[Row]]], method: str) -> float:
-    """The residual that sound images stay under, but for the share of `ALARMS`."""
-    residuals = [row.residual for row in sound(found, method)]
-    return float(np.quantile(residuals, 1 - ALARMS)) if residuals else np.inf
+def limits(found: Found, method: str) -> Limits:
+    """What each sign stays under on sound images, but for the share of `ALARMS`."""
+    told = [asdict(row.signs) for row in sound(found, method)]
+    values = {name: np.array([each[name] for each in told]) for name in SIGNS}
+    return {
+        name: float(np.nanquantile(value, 1 - ALARMS, method="higher"))
+        for name, value in values.items()
+        if np.isfinite(value).any()
+    }
 
 
-def table(found: Sequence[tuple[Sweep, list[Row]]]) -> list[Failure]:
+def shown(row: Row, limits: Limits) -> list[str]:
+    """The signs over their limits."""
+    return [name for name, value in asdict(row.signs).items() if value > limits.get(name, np.inf)]
+
+
+def table(found: Found) -> list[Failure]:
     """Every method on every sweep, sweep by sweep."""
     present = list(dict.fromkeys(row.method for row in found[0][1] if row.method != "raw"))
-    limits = {method: threshold(found, method) for method in present}
-    return [failure(sweep, rows_, method, limits[method]) for sweep, rows_ in found for method in present]
+    known = {method: limits(found, method) for method in present}
+    return [failure(sweep, rows_, method, known[method]) for sweep, rows_ in found for method in present]
 
 
 HEADINGS = ("goes wrong", *OURS, *THEIRS, "auto at its worst", "noticed on auto", "by")
@@ -241,7 +247,7 @@ def _values(values: tuple[float, ...]) -> str:
     return ", ".join(f"{value:g}" for value in values) or "never"
 
 
-def silent(found: Sequence[tuple[Sweep, list[Row]]], method: str = "auto") -> list[Row]:
+def silent(found: Found, method: str = "auto") -> list[Row]:
     """Images of a method that are over twice as wrong as claimed, and that no flag warns of."""
     return [row for _, all_ in found for row in all_ if row.method == method and not noticed(row)]
 
@@ -253,19 +259,25 @@ def setting(quick: bool, seed: int) -> tuple[Setting, slice]:
     return Setting(32, seed, tuple(DRAWN)), slice(None)
 
 
-def write(folder: Path, found: Sequence[tuple[Sweep, list[Row]]], seed: int) -> None:
+def write(folder: Path, found: Found, seed: int) -> None:
     """Put every image into stability.csv, the table into stability-table.csv and stability.json."""
-    _csv(folder / "stability.csv", [asdict(row) for _, all_ in found for row in all_])
+    _csv(folder / "stability.csv", [_flat(row) for _, all_ in found for row in all_])
     failures = [asdict(one) for one in table(found)]
     _csv(folder / "stability-table.csv", failures)
     told = {
         "seed": seed,
         "machine": describe(),
         "worse than raw by": WORSE,
-        "residual thresholds": {method: threshold(found, method) for method in OURS},
+        "limits of the signs": {method: limits(found, method) for method in OURS},
         "table": failures,
     }
     (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    told = asdict(row)
+    found: dict[str, Any] = told.pop("signs")
+    return told | found
 
 
 def _csv(path: Path, records: list[dict[str, Any]]) -> None:

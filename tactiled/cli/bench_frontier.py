@@ -55,6 +55,8 @@ def made(folder: Path) -> Path:
 
 def _table(found: "list[measure.Panel]") -> Table:
     """One row a panel: error and time of ours, the better of scikit-image's settings, and what beats auto."""
+    from tactiled.bench.report_page import rivals
+
     table = Table(title="NRMSE, and median µs a frame", title_justify="left")
     names = ("auto", "raw", "wiener", "nnls", "rl", "rl-fast", "skimage wiener", "skimage rl")
     for name in ("cover", "noise", *names, "floor", "auto beaten by"):
@@ -65,17 +67,5 @@ def _table(found: "list[measure.Panel]") -> Table:
             same = [mark for mark in one.marks if mark.method == name or mark.method.startswith(f"{name} ")]
             best = min(same if name.startswith("skimage") else same[:1], key=lambda mark: mark.nrmse, default=None)
             cells.append(f"{best.nrmse:.3f}\n{best.median:.0f}" if best else "–")
-        table.add_row(one.skin, f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}", _rivals(one))
+        table.add_row(one.skin, f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}", rivals(one))
     return table
-
-
-def _rivals(one: "measure.Panel") -> str:
-    from tactiled.bench.frontier import beaten
-
-    mine = one.mark("auto")
-    said = (
-        f"{each.method}: {100 * (1 - each.nrmse / mine.nrmse):.1f} % less error,"
-        f" {100 * (1 - each.median / mine.median):.0f} % less time"
-        for each in beaten(one)
-    )
-    return "; ".join(said) or "nothing"

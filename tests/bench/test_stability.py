@@ -6,7 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tactiled.bench import stability
-from tactiled.bench.stability import Row, breaks, curve, failure, lines, noticed, rows, table, threshold
+from tactiled.bench.signs import Signs
+from tactiled.bench.stability import Row, breaks, curve, failure, limits, lines, noticed, rows, shown, table
 from tactiled.bench.sweeps import SWEEPS, Setting
 from tactiled.cli.app import app
 
@@ -15,7 +16,14 @@ SWEEP = {sweep.name: sweep for sweep in SWEEPS}
 
 
 def row(value, over_raw, method="auto", scene="punches", **other):
-    told = {"sweep": "offset", "ran": method, "over_wiener": 1.0, "error": 4.0, "claimed": 1.0, "residual": 1.0}
+    told = {
+        "sweep": "offset",
+        "ran": method,
+        "over_wiener": 1.0,
+        "error": 4.0,
+        "claimed": 1.0,
+        "signs": Signs(1.0),
+    }
     told |= {"flagged": False} | other
     return Row(value=value, scene=scene, method=method, nrmse=0.5 * over_raw, over_raw=over_raw, **told)
 
@@ -49,9 +57,9 @@ def test_a_failure_names_its_place_scene_and_whether_it_was_silent():
     assert (told.noticed, told.by) == ("no (0 of 2)", "")
 
 
-def test_what_the_residual_would_show_is_counted():
-    found = film({0: 0.5, 2: 1.2}) + film({5: 1.4}, residual=9.0)
-    assert failure(SWEEP["offset"], found, "auto", 3.0).by == "the residual would show 1 of 2 silent"
+def test_what_signs_would_show_is_counted():
+    found = film({0: 0.5, 2: 1.2}) + film({5: 1.4}, signs=Signs(9.0))
+    assert failure(SWEEP["offset"], found, "auto", {"residual": 3.0}).by == "signs would show 1 of 2 silent"
 
 
 @pytest.mark.parametrize(
@@ -93,9 +101,9 @@ def test_errors_are_the_same_in_every_run():
     assert {name for name, _ in told[0]} == {"raw", *stability.OURS, *stability.THEIRS}
 
 
-def test_a_residual_above_the_threshold_is_rare_where_all_is_well():
-    found = [(SWEEP["cover"], [row(1, 0.5, residual=n / 100, sweep="cover") for n in range(200)])]
-    assert sum(r.residual > threshold(found, "auto") for r in found[0][1]) == 2
+def test_a_sign_is_rare_where_all_is_well():
+    found = [(SWEEP["cover"], [row(1, 0.5, signs=Signs(n / 100), sweep="cover") for n in range(400)])]
+    assert sum(shown(r, limits(found, "auto")) == ["residual"] for r in found[0][1]) in (1, 2)
 
 
 def test_table_has_a_line_for_every_sweep_and_a_failure_for_every_method():

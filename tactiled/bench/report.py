@@ -1,0 +1,80 @@
+"""Everything measured about restoration: speed, accuracy, limits, failures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from tactiled.bench import ablation, discriminate, frontier, iterations, picard, stability
+from tactiled.bench.skin import Skin, rubber
+from tactiled.bench.sweeps import SWEEPS, Setting, Sweep
+
+Step = Callable[[str], None]
+COVERS = (0.5, 1.0, 2.0, 3.0)
+NOISE = 0.01  # of the peak, where one is enough
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much to measure, on which skins."""
+
+    skins: tuple[Skin, ...]
+    effort: frontier.Effort
+    setting: Setting
+    values: slice
+    iterations: int
+    trials: int
+    frames: int  # of the ablation's films
+    seed: int
+    quick: bool
+
+    @property
+    def grids(self) -> list[Skin]:
+        """The skins whose images a dip can be looked for in."""
+        return [skin for skin in self.skins if skin.array.shape is not None]
+
+    @property
+    def steps(self) -> int:
+        """How often `step` will be called."""
+        return len(self.skins) * len(self.effort.noises) + len(SWEEPS) + 3 + len(self.grids)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """All results."""
+
+    panels: list[frontier.Panel]
+    sweeps: list[tuple[Sweep, list[stability.Row]]]
+    counts: list[iterations.Count]
+    modes: list[picard.Picard]
+    pairs: list[discriminate.Told]
+    rules: list[ablation.Earned]
+
+
+def plan(skins: tuple[Skin, ...], quick: bool, seed: int) -> Plan:
+    """The default report, or the quick one; rubber covers where no skins are given."""
+    effort = frontier.QUICK if quick else replace(frontier.Effort(), rounds=3)
+    setting, values = stability.setting(quick, seed)
+    chosen = skins or tuple(rubber(t, effort.size) for t in (effort.covers if quick else COVERS))
+    most, trials, frames = (300, 4, 3) if quick else (10_000, 40, 6)
+    return Plan(chosen, effort, setting, values, most, trials, frames, seed, quick)
+
+
+def measure(todo: Plan, step: Step) -> Findings:
+    """Measure it all; `step` is told what was done, `todo.steps` times."""
+    panels, sweeps, pairs = [], [], []
+    for panel in frontier.panels(todo.skins, todo.effort, todo.seed):
+        panels.append(panel)
+        step(f"speed against accuracy: {panel.skin}, {100 * panel.noise:g} %")
+    for found in stability.measure(todo.setting, todo.values):
+        sweeps.append(found)
+        step(f"stability: {found[0].name}")
+    few = replace(todo.setting, size=min(todo.setting.size, 24), scenes=todo.setting.scenes[:2])
+    counts = iterations.measure(few, todo.iterations)
+    step("iterations")
+    modes = [picard.measure(skin, NOISE, todo.seed) for skin in todo.skins]
+    step("what can be known")
+    for skin in todo.grids:
+        pairs.append(discriminate.measure(skin, NOISE, todo.trials, todo.seed))
+        step(f"two points: {skin.name}")
+    rules = ablation.measure([rubber(0.1, 16), *todo.skins], (0.01, 0.05), todo.frames, todo.seed)
+    step("rules of auto")
+    return Findings(panels, sweeps, counts, modes, pairs, rules)

@@ -1,0 +1,240 @@
+"""The report's page: what the charts show, in words, and the tables beside them."""
+
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from tactiled.bench import ablation, discriminate, frontier, frontier_chart, iterations, picard, stability
+from tactiled.bench import stability_chart as charts
+from tactiled.bench.machine import describe
+from tactiled.bench.page import chart, page, table, text, tiles
+from tactiled.bench.report import Findings
+from tactiled.bench.signs import SIGNS
+
+
+def write(folder: Path, found: Findings, seed: int) -> Path:
+    """Draw every chart, write every table, and the page that holds them all; give its path."""
+    frontier.write(folder, found.panels, seed)
+    stability.write(folder, found.sweeps, seed)
+    frontier_chart.draw(folder / "frontier.svg", found.panels)
+    charts.draw(folder / "stability.svg", found.sweeps)
+    charts.draw(folder / "stability-wiener.svg", found.sweeps, "wiener")
+    charts.calibration(folder / "calibration.svg", found.sweeps)
+    iterations.draw(folder / "iterations.svg", found.counts)
+    picard.draw(folder / "picard.svg", found.modes)
+    if found.pairs:
+        discriminate.draw(folder / "two-points.svg", found.pairs)
+    path = folder / "index.html"
+    parts = (_top(found, seed), _speed(folder, found), _limits(folder, found), _failures(folder, found))
+    said = [each for part in (*parts, _doubt(folder), _rules(found)) for each in part]
+    path.write_text(page("Speed against accuracy, and where methods fail", said), encoding="utf-8")
+    return path
+
+
+def _top(found: Findings, seed: int) -> Iterator[str]:
+    yield "<h1>Speed against accuracy, and where methods fail</h1>"
+    yield f"<p class='soft'>{escape(describe())}. One thread. Seed {seed}.</p>"
+    yield tiles(_headlines(found))
+    yield text(
+        "Scenes are drawn four times finer than the taxels, off their grid, and blurred by the exact solution"
+        " of the cover; restoration uses finite elements, so it never sees the kernel that blurred. Errors are"
+        " ||image − truth|| / ||truth||, and none of our settings is tuned with the truth at hand.",
+        "Rerun it on your own skin: `tactiled bench report --config CONFIG --out DIR`.",
+    )
+    links = (
+        ("speed", "Speed"),
+        ("limits", "Limits"),
+        ("failures", "Failures"),
+        ("doubt", "Doubt"),
+        ("rules", "Rules"),
+    )
+    yield "<nav>" + "".join(f"<a href='#{name}'>{title}</a>" for name, title in links) + "</nav>"
+
+
+def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
+    over = np.mean([one.mark("auto").nrmse / one.mark("raw").nrmse for one in found.panels])
+    times = [one.mark("auto").median for one in found.panels]
+    yield f"{100 * (1 - over):.0f} % less error", "auto against the raw image, mean of the panels below"
+    yield (
+        f"{min(times):.0f} to {max(times):.0f} µs a frame",
+        "auto's median, from the easiest panel to the hardest",
+    )
+    peers = [_best(one, "skimage") for one in found.panels]
+    if all(peers):
+        faster = [p.median / o.mark("auto").median for p, o in zip(peers, found.panels, strict=True) if p]
+        better = sum(o.mark("auto").nrmse < p.nrmse for p, o in zip(peers, found.panels, strict=True) if p)
+        yield (
+            f"{np.median(faster):.0f} x as fast",
+            (
+                f"as scikit-image's most accurate setting of each panel, and more accurate in {better} of"
+                " {len(peers)}"
+            ),
+        )
+    broken = [one for one in stability.table(found.sweeps) if one.method == "auto" and one.breaks_at]
+    names = ", ".join(f"{one.sweep} ({one.breaks_at[0]:g} {one.unit})" for one in broken).replace("-", "−")
+    yield f"{len(broken)} of {len(found.sweeps)} faults", f"make auto worse than the raw image: {names or 'none'}"
+
+
+def _best(panel: frontier.Panel, begins: str) -> frontier.Mark | None:
+    same = [mark for mark in panel.marks if mark.method.startswith(begins)]
+    return min(same, key=lambda mark: mark.nrmse, default=None)
+
+
+def _speed(folder: Path, found: Findings) -> Iterator[str]:
+    yield "<h2 id='speed'>Speed against accuracy</h2>"
+    yield text(
+        "Every method restores the same films, frame after frame, in one run. Down and to the left is better. The"
+        " dashed line is the best that any filter of the cover's modes could do if it were told the truth's own"
+        " spectrum: no linear method passes it. Methods that know that pressure never pulls can, and do.",
+    )
+    yield chart(
+        folder / "frontier.svg",
+        "Error against time: filled marks are ours, hollow ones scikit-image's at fixed settings (nnls, under"
+        " auto's star, is hollow to be seen). An arrow marks what lies above the scale.",
+    )
+    yield table(
+        (
+            "cover",
+            "noise",
+            "auto",
+            "raw",
+            "wiener",
+            "rl-fast",
+            "scikit-image's best",
+            "floor",
+            "beats auto in both",
+        ),
+        (_panel_row(one) for one in found.panels),
+        good="nothing",
+    )
+    yield "<p class='soft'>NRMSE at the median time a frame. scikit-image's best is picked with the truth at"
+    " hand.</p>"
+
+
+def _panel_row(one: frontier.Panel) -> tuple[str, ...]:
+    cells = (
+        _cell(_best(one, name)) if name == "skimage" else _cell(one.mark(name))
+        for name in ("auto", "raw", "wiener", "rl-fast", "skimage")
+    )
+    return (one.skin.replace(" ", "\u00a0"), f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}", rivals(one))
+
+
+def _cell(mark: frontier.Mark | None) -> str:
+    return f"{mark.nrmse:.3f} at {mark.median:.0f}\u00a0µs" if mark else "–"
+
+
+def rivals(one: frontier.Panel) -> str:
+    """What beats auto in a panel, and by how much."""
+    mine = one.mark("auto")
+    said = (
+        f"{each.method}, by {100 * (1 - each.nrmse / mine.nrmse):.1f} % of the error and"
+        f" {100 * (1 - each.median / mine.median):.0f} % of the time"
+        for each in frontier.beaten(one)
+    )
+    return "; ".join(said) or "nothing"
+
+
+def _limits(folder: Path, found: Findings) -> Iterator[str]:
+    yield "<h2 id='limits'>What can be known at all</h2>"
+    yield text(
+        "A cover weakens each pattern by its singular value; a pattern that sinks under the noise is lost to every"
+        " linear method. Dividing by the singular value (red) then gives back noise, not the scene.",
+    )
+    yield chart(
+        folder / "picard.svg",
+        "Left: singular values; a dot marks the last pattern of the scene above the noise. Right: the modes of one"
+        " frame, in the blur's own order (grey: each, lines: their running root mean square).",
+    )
+    if not found.pairs:
+        return
+    yield "<h3>Two points</h3>"
+    yield text(
+        "Two small indenters are told apart where the image dips between them by more than it does under one of"
+        f" their total force in {100 * discriminate.SURE:g} % of the trials. The Cramér-Rao bound knows that"
+        " there are two small indenters, which no image does; and cells of a whole pitch cannot show a dip"
+        " over less than two.",
+    )
+    yield chart(folder / "two-points.svg", "Two-point discrimination at 1 % noise, gap between the two middles.")
+    names = discriminate.METHODS
+    rows = ((one.skin, *(f"{one.least(name):g}" for name in names), f"{one.bound:.2f}") for one in found.pairs)
+    yield table(("smallest gap, pitches", *names, "bound"), rows)
+
+
+def _failures(folder: Path, found: Findings) -> Iterator[str]:
+    yield "<h2 id='failures'>Where methods fail</h2>"
+    yield text(
+        "One thing at a time goes wrong, from harmless (dotted line) to hopeless. A method breaks where its"
+        " mean error over the scenes is more than 2 % above the raw image's. It was noticed where the frame's"
+        " own flags raise a warning, or where the standard deviation that we claim is at least half the true"
+        " error. Signs are what a frame and its image show without the truth; none warns yet. Each has the"
+        f" limit that all but {100 * stability.ALARMS:g} % of sound images keep: "
+        + "; ".join(f"{k}, {v}" for k, v in SIGNS.items())
+        + ".",
+    )
+    yield chart(
+        folder / "stability.svg", "Error over the raw image's; in the shaded part the raw image is the better one."
+    )
+    failures = stability.table(found.sweeps)
+    yield table(
+        stability.HEADINGS, stability.lines(failures), good="never|yes|nothing to notice", bad="no .*|partly .*"
+    )
+    yield "<h3>Silent failures of auto</h3>"
+    silent = stability.silent(found.sweeps)
+    worse = [row for row in silent if row.over_raw > stability.WORSE]
+    total = sum(row.method == "auto" for _, rows in found.sweeps for row in rows)
+    yield text(
+        f"Of {total} images {len(silent)} are over twice as wrong as claimed with nothing to warn of it, and"
+        f" {len(worse)} of these are worse than the raw image: they are listed here, worst first.",
+    )
+    known = stability.limits(found.sweeps, "auto")
+    worst = sorted(worse, key=lambda row: -row.over_raw)
+    yield table(
+        ("goes wrong", "by", "scene", "error over raw", "true error, kPa", "claimed, kPa", "shown by"),
+        ((*_where(row), ", ".join(stability.shown(row, known)) or "nothing") for row in worst),
+        bad="nothing",
+    )
+    yield "<details><summary>The same against our Wiener filter</summary>"
+    yield chart(folder / "stability-wiener.svg", "Error over the Wiener filter's.")
+    yield "</details>"
+    yield "<h3>Too many iterations</h3>"
+    yield chart(
+        folder / "iterations.svg",
+        "Richardson-Lucy fits the noise if it is let to; ours stops when the residual has come down to it.",
+    )
+
+
+def _where(row: stability.Row) -> tuple[str, ...]:
+    figures = (f"{row.over_raw:.2f}", f"{row.error:.2f}", f"{row.claimed:.2f}")
+    return (row.sweep, f"{row.value:g}".replace("-", "−"), row.scene, *figures)
+
+
+def _doubt(folder: Path) -> Iterator[str]:
+    yield "<h2 id='doubt'>Doubt, as claimed and as it is</h2>"
+    yield text(
+        "Every image comes with a standard deviation. On the line it is right; below it is cautious; in the shaded"
+        " part the image is over twice as wrong as it says. Saturated frames there carry a warning; the others"
+        " do not.",
+    )
+    yield chart(
+        folder / "calibration.svg", "Claimed standard deviation of auto against its true error, root mean squares."
+    )
+
+
+def _rules(found: Findings) -> Iterator[str]:
+    yield "<h2 id='rules'>What each rule of auto earns</h2>"
+    yield text(
+        "The frames that a rule decided, restored with it and without: by the next in line, nnls, or, for the"
+        " memory, by auto made to forget every frame. Errors are root mean squares over a taxel's noise.",
+    )
+    rows = (
+        (
+            f"{one.rule}: {ablation.RULES[one.rule]}",
+            f"{one.frames} of {one.of}",
+            f"{one.time:.0f} / {one.time_without:.0f}",
+            f"{one.error:.2f} / {one.error_without:.2f}",
+        )
+        for one in found.rules
+    )
+    yield table(("rule", "frames", "µs a frame, with / without", "error, with / without"), rows)
