@@ -46,7 +46,7 @@ class Sensor:
         self.methods = tuple(METHODS)
         self.hub = Hub()
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
-        self._plan, self._clock = plan, clock
+        self.plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
         self._finder = Finder(plan.array, plan.cell_mm)
         self._tracker = Tracker(APART * plan.array.pitch)
@@ -154,7 +154,7 @@ class Sensor:
             return "down", self.down
         if age is None:
             return "silent", f"no frame yet on {self.bus_name}"
-        if age > self._plan.stale_after_s:
+        if age > self.plan.stale_after_s:
             return "stale", f"no frame for {age:.1f} s"
         return ("stale", self._failed) if self._failed else ("live", "")
 

@@ -13,10 +13,9 @@ from tactiled import __version__
 from tactiled.config import Server
 from tactiled.errors import UnknownSensorError
 from tactiled.service import Service
-from tactiled.web import problems, stream
+from tactiled.web import film, problems, rest, stream
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
-from tactiled.web.rest import router
 
 STATIC = Path(__file__).parent / "static"
 TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
@@ -46,7 +45,8 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     problems.install(app)
     app.state.service = service
-    app.include_router(router)
+    app.include_router(rest.router)
+    app.include_router(film.router, responses={422: rest.PROBLEM})
 
     @app.websocket("/api/v1/sensors/{name}/stream")
     async def _stream(socket: WebSocket, name: str) -> None:

@@ -1,0 +1,107 @@
+"""`POST /api/v1/restore`: a film of frames as .npy in, restored as .npy out, one film at a time."""
+
+import asyncio
+import json
+from collections import Counter
+from collections.abc import Iterator
+from math import prod
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import FileResponse
+from numpy.typing import NDArray
+from starlette.background import BackgroundTask
+
+from tactiled.config.build import SensorPlan
+from tactiled.errors import ConfigError
+from tactiled.offline import Offline, opened, write
+from tactiled.service import Service
+from tactiled.web import forms
+from tactiled.web.problems import Problem
+
+MOST_IN = 64 << 20  # bytes of a film
+MOST_OUT = 256 << 20  # bytes of its images
+NPY = "application/x-npy"
+PROBLEM = {"model": forms.Problem, "content": {"application/problem+json": {}}}
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    200: {"description": "restored images, float32 kPa", "content": {NPY: {"schema": {"type": "string"}}}},
+    404: PROBLEM | {"description": "no such sensor"},
+    413: PROBLEM | {"description": f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB"},
+    422: PROBLEM | {"description": "no .npy of frames of this sensor's shape, or a wrong parameter"},
+    429: PROBLEM | {"description": "another film is being restored; see Retry-After"},
+}
+BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "string", "format": "binary"}}}}}
+
+router = APIRouter(prefix="/api/v1")
+busy = asyncio.Lock()
+SIGMA = "a taxel's standard deviation; measured if left out"
+Noise = Annotated[float | None, Query(gt=0, allow_inf_nan=False, description=SIGMA)]
+
+
+class _Done(NamedTuple):
+    noise_kpa: float
+    methods: dict[str, int]
+
+
+@router.post("/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra=BODY)
+async def restore(request: Request, sensor: str, method: str = "auto", noise_kpa: Noise = None) -> FileResponse:
+    """Restore frames (T, rows, columns) or (T, taxels) in kPa, NaN where unknown, as the sensor's own would be.
+
+    The answer's headers say the noise (kPa) and how often each method ran.
+    """
+    service: Service = request.app.state.service
+    plan = service.sensor(sensor).plan
+    if busy.locked():
+        raise Problem(429, "another film is being restored: try again", {"Retry-After": "1"})
+    async with busy:
+        folder = TemporaryDirectory(prefix="tactiled-")
+        try:
+            film, images = Path(folder.name) / "frames.npy", Path(folder.name) / "restored.npy"
+            await _receive(request, film)
+            done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa)
+        except BaseException:
+            folder.cleanup()
+            raise
+    headers = {"X-Tactiled-Noise": f"{done.noise_kpa:.6g}", "X-Tactiled-Methods": json.dumps(done.methods)}
+    return FileResponse(
+        images,
+        headers=headers | {"X-Tactiled-Unit": "kPa"},
+        media_type=NPY,
+        background=BackgroundTask(folder.cleanup),
+    )
+
+
+async def _receive(request: Request, path: Path) -> None:
+    """Take the body in; Problem 413 once it is too large."""
+    size = 0
+    with path.open("wb") as file:
+        async for piece in request.stream():
+            size += len(piece)
+            if size > MOST_IN:
+                raise Problem(413, f"a film of more than {MOST_IN >> 20} MiB: send it in parts")
+            file.write(piece)
+
+
+def _restore(plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None) -> _Done:
+    try:
+        frames = opened(film, plan)
+    except ConfigError as error:
+        raise ConfigError(str(error).replace(str(film), "body")) from error
+    shape = (len(frames), *plan.blur.surface_shape)
+    if 4 * prod(shape) > MOST_OUT:
+        raise Problem(
+            413, f"{len(frames)} frames make images of more than {MOST_OUT >> 20} MiB: send them in parts"
+        )
+    offline = Offline(plan, method, noise_kpa)
+    noise, chosen = offline.begin(frames), Counter[str]()
+
+    def pieces() -> Iterator[NDArray[np.float32]]:
+        for restored, told in offline(frames):
+            chosen.update(each.method for each in told)
+            yield restored
+
+    write(pieces(), shape, images, lambda _: None)
+    return _Done(noise, dict(chosen))

@@ -1,0 +1,80 @@
+import io
+import json
+
+import httpx
+import numpy as np
+import pytest
+
+from tactiled.config.build import sensor_plan
+from tactiled.offline import Offline
+from tactiled.web import film
+
+
+@pytest.fixture
+def frames():
+    """(T, 8, 8) kPa."""
+    random = np.random.default_rng(0)
+    frames = random.normal(0, 0.5, (20, 8, 8))
+    frames[5:, 3:5, 3:5] += 100
+    frames[9, 4, 4] = np.nan
+    return frames
+
+
+def npy(array):
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()
+
+
+def post(url, body, **query):
+    return httpx.post(f"{url}/api/v1/restore", params={"sensor": "palm"} | query, content=body, timeout=30)
+
+
+@pytest.mark.parametrize("query", [{}, {"method": "wiener"}, {"noise_kpa": 0.5, "method": "nnls"}])
+def test_a_film_is_restored_as_offline(rig, url, frames, query):
+    answer = post(url, npy(frames), **query)
+    assert answer.status_code == 200, answer.text
+    images = np.load(io.BytesIO(answer.content))
+    offline = Offline(
+        sensor_plan("palm", rig.config.sensor["palm"]), query.get("method", "auto"), query.get("noise_kpa")
+    )
+    noise = offline.begin(frames)
+    expected = np.concatenate([each.copy() for each, _ in offline(frames)])
+    np.testing.assert_array_equal(images, expected)
+    assert float(answer.headers["x-tactiled-noise"]) == pytest.approx(noise, rel=1e-5)
+    assert sum(json.loads(answer.headers["x-tactiled-methods"]).values()) == 20
+
+
+@pytest.mark.parametrize(
+    ("body", "query", "status", "says"),
+    [
+        (b"", {}, 422, "body: no .npy file of numbers"),
+        (b"\x93NUMPY junk", {}, 422, "body: no .npy file of numbers"),
+        (npy(np.zeros((3, 4, 4))), {}, 422, "shape (3, 4, 4) for sensor palm: give (T, 8, 8)"),
+        (npy(np.zeros((3, 8, 8), complex)), {}, 422, "dtype complex128: give real numbers"),
+        (npy(np.array([[None]])), {}, 422, "no .npy file of numbers"),
+        (npy(np.zeros((3, 8, 8))), {"method": "sharpen"}, 422, "method = 'sharpen': no such method"),
+        (npy(np.zeros((3, 8, 8))), {"noise_kpa": -1}, 422, "noise_kpa = '-1'"),
+        (npy(np.zeros((3, 8, 8))), {"sensor": "plam"}, 404, "sensor 'plam': no such sensor"),
+    ],
+)
+def test_what_is_no_film_of_this_sensor_is_refused_by_name(url, body, query, status, says):
+    answer = post(url, body, **query)
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert says in answer.json()["detail"]
+    assert "/tmp" not in answer.json()["detail"]
+
+
+def test_a_film_that_is_too_large_is_refused_as_soon_as_that_is_known(url, frames, monkeypatch):
+    monkeypatch.setattr(film, "MOST_IN", 1 << 10)
+    assert post(url, npy(frames)).status_code == 413
+    monkeypatch.setattr(film, "MOST_IN", 1 << 20)
+    monkeypatch.setattr(film, "MOST_OUT", 1 << 10)
+    assert post(url, npy(frames)).status_code == 413
+
+
+def test_an_empty_film_gives_an_empty_one(url):
+    answer = post(url, npy(np.zeros((0, 8, 8))))
+    assert answer.status_code == 200
+    assert np.load(io.BytesIO(answer.content)).shape == (0, 8, 8)
