@@ -13,6 +13,9 @@ from tactiled.bench.page import chart, page, table, text, tiles
 from tactiled.bench.report import Findings
 from tactiled.bench.signs import SIGNS
 
+SMALL_COVERS = (1.0, 3.0)  # t/pitch of the small chart
+SMALL_SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over the edge", "taxels out of place")
+
 
 def write(folder: Path, found: Findings, seed: int) -> Path:
     """Draw every chart, write every table, and the page that holds them all; give its path."""
@@ -26,6 +29,9 @@ def write(folder: Path, found: Findings, seed: int) -> Path:
     picard.draw(folder / "picard.svg", found.modes)
     if found.pairs:
         discriminate.draw(folder / "two-points.svg", found.pairs)
+    few = [one for one in found.panels if one.thickness in SMALL_COVERS]
+    frontier_chart.draw(folder / "frontier-small.svg", few or found.panels)
+    charts.draw(folder / "stability-small.svg", found.sweeps, only=SMALL_SWEEPS)
     path = folder / "index.html"
     parts = (_top(found, seed), _speed(folder, found), _limits(folder, found), _failures(folder, found))
     said = [each for part in (*parts, _doubt(folder), _rules(found)) for each in part]
@@ -195,6 +201,12 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
         ((*_where(row), ", ".join(stability.shown(row, known)) or "nothing") for row in worst),
         bad="nothing",
     )
+    yield "<h3>What could warn</h3>"
+    yield text(
+        "A limit is what sound images keep: those where restoration is told the truth about cover and noise. False"
+        " alarms are counted on sound images of each scene by the limits that the other scenes would set.",
+    )
+    yield table(("sign", "what it is", "limit", "false alarms", "silent images that it shows"), _signs(found))
     yield "<details><summary>The same against our Wiener filter</summary>"
     yield chart(folder / "stability-wiener.svg", "Error over the Wiener filter's.")
     yield "</details>"
@@ -203,6 +215,20 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
         folder / "iterations.svg",
         "Richardson-Lucy fits the noise if it is let to; ours stops when the residual has come down to it.",
     )
+
+
+def _signs(found: Findings) -> Iterator[tuple[str, ...]]:
+    known, fine = stability.limits(found.sweeps, "auto"), stability.sound(found.sweeps, "auto")
+    silent = stability.silent(found.sweeps)
+    for name, meaning in SIGNS.items():
+        alarms = stability.alarms(found.sweeps, "auto").count(name)
+        counts = {
+            sweep.name: [name in stability.shown(row, known) for row in silent if row.sweep == sweep.name]
+            for sweep, _ in found.sweeps
+        }
+        caught = (f"{fault} {sum(each)} of {len(each)}" for fault, each in counts.items() if any(each))
+        limit = f"{known[name]:.2f}" if name in known else "–"
+        yield name, meaning, limit, f"{alarms} of {len(fine)}", "; ".join(caught) or "none"
 
 
 def _where(row: stability.Row) -> tuple[str, ...]:

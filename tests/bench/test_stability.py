@@ -7,7 +7,19 @@ from typer.testing import CliRunner
 
 from tactiled.bench import stability
 from tactiled.bench.signs import Signs
-from tactiled.bench.stability import Row, breaks, curve, failure, limits, lines, noticed, rows, shown, table
+from tactiled.bench.stability import (
+    Row,
+    alarms,
+    breaks,
+    curve,
+    failure,
+    limits,
+    lines,
+    noticed,
+    rows,
+    shown,
+    table,
+)
 from tactiled.bench.sweeps import SWEEPS, Setting
 from tactiled.cli.app import app
 
@@ -126,3 +138,11 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
     assert len(written) == 2 * 7
     assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == 14
+
+
+def test_false_alarms_are_counted_by_the_limits_of_other_scenes():
+    fine = [
+        row(1, 0.5, signs=Signs(level), sweep="cover", scene=scene) for scene, level in (("a", 1.0), ("b", 3.0))
+    ]
+    assert alarms([(SWEEP["cover"], fine)], "auto") == ["residual"]
+    assert limits([(SWEEP["cover"], fine)], "auto") == {"residual": 3.0}
