@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tactiled.bus.codecs import Codec
 from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
 
-UNLEARN = 4  # frames in a row that are not whole, after which a learned order is forgotten
+UNLEARN = 16  # frames in a row that are not whole, after which a learned order is forgotten
 SEAM = 3  # frames in a row with their longest pause at the same place, after which that place is their beginning
 RESTART_S = 0.25  # of silence, after which a sequence number that looks old is a sender's that began anew
 

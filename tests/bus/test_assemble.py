@@ -169,10 +169,10 @@ def test_a_reader_that_starts_within_a_frame_finds_where_frames_begin():
 def test_a_skin_that_changes_its_order_is_followed(triangles):
     codec = Icub(1, (0, 1, 2, 3, 4, 5))
     order = [2 * triangle + tail for triangle in triangles for tail in (0, 1)]
-    late = [each._replace(time=1.0 + each.time) for burst in scans(16, order, codec) for each in burst]
+    late = [each._replace(time=1.0 + each.time) for burst in scans(40, order, codec) for each in burst]
     frames, _ = run([*(each for burst in scans(4, range(12), codec) for each in burst), *late], codec)
     assert not any(frame.flags.any() or mixed(frame) for frame in frames[-6:])
-    assert [frame.counts[0] for frame in frames[-6:]] == list(range(10, 16))
+    assert [frame.counts[0] for frame in frames[-6:]] == list(range(34, 40))
 
 
 def test_diagnostics_reach_the_frame_for_head_and_tail():
