@@ -8,7 +8,7 @@ import numpy as np
 from tactiled.bench.charts import COLOURS, figure
 from tactiled.bench.restore import nrmse, richardson_lucy
 from tactiled.bench.skin import Frames
-from tactiled.bench.sweeps import COVER, Case, Setting, white
+from tactiled.bench.sweeps import Case, Setting, white
 from tactiled.restore import solvers
 from tactiled.restore.lucy import OFFSET, Lucy
 from tactiled.restore.scene import Scene
@@ -80,8 +80,6 @@ def draw(path: Path, found: list[Count]) -> None:
                 same = [one for one in found if (one.noise, one.method) == (noise, method)]
                 values = [min(one.over_raw, 2.0) for one in same]
                 axes.plot([one.iterations for one in same], values, "o", ls=dashes, color=colour, label=label)
-            axes.set(
-                xscale="log", xlabel="iterations", title=f"t/pitch {COVER:g}, noise {noise:g} %", ylim=(0, 2.1)
-            )
+            axes.set(xscale="log", xlabel="iterations", title=f"Noise {noise:g} % of the peak", ylim=(0, 2.1))
         drawn.axes[0].set_ylabel("error over the raw image's")
         drawn.legend(*drawn.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)

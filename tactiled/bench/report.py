@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 from tactiled.bench import ablation, discriminate, frontier, iterations, picard, stability
 from tactiled.bench.skin import Skin, rubber
-from tactiled.bench.sweeps import SWEEPS, Setting, Sweep
+from tactiled.bench.sweeps import Setting, Sweep, sweeps
 
 Step = Callable[[str], None]
 COVERS = (0.5, 1.0, 2.0, 3.0)
+ITERATED = ("blobs", "punches")  # scenes that many iterations are made on
 NOISE = 0.01  # of the peak, where one is enough
 
 
@@ -34,7 +35,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """How often `step` will be called."""
-        return len(self.skins) * len(self.effort.noises) + len(SWEEPS) + 3 + len(self.grids)
+        return len(self.skins) * len(self.effort.noises) + len(sweeps(self.setting)) + 3 + len(self.grids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class Findings:
 def plan(skins: tuple[Skin, ...], quick: bool, seed: int) -> Plan:
     """The default report, or the quick one; rubber covers where no skins are given."""
     effort = frontier.QUICK if quick else replace(frontier.Effort(), rounds=3)
-    setting, values = stability.setting(quick, seed)
+    setting, values = stability.setting(quick, seed, skins[0] if skins else None)
     chosen = skins or tuple(rubber(t, effort.size) for t in (effort.covers if quick else COVERS))
     most, trials, frames = (300, 4, 3) if quick else (10_000, 40, 6)
     return Plan(chosen, effort, setting, values, most, trials, frames, seed, quick)
@@ -67,7 +68,7 @@ def measure(todo: Plan, step: Step) -> Findings:
     for found in stability.measure(todo.setting, todo.values):
         sweeps.append(found)
         step(f"stability: {found[0].name}")
-    few = replace(todo.setting, size=min(todo.setting.size, 24), scenes=todo.setting.scenes[:2])
+    few = replace(todo.setting, skin=rubber(stability.COVER, 16 if todo.quick else 24), scenes=ITERATED)
     counts = iterations.measure(few, todo.iterations)
     step("iterations")
     modes = [picard.measure(skin, NOISE, todo.seed) for skin in todo.skins]

@@ -213,7 +213,8 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
     yield "<h3>Too many iterations</h3>"
     yield chart(
         folder / "iterations.svg",
-        "Richardson-Lucy fits the noise if it is let to; ours stops when the residual has come down to it.",
+        f"Richardson-Lucy under rubber, t/pitch {stability.COVER:g}, fits the noise if it is let to; ours stops when"
+        " the residual has come down to it.",
     )
 
 

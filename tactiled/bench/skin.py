@@ -22,6 +22,7 @@ from tactiled.simulate.array import FINER, Surface
 Floats = NDArray[np.float64]
 Frames = NDArray[np.float32]
 
+MOST = 0.4999  # of a Poisson's ratio
 STEP = 0.1  # pitches that a scene moves from one frame of its film to the next
 
 
@@ -32,6 +33,7 @@ class Skin:
     name: str
     thickness: float  # pitches, of all that lies over the taxels
     array: Array
+    stack: Stack  # as believed
     surface: Surface
     blur: Blur
     psf: Floats | None  # odd; None where the array is no grid
@@ -48,17 +50,40 @@ class Film:
 
 
 @cache
-def rubber(thickness: float, size: int, true: Stack | None = None) -> Skin:
-    """Lay rubber, `thickness` pitches, over size x size taxels; `true` blurs where it is not as believed."""
-    array = grid(size, size, 1.0, APERTURE)
-    believed = stack(thickness)
-    return _skin(f"t/pitch {thickness:g}", thickness, array, true or believed, believed)
+def rubber(thickness: float, size: int) -> Skin:
+    """Lay rubber, `thickness` pitches, over size x size taxels."""
+    under = stack(thickness)
+    return _skin(f"t/pitch {thickness:g}", grid(size, size, 1.0, APERTURE), under, under)
 
 
-def changed(thickness: float, /, **cover: float) -> Stack:
-    """The rubber cover and its board, the cover's `thickness`, `young` or `poisson` another."""
-    over, board = stack(thickness).layers
-    return Stack((replace(over, **cover), board))
+@cache
+def covered(skin: Skin, thickness: float) -> Skin:
+    """The same with a cover of another thickness, in pitches, that restoration knows of."""
+    under = scaled(skin.stack, thickness=thickness / skin.thickness)
+    return _skin(f"t/pitch {thickness:g}", skin.array, under, under)
+
+
+@cache
+def mistaken(skin: Skin, **factors: float) -> Skin:
+    """The same under a cover that is not as believed: see `scaled`."""
+    return _skin(skin.name, skin.array, scaled(skin.stack, **factors), skin.stack)
+
+
+@cache
+def doubled(skin: Skin) -> Skin:
+    """The same with a grid of twice as many rows and columns."""
+    rows, columns = skin.array.frame_shape
+    array = grid(2 * rows, 2 * columns, skin.array.pitch, skin.array.width, skin.array.aperture)
+    return _skin(skin.name, array, skin.stack, skin.stack)
+
+
+def scaled(under: Stack, thickness: float = 1.0, young: float = 1.0, poisson: float = 1.0) -> Stack:
+    """Scale what every layer over the sensing plane is; Poisson's ratio stays below a half."""
+    layers = list(under.layers)
+    for n, layer in enumerate(layers[: under.sensing]):
+        ratio = min(layer.poisson * poisson, max(MOST, layer.poisson))
+        layers[n] = replace(layer, thickness=layer.thickness * thickness, young=layer.young * young, poisson=ratio)
+    return replace(under, layers=tuple(layers))
 
 
 def configured(path: Path, sensor: str | None = None) -> Skin:
@@ -69,8 +94,7 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
         raise ConfigError(f"{path}: no sensor {name!r}: choose one of {', '.join(sensors)}")
     chosen = sensors[name]
     array, under = make_array(chosen), make_stack(chosen)
-    thickness = sum(layer.thickness_mm for layer in chosen.cover) / array.pitch
-    made = _skin(name, thickness, array, under, under)
+    made = _skin(name, array, under, under)
     if min(array.frame_shape) < 2:
         raise ConfigError(
             f"{path}: sensor {name} has a single line of taxels: measure on one with both dimensions"
@@ -78,10 +102,11 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
     return made
 
 
-def _skin(name: str, thickness: float, array: Array, true: Stack, believed: Stack) -> Skin:
+def _skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
     solved = cached(believed)
     psf = None if array.shape is None else psf_of(stencil(solved, array))
-    return Skin(name, thickness, array, Surface(solve(true, "layered"), array), make_blur(solved, array, 1), psf)
+    surface, blur = Surface(solve(true, "layered"), array), make_blur(solved, array, 1)
+    return Skin(name, believed.depth / array.pitch, array, believed, surface, blur, psf)
 
 
 def films(skin: Skin, noise: float, count: int, seed: int, scenes: tuple[str, ...] = ()) -> Iterator[Film]:

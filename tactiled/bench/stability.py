@@ -13,11 +13,12 @@ import numpy as np
 from tactiled.bench.machine import describe
 from tactiled.bench.restore import nrmse, richardson_lucy, wiener
 from tactiled.bench.signs import SIGNS, Signs, signs
-from tactiled.bench.skin import Frames
-from tactiled.bench.sweeps import SWEEPS, Case, Setting, Sweep
+from tactiled.bench.skin import Frames, Skin, rubber
+from tactiled.bench.sweeps import Case, Setting, Sweep, sweeps
 from tactiled.bench.truth import DRAWN
 from tactiled.restore.methods import METHODS, make
 
+COVER = 1.5  # t/pitch, of the rubber
 OURS = tuple(name for name in METHODS if name != "raw")
 THEIRS = ("skimage wiener", "skimage rl")
 BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
@@ -66,7 +67,7 @@ class Failure:
 
 def measure(setting: Setting, values: slice) -> Iterator[tuple[Sweep, list[Row]]]:
     """Run every sweep, at all its values or those of a slice and the harmless one."""
-    for sweep in SWEEPS:
+    for sweep in sweeps(setting):
         chosen = [v for v in sweep.values if v in sweep.values[values] or v == sweep.harmless]
         yield (
             sweep,
@@ -267,11 +268,11 @@ def silent(found: Found, method: str = "auto") -> list[Row]:
     return [row for _, all_ in found for row in all_ if row.method == method and not noticed(row)]
 
 
-def setting(quick: bool, seed: int) -> tuple[Setting, slice]:
-    """What to run, and which of each sweep's values."""
+def setting(quick: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
+    """What to run, on rubber if no skin is given, and which of each sweep's values."""
     if quick:
-        return Setting(16, seed, ("blobs", "punches", "points")), slice(None, None, 3)
-    return Setting(32, seed, tuple(DRAWN)), slice(None)
+        return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
+    return Setting(skin or rubber(COVER, 32), seed, tuple(DRAWN)), slice(None)
 
 
 def write(folder: Path, found: Found, seed: int) -> None:

@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from tactiled.bench.skin import Floats, Frames, Skin, changed, drawn, means, rubber
-from tactiled.bench.truth import PEAK, stack
-from tactiled.cover.stack import Stack
+from tactiled.bench.skin import Floats, Frames, Skin, covered, doubled, drawn, means, mistaken
+from tactiled.bench.truth import PEAK
 from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.simulate.array import FINER
 
-COVER = 1.5  # t/pitch, where it is not what is swept
 NOISE = 0.01  # of the frame's peak, where it is not what is swept
 CORRELATION = 1.5  # pitches, of correlated noise
 MESSAGE = 5  # taxels: of 12 bits in a classic CAN message
@@ -24,7 +22,7 @@ Flags = NDArray[np.uint8]
 class Setting:
     """What all sweeps share."""
 
-    size: int
+    skin: Skin
     seed: int
     scenes: tuple[str, ...]
 
@@ -54,6 +52,7 @@ class Sweep:
     harmless: float
     make: Make
     logarithmic: bool = False
+    grid: bool = False  # whether it needs rows and columns
     told: bool = True  # whether the model that restores knows of it, by its settings or by flags
 
 
@@ -78,17 +77,17 @@ def _plain(skin: Skin, setting: Setting, noise: float = NOISE) -> Iterator[Case]
 
 def cover(value: float, setting: Setting) -> Iterator[Case]:
     """Thickness over pitch."""
-    return _plain(rubber(value, setting.size), setting)
+    return _plain(covered(setting.skin, value), setting)
 
 
 def white(value: float, setting: Setting) -> Iterator[Case]:
     """Noise, % of the peak."""
-    return _plain(rubber(COVER, setting.size), setting, value / 100)
+    return _plain(setting.skin, setting, value / 100)
 
 
 def correlated(value: float, setting: Setting) -> Iterator[Case]:
     """Noise that neighbours share, % of the peak, its true strength told."""
-    skin = rubber(COVER, setting.size)
+    skin = setting.skin
     for scene, clean, truth, random in _scenes(skin, setting):
         smooth = gaussian_filter(random.normal(0, 1, clean.shape), CORRELATION, mode="wrap")
         sigma = value / 100 * float(clean.max())
@@ -97,7 +96,7 @@ def correlated(value: float, setting: Setting) -> Iterator[Case]:
 
 def rowwise(value: float, setting: Setting) -> Iterator[Case]:
     """An error that all of a row share, % of the peak, over a little white noise; its true strength told."""
-    skin = rubber(COVER, setting.size)
+    skin = setting.skin
     for scene, clean, truth, random in _scenes(skin, setting):
         frame, sigma = _noisy(clean, 0.002, random)
         rows = value / 100 * float(clean.max()) * random.normal(0, 1, (len(clean), 1))
@@ -107,38 +106,38 @@ def rowwise(value: float, setting: Setting) -> Iterator[Case]:
 
 def drift(value: float, setting: Setting) -> Iterator[Case]:
     """An offset of all taxels, % of the peak, that nobody told of."""
-    for case in _plain(rubber(COVER, setting.size), setting):
+    for case in _plain(setting.skin, setting):
         offset = value / 100 * case.noise / NOISE
         yield Case(case.scene, case.skin, case.frame + np.float32(offset), case.truth, case.noise)
 
 
 def misjudged(value: float, setting: Setting) -> Iterator[Case]:
     """True noise over the noise told."""
-    for case in _plain(rubber(COVER, setting.size), setting):
+    for case in _plain(setting.skin, setting):
         yield Case(case.scene, case.skin, case.frame, case.truth, case.noise / value)
 
 
-def _wrong(true: Stack, setting: Setting) -> Iterator[Case]:
-    return _plain(rubber(COVER, setting.size, true), setting)
+def _wrong(setting: Setting, **factors: float) -> Iterator[Case]:
+    return _plain(mistaken(setting.skin, **factors), setting)
 
 
 def thickness(value: float, setting: Setting) -> Iterator[Case]:
     """True thickness, % over the one believed."""
-    return _wrong(changed(COVER, thickness=COVER * (1 + value / 100)), setting)
+    return _wrong(setting, thickness=1 + value / 100)
 
 
 def young(value: float, setting: Setting) -> Iterator[Case]:
     """True modulus of the cover, % over the one believed."""
-    return _wrong(changed(COVER, young=stack(COVER).layers[0].young * (1 + value / 100)), setting)
+    return _wrong(setting, young=1 + value / 100)
 
 
 def poisson(value: float, setting: Setting) -> Iterator[Case]:
-    """True Poisson's ratio of the cover, % over the one believed."""
-    return _wrong(changed(COVER, poisson=stack(COVER).layers[0].poisson * (1 + value / 100)), setting)
+    """True Poisson's ratio of the cover, % over the one believed, below a half."""
+    return _wrong(setting, poisson=1 + value / 100)
 
 
 def _dead(value: float, setting: Setting, flagged: bool) -> Iterator[Case]:
-    for case in _plain(rubber(COVER, setting.size), setting):
+    for case in _plain(setting.skin, setting):
         order = np.random.default_rng([setting.seed, 3]).permutation(case.frame.size)
         gone = (order < round(value / 100 * case.frame.size)).reshape(case.frame.shape)
         flags = np.where(gone, DEAD, 0).astype(np.uint8) if flagged else None
@@ -157,7 +156,7 @@ def dead_untold(value: float, setting: Setting) -> Iterator[Case]:
 
 def lost(value: float, setting: Setting) -> Iterator[Case]:
     """Share of CAN messages that did not come, %."""
-    for case in _plain(rubber(COVER, setting.size), setting):
+    for case in _plain(setting.skin, setting):
         count = -(-case.frame.size // MESSAGE)
         order = np.random.default_rng([setting.seed, 4]).permutation(count)
         gone = np.repeat(order < round(value / 100 * count), MESSAGE)[: case.frame.size].reshape(case.frame.shape)
@@ -166,7 +165,7 @@ def lost(value: float, setting: Setting) -> Iterator[Case]:
 
 
 def _saturated(value: float, setting: Setting, flagged: bool) -> Iterator[Case]:
-    for case in _plain(rubber(COVER, setting.size), setting):
+    for case in _plain(setting.skin, setting):
         ceiling = np.float32(value / 100 * case.noise / NOISE)
         flags = np.where(case.frame >= ceiling, SATURATED, 0).astype(np.uint8) if flagged else None
         yield Case(case.scene, case.skin, np.minimum(case.frame, ceiling), case.truth, case.noise, flags)
@@ -191,11 +190,12 @@ CONTACTS: dict[str, Callable[[Floats, Floats], Floats]] = {
 
 def edge(value: float, setting: Setting) -> Iterator[Case]:
     """How far a contact's middle is past the array's edge, pitches; what lies outside presses as well."""
-    skin, wide = rubber(COVER, setting.size), rubber(COVER, 2 * setting.size)
-    inside = (slice(setting.size // 2, setting.size // 2 + setting.size),) * 2
-    x, y = wide.surface.x - setting.size / 2, wide.surface.y
+    skin, wide = setting.skin, doubled(setting.skin)
+    rows, columns = skin.array.frame_shape
+    inside = slice(rows // 2, rows // 2 + rows), slice(columns // 2, columns // 2 + columns)
+    x, y = wide.surface.x / skin.array.pitch, wide.surface.y / skin.array.pitch
     for number, (name, draw) in enumerate(CONTACTS.items()):
-        fine, whole = draw(x - value, y), draw(wide.surface.x, wide.surface.y)
+        fine, whole = draw(x - columns / 2 - value, y), draw(x, y)
         clean = wide.surface.sense(fine).reshape(wide.array.frame_shape)[inside]
         sigma = NOISE * float(wide.surface.sense(whole).max())
         random = np.random.default_rng([setting.seed, number, 5])
@@ -205,7 +205,7 @@ def edge(value: float, setting: Setting) -> Iterator[Case]:
 
 def bits(value: float, setting: Setting) -> Iterator[Case]:
     """Bits of a taxel over a full scale of 1.25 peaks; the step is known."""
-    for case in _plain(rubber(COVER, setting.size), setting, 0.001):
+    for case in _plain(setting.skin, setting, 0.001):
         step = 1.25 * case.noise / 0.001 / 2**value
         frame = (np.round(case.frame / step) * step).astype(np.float32)
         yield Case(case.scene, case.skin, frame, case.truth, float(np.hypot(case.noise, step / 12**0.5)))
@@ -213,9 +213,10 @@ def bits(value: float, setting: Setting) -> Iterator[Case]:
 
 def jitter(value: float, setting: Setting) -> Iterator[Case]:
     """Taxels out of place, standard deviation along x and y in % of the pitch."""
-    skin = rubber(COVER, setting.size)
+    skin = setting.skin
     random = np.random.default_rng([setting.seed, 6])
-    places = np.mgrid[: setting.size, : setting.size] + random.normal(0, value / 100, (2, *skin.array.frame_shape))
+    rows, columns = skin.array.frame_shape
+    places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
     for scene, _, truth, own in _scenes(skin, setting):
         between = _between(skin, scene, setting.seed)
         frame, sigma = _noisy(map_coordinates(between, places * FINER, order=3, mode="nearest"), NOISE, own)
@@ -241,8 +242,19 @@ def _between(skin: Skin, scene: str, seed: int) -> Floats:
 SWEEPS: tuple[Sweep, ...] = (
     Sweep("cover", "t/pitch", (0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1, 1.5, 2, 3, 4, 6, 10), 1, cover, True),
     Sweep("white noise", "% of the peak", (0.01, 0.03, 0.1, 0.3, 1, 2, 5, 10, 20), 0.01, white, True),
-    Sweep("correlated noise", "% of the peak", (0.1, 0.3, 1, 2, 5, 10, 20), 0.1, correlated, True, told=False),
-    Sweep("row-wise noise", "% of the peak", (0.1, 0.3, 1, 2, 5, 10, 20), 0.1, rowwise, True, told=False),
+    Sweep(
+        "correlated noise",
+        "% of the peak",
+        (0.1, 0.3, 1, 2, 5, 10, 20),
+        0.1,
+        correlated,
+        True,
+        grid=True,
+        told=False,
+    ),
+    Sweep(
+        "row-wise noise", "% of the peak", (0.1, 0.3, 1, 2, 5, 10, 20), 0.1, rowwise, True, grid=True, told=False
+    ),
     Sweep("offset", "% of the peak", (-10, -5, -2, -1, 0, 1, 2, 5, 10), 0, drift, told=False),
     Sweep("noise misjudged", "true / told", (0.1, 0.2, 0.5, 1, 2, 3, 5, 10), 1, misjudged, True, told=False),
     Sweep("thickness wrong", "% thicker", (-30, -20, -10, -5, 0, 5, 10, 20, 30), 0, thickness, told=False),
@@ -255,7 +267,12 @@ SWEEPS: tuple[Sweep, ...] = (
     Sweep(
         "saturation untold", "ceiling, % of the peak", (100, 95, 90, 80, 70, 50), 100, saturated_untold, told=False
     ),
-    Sweep("over the edge", "pitches past it", (-6, -4, -3, -2, -1, 0, 1, 2), -6, edge, told=False),
+    Sweep("over the edge", "pitches past it", (-6, -4, -3, -2, -1, 0, 1, 2), -6, edge, grid=True, told=False),
     Sweep("quantisation", "bits", (16, 14, 12, 10, 8, 7, 6, 5, 4), 16, bits),
-    Sweep("taxels out of place", "% of the pitch", (0, 2, 5, 10, 15, 20, 30), 0, jitter, told=False),
+    Sweep("taxels out of place", "% of the pitch", (0, 2, 5, 10, 15, 20, 30), 0, jitter, grid=True, told=False),
 )
+
+
+def sweeps(setting: Setting) -> tuple[Sweep, ...]:
+    """Those that the setting's skin allows."""
+    return tuple(sweep for sweep in SWEEPS if setting.skin.array.shape is not None or not sweep.grid)

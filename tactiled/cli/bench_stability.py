@@ -16,19 +16,23 @@ from tactiled.cli.bench_frontier import made
 
 @bench.command()
 def stability(
+    config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")] = None,
+    sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the charts and tables.")] = Path("bench"),
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer values and scenes, 16 x 16 taxels.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer values and scenes; rubber on 16 x 16.")] = False,
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
     from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
+    from tactiled.bench.skin import configured
     from tactiled.bench.stability_chart import calibration, draw
-    from tactiled.bench.sweeps import SWEEPS
+    from tactiled.bench.sweeps import sweeps
 
     folder = made(out)
     with threadpool_limits(1):
-        sweeps = measure.measure(*measure.setting(quick, seed))
-        found = list(track(sweeps, "Stability", len(SWEEPS), transient=True))
+        setting, values = measure.setting(quick, seed, configured(config, sensor) if config else None)
+        steps = measure.measure(setting, values)
+        found = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
     measure.write(folder, found, seed)
     draw(folder / "stability.svg", found)
     draw(folder / "stability-wiener.svg", found, "wiener")

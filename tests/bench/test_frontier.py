@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tactiled.bench.frontier import QUICK, Effort, Mark, Panel, beaten, floor, front, panel
-from tactiled.bench.skin import changed, configured, films, rubber
+from tactiled.bench.skin import configured, films, mistaken, rubber
 from tactiled.cli.app import app
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.errors import ConfigError
@@ -75,7 +75,7 @@ def test_a_film_moves_and_its_truth_has_the_taxels_shape(skin):
 
 
 def test_a_wrong_cover_changes_frames_but_not_the_belief():
-    as_is, other = rubber(1.0, 8), rubber(1.0, 8, changed(1.0, thickness=1.3))
+    as_is, other = rubber(1.0, 8), mistaken(rubber(1.0, 8), thickness=1.3)
     a, b = (next(films(skin, 1e-6, 1, 1, ("punches",))) for skin in (as_is, other))
     assert np.array_equal(a.truths, b.truths)
     assert not np.allclose(a.frames, b.frames, rtol=1e-3)

@@ -14,15 +14,14 @@ from tactiled.bench.sweeps import SWEEPS, Setting, white
 from tactiled.cli.app import app
 from tactiled.restore.methods import make
 
-SMALL = Setting(12, 1, ("punches",))
+SMALL = Setting(rubber(1.5, 12), 1, ("punches",))
 
 
 @pytest.fixture
 def tiny(monkeypatch):
     """A report of one skin, three faults and as little of the rest as there is."""
     few = tuple(sweep for sweep in SWEEPS if sweep.name in ("cover", "white noise", "offset"))
-    monkeypatch.setattr("tactiled.bench.stability.SWEEPS", few)
-    monkeypatch.setattr(report, "SWEEPS", few)
+    monkeypatch.setattr("tactiled.bench.sweeps.SWEEPS", few)
     monkeypatch.setattr("tactiled.bench.discriminate.GAPS", (2.0, 4.0))
     made = report.plan((rubber(1.0, 12),), True, 1)
     effort = replace(QUICK, noises=(0.02,), frames=1, rounds=1, stops=(3,))
@@ -77,7 +76,7 @@ def sign_of(frame, case, flags=None):
 
 
 def test_each_sign_rises_with_its_fault():
-    case = next(white(1.0, Setting(16, 1, ("blobs",))))
+    case = next(white(1.0, Setting(rubber(1.5, 16), 1, ("blobs",))))
     fine = sign_of(case.frame, case)
     spiked = case.frame.copy()
     spiked[3, 3] += 40 * case.noise

@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 
 from tactiled.bench import stability
 from tactiled.bench.signs import Signs
+from tactiled.bench.skin import configured, rubber
 from tactiled.bench.stability import (
     Row,
     alarms,
@@ -20,10 +21,11 @@ from tactiled.bench.stability import (
     shown,
     table,
 )
-from tactiled.bench.sweeps import SWEEPS, Setting
+from tactiled.bench.sweeps import SWEEPS, Setting, sweeps
 from tactiled.cli.app import app
+from tactiled.config.example import GRASP
 
-SMALL = Setting(12, 1, ("punches",))
+SMALL = Setting(rubber(1.5, 12), 1, ("punches",))
 SWEEP = {sweep.name: sweep for sweep in SWEEPS}
 
 
@@ -129,8 +131,8 @@ def test_table_has_a_line_for_every_sweep_and_a_failure_for_every_method():
 
 def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     few = tuple(SWEEP[name] for name in ("cover", "offset"))
-    monkeypatch.setattr(stability, "SWEEPS", few)
-    monkeypatch.setattr(stability, "setting", lambda quick, _: (SMALL, slice(0, 1 + quick)))
+    monkeypatch.setattr("tactiled.bench.sweeps.SWEEPS", few)
+    monkeypatch.setattr(stability, "setting", lambda quick, *_: (SMALL, slice(0, 1 + quick)))
     told = CliRunner().invoke(app, ["bench", "stability", "--quick", "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output
     for name in ("stability.svg", "stability-wiener.svg", "calibration.svg"):
@@ -146,3 +148,18 @@ def test_false_alarms_are_counted_by_the_limits_of_other_scenes():
     ]
     assert alarms([(SWEEP["cover"], fine)], "auto") == ["residual"]
     assert limits([(SWEEP["cover"], fine)], "auto") == {"residual": 3.0}
+
+
+def test_a_configured_layout_is_swept_where_no_grid_is_needed(tmp_path):
+    (tmp_path / "it.toml").write_text(GRASP)
+    skin = configured(tmp_path / "it.toml")
+    allowed = sweeps(Setting(skin, 1, ("blobs",)))
+    assert {sweep.name for sweep in SWEEPS} - {sweep.name for sweep in allowed} == {
+        "correlated noise",
+        "row-wise noise",
+        "over the edge",
+        "taxels out of place",
+    }
+    for sweep in allowed:
+        told = [r.method for r in rows(sweep, 0, next(sweep.make(sweep.values[-1], Setting(skin, 1, ("blobs",)))))]
+        assert told == ["raw", *stability.OURS]
