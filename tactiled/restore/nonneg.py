@@ -11,7 +11,6 @@ FEWEST = 0.002  # of the cells pressed: fewer are not told apart
 FEW = 0.025  # of the cells pressed: a mean over all modes then says little about the few pressed ones
 LOOSE = 0.3  # of the Gaussian's weight is left to it there
 ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
-FADED = 1e-2  # of the frame before: the image before would only be in the way
 ITERATIONS = 30  # at most
 STEADY = 0.05  # noise standard deviations: from the start, an iteration that changes less has no more to give
 WARM = 0.3  # the same from the image before: it has been through many iterations already
@@ -52,7 +51,7 @@ class Nonneg:
         self.image = self._back.empty()
         self._reach = scene.blur.reach.reshape(-1)
         self._change = np.empty_like(self._pull)
-        self._warm, self._high = False, 0.0
+        self._warm = False
 
     def reset(self) -> None:
         """Forget the image before."""
@@ -61,9 +60,6 @@ class Nonneg:
     def __call__(self, wiener: Wiener) -> int:
         """Iterate until an iteration changes hardly anything; gives how many were made."""
         scene = self._scene
-        if scene.high < FADED * self._high:
-            self._warm = False
-        self._high = scene.high
         enough = (WARM if self._warm else STEADY) * scene.noise
         if not self._warm:
             self._t[...] = wiener()

@@ -3,12 +3,8 @@
 A surface mode of frequency q is taken to be normal with variance S(q) = A / (1 + (q/q0)^2)^p, so a taxel mode has
 variance h^2 S + sigma^2. Of a fixed family of (A, q0, p) the most likely one is taken, from the power of the taxel
 modes pooled in blocks: a small matrix product a frame, and no cross-validation that small arrays mislead.
-
-A frame that no pressure can make, such as a single hot taxel under a thick cover, would be explained by pressures
-beyond all bounds. But what never pulls has its largest coefficient at the lowest frequencies: that is the bound.
 """
 
-from bisect import bisect_right
 from functools import cache
 from itertools import product
 
@@ -21,8 +17,6 @@ CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to po
 POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from nothing there to noise of 1e-4 of it all
 MOST = 100.0  # a filter that amplifies a mode by more leans on gains under 1 %, which no cover's model knows
-WILD = 10.0  # a filter that amplifies a mode by more is not trusted without asking for that bound
-LOW = 3  # modes along each axis among which the largest coefficient of a pressure must be
 
 
 class Prior:
@@ -38,7 +32,6 @@ class Prior:
         count = self._pool(np.ones(modes.gain.shape))
         self._levels: list[float] = []  # of the spectra, rising
         self._shapes: list[Floats] = []
-        self._wild: list[bool] = []
         costs: list[list[float]] = []
         for level, shape in product(LEVELS, [_shape(modes, q0, p) for q0, p in product(CORNERS, POWERS)]):
             S = level * shape[modes.head]
@@ -50,12 +43,10 @@ class Prior:
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self._levels.append(level)
             self._shapes.append(shape)
-            self._wild.append(amplified > WILD)
         self._cost_of = np.array(costs, np.float32)
         self.squares = np.empty(modes.gain.shape, np.float32)
         self._blocks = np.ones(count.size + 1, np.float32)
         self._power = self._blocks[:-1].reshape(count.shape)
-        self._low = self._power[tuple(slice(LOW) for _ in self._power.shape)]
         self._between = np.empty((len(self._left), *modes.gain.shape[1:]), np.float32)
         self._cost = np.empty(len(self._cost_of), np.float32)
 
@@ -74,13 +65,7 @@ class Prior:
             np.dot(self._left, self.squares, out=self._between)
             np.dot(self._between, self._right, out=self._power)
         np.dot(self._cost_of, self._blocks, out=self._cost)
-        number = int(self._cost.argmin())
-        return self._bounded() if self._wild[number] else number
-
-    def _bounded(self) -> int:
-        """Pick among the spectra that do not exceed four times the power of the lowest frequencies."""
-        bound = 4 * float(self._low.max()) / self.noise**2
-        return int(self._cost[: max(1, bisect_right(self._levels, bound))].argmin())
+        return int(self._cost.argmin())
 
     def ratio(self, number: int) -> Floats:
         """S over the noise's variance, for every surface mode."""
