@@ -6,7 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.bench import ablation, discriminate, frontier, frontier_chart, iterations, picard, stability
+from tactiled.bench import (
+    ablation,
+    discriminate,
+    frontier,
+    frontier_chart,
+    iterations,
+    picard,
+    stability,
+    stability_files,
+)
 from tactiled.bench import stability_chart as charts
 from tactiled.bench.machine import describe
 from tactiled.bench.page import chart, page, table, text, tiles
@@ -20,7 +29,7 @@ SMALL_SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over 
 def write(folder: Path, found: Findings, seed: int) -> Path:
     """Draw every chart, write every table, and the page that holds them all; give its path."""
     frontier.write(folder, found.panels, seed)
-    stability.write(folder, found.sweeps, seed)
+    stability_files.write(folder, found.sweeps, seed)
     frontier_chart.draw(folder / "frontier.svg", found.panels)
     charts.draw(folder / "stability.svg", found.sweeps)
     charts.draw(folder / "stability-wiener.svg", found.sweeps, "wiener")
@@ -213,7 +222,7 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
     yield "<h3>Too many iterations</h3>"
     yield chart(
         folder / "iterations.svg",
-        f"Richardson-Lucy under rubber, t/pitch {stability.COVER:g}, fits the noise if it is let to; ours stops when"
+        f"Richardson-Lucy under rubber, t/pitch {stability.COVER:g}, fits the noise if let to; ours stops when"
         " the residual has come down to it.",
     )
 

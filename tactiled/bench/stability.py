@@ -1,16 +1,11 @@
 """Where methods fail: what goes wrong swept from harmless to hopeless, and whether anyone would notice."""
 
-import csv
-import json
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactiled.bench.machine import describe
 from tactiled.bench.restore import nrmse, richardson_lucy, wiener
 from tactiled.bench.signs import SIGNS, Signs, signs
 from tactiled.bench.skin import Frames, Skin, rubber
@@ -273,40 +268,3 @@ def setting(quick: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, 
     if quick:
         return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
     return Setting(skin or rubber(COVER, 32), seed, tuple(DRAWN)), slice(None)
-
-
-def write(folder: Path, found: Found, seed: int) -> None:
-    """Put every image into stability.csv, the table into stability-table.csv and stability.json."""
-    _csv(folder / "stability.csv", [_flat(row) for _, all_ in found for row in all_])
-    failures = [asdict(one) for one in table(found)]
-    _csv(folder / "stability-table.csv", failures)
-    told = {
-        "seed": seed,
-        "machine": describe(),
-        "worse than raw by": WORSE,
-        "sound images": len(sound(found, "auto")),
-        "limits of the signs": {method: limits(found, method) for method in OURS},
-        "false alarms on auto": dict(Counter(alarms(found, "auto"))),
-        "table": failures,
-    }
-    (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-
-
-def _flat(row: Row) -> dict[str, Any]:
-    told = asdict(row)
-    found: dict[str, Any] = told.pop("signs")
-    return told | found
-
-
-def _csv(path: Path, records: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        out = csv.DictWriter(file, list(records[0]))
-        out.writeheader()
-        for record in records:
-            out.writerow({key: _cell(value) for key, value in record.items()})
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value

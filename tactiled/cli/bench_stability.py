@@ -26,6 +26,7 @@ def stability(
     from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
     from tactiled.bench.skin import configured
     from tactiled.bench.stability_chart import calibration, draw
+    from tactiled.bench.stability_files import write
     from tactiled.bench.sweeps import sweeps
 
     folder = made(out)
@@ -33,7 +34,7 @@ def stability(
         setting, values = measure.setting(quick, seed, configured(config, sensor) if config else None)
         steps = measure.measure(setting, values)
         found = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
-    measure.write(folder, found, seed)
+    write(folder, found, seed)
     draw(folder / "stability.svg", found)
     draw(folder / "stability-wiener.svg", found, "wiener")
     calibration(folder / "calibration.svg", found)

@@ -1,0 +1,48 @@
+"""The stability study as files: every image, and the table of failures."""
+
+import csv
+import json
+from collections import Counter
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tactiled.bench.machine import describe
+from tactiled.bench.stability import OURS, WORSE, Found, Row, alarms, limits, sound, table
+
+
+def write(folder: Path, found: Found, seed: int) -> None:
+    """Put every image into stability.csv, the table into stability-table.csv and stability.json."""
+    _csv(folder / "stability.csv", [_flat(row) for _, all_ in found for row in all_])
+    failures = [asdict(one) for one in table(found)]
+    _csv(folder / "stability-table.csv", failures)
+    told = {
+        "seed": seed,
+        "machine": describe(),
+        "worse than raw by": WORSE,
+        "sound images": len(sound(found, "auto")),
+        "limits of the signs": {method: limits(found, method) for method in OURS},
+        "false alarms on auto": dict(Counter(alarms(found, "auto"))),
+        "table": failures,
+    }
+    (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    told = asdict(row)
+    found: dict[str, Any] = told.pop("signs")
+    return told | found
+
+
+def _csv(path: Path, records: list[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.DictWriter(file, list(records[0]))
+        out.writeheader()
+        for record in records:
+            out.writerow({key: _cell(value) for key, value in record.items()})
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value
