@@ -24,6 +24,7 @@ APART = 3.0  # pitches that a contact may move between two frames and be the sam
 # scikit-image has no types.
 label: Callable[..., Labels] = measure.label
 h_maxima: Callable[..., Labels] = morphology.h_maxima
+expand_labels: Callable[..., Labels] = segmentation.expand_labels
 watershed: Callable[..., Labels] = segmentation.watershed
 
 
@@ -65,9 +66,14 @@ class Finder:
         pressed = pressure > max(CLEAR * noise_kpa, SHARE * peak)
         if not pressed.any():
             return []
-        parts = self._scattered(pressed) if self._array.shape is None else _split(pressure, pressed, peak)
+        if self._array.shape is None:
+            parts = skirts = self._scattered(pressed)
+        else:
+            parts = _split(pressure, pressed, peak)
+            skirts = expand_labels(parts, 1)
         numbers = range(1, int(parts.max()) + 1)
-        found = [self._measure(pressure.ravel(), np.flatnonzero(parts.ravel() == number)) for number in numbers]
+        both = parts.ravel(), skirts.ravel()
+        found = [self._measure(pressure.ravel(), *(np.flatnonzero(each == n) for each in both)) for n in numbers]
         return sorted(found, key=lambda contact: -contact.force_n)
 
     def _scattered(self, pressed: NDArray[np.bool_]) -> Labels:
@@ -78,10 +84,11 @@ class Finder:
         parts[taxels] = group + 1
         return parts
 
-    def _measure(self, pressure: Floats, cells: Labels) -> Contact:
-        weight = pressure[cells]
+    def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
+        """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
+        weight = pressure[skirt]
         total = float(weight.sum())
-        places = self._places[cells]
+        places = self._places[skirt]
         centre = weight @ places / total
         away = places - centre
         spread = (weight[:, None] * away).T @ away / total
@@ -92,7 +99,7 @@ class Finder:
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
             force_n=total * self._area * 1e-3,  # kPa mm^2 = 1e-3 N
-            area_mm2=len(cells) * self._area,
+            area_mm2=len(pressed) * self._area,
             peak_kpa=float(weight.max()),
             major_mm=float(np.sqrt(max(most, 0.0))),
             minor_mm=float(np.sqrt(max(least, 0.0))),
