@@ -17,6 +17,7 @@ class Filter:
         self.missed = np.asarray(scene.ones * (1 - weight * modes.gain).ravel(), np.float32)
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
         cells = np.prod(scene.blur.surface_shape)
+        self.resolution_mm = scene.resolution()
         self.noise_gain = float(np.sqrt((weight**2).sum() / cells))
 
     def correction(self, power: Image) -> float:
@@ -31,6 +32,7 @@ class Wiener:
         self._scene = scene
         self._filters: dict[int, Filter] = {}
         self._back = scene.modes.to_surface(seen=True)
+        self.chosen: Filter  # of the image last made
         self._modes, self.image = np.empty_like(scene.c), self._back.empty()
 
     @property
@@ -43,7 +45,8 @@ class Wiener:
 
     def __call__(self) -> Image:
         """Give the surface pressure, total force kept; may be negative."""
-        chosen, scene = self.filter, self._scene
+        self.chosen = chosen = self.filter
+        scene = self._scene
         np.multiply(scene.c, chosen.weight, out=self._modes)
         scale = scene.force_scale(float(np.dot(chosen.missed, scene.flat)))
         if scale != 1.0:

@@ -93,7 +93,8 @@ def _wiener(scene: Scene) -> Method:
     def run(y: Image) -> Restored:
         scene.look(y)
         image = wiener()
-        return Restored(image, "wiener", ASKED, 0, wiener.filter.noise_gain, scene.resolution())
+        chosen = wiener.chosen
+        return Restored(image, "wiener", ASKED, 0, chosen.noise_gain, chosen.resolution_mm)
 
     return Method(run)
 
