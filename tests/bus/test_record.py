@@ -65,7 +65,7 @@ def endless(path):
 
 
 def flood(recorder, sent):
-    for number in range(100_000):
+    for number in range(3000):
         recorder.put(plain(number))
         sent.append(number)
         time.sleep(0.001)

@@ -186,7 +186,8 @@ def test_silence_closes_a_half_received_frame_and_so_does_the_end(codec):
         ("palm", 2, 3),
     ]
     late = [*halves[:1], codec.encode(counts, 0, 1.2)[1]]
-    assert len(list(frames(late, Router({"palm": codec})))) == 1  # its second half came after the silence
+    ((_, frame),) = frames(late, Router({"palm": codec}))
+    assert frame.flags.any()  # its second half came after the silence
 
 
 @pytest.mark.parametrize("cut", range(1, 60, 7))
