@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from tactiled.bench.charts import COLOURS, figure
-from tactiled.bench.skin import Floats, Skin, drawn, means
+from tactiled.bench.skin import Floats, Skin, drawn, means, pressed
+from tactiled.bench.truth import DRAWN
 
 BLUE, RED, GREEN = COLOURS[:3]
 BLOCKS = 40  # that modes are averaged in, for the eye
@@ -39,8 +40,9 @@ class Picard:
 
 
 def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
-    """Look at a scene through a skin, with white noise of `noise` of the peak."""
-    fine = drawn(skin, scene, seed)
+    """Look at a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
+    images = ((name, drawn(skin, name, seed)) for name in (scene, *DRAWN))
+    scene, fine = next((name, each) for name, each in images if pressed(means(skin, each)[None]))
     clean = skin.surface.sense(fine).reshape(skin.array.frame_shape)
     sigma = noise * float(clean.max())
     frame = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)

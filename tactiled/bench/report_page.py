@@ -71,7 +71,10 @@ def _top(found: Findings, seed: int) -> Iterator[str]:
 def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
     over = np.mean([one.mark("auto").nrmse / one.mark("raw").nrmse for one in found.panels])
     times = [one.mark("auto").median for one in found.panels]
-    yield f"{100 * (1 - over):.0f} % less error", "auto against the raw image, mean of the panels below"
+    yield (
+        f"{100 * abs(1 - over):.0f} % {'less' if over < 1 else 'more'} error",
+        "auto against the raw image, mean of the panels below",
+    )
     yield (
         f"{min(times):.0f} to {max(times):.0f} µs a frame",
         "auto's median, from the easiest panel to the hardest",
@@ -88,7 +91,9 @@ def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
             ),
         )
     broken = [one for one in stability.table(found.sweeps) if one.method == "auto" and one.breaks_at]
-    names = ", ".join(f"{one.sweep} ({one.breaks_at[0]:g} {one.unit})" for one in broken).replace("-", "−")
+    names = ", ".join(f"{one.sweep} ({one.breaks_at[0]:g} {one.unit})" for one in broken[:3]).replace("-", "−")
+    if len(broken) > 3:
+        names += f" and {len(broken) - 3} more"
     yield f"{len(broken)} of {len(found.sweeps)} faults", f"make auto worse than the raw image: {names or 'none'}"
 
 
@@ -124,8 +129,7 @@ def _speed(folder: Path, found: Findings) -> Iterator[str]:
         (_panel_row(one) for one in found.panels),
         good="nothing",
     )
-    yield "<p class='soft'>NRMSE at the median time a frame. scikit-image's best is picked with the truth at"
-    " hand.</p>"
+    yield "<p class='soft'>NRMSE at the median time. scikit-image's best is picked with the truth at hand.</p>"
 
 
 def _panel_row(one: frontier.Panel) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bench.truth import APERTURE, DRAWN, psf_of, stack
+from tactiled.bench.truth import APERTURE, DRAWN, PEAK, psf_of, stack
 from tactiled.config import load
 from tactiled.config.build import make_array, make_blur, make_stack
 from tactiled.cover.kernel import cached, solve
@@ -22,6 +22,7 @@ from tactiled.simulate.array import FINER, Surface
 Floats = NDArray[np.float64]
 Frames = NDArray[np.float32]
 
+FELT = 0.01 * PEAK  # kPa
 MOST = 0.4999  # of a Poisson's ratio
 STEP = 0.1  # pitches that a scene moves from one frame of its film to the next
 
@@ -110,14 +111,22 @@ def _skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
 
 
 def films(skin: Skin, noise: float, count: int, seed: int, scenes: tuple[str, ...] = ()) -> Iterator[Film]:
-    """Film every scene, `count` frames long, with white noise of `noise` of its first frame's peak."""
+    """Film every scene that touches the skin, `count` frames long, with white noise of `noise` of its peak."""
     for scene in scenes or DRAWN:
         fine = [drawn(skin, scene, seed, STEP * n) for n in range(count)]
+        truths = np.stack([means(skin, each) for each in fine])
+        if not pressed(truths):
+            continue
         clean = np.stack([skin.surface.sense(each).reshape(skin.array.frame_shape) for each in fine])
         sigma = noise * float(clean[0].max())
         random = np.random.default_rng([seed, 1, int(1e6 * noise)])
         frames = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        yield Film(scene, sigma, frames, np.stack([means(skin, each) for each in fine]))
+        yield Film(scene, sigma, frames, truths)
+
+
+def pressed(truths: Floats) -> bool:
+    """Whether a scene touches the taxels in every frame: on a sparse layout it may fall between them."""
+    return bool((truths.reshape(len(truths), -1).max(axis=1) > FELT).all())
 
 
 def drawn(skin: Skin, scene: str, seed: int, along: float = 0.0, down: float = 0.0) -> Floats:

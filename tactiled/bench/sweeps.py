@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from tactiled.bench.skin import Floats, Frames, Skin, covered, doubled, drawn, means, mistaken
+from tactiled.bench.skin import Floats, Frames, Skin, covered, doubled, drawn, means, mistaken, pressed
 from tactiled.bench.truth import PEAK
 from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.simulate.array import FINER
@@ -57,11 +57,13 @@ class Sweep:
 
 
 def _scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats, np.random.Generator]]:
-    """Every scene's clean frame and truth, and random numbers for what goes wrong."""
+    """Every touching scene's clean frame and truth, and random numbers for what goes wrong."""
     for number, scene in enumerate(setting.scenes):
         fine = drawn(skin, scene, setting.seed)
-        clean = skin.surface.sense(fine).reshape(skin.array.frame_shape)
-        yield scene, clean, means(skin, fine), np.random.default_rng([setting.seed, number, 2])
+        clean, truth = skin.surface.sense(fine).reshape(skin.array.frame_shape), means(skin, fine)
+        if not pressed(truth[None]):
+            continue
+        yield scene, clean, truth, np.random.default_rng([setting.seed, number, 2])
 
 
 def _noisy(clean: Floats, noise: float, random: np.random.Generator) -> tuple[Frames, float]:

@@ -112,3 +112,10 @@ def test_command_writes_chart_table_and_summary(tmp_path, monkeypatch):
 
 def test_quick_is_smaller():
     assert len(QUICK.covers) < len(Effort().covers)
+
+
+def test_scenes_that_fall_between_sparse_taxels_are_left_out(tmp_path):
+    (tmp_path / "it.toml").write_text(GRASP)
+    found = list(films(configured(tmp_path / "it.toml"), 0.01, 2, 1))
+    assert 0 < len(found) < 7
+    assert all(film.truths.max(axis=1).min() > 1 for film in found)
