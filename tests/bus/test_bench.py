@@ -16,7 +16,7 @@ def test_every_message_that_is_sent_is_received_and_counted(request):
 
 
 def test_every_codec_is_measured_both_ways():
-    found = bus.offline(0.05)
+    found = list(bus.offline(0.05))
     assert len(found) == 3
     for each in found:
         assert min(each.received, each.encoded) > 0
