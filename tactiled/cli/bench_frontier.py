@@ -28,6 +28,7 @@ def frontier(
     """Chart error against time for every method of ours and for scikit-image's, in one run on one thread."""
     from tactiled.bench import frontier as measure  # matplotlib and scikit-image take a second
     from tactiled.bench.frontier_chart import draw
+    from tactiled.bench.report_page import rivals
     from tactiled.bench.skin import configured, rubber
 
     effort = measure.QUICK if quick else measure.Effort()
@@ -40,6 +41,8 @@ def frontier(
     draw(folder / "frontier.svg", found)
     console = Console(soft_wrap=True, highlight=False)
     console.print(_table(found))
+    for one in found:
+        console.print(f"{one.skin}, {100 * one.noise:g} %: auto is beaten in both by: {rivals(one)}")
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/frontier.svg, frontier.csv, frontier.json")
 
@@ -54,18 +57,16 @@ def made(folder: Path) -> Path:
 
 
 def _table(found: "list[measure.Panel]") -> Table:
-    """One row a panel: error and time of ours, the better of scikit-image's settings, and what beats auto."""
-    from tactiled.bench.report_page import rivals
-
+    """One row a panel: error and time of ours, the better of scikit-image's settings."""
     table = Table(title="NRMSE, and median µs a frame", title_justify="left")
     names = ("auto", "raw", "wiener", "nnls", "rl", "rl-fast", "skimage wiener", "skimage rl")
-    for name in ("cover", "noise", *names, "floor", "auto beaten by"):
-        table.add_column(name)
+    for name in ("cover", "noise", *names, "floor"):
+        table.add_column(name.replace(" ", "\n"), no_wrap=True)
     for one in found:
         cells = []
         for name in names:
             same = [mark for mark in one.marks if mark.method == name or mark.method.startswith(f"{name} ")]
             best = min(same if name.startswith("skimage") else same[:1], key=lambda mark: mark.nrmse, default=None)
             cells.append(f"{best.nrmse:.3f}\n{best.median:.0f}" if best else "–")
-        table.add_row(one.skin, f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}", rivals(one))
+        table.add_row(one.skin, f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}")
     return table

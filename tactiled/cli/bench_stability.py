@@ -41,12 +41,18 @@ def stability(
     table = Table(
         title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
     )
-    for name in measure.HEADINGS:
-        table.add_column(name)
-    for row in measure.lines(measure.table(found)):
-        table.add_row(*row)
+    for name in (*measure.HEADINGS[:-3], "noticed"):
+        table.add_column(name.replace("skimage ", "skimage\n"))
     console = Console(soft_wrap=True, highlight=False)
+    rows = measure.lines(measure.table(found))
+    for row in rows:
+        table.add_row(*row[:-3], row[-2])
     console.print(table)
+    for row in rows:
+        if row[-1] or row[-2].startswith("no ("):
+            console.print(
+                f"auto, {row[0]}: at its worst {row[-3]}; noticed: {row[-2]}; {row[-1] or 'nothing would show it'}"
+            )
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/stability.svg, stability-wiener.svg, calibration.svg, stability.csv,")
     console.print("stability-table.csv, stability.json")
