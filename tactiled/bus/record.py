@@ -3,6 +3,9 @@
 import gzip
 import io
 import os
+import platform
+import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,7 +21,9 @@ from tactiled.errors import BusError, ConfigError, TactileError
 
 FLUSH_S = 0.25  # how often what has come is put on the disk: a crash costs no more, and a slow disk's time
 WAITING = 100_000  # messages that wait for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
-POLL_S = 0.05  # how long a read waits: bounds how late a stop is seen
+POLL_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
+BUFFER = 1 << 23  # bytes that the kernel keeps for a reader that is late
+SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of the nine numbers counts drops
 
 
 class Tap:
@@ -26,6 +31,8 @@ class Tap:
 
     def __init__(self, reader: Reader) -> None:
         self._reader, self.label = reader, reader.label
+        self._socket = _socket(reader._bus)
+        self._before = self._drops()
 
     def receive(self, timeout: float) -> can.Message | None:
         """The next frame of any kind, or None after `timeout` (s); BusError where the bus is gone."""
@@ -34,9 +41,40 @@ class Tap:
         except (can.CanError, OSError, ValueError) as error:
             raise _blame(error, self.label) from error
 
+    def check(self) -> None:
+        """BusError where the kernel has dropped messages that were not taken in time."""
+        if (dropped := self._drops() - self._before) > 0:
+            raise BusError(
+                f"bus {self.label}: the kernel dropped {dropped} messages: this machine is too busy for it"
+            )
+
     def close(self) -> None:
         """Let go of the bus."""
+        if self._socket is not None:
+            self._socket.close()
         self._reader.close()
+
+    def _drops(self) -> int:
+        """Messages that the kernel has dropped since the bus was opened, where it tells."""
+        if self._socket is None or platform.system() != "Linux":
+            return 0
+        try:
+            told = self._socket.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * MEMINFO)
+        except OSError:
+            return 0
+        return int.from_bytes(told[-4:], sys.byteorder) if len(told) == 4 * MEMINFO else 0
+
+
+def _socket(bus: can.BusABC) -> socket.socket | None:
+    """A second handle of the socket behind a bus, its buffer enlarged; None for a bus of another kind."""
+    try:
+        found = socket.socket(fileno=os.dup(bus.fileno()))
+    except (OSError, NotImplementedError):
+        return None
+    for option in (socket.SO_RCVBUF, SO_RCVBUFFORCE):  # the second goes past the system's bound, where allowed to
+        with suppress(OSError):
+            found.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+    return found
 
 
 def open_tap(interface: str, **settings: Any) -> Tap:
@@ -224,20 +262,23 @@ def _plain(message: can.Message) -> can.Message:
     return message
 
 
-def record(tap: Tap, path: Path, stop: Event, seconds: float = float("inf")) -> int:
+def record(tap: Tap, recorder: Recorder, stop: Event, seconds: float = float("inf")) -> int:
     """Record a bus until `stop` or for `seconds`; returns how many messages are in the file.
 
     TactileError, with the file readable to the point that it names, where bus or disk ends it before.
     """
-    recorder = Recorder(path)
-    end = time.monotonic() + seconds
+    now = due = time.monotonic()
+    end = now + seconds
     try:
-        while not stop.is_set() and (left := end - time.monotonic()) > 0:
-            message = tap.receive(min(left, POLL_S))
-            if message is None:
-                recorder.check()
-            else:
+        while not stop.is_set() and now < end:
+            message = tap.receive(min(end - now, POLL_S))
+            if message is not None:
                 recorder.put(message)
+            if (now := time.monotonic()) >= due:
+                recorder.check()
+                tap.check()
+                due = now + POLL_S
+        tap.check()
     except BusError as error:
         recorder.close()
         raise BusError(f"{error}: the recording ends early, after {recorder.written} messages") from error

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from tactiled.bus.record import open_tap, record
+from tactiled.bus.record import Recorder, open_tap, record
 from tactiled.cli.app import app
 from tactiled.cli.simulate import _interrupt
 from tactiled.config import Config, load
@@ -38,7 +38,7 @@ def record_(
     try:
         with _interrupt() as stop:
             console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
-            written = record(tap, out, stop, float("inf") if seconds is None else seconds)
+            written = record(tap, Recorder(out), stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()
     console.print(f"{out}: {written} messages", markup=False)

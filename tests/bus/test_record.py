@@ -2,6 +2,7 @@ import errno
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -203,7 +204,7 @@ def test_a_bus_is_recorded_with_all_that_is_on_it(tmp_path, request):
     with can.Bus(interface="virtual", channel=request.node.name) as sender:
         for each in MESSAGES:
             sender.send(each)
-        assert record(tap, tmp_path / "a.log", Event(), 0.3) == len(MESSAGES)
+        assert record(tap, Recorder(tmp_path / "a.log"), Event(), 0.3) == len(MESSAGES)
     tap.close()
     assert [each[1:] for each in told(read(tmp_path / "a.log"))] == [each[1:] for each in told(MESSAGES)]
 
@@ -212,14 +213,45 @@ def test_a_bus_that_goes_away_is_told_with_what_was_recorded(tmp_path):
     class Gone:
         left = MESSAGES[:3]
 
+        def check(self):
+            return None
+
         def receive(self, _):
             if not self.left:
                 raise BusError("bus can0: the interface is down")
             return self.left.pop(0)
 
     with pytest.raises(BusError, match="the interface is down: the recording ends early, after 3 messages"):
-        record(Gone(), tmp_path / "a.log", Event())
+        record(Gone(), Recorder(tmp_path / "a.log"), Event())
     assert len(read(tmp_path / "a.log")) == 3
+
+
+def test_what_the_kernel_drops_ends_it_loudly(tmp_path):
+    tap = open_tap("udp_multicast", channel="239.74.163.79")
+    if tap._drops() != 0 or tap._socket is None:
+        pytest.fail("a socket's drops cannot be seen here")
+    tap._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    with can.Bus(interface="udp_multicast", channel="239.74.163.79") as sender:
+        for number in range(500):
+            sender.send(plain(number))
+    recorder = Recorder(tmp_path / "a.log")
+    with pytest.raises(
+        BusError, match=r"the kernel dropped \d+ messages: .* the recording ends early, after"
+    ) as told:
+        record(tap, recorder, Event(), 1.0)
+    tap.close()
+    got = numbers(tmp_path / "a.log")
+    assert got == list(range(len(got)))
+    assert f"after {len(got)} messages" in str(told.value)
+
+
+def test_a_late_reader_loses_nothing_that_its_buffer_holds(tmp_path):
+    tap = open_tap("udp_multicast", channel="239.74.163.80")
+    with can.Bus(interface="udp_multicast", channel="239.74.163.80") as sender:
+        for number in range(2000):
+            sender.send(plain(number))
+    assert record(tap, Recorder(tmp_path / "a.log"), Event(), 1.0) == 2000
+    tap.close()
 
 
 FEED = """

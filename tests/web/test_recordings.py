@@ -1,0 +1,191 @@
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import can
+import httpx
+import pytest
+import uvicorn
+from fastapi import FastAPI
+
+from tactiled.bus import recording
+from tactiled.web import problems
+from tactiled.web.recordings import make
+
+ROOT = "/api/v1/recordings"
+
+
+@contextmanager
+def serving(app):
+    """A client of an application that runs, its start and its end with it."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
+    thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+    thread.start()
+    while not server.started:
+        time.sleep(0.005)
+    with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False) as client:
+        yield client
+    server.should_exit = True
+    thread.join()
+    listener.close()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "secret.log").write_text("(0.0) can0 123#00 R\n")
+    return tmp_path / "recordings"
+
+
+@pytest.fixture
+def api(folder, request):
+    app = FastAPI()
+    problems.install(app)
+    buses = {
+        "can0": {"interface": "virtual", "channel": request.node.name},
+        "gone": {"interface": "slcan", "channel": "/dev/gone", "sleep_after_open": 0},
+    }
+    app.include_router(make(folder, buses))
+    with serving(app) as client:
+        yield client
+
+
+@pytest.fixture
+def bus(request):
+    with can.Bus(interface="virtual", channel=request.node.name) as end:
+        yield end
+
+
+def send(bus, count):
+    for number in range(count):
+        bus.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big")))
+
+
+def test_one_recording_from_its_start_to_its_end(api, bus, folder):
+    assert api.get(ROOT).json() == {"recordings": []}
+    began = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    assert began.status_code == 201
+    assert began.json()["running"] is True
+    send(bus, 100)
+    time.sleep(0.8)
+    (seen,) = api.get(ROOT).json()["recordings"]
+    assert (seen["name"], seen["running"], seen["bus"], seen["messages"]) == ("a.log", True, "can0", 100)
+    for act in (api.get, api.delete):
+        assert act(f"{ROOT}/a.log").status_code == 409
+    send(bus, 20)
+    time.sleep(0.1)
+    ended = api.post(f"{ROOT}/a.log/stop").json()
+    assert (ended["running"], ended["messages"], ended["error"]) == (False, 120, None)
+    assert api.post(f"{ROOT}/a.log/stop").status_code == 200
+    got = api.get(f"{ROOT}/a.log")
+    assert got.headers["content-disposition"] == 'attachment; filename="a.log"'
+    assert got.content == (folder / "a.log").read_bytes()
+    assert [int.from_bytes(each.data, "big") for each in recording.read(folder / "a.log")] == [
+        *range(100),
+        *range(20),
+    ]
+    assert api.delete(f"{ROOT}/a.log").status_code == 204
+    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(f"{ROOT}/a.log").status_code == 404
+
+
+def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):
+    name = api.post(ROOT, json={"bus": "can0"}).json()["name"]
+    assert name.startswith("can0-")
+    assert name.endswith(".log")
+    again = api.post(ROOT, json={"bus": "can0"})
+    assert (again.status_code, again.json()["detail"]) == (409, "bus can0: is being recorded already")
+    api.post(f"{ROOT}/{name}/stop")
+    taken = api.post(ROOT, json={"bus": "can0", "name": name})
+    assert taken.status_code == 409
+    assert api.post(ROOT, json={"bus": "can0"}).status_code == 201
+
+
+BAD = (
+    "../secret.log",
+    "..",
+    "/etc/passwd",
+    "..%2fsecret.log",
+    "%2e%2e%2fsecret.log",
+    "a/../../secret.log",
+    "..\\secret.log",
+    ".hidden.log",
+    "a.toml",
+    "a.log\n",
+    "a.log\0",
+    "",
+    "a" * 200 + ".log",
+    "a.b.log",
+)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_no_name_leaves_the_folder(api, folder, name):
+    refused = api.post(ROOT, json={"bus": "can0", "name": name})
+    assert refused.status_code == 422
+    assert refused.headers["content-type"] == "application/problem+json"
+    for path in (name, name.replace("/", "%2f").replace("\n", "%0a").replace("\0", "%00").replace("\\", "%5c")):
+        if path.strip("./\n\0"):
+            for act in (api.get, api.delete):
+                try:
+                    status = act(f"{ROOT}/{path}").status_code
+                except Exception as error:  # the client itself refuses such an address
+                    assert "URL" in type(error).__name__, error  # noqa: PT017
+                    continue
+                assert status in (404, 405, 422)
+    assert (folder.parent / "secret.log").read_text() == "(0.0) can0 123#00 R\n"
+    assert not folder.exists()
+
+
+def test_a_link_out_of_the_folder_is_no_recording(api, folder):
+    folder.mkdir()
+    (folder / "link.log").symlink_to(folder.parent / "secret.log")
+    (folder / "dangling.log").symlink_to(folder.parent / "new.log")
+    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(f"{ROOT}/link.log").status_code == 404
+    assert api.delete(f"{ROOT}/link.log").status_code == 404
+    assert api.post(ROOT, json={"bus": "can0", "name": "dangling.log"}).status_code == 409
+    assert not (folder.parent / "new.log").exists()
+
+
+def test_a_bus_that_is_not_there(api):
+    none = api.post(ROOT, json={"bus": "can9"})
+    assert (none.status_code, none.json()["detail"]) == (404, "bus can9: no such bus: there are can0, gone")
+    gone = api.post(ROOT, json={"bus": "gone"})
+    assert gone.status_code == 503
+    assert "No such file" in gone.json()["detail"]
+    assert api.get(ROOT).json() == {"recordings": []}
+
+
+def test_a_folder_that_cannot_be_made_is_told(api, folder):
+    folder.write_text("a file is in the way")
+    assert api.post(ROOT, json={"bus": "can0"}).status_code == 503
+
+
+def test_a_full_disk_ends_it_and_says_so(api, bus, monkeypatch):
+    import os
+
+    name = api.post(ROOT, json={"bus": "can0"}).json()["name"]
+    time.sleep(0.1)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", full)
+    send(bus, 10)
+    time.sleep(0.8)
+    (seen,) = api.get(ROOT).json()["recordings"]
+    assert seen["running"] is False
+    assert "No space left on device: the recording ends early, after 0 messages" in seen["error"]
+    assert api.post(f"{ROOT}/{name}/stop").status_code == 200
+
+
+def test_the_end_of_the_service_ends_a_recording_whole(folder, request):
+    app = FastAPI()
+    app.include_router(make(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}))
+    with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
+        client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
+        send(bus, 50)
+        time.sleep(0.1)
+    assert len(list(recording.read(folder / "a.blf"))) == 50
