@@ -165,6 +165,8 @@ def _writer(path: Path) -> Callable[[BinaryIO], can.io.generic.MessageWriter]:
     """The writer for a file's ending; ConfigError where there is none."""
     for ending, make in WRITERS.items():
         if path.name.lower().endswith(ending):
+            if ending.count(".") > 1 and len(path.suffixes) > 2:
+                raise ConfigError(f"{path}: python-can could not read it again: leave out dots before {ending}")
             return make
     raise ConfigError(f"{path}: no format of recordings: let its name end in one of {', '.join(WRITERS)}")
 

@@ -107,6 +107,13 @@ def test_another_ending_or_a_file_that_is_there_is_refused_and_left_alone(tmp_pa
         Recorder(tmp_path / "gone" / "a.log")
 
 
+def test_a_name_that_python_can_would_not_read_again_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"leave out dots before \.log\.gz"):
+        Recorder(tmp_path / "at.7.30.log.gz")
+    Recorder(tmp_path / "at.7.30.log").close()
+    assert read(tmp_path / "at.7.30.log") == []
+
+
 def test_an_upper_case_ending_is_known(tmp_path):
     recorder = Recorder(tmp_path / "A.LOG")
     recorder.put(plain(7))

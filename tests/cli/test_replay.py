@@ -214,6 +214,17 @@ def test_a_compressed_file_without_its_end_gives_what_is_there(tmp_path, codec):
     assert kept.torn
 
 
+@pytest.mark.parametrize("ending", [".log", ".asc", ".blf", ".log.gz", ".asc.gz"])
+def test_a_file_cut_anywhere_gives_its_first_messages_and_none_that_was_not_sent(tmp_path, codec, ending):
+    path = write(tmp_path / f"a{ending}", list(traffic(codec))[:40])
+    whole, data = list(Recording(path)), path.read_bytes()
+    first = 144 if ending == ".blf" else 3  # within a .blf file's header python-can leaves the file open
+    for at in range(first, len(data), max(1, len(data) // 60)):
+        path.write_bytes(data[:at])
+        got = list(Recording(path))
+        assert got == whole[: len(got)]
+
+
 def test_a_fault_within_a_recording_is_refused_not_skipped(lossy):
     lines = lossy.read_text().splitlines(keepends=True)
     lossy.write_text("".join([*lines[:20], "nonsense\n", *lines[20:]]))
