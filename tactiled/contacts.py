@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skimage import measure, morphology, segmentation
 
-from tactiled.geometry import Array
+from tactiled.geometry import Array, Cells
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -44,20 +44,14 @@ class Contact:
 
 
 class Finder:
-    """Finds the contacts in the restored images of one array; `cell_mm` is the side of a surface cell."""
+    """Finds the contacts in the restored images of one array, whose surface has these cells."""
 
-    def __init__(self, array: Array, cell_mm: float) -> None:
-        self._array, self._area = array, cell_mm**2
+    def __init__(self, array: Array, cells: Cells) -> None:
+        self._array, self._cells = array, cells
         if array.shape is None:
-            self._places = array.positions
             pairs = cKDTree(array.positions).query_pairs(NEAR * array.pitch, output_type="ndarray")
             links = np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])
             self._near = sparse.coo_array(links, shape=(array.size, array.size)).tocsr()
-        else:
-            cells = [round(n * array.pitch / cell_mm) for n in array.shape]
-            low = array.positions.min(axis=0) - array.pitch / 2 + cell_mm / 2
-            y, x = np.mgrid[: cells[0], : cells[1]] * cell_mm
-            self._places = np.column_stack([x.ravel(), y.ravel()]) + low
 
     def __call__(self, image: NDArray[np.float32], noise_kpa: float) -> list[Contact]:
         """Contacts of an image (kPa), the strongest first, all with id 0; `noise_kpa` is a cell's."""
@@ -87,8 +81,9 @@ class Finder:
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
         weight = pressure[skirt]
-        total = float(weight.sum())
-        places = self._places[skirt]
+        areas, places = self._cells.areas[skirt], self._cells.positions[skirt]
+        weight = weight * areas
+        total = float(weight.sum())  # kPa mm^2 = 1e-3 N
         centre = weight @ places / total
         away = places - centre
         spread = (weight[:, None] * away).T @ away / total
@@ -98,9 +93,9 @@ class Finder:
             id=0,
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
-            force_n=total * self._area * 1e-3,  # kPa mm^2 = 1e-3 N
-            area_mm2=len(pressed) * self._area,
-            peak_kpa=float(weight.max()),
+            force_n=total * 1e-3,
+            area_mm2=float(self._cells.areas[pressed].sum()),
+            peak_kpa=float(pressure[pressed].max()),
             major_mm=float(np.sqrt(max(most, 0.0))),
             minor_mm=float(np.sqrt(max(least, 0.0))),
             angle_rad=float(angle),

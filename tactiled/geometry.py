@@ -1,14 +1,20 @@
 """Where an array's taxels are: a grid, or any layout."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from tactiled.errors import ConfigError
 
 Aperture = Literal["square", "round"]
+
+NEIGHBOURS = 3  # nearest taxels whose mean distance is a layout's spacing
+RIM = 0.7  # spacings that a cell at the rim of a layout reaches out from its taxel
+FINE = 8  # squares a spacing that a layout's cells are made of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,3 +75,47 @@ def layout(positions: NDArray[np.float64], width: float | None = None, aperture:
     gaps[np.diag_indices_from(gaps)] = np.inf
     pitch = float(gaps.min())
     return Array(positions, pitch, width or pitch, aperture)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The cells of a surface, each made of small squares, all of one side."""
+
+    pieces: NDArray[np.float64]  # (P, 2) mm, the squares' centres
+    side: float  # mm
+    owner: NDArray[np.int64]  # (P,) the cell that a square belongs to; every cell has one at least
+
+    @cached_property
+    def areas(self) -> NDArray[np.float64]:
+        """(M,) mm^2."""
+        return np.asarray(np.bincount(self.owner) * self.side**2, float)
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """(M, 2) mm, the cells' centres."""
+        count = np.bincount(self.owner)
+        sums = [np.bincount(self.owner, self.pieces[:, axis]) for axis in (0, 1)]
+        return np.asarray(np.column_stack(sums) / count[:, None], float)
+
+
+def tiling(array: Array, refine: int = 1) -> Cells:
+    """Cells that cover the surface over an array: squares of a grid, refined; else what is nearest to each taxel.
+
+    At a layout's rim a cell reaches RIM times the spacing out from its taxel.
+    """
+    if array.shape is not None:
+        side = array.pitch / refine
+        rows, columns = (n * refine for n in array.shape)
+        y, x = np.mgrid[:rows, :columns] * side
+        low = array.positions.min(axis=0) - (array.pitch - side) / 2
+        return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
+    tree = cKDTree(array.positions)
+    near = list(range(2, min(NEIGHBOURS, array.size - 1) + 2))  # the first is the taxel itself
+    spacing = float(np.median(np.mean(tree.query(array.positions, k=near)[0], axis=1)))
+    reach, side = RIM * spacing, min(spacing, 2 * array.pitch) / FINE
+    low, high = array.positions.min(axis=0) - reach, array.positions.max(axis=0) + reach
+    x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))
+    pieces = np.column_stack([x.ravel(), y.ravel()])
+    distance, owner = (np.asarray(each) for each in tree.query(pieces))
+    within = distance <= reach
+    return Cells(pieces[within], side, owner[within].astype(np.int64))

@@ -41,14 +41,14 @@ class Sensor:
 
     def __init__(self, plan: SensorPlan, clock: Callable[[], float] = time.monotonic) -> None:
         self.name, self.bus_name, self.codec_name, self.codec = plan.name, plan.bus, plan.codec_name, plan.codec
-        self.array, self.kernel, self.cell_mm = plan.array, plan.kernel, plan.cell_mm
+        self.array, self.kernel, self.cells = plan.array, plan.kernel, plan.cells
         self.calibration = plan.calibration
         self.methods = tuple(METHODS)
         self.hub = Hub()
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
-        self._finder = Finder(plan.array, plan.cell_mm)
+        self._finder = Finder(plan.array, plan.cells)
         self._tracker = Tracker(APART * plan.array.pitch)
         self._looking = threading.Lock()
         self._looked_at: Image | None = None

@@ -5,7 +5,7 @@ from tactiled.contacts import Contact, Finder, Tracker
 from tactiled.cover.kernel import solve
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
-from tactiled.geometry import grid, layout
+from tactiled.geometry import Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
@@ -43,7 +43,7 @@ def press(array):
 
 
 def test_a_contact_is_where_it_is_and_weighs_what_it_weighs(array, press):
-    find = Finder(array, 1.0)
+    find = Finder(array, tiling(array))
     for seed, place in enumerate([(7.3, 12.8, 80), (15.0, 6.5, 40), (11.7, 11.2, 120)]):
         frame, restored, noise, force = press(place, seed=seed)
         (felt,), (found,) = find(frame, NOISE), find(restored, noise)
@@ -56,7 +56,7 @@ def test_a_contact_is_where_it_is_and_weighs_what_it_weighs(array, press):
 
 
 def test_two_that_touch_are_told_apart_where_the_raw_image_shows_one(array, press):
-    find = Finder(array, 1.0)
+    find = Finder(array, tiling(array))
     frame, restored, noise, _ = press((9.6, 12.0, 80), (13.3, 12.3, 70))
     assert len(find(frame, NOISE)) == 1
     first, second = sorted(find(restored, noise), key=lambda contact: contact.x_mm)
@@ -65,13 +65,13 @@ def test_two_that_touch_are_told_apart_where_the_raw_image_shows_one(array, pres
 
 @pytest.mark.parametrize("values", [np.zeros, lambda shape: np.random.default_rng(1).normal(0, NOISE, shape)])
 def test_nothing_is_found_where_nothing_is(array, values):
-    assert Finder(array, 1.0)(values((SIDE, SIDE)).astype(np.float32), NOISE) == []
+    assert Finder(array, tiling(array))(values((SIDE, SIDE)).astype(np.float32), NOISE) == []
 
 
 def test_axes_and_refined_cells(array):
     y, x = np.mgrid[: 2 * SIDE, : 2 * SIDE] * 0.5 - 0.25
     u, v = (x - 8) * np.cos(0.5) + (y - 9) * np.sin(0.5), (y - 9) * np.cos(0.5) - (x - 8) * np.sin(0.5)
-    (found,) = Finder(array, 0.5)((100 * np.exp(-(u**2) / 18 - v**2 / 2)).astype(np.float32), 0.1)
+    (found,) = Finder(array, tiling(array, 2))((100 * np.exp(-(u**2) / 18 - v**2 / 2)).astype(np.float32), 0.1)
     assert (found.x_mm, found.y_mm) == (pytest.approx(8, abs=0.02), pytest.approx(9, abs=0.02))
     assert found.angle_rad == pytest.approx(0.5, abs=0.02)
     assert 2 < found.major_mm / found.minor_mm < 3.5
@@ -80,7 +80,8 @@ def test_axes_and_refined_cells(array):
 
 def test_a_layout_that_is_no_grid():
     ring = np.array([(3 * np.cos(t), 3 * np.sin(t)) for t in np.linspace(0, 2 * np.pi, 7)[:-1]])
-    find = Finder(layout(np.concatenate([ring, ring + np.array([20, 0])]), 1.0), 3.0)
+    array = layout(np.concatenate([ring, ring + np.array([20, 0])]), 1.0)
+    find = Finder(array, Cells(array.positions, 3.0, np.arange(12)))
     image = np.zeros(12, np.float32)
     image[[0, 1, 8]] = 10, 10, 30
     strong, weak = find(image, 0.1)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import ConfigError
-from tactiled.geometry import Array, grid, layout
+from tactiled.geometry import Array, grid, layout, tiling
 
 
 def test_a_grid_runs_along_its_rows_from_the_first_taxel():
@@ -37,3 +37,26 @@ def test_one_taxel_is_a_layout_too():
 def test_an_array_that_cannot_be_is_refused_by_name(make, says):
     with pytest.raises(ConfigError, match=says):
         make()
+
+
+def test_cells_cover_a_grid_and_its_refinement():
+    array = grid(3, 4, 2.0)
+    for refine in (1, 2, 3):
+        cells = tiling(array, refine)
+        assert cells.areas.sum() == pytest.approx(3 * 4 * 2.0**2)
+        np.testing.assert_allclose(cells.positions.mean(axis=0), array.positions.mean(axis=0))
+    np.testing.assert_allclose(tiling(array).positions, array.positions)
+
+
+def test_cells_of_a_hexagonal_layout_are_hexagons():
+    rows = [[(x + 0.5 * (y % 2), y * 3**0.5 / 2) for x in range(9)] for y in range(9)]
+    array = layout(np.concatenate(rows), 0.5)
+    cells = tiling(array)
+    inside = (np.abs(array.positions - array.positions.mean(axis=0)) < 2.5).all(axis=1)
+    np.testing.assert_allclose(cells.areas[inside], 3**0.5 / 2, rtol=0.05)
+    np.testing.assert_allclose(cells.positions[inside], array.positions[inside], atol=0.05)
+    assert cells.areas.max() < 1.5  # a cell at the rim does not reach into nothing
+
+
+def test_two_taxels_have_cells_too():
+    assert tiling(layout([(0, 0), (3, 0)])).areas == pytest.approx([12.64, 12.64], rel=0.06)

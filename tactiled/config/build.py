@@ -17,10 +17,10 @@ from tactiled.bus.router import Router
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.config import schema
 from tactiled.cover.kernel import Kernel, cached
-from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
-from tactiled.geometry import Array, grid, layout
+from tactiled.geometry import Array, Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import require
 
@@ -46,11 +46,16 @@ class SensorPlan:
     array: Array
     kernel: Kernel
     blur: Blur
-    cell_mm: float  # side of a surface cell
+    cells: Cells  # of the restored image
     calibration: Calibration
     method: str
     stale_after_s: float
     warnings: tuple[str, ...]  # that hold for every image
+
+    @property
+    def cell_mm(self) -> float:
+        """Side of a surface cell, or of a square of their mean area."""
+        return float(np.sqrt(self.cells.areas.mean()))
 
 
 def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
@@ -85,7 +90,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         array=array,
         kernel=kernel,
         blur=make_blur(kernel, array, sensor.refine),
-        cell_mm=array.pitch / sensor.refine,
+        cells=tiling(array, sensor.refine),
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
@@ -143,7 +148,8 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
         return Blur.grid(stencil(kernel, array, refine), array.shape, refine, array.pitch / refine)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
-    return Blur.matrix(matrix(kernel, array), array.pitch)
+    cells = tiling(array)
+    return Blur.matrix(tiled(kernel, array, cells), float(np.sqrt(cells.areas.mean())))
 
 
 def make_calibration(sensor: schema.Sensor) -> Calibration:

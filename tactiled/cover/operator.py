@@ -7,11 +7,12 @@ each have their own period and cut-off; as the integral runs to the cut-off, eve
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
 
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import PhysicsError
-from tactiled.geometry import Array
+from tactiled.geometry import Array, Cells
 
 Floats = NDArray[np.float64]
 
@@ -37,17 +38,29 @@ def stencil(kernel: Kernel, array: Array, refine: int = 1) -> Floats:
     return _response(kernel, array, side, np.abs(x), np.abs(y))
 
 
-def matrix(kernel: Kernel, array: Array, cells: Floats | None = None, side: float | None = None) -> Floats:
-    """Give (N, M): the mean pressure on every taxel for unit pressure on square cells at `cells` (M, 2) mm.
-
-    The default cells are centred on the taxels and have the pitch as `side` (mm).
-    """
-    cells = array.positions if cells is None else np.asarray(cells, float)
-    offsets = np.abs(array.positions[:, None] - cells[None]).round(9)
+def matrix(kernel: Kernel, array: Array, cells: Floats, side: float) -> Floats:
+    """Give (N, M): the mean pressure on every taxel under 1 on squares of `side` at `cells` (M, 2), mm."""
+    offsets = np.abs(array.positions[:, None] - np.asarray(cells, float)[None]).round(9)
     x, column = np.unique(offsets[..., 0], return_inverse=True)
     y, row = np.unique(offsets[..., 1], return_inverse=True)
-    table = _response(kernel, array, side or array.pitch, x, y)
+    table = _response(kernel, array, side, x, y)
     return np.asarray(table[row.reshape(offsets.shape[:2]), column.reshape(offsets.shape[:2])])
+
+
+def tiled(kernel: Kernel, array: Array, cells: Cells) -> Floats:
+    """Give (N, M): the mean pressure on every taxel for unit pressure on each of `cells`, however they are shaped.
+
+    The response to one of their squares is tabulated in steps of it and interpolated; cover and aperture keep it
+    smooth.
+    """
+    span = np.abs(array.positions[:, None] - cells.pieces[None]).reshape(-1, 2).max(axis=0)
+    x, y = (np.asarray(np.arange(int(end / cells.side) + 5) * cells.side, float) for end in span)
+    table = RectBivariateSpline(y, x, _response(kernel, array, cells.side, x, y))
+    response = np.empty((array.size, len(cells.areas)))
+    for taxel, place in enumerate(array.positions):
+        away = np.abs(cells.pieces - place)
+        response[taxel] = np.bincount(cells.owner, table.ev(away[:, 1], away[:, 0]))
+    return response
 
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:

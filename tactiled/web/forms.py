@@ -180,6 +180,9 @@ class Geometry(Form):
     aperture_mm: float = Field(description="side, or diameter", examples=[0.8])
     raw: ImageShape
     restored: ImageShape
+    areas_mm2: list[float] | None = Field(
+        description="that a taxel's pressure acts on, where the layout is no grid", examples=[None]
+    )
 
 
 class Method(Form):
@@ -352,7 +355,8 @@ def geometry(sensor: Sensor) -> Geometry:
     """Where a sensor's taxels and surface cells are."""
     array = sensor.array
     rows, columns = array.shape or (1, array.size)
-    refine = round(array.pitch / sensor.cell_mm) if array.shape else 1
+    cell_mm = sensor.plan.cell_mm
+    refine = round(array.pitch / cell_mm) if array.shape else 1
     return Geometry(
         shape=array.shape,
         positions_mm=[(float(x), float(y)) for x, y in array.positions],
@@ -360,5 +364,6 @@ def geometry(sensor: Sensor) -> Geometry:
         aperture=array.aperture,
         aperture_mm=array.width,
         raw=ImageShape(rows=rows, columns=columns, cell_mm=array.pitch),
-        restored=ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=sensor.cell_mm),
+        restored=ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=cell_mm),
+        areas_mm2=None if array.shape else sensor.cells.areas.tolist(),
     )

@@ -38,6 +38,7 @@ const TIMEOUT_MS = 8000;
  * @property {number} aperture_mm
  * @property {{rows: number, columns: number}} raw
  * @property {{rows: number, columns: number, cell_mm: number}} restored
+ * @property {number[]|null} areas_mm2 where the layout is no grid
  */
 
 /**

@@ -42,14 +42,14 @@ export function measure(kpa, cells, noise, into) {
     if (p !== p) {
       unknown += 1;
     } else {
-      sum += p;
+      sum += p * area[i];
       if (p > peak) {
         peak = p;
         peakIndex = i;
       }
     }
   }
-  into.force = sum * area * 1e-3;
+  into.force = sum * 1e-3; // kPa mm^2 = 1e-3 N
   into.peak = peakIndex < 0 ? NaN : peak;
   into.peakIndex = peakIndex;
   into.unknown = unknown;
@@ -63,9 +63,10 @@ export function measure(kpa, cells, noise, into) {
   for (let i = 0; i < count; i += 1) {
     const p = kpa[i];
     if (p >= floor) {
-      weight += p;
-      mx += p * x[i];
-      my += p * y[i];
+      const force = p * area[i];
+      weight += force;
+      mx += force * x[i];
+      my += force * y[i];
     }
   }
   if (weight > 0) {

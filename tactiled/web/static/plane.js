@@ -14,7 +14,7 @@
  * @property {Float64Array} x mm, centre of each cell
  * @property {Float64Array} y mm
  * @property {number} side mm, drawn side or diameter of one cell
- * @property {number} area mm^2 that one cell's pressure acts on
+ * @property {Float64Array} area mm^2 that each cell's pressure acts on
  */
 
 export class Plane {
@@ -34,14 +34,15 @@ export class Plane {
     this.width = Math.max(...xs) + margin - this.left;
     this.height = Math.max(...ys) + margin - this.top;
     const cell = geometry.restored.cell_mm;
+    const areas = Float64Array.from(geometry.areas_mm2 ?? []);
     if (this.isGrid) {
       /** @type {Cells} */
       this.raw = this._grid(geometry.raw.rows, geometry.raw.columns, this.pitch);
       /** @type {Cells} */
       this.restored = this._grid(geometry.restored.rows, geometry.restored.columns, cell);
     } else {
-      this.raw = scattered(xs, ys, this.aperture, this.pitch ** 2);
-      this.restored = scattered(xs, ys, this.aperture, cell ** 2);
+      this.raw = scattered(xs, ys, this.aperture, areas);
+      this.restored = scattered(xs, ys, this.aperture, areas);
     }
     /** Cells of a scattered layout from left to right, for cross-sections. */
     this.order = Int32Array.from(xs.keys()).sort((a, b) => xs[a] - xs[b]);
@@ -61,7 +62,7 @@ export class Plane {
       x[i] = this.left + ((i % columns) + 0.5) * side;
       y[i] = this.top + (Math.floor(i / columns) + 0.5) * side;
     }
-    return { rows, columns, count, x, y, side, area: side * side };
+    return { rows, columns, count, x, y, side, area: new Float64Array(count).fill(side * side) };
   }
 
   /**
@@ -93,7 +94,7 @@ export class Plane {
  * @param {number[]} xs
  * @param {number[]} ys
  * @param {number} side
- * @param {number} area
+ * @param {Float64Array} area
  * @returns {Cells}
  */
 function scattered(xs, ys, side, area) {
