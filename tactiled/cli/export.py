@@ -94,7 +94,11 @@ def _export(file: Path, settings: Config, config: Path, name: str, out: Path) ->
             about = _about(recording, plan, router.assemblers[name].loss) | {
                 "config": {"file": config.name, "text": SECRET.sub(r'\1"..."', config.read_text("utf-8"))}
             }
-            whole = {"positions_mm": plan.array.positions, "provenance": np.array(json.dumps(about, indent=1))}
+            whole = {
+                "positions_mm": plan.array.positions,
+                "cells_mm": plan.cells.positions,
+                "provenance": np.array(json.dumps(about, indent=1)),
+            }
             columns.save(Path(room) / "npz", whole)
             (Path(room) / "npz").rename(out)
     except OSError as error:
@@ -142,7 +146,8 @@ def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]
             "noise_kpa": "kPa, standard deviation of one raw taxel",
             "time": "s, on the recording's clock, of a frame's first message",
             "sequence": "counts up without wrapping, lost frames included",
-            "positions_mm": "mm, of the taxels (x, y)",
+            "positions_mm": "mm, (x, y) of the taxels, in the order of raw",
+            "cells_mm": "mm, (x, y) of the surface cells, in the order of restored",
             "flags": "bits, as in flag_bits",
             "loss": "counts so far, by kind as in loss_kinds",
         },

@@ -47,6 +47,7 @@ def test_an_export_is_what_a_replay_shows(tmp_path, config, lossy):
             assert got[name].tolist() == [getattr(each, name) for each in images]
         assert np.count_nonzero(got["flags"][7] & MISSING) == 41
         np.testing.assert_array_equal(got["positions_mm"][9], (1, 1))
+        np.testing.assert_allclose(got["cells_mm"], got["positions_mm"], atol=1e-9)
         about = json.loads(got["provenance"].item())
         loss = dict(zip(about["loss_kinds"], got["loss"][-1].tolist(), strict=True))
     assert loss == about["loss"] | {"foreign": FRAMES - 1}  # one message comes behind the last frame
@@ -70,7 +71,8 @@ def test_a_skin_without_a_grid(tmp_path):
     path.write_text(GRASP)
     assert run(recording.path("book_1"), "--config", path, "-o", out).exit_code == 0
     with np.load(out) as got:
-        assert got["restored"].shape == (15, 60)
+        assert got["raw"].shape == (15, 60)
+        assert got["restored"].shape == (15, len(got["cells_mm"]))
         assert "uncalibrated" in json.loads(got["provenance"].item())["warnings"][0]
 
 
