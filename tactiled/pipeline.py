@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate import Calibration, Calibrator
+from tactiled.doubt import Doubt
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
 from tactiled.geometry import Array
 from tactiled.restore.blur import Blur
@@ -14,6 +15,8 @@ from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
 
 NOISE_FRAMES = 32  # frames from which an unknown noise is measured
+PAUSE_FRAMES = 992  # until it is measured again, to see whether it is still as told
+LOUD = 2.0  # times the noise told that are worth a warning
 TARE_FRAMES = 16  # frames that a tare averages
 
 
@@ -38,6 +41,7 @@ class Pipeline:
         self._calibrator = Calibrator(calibration, array.size)
         self._noise = _Noise(calibration)
         self._tare = _Tare(array.size)
+        self._doubt = Doubt(blur)
         self._method = ""
         self.set_method(method)
         self._restorer = self._make()
@@ -78,6 +82,7 @@ class Pipeline:
         if self._made != (self._method, self._noise.kpa):
             self._restorer = self._make()
         done = self._restorer(raw, flags)
+        said = self._doubt(raw, flags, done.image, self._noise.kpa)
         return Image(
             sensor=self.name,
             sequence=frame.sequence,
@@ -93,7 +98,7 @@ class Pipeline:
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._warnings + _doubts(flags),
+            warnings=self._warnings + self._noise.warning + _doubts(flags) + said,
         )
 
 
@@ -112,21 +117,32 @@ def _doubts(flags: NDArray[np.uint8]) -> tuple[str, ...]:
 
 
 class _Noise:
-    """Standard deviation (kPa) of a taxel: as calibrated, else measured once from the first frames."""
+    """Standard deviation (kPa) of a taxel: as calibrated, else from the first frames; measured now and then."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self._floor = calibration.floor_kpa
-        self.kpa = calibration.noise_kpa or self._floor
-        self._frames: list[NDArray[np.float32]] | None = [] if calibration.noise_kpa is None else None
+        self._floor, self._told = calibration.floor_kpa, calibration.noise_kpa
+        self.kpa = self._told or self._floor
+        self.warning: tuple[str, ...] = ()
+        self._measured = False
+        self._frames: list[NDArray[np.float32]] = []
+        self._pause = 0
 
     def add(self, raw: NDArray[np.float32]) -> None:
-        """Look at one more frame, until there are enough."""
-        if self._frames is None:
+        """Look at one more frame."""
+        if self._pause:
+            self._pause -= 1
             return
         self._frames.append(raw)
         if len(self._frames) == NOISE_FRAMES:
-            self.kpa = max(self._floor, estimate(np.stack(self._frames)))
-            self._frames = None
+            self._judge(max(self._floor, estimate(np.stack(self._frames))))
+            self._frames, self._pause = [], PAUSE_FRAMES
+
+    def _judge(self, found: float) -> None:
+        if self._told is None and not self._measured:
+            self.kpa, self._measured = found, True
+        loud = found > LOUD * self.kpa
+        source = "configured" if self._told else "measured at the start"
+        self.warning = (f"noise is {found:.2g} kPa, and {self.kpa:.2g} kPa was {source}",) if loud else ()
 
 
 class _Tare:

@@ -108,3 +108,14 @@ def test_tare_takes_the_mean_of_the_next_frames(make):
         image = pipeline.process(frame(tilted + n % 2, n, flags if n % 2 else None))
     np.testing.assert_array_equal(image.raw[1:], 0.5)  # the last frame stands half a count over the mean
     assert pipeline.process(frame(tilted)).raw[0, 0] == 0
+
+
+def test_noise_that_is_louder_than_told_is_told(make):
+    random = np.random.default_rng(3)
+    pipeline = make("raw", no_load=100, noise_kpa=0.5)
+    for n in range(NOISE_FRAMES + 1):
+        image = pipeline.process(frame(np.round(pressed() + random.normal(0, 4, SHAPE)), n))
+    assert image.noise_kpa == 0.5
+    warning = image.warnings[0]
+    assert warning.startswith(("noise is 4", "noise is 3.", "noise is 5"))
+    assert warning.endswith("kPa, and 0.5 kPa was configured")

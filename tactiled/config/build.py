@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from tactiled.bus.router import Router
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.config import schema
 from tactiled.cover.kernel import Kernel, cached
+from tactiled.cover.meaning import Meaning, meaning
 from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
@@ -32,6 +34,7 @@ SKINS: dict[str, Callable[..., Codec]] = {
     "cyskin": CySkin,
     "linker": Linker,
 }
+THICK = 2.0  # pitches: a smallest gap above this is the cover's doing
 UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
 
 
@@ -94,8 +97,17 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
-        warnings=() if sensor.calibration.kpa_per_count else (UNCALIBRATED,),
+        warnings=_standing(sensor, meaning(kernel, array), array),
     )
+
+
+def _standing(sensor: schema.Sensor, told: Meaning, array: Array) -> tuple[str, ...]:
+    """What is to be said of every image of a sensor."""
+    said = [] if sensor.calibration.kpa_per_count else [UNCALIBRATED]
+    if told.smallest_gap > THICK * array.pitch:
+        gap = f"finer than {told.smallest_gap:.2g} mm" if np.isfinite(told.smallest_gap) else "at all"
+        said.append(f"the cover is thick for a pitch of {array.pitch:g} mm: at 1 % noise no gap {gap} survives it")
+    return tuple(said)
 
 
 def make_stack(sensor: schema.Sensor) -> Stack:
@@ -145,7 +157,8 @@ def _icub(codec: schema.Icub) -> Icub:
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
     if array.shape is not None:
-        return Blur.grid(stencil(kernel, array, refine), array.shape, refine, array.pitch / refine)
+        finer = partial(stencil, kernel, array)
+        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, finer=finer)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     cells = tiling(array)
