@@ -235,6 +235,7 @@ class Service:
     def __init__(
         self, config: Config, listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener
     ) -> None:
+        self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         self.sensors = {plan.name: Sensor(plan) for plan in sensor_plans(config)}
         self._listeners = [
             listen(

@@ -10,6 +10,7 @@ port = 8000
 # control_token = "…"       # and this one to change anything as well
 # tls_certificate = "/etc/tactiled/cert.pem"
 # tls_key = "/etc/tactiled/key.pem"
+# recordings = "/var/lib/tactiled"  # folder that clients may record the buses into
 
 # One table a CAN bus. `interface` and `channel` are python-can's, and so is any further key:
 #   socketcan (can0), slcan (/dev/ttyUSB0), pcan (PCAN_USBBUS1), kvaser (0), udp_multicast, virtual, ...

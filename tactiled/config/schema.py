@@ -28,6 +28,7 @@ class Server(Section):
     control_token: Token | None = None  # to see them and to change methods and tare
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None  # PEM
+    recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
 
     @property
     def loopback(self) -> bool:

@@ -13,7 +13,7 @@ from tactiled import __version__
 from tactiled.config import Server
 from tactiled.errors import UnknownSensorError
 from tactiled.service import Service
-from tactiled.web import film, problems, rest, stream
+from tactiled.web import film, problems, recordings, rest, stream
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
 
@@ -47,6 +47,8 @@ def create(service: Service, server: Server) -> FastAPI:
     app.state.service = service
     app.include_router(rest.router)
     app.include_router(film.router, responses={422: rest.PROBLEM})
+    if server.recordings is not None:
+        app.include_router(recordings.make(server.recordings, service.buses))
 
     @app.websocket("/api/v1/sensors/{name}/stream")
     async def _stream(socket: WebSocket, name: str) -> None:

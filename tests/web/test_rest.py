@@ -5,6 +5,8 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from tactiled.config import Server
+from tactiled.web.server import running
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
 
@@ -213,3 +215,17 @@ def test_every_answer_carries_the_security_headers(client):
         headers = client.get(path).headers
         assert "default-src 'none'" in headers["content-security-policy"]
         assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_clients_record_only_where_a_folder_is_configured(rig, tmp_path):
+    for folder, status in ((None, 404), (tmp_path, 200)):
+        with running(rig.service, Server(port=0, recordings=folder)) as url:
+            assert httpx.get(url + "/api/v1/recordings").status_code == status
+    with running(rig.service, Server(port=0, recordings=tmp_path)) as url:
+        started = httpx.post(url + "/api/v1/recordings", json={"bus": "can0", "name": "a.log"})
+        assert started.status_code == 201
+        for _ in range(5):
+            rig.show(pressed())
+        until(lambda: httpx.get(url + "/api/v1/recordings").json()["recordings"][0]["messages"] >= 5)
+        assert httpx.post(url + "/api/v1/recordings/a.log/stop").json()["running"] is False
+        assert httpx.get(url + "/api/v1/recordings/a.log").text.count("#") >= 5
