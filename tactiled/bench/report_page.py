@@ -207,6 +207,11 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
         f"Of {total} images {len(silent)} are over twice as wrong as claimed with nothing to warn of it, and"
         f" {len(worse)} of these are worse than the raw image: they are listed here, worst first.",
     )
+    said = stability.false_warnings(found.sweeps, "auto")
+    yield text(
+        f"Of {len(stability.sound(found.sweeps, 'auto'))} sound images the service would warn of {len(said)}"
+        f" wrongly at a first look; it says nothing before it has seen the same three times running.",
+    )
     known = stability.limits(found.sweeps, "auto")
     worst = sorted(worse, key=lambda row: -row.over_raw)
     yield table(
@@ -214,7 +219,7 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
         ((*_where(row), ", ".join(stability.shown(row, known)) or "nothing") for row in worst),
         bad="nothing",
     )
-    yield "<h3>What could warn</h3>"
+    yield "<h3>What a frame shows of a fault</h3>"
     yield text(
         "A limit is what sound images keep: those where restoration is told the truth about cover and noise. False"
         " alarms are counted on sound images of each scene by the limits that the other scenes would set.",

@@ -11,6 +11,7 @@ from tactiled.bench.signs import SIGNS, Signs, signs
 from tactiled.bench.skin import Frames, Skin, rubber
 from tactiled.bench.sweeps import Case, Setting, Sweep, sweeps
 from tactiled.bench.truth import DRAWN
+from tactiled.doubt import Doubt
 from tactiled.restore.methods import METHODS, make
 
 COVER = 1.5  # t/pitch, of the rubber
@@ -38,6 +39,7 @@ class Row:
     claimed: float  # kPa, root mean square of the standard deviation that we state; NaN where none is stated
     signs: Signs
     flagged: bool  # some taxels carry flags, which the image's warnings name
+    warned: tuple[str, ...] = ()  # what the service would say of such frames
 
 
 Limits = dict[str, float]  # of each sign
@@ -94,9 +96,15 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
             claimed=claimed,
             signs=signs(case.skin.blur, case.frame, image, case.noise, case.flags),
             flagged=flagged,
+            warned=_warned(case, image),
         )
         for name, (ran, image, claimed) in told.items()
     ]
+
+
+def _warned(case: Case, image: Frames) -> tuple[str, ...]:
+    flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
+    return Doubt(case.skin.blur).look(case.frame, flags, np.asarray(image, np.float32), case.noise)
 
 
 def _rms(values: Any) -> float:
@@ -175,8 +183,8 @@ def _place(sweep: Sweep, value: float) -> float:
 
 
 def noticed(row: Row) -> bool:
-    """Whether the image itself says that it may be wrong: by a flag's warning, or by the deviation it claims."""
-    return row.flagged or row.claimed >= HONEST * row.error
+    """Whether the image itself says that it may be wrong: by a warning, or by the deviation it claims."""
+    return row.flagged or bool(row.warned) or row.claimed >= HONEST * row.error
 
 
 def _noticed(failed: list[Row], limits: Limits) -> tuple[str, str]:
@@ -185,7 +193,8 @@ def _noticed(failed: list[Row], limits: Limits) -> tuple[str, str]:
     seen = [row for row in failed if noticed(row)]
     names = {
         "flags": any(row.flagged for row in seen),
-        "claimed deviation": any(not row.flagged for row in seen),
+        "warning": any(row.warned for row in seen),
+        "claimed deviation": any(not row.flagged and not row.warned for row in seen),
     }
     by = [name for name, there in names.items() if there]
     silent_ = [row for row in failed if not noticed(row)]
@@ -200,6 +209,11 @@ def sound(found: Found, method: str) -> list[Row]:
     """Rows of a method where restoration is told the truth about the array: what must raise no alarm."""
     told = ("cover", "white noise")
     return [row for sweep, all_ in found if sweep.name in told for row in all_ if row.method == method]
+
+
+def false_warnings(found: Found, method: str) -> list[str]:
+    """What the service would say of sound images."""
+    return sorted(said for row in sound(found, method) for said in row.warned)
 
 
 def limits(found: Found, method: str) -> Limits:
@@ -259,7 +273,7 @@ def _values(values: tuple[float, ...]) -> str:
 
 
 def silent(found: Found, method: str = "auto") -> list[Row]:
-    """Images of a method that are over twice as wrong as claimed, and that no flag warns of."""
+    """Images of a method that are over twice as wrong as claimed, and that no warning comes with."""
     return [row for _, all_ in found for row in all_ if row.method == method and not noticed(row)]
 
 

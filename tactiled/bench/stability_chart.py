@@ -16,6 +16,7 @@ STYLES = {  # method -> label, colour, mark, dashes
     "auto": ("auto", BLACK, "*", "-"),
     "wiener": ("wiener", BLUE, "o", "-"),
     "nnls": ("nnls", GREEN, "^", "-"),
+    "points": ("points", PINK, "v", "-"),
     "rl": ("rl", RED, "s", "-"),
     "rl-fast": ("rl-fast", SKY, "P", "-"),
     "skimage wiener": ("scikit-image wiener", BLUE, "", (0, (3, 2))),

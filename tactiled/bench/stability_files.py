@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tactiled.bench.machine import describe
-from tactiled.bench.stability import OURS, WORSE, Found, Row, alarms, limits, sound, table
+from tactiled.bench.stability import OURS, WORSE, Found, Row, alarms, false_warnings, limits, sound, table
 
 
 def write(folder: Path, found: Found, seed: int) -> None:
@@ -21,6 +21,7 @@ def write(folder: Path, found: Found, seed: int) -> None:
         "machine": describe(),
         "worse than raw by": WORSE,
         "sound images": len(sound(found, "auto")),
+        "false warnings on auto": dict(Counter(false_warnings(found, "auto"))),
         "limits of the signs": {method: limits(found, method) for method in OURS},
         "false alarms on auto": dict(Counter(alarms(found, "auto"))),
         "table": failures,
@@ -45,4 +46,6 @@ def _csv(path: Path, records: list[dict[str, Any]]) -> None:
 def _cell(value: Any) -> Any:
     if isinstance(value, float):
         return f"{value:.6g}"
-    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else value
+    if isinstance(value, tuple):
+        return " ".join(each if isinstance(each, str) else f"{each:g}" for each in value)
+    return value

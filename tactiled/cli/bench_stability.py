@@ -53,6 +53,8 @@ def stability(
             console.print(
                 f"auto, {row[0]}: at its worst {row[-3]}; noticed: {row[-2]}; {row[-1] or 'nothing would show it'}"
             )
+    said, fine = measure.false_warnings(found, "auto"), measure.sound(found, "auto")
+    console.print(f"Warnings on {len(fine)} sound images of auto: {len(said)}.")
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/stability.svg, stability-wiener.svg, calibration.svg, stability.csv,")
     console.print("stability-table.csv, stability.json")
