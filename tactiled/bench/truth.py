@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -60,8 +60,9 @@ def presses(
     array = grid(size, size, 1.0, APERTURE)
     for thickness in thicknesses:
         surface = Surface(kernel(thickness, "layered"), array)
-        response = stencil(kernel(thickness, "fem"), array)
-        blur = Blur.grid(response, (size, size))
+        cover = kernel(thickness, "fem")
+        response = stencil(cover, array)
+        blur = Blur.grid(response, (size, size), finer=partial(stencil, cover, array))
         for name, draw in DRAWN.items():
             for noise in noises:
                 for repeat in range(repeats):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -156,7 +157,8 @@ def _icub(codec: schema.Icub) -> Icub:
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
     if array.shape is not None:
-        return Blur.grid(stencil(kernel, array, refine), array.shape, refine, array.pitch / refine)
+        finer = partial(stencil, kernel, array)
+        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, finer=finer)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     cells = tiling(array)

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 
 from tactiled.errors import PhysicsError
+from tactiled.restore.loads import Loads
 from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
 
 DENSE = 1 << 16  # entries up to which one matrix product beats several smaller ones
 SEPARABLE = 128  # taxels along a side up to which products of small matrices beat a transform
 ROUNDING = 1e-7  # of the largest: a separable part below this is lost in float32 anyway
+FINE = 4  # cells along each side of a taxel, of which one is the load of a point
 TRIALS = 20  # runs that an operator is timed over
 
 Array = NDArray[Any]  # float32 or float64: the result has the argument's kind
@@ -30,11 +32,12 @@ class Blur:
         cell_mm: float,
         pair: Pair,
         modes: Callable[[], Modes],
+        loads: Callable[[], Loads] | None = None,
     ) -> None:
         self.frame_shape, self.surface_shape = shapes
         self.cell_mm = cell_mm
         self._forward, self._adjoint = pair
-        self._modes = modes
+        self._modes, self._loads = modes, loads
 
     @classmethod
     def grid(
@@ -44,10 +47,13 @@ class Blur:
         refine: int = 1,
         cell_mm: float = 1.0,
         clock: Callable[[], float] | None = None,
+        finer: Callable[[int], Floats] | None = None,
     ) -> "Blur":
         """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)); a `clock` lets it time its forms.
 
-        Without a clock the form follows from the size. PhysicsError where stencil and shape disagree.
+        Without a clock the form follows from the size. `finer` gives the stencil for any other k: loads
+        smaller than a cell are then known, and else taken to be as large as one. PhysicsError where stencil and
+        shape disagree.
         """
         expected = tuple(refine * (2 * n - 1) for n in shape)
         if stencil.shape != expected or not np.isfinite(stencil).all():
@@ -57,7 +63,11 @@ class Blur:
         surface = (refine * shape[0], refine * shape[1])
         pair = _fastest(forms, surface, clock) if clock else forms[_usual(shape, refine)]()
         marginals = _slide(stencil.sum(1), shape[0], refine), _slide(stencil.sum(0), shape[1], refine)
-        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals))
+
+        def loads() -> Loads:
+            return Loads(finer(FINE), shape, FINE) if finer else Loads(stencil, shape, refine)
+
+        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals), loads)
 
     @classmethod
     def matrix(cls, A: Floats, cell_mm: float = 1.0) -> "Blur":
@@ -71,6 +81,11 @@ class Blur:
     def modes(self) -> Modes:
         """The patterns that the blur only weakens."""
         return self._modes()
+
+    @cached_property
+    def loads(self) -> Loads | None:
+        """What a small load anywhere is to the taxels; None where there is no grid."""
+        return self._loads() if self._loads else None
 
     def forward(self, x: Array) -> Array:
         """H x, in x's own precision."""

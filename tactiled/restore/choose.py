@@ -11,6 +11,7 @@ import numpy as np
 from tactiled.restore.linear import Filter, Wiener
 from tactiled.restore.modes import Image
 from tactiled.restore.nonneg import ZERO, Nonneg
+from tactiled.restore.points import Points
 from tactiled.restore.scene import Restored, Scene
 
 STAY = 1.5  # how much further a test reaches for the method of the frame before
@@ -18,11 +19,13 @@ REVIEW = 8  # frames after which one that needed iterations is asked again wheth
 SURE = 4.0  # standard deviations that count as more than noise
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
+ITERATED = ("nnls", "points")
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
 RAW = "the cover hardly matters here: all it changes is under the noise, and that is faint"
 WIENER = "linear is enough: hardly any of the image falls below zero"
+POINTS = "isolated indenters: a few points explain the frame down to its noise"
 NNLS = "sharp, sparse or touching zero: linear would ring below zero"
 
 
@@ -50,6 +53,7 @@ class Auto:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._idle, self._wiener, self._nonneg = Idle(scene), Wiener(scene), Nonneg(scene)
+        self.points = Points(scene)
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
         self._method, self._age = "", 0
@@ -71,6 +75,7 @@ class Auto:
 
     def __call__(self, y: Image) -> Restored:
         """Restore a frame without gaps."""
+        self.points.found = ()
         if self.rests(y):
             self._method = "idle"
             self._scene.empty()
@@ -82,9 +87,9 @@ class Auto:
     def _some(self, y: Image) -> Restored:
         scene = self._scene
         scene.look(y)
-        if self._method == "nnls" and self._age < REVIEW:
+        if self._method in ITERATED and self._age < REVIEW:
             self._age += 1
-            return self._iterated()
+            return self._iterated(y)
         filter_ = self._wiener.filter
         if self._square and self._untouched(filter_):
             return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
@@ -94,10 +99,10 @@ class Auto:
         limit = (self._reach("wiener") * NEGATIVE) ** 2
         if float(np.dot(below, below)) <= limit * float(np.dot(flat, flat)):
             return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
-        if self._method != "nnls":
+        if self._method not in ITERATED:
             self._nonneg.reset()
         self._age = 1
-        return self._iterated()
+        return self._iterated(y)
 
     def _untouched(self, chosen: Filter) -> bool:
         """Whether neither what the cover did nor the noise is worth taking out of the frame looked at."""
@@ -106,7 +111,10 @@ class Auto:
             return False
         return float(scene.power.sum()) * reach**2 > (CLEAN * scene.noise) ** 2 * scene.power.size
 
-    def _iterated(self) -> Restored:
+    def _iterated(self, y: Image) -> Restored:
         done = self._nonneg(self._wiener)
         gain = self._wiener.filter.noise_gain
+        steps = self.points(y, self._nonneg.image)
+        if steps:
+            return Restored(self.points.image, "points", POINTS, done + steps, gain, self._scene.resolution())
         return Restored(self._nonneg.image, "nnls", NNLS, done, gain, self._scene.resolution())

@@ -8,18 +8,21 @@ from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
 from tactiled.restore.blur import Blur
-from tactiled.restore.choose import Auto
+from tactiled.restore.choose import POINTS, Auto
 from tactiled.restore.gaps import HUGE, Gaps
 from tactiled.restore.linear import Wiener, deviation
 from tactiled.restore.lucy import Lucy
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import Nonneg
+from tactiled.restore.points import FEWEST, Point, Points
 from tactiled.restore.scene import Restored, Scene
 
 Run = Callable[[Image], Restored]
 
 LUCY = 30  # iterations of Richardson-Lucy
 ASKED = "as asked"
+TOO_MANY = "no few points explain the frame down to its noise: non-negative instead"
+NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 
 
 class Restorer:
@@ -28,7 +31,7 @@ class Restorer:
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
         self._gaps = Gaps(blur.modes)
-        self._run, self._forget, self._rests = METHODS[method](self._scene)
+        self._run, self._forget, self._rests, self._points = METHODS[method](self._scene)
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
@@ -46,6 +49,11 @@ class Restorer:
     def reset(self) -> None:
         """Forget the frames so far."""
         self._forget()
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Loads (mm from the first taxel, N) that make up the image last restored; none if it is no few points."""
+        return self._points.found if self._points else ()
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
@@ -72,6 +80,7 @@ class Method(NamedTuple):
     run: Run
     forget: Callable[[], None] = lambda: None
     rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
+    points: Points | None = None  # what fits them
 
 
 def _raw(scene: Scene) -> Method:
@@ -122,9 +131,25 @@ def _nonneg(scene: Scene) -> Method:
     return Method(run, nonneg.reset)
 
 
+def _points(scene: Scene) -> Method:
+    nonneg, wiener, points = Nonneg(scene), Wiener(scene), Points(scene)
+
+    def run(y: Image) -> Restored:
+        scene.look(y)
+        done = nonneg(wiener)
+        gain = wiener.filter.noise_gain
+        steps = points(y, nonneg.image)
+        if steps:
+            return Restored(points.image, "points", POINTS, done + steps, gain, scene.resolution())
+        why = NO_GRID if len(scene.blur.frame_shape) == 1 or min(scene.blur.frame_shape) < FEWEST else TOO_MANY
+        return Restored(nonneg.image, "nnls", why, done, gain, scene.resolution())
+
+    return Method(run, nonneg.reset, points=points)
+
+
 def _auto(scene: Scene) -> Method:
     auto = Auto(scene)
-    return Method(auto, auto.reset, auto.rests)
+    return Method(auto, auto.reset, auto.rests, auto.points)
 
 
 METHODS: dict[str, Callable[[Scene], Method]] = {
@@ -134,4 +159,5 @@ METHODS: dict[str, Callable[[Scene], Method]] = {
     "rl": _lucy,
     "rl-fast": lambda scene: _lucy(scene, accelerate=True),
     "nnls": _nonneg,
+    "points": _points,
 }

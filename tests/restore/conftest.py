@@ -23,7 +23,8 @@ def grid_blur(shape, thickness=1.0, refine=1):
 
 @cache
 def layout_blur(shape, thickness=1.0):
-    return Blur.matrix(matrix(cover(thickness), grid(*shape, 1.0, 0.8)), 1.0)
+    array = grid(*shape, 1.0, 0.8)
+    return Blur.matrix(matrix(cover(thickness), array, array.positions, 1.0), 1.0)
 
 
 @pytest.fixture

@@ -1,0 +1,261 @@
+"""A few isolated indenters: where each of them is, below the pitch, and how hard it presses.
+
+Their places are read off the non-negative image and refined, with the forces, by Gauss-Newton on the responses of
+loads anywhere between the taxels. The answer stands only if it leaves nothing but noise behind.
+"""
+
+from math import erf, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from tactiled.restore.loads import Loads
+from tactiled.restore.modes import Floats, Image
+from tactiled.restore.scene import Scene
+
+MOST = 8  # points
+STEPS = 20  # for one number of points, at most
+SPLITS = 1  # times that a point which leaves too much behind is taken for two
+DAMPING = 0.03  # of a point's response, per square pitch, at first
+EASE = 0.3  # times the damping after a step that helped
+EARNED = 0.5  # of the noise's variance: a step that takes less off the residual's square is the last
+SETTLED = 0.01  # pitches: a step that moves no point further is the last
+LEAP = 0.5  # pitches that one step may move a point
+STANDS = 4.0  # standard deviations that a point's force must stand out by
+SURE = 3.0  # standard deviations of the residual's square that noise may stray by
+MODEL = 0.01  # of the frame's norm: what a model of a cover may miss it by
+LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
+FEWEST = 3  # taxels a side that tell a place on it
+SMALL = 0.05  # of the image's pressure: no more peaks are looked for once less is left
+FLAT = 4.0  # cells that each of the most points' pressure is spread over in an image of them, at most
+WIDTH = 0.35  # square pitches of a load's variance along an axis: a disc of more than a pitch is no point
+DOUBT = 1.5  # standard deviations that the width found must stay below that by
+SURPLUS = 0.03  # square pitches of width that are not held against a point: an indenter of a third of a pitch
+SEEN = 2.0  # standard deviations that a width beyond that is seen with
+UNSURE = 0.2  # of a force: one less certain is not told
+RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
+FAR = 0.5  # pitches: a place less certain is not told
+
+
+class Point(NamedTuple):
+    """One load: place (mm, x along a row and y down a column, from the first taxel's centre) and force (N)."""
+
+    x_mm: float
+    y_mm: float
+    force_n: float
+
+
+class Points:
+    """Fits the frame that its scene last looked at; `found` holds the points of the fit that stood."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        fits = min(scene.blur.frame_shape) >= FEWEST
+        self._loads: Loads | None = scene.blur.loads if fits else None
+        size = scene.flat.size
+        self._jacobian = np.empty((MOST, 4, size), np.float32)
+        self._residual = np.empty(size, np.float32)
+        self._peeled = np.empty(scene.blur.surface_shape, np.float32)
+        self._ones = np.ones(self._peeled.size, np.float32)
+        self.image = np.empty(scene.blur.surface_shape, np.float32)
+        self._cells = [np.arange(n + 1.0) for n in scene.blur.surface_shape]
+        self._refine = scene.blur.surface_shape[0] // scene.blur.frame_shape[0]
+        self._play = self._loads.side**2 / 6 if self._loads else 0.0  # of a load's width: it is no point itself
+        self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
+        self.found: tuple[Point, ...] = ()
+
+    def __call__(self, y: Image, image: Image) -> int:
+        """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
+
+        A fit that leaves more than noise, or points whose place, force or smallness is uncertain, is none.
+        """
+        self.found = ()
+        if self._loads is None:
+            return 0
+        places = self._peaks(image)
+        if not places:
+            return 0
+        y = y.reshape(-1)
+        self._model = MODEL**2 * float(np.dot(y, y))
+        done, fit = self._refined(y, np.array(places))
+        told = self._told(fit)
+        for _ in range(SPLITS):
+            if told or fit is None or len(fit.force) == MOST:
+                break
+            more, fit = self._refined(y, self._split(fit, image))
+            told = self._told(fit)
+            done += more
+        if told is None:
+            return 0
+        self._draw(*told)
+        return done
+
+    def _peaks(self, image: Image) -> list[tuple[float, float]]:
+        """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
+        k, flat = self._refine, image.reshape(-1)
+        total, squares = float(np.dot(flat, self._ones)), float(np.dot(flat, flat))
+        if total**2 > FLAT * MOST * k**2 * squares or not squares:
+            return []
+        self._peeled[...] = image
+        places: list[tuple[float, float]] = []
+        left = total
+        while left > SMALL * total and len(places) < MOST:
+            i, j = divmod(int(self._peeled.argmax()), image.shape[1])
+            top, start = max(i - k, 0), max(j - k, 0)
+            near = self._peeled[top : i + k + 1, start : j + k + 1]
+            weight = float(near.sum())
+            rows, columns = np.arange(near.shape[0]), np.arange(near.shape[1])
+            row = top + float(near.sum(axis=1) @ rows) / weight
+            column = start + float(near.sum(axis=0) @ columns) / weight
+            near[...] = 0
+            left -= weight
+            places.append(((row + 0.5) / k - 0.5, (column + 0.5) / k - 0.5))
+        return places if left <= LEFT * total else []
+
+    def _refined(self, y: Image, places: Floats) -> tuple[int, "_Fit | None"]:
+        """Give the steps made and the fit that they led to, by Levenberg's damped Gauss-Newton."""
+        noise = self._scene.noise
+        damping, fit = DAMPING, None
+        done = 0
+        while done < STEPS:
+            done += 1
+            A = self._responses(places)
+            force = _solve(A[:, 0], y)
+            standing = force > STANDS * noise / np.sqrt((A[:, 0] ** 2).sum(axis=1))
+            if not standing.all():
+                fit, places = None, places[standing]
+                if not len(places):
+                    break
+                continue
+            np.subtract(y, force.astype(np.float32) @ A[:, 0], out=self._residual)
+            left = float(np.dot(self._residual, self._residual))
+            if fit is None or left <= fit.left:
+                J = self._scaled(A, force)
+                normal, right = np.asarray(J @ J.T, float), np.asarray(J @ self._residual, float)
+                gained = fit.left - left if fit else np.inf
+                fit = _Fit(places, force, left, normal, right)
+                damping *= EASE
+                if gained < EARNED * (noise**2 + self._model / y.size):
+                    break
+            else:
+                damping /= EASE**2
+            step = fit.step(damping)
+            if np.abs(step).max() < SETTLED:
+                break
+            places = self._within(fit.places + np.clip(step, -LEAP, LEAP))
+        return done, fit
+
+    def _split(self, fit: "_Fit", image: Image) -> Floats:
+        """Give the places, the one that leaves most behind split in two along the image's longer axis there."""
+        k = self._refine
+        energy = self._residual.reshape(self._scene.blur.frame_shape) ** 2
+        worst = int(np.argmax([_window(energy, each, 1).sum() for each in fit.places]))
+        window = _window(image, (fit.places[worst] + 0.5) * k - 0.5, k)
+        y, x = (each.astype(float) / k for each in np.mgrid[: window.shape[0], : window.shape[1]])
+        weight = window / max(float(window.sum()), 1e-30)
+        y -= (y * weight).sum()
+        x -= (x * weight).sum()
+        mixed = (x * y * weight).sum()
+        _, axes = np.linalg.eigh([[(y * y * weight).sum(), mixed], [mixed, (x * x * weight).sum()]])
+        pair = fit.places[worst] + 0.5 * np.array([axes[:, -1], -axes[:, -1]])
+        return self._within(np.concatenate([np.delete(fit.places, worst, axis=0), pair]))
+
+    def _responses(self, places: Floats) -> Image:
+        assert self._loads is not None
+        A = self._jacobian[: len(places)]
+        for (row, column), each in zip(places.tolist(), A, strict=True):
+            self._loads.jacobian(row, column, each)
+        return A
+
+    def _scaled(self, A: Image, force: Floats) -> Image:
+        """Give (4 n, N): the slopes with each force and place, then those with each width."""
+        n = len(force)
+        F = force.astype(np.float32)
+        J = np.empty((4 * n, A.shape[-1]), np.float32)
+        view = J[: 3 * n].reshape(n, 3, -1)
+        view[:, 0] = A[:, 0]
+        np.multiply(A[:, 1:3], F[:, None, None], out=view[:, 1:])
+        np.multiply(A[:, 3], F[:, None], out=J[3 * n :])
+        return J
+
+    def _within(self, places: Floats) -> Floats:
+        rows, columns = self._scene.blur.frame_shape
+        return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
+
+    def _told(self, fit: "_Fit | None") -> tuple[Floats, Floats, Floats] | None:
+        """Places, forces and places' deviations, each load given a width of its own; None where unsure."""
+        if fit is None:
+            return None
+        n = len(fit.force)
+        normal = fit.normal.copy()
+        normal.flat[:: 4 * n + 1] *= 1 + RIDGE
+        inverse = np.linalg.inv(normal)
+        noise, free = self._scene.noise**2, max(self._residual.size - 4 * n, 1)
+        width = inverse[3 * n :] @ fit.right
+        held = normal.copy()
+        held.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += noise / max(SURPLUS, self._play) ** 2
+        last = np.linalg.solve(held, fit.right)
+        left = fit.left - float(last @ fit.right)
+        force, *shift = last[: 3 * n].reshape(n, 3).T
+        if left > noise * (free + SURE * sqrt(2 * free)) + self._model:
+            return None
+        variance = max(left / free, noise)
+        unsure = np.sqrt(np.maximum(inverse.diagonal()[3 * n :], 0) * variance)
+        if (width + DOUBT * unsure).max() > WIDTH or (width - SEEN * unsure).max() > SURPLUS:
+            return None
+        known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(n, 3) * variance
+        if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
+            return None
+        places = self._within(fit.places + np.clip(np.stack(shift, axis=1), -LEAP, LEAP))
+        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], 0))
+
+    def _draw(self, places: Floats, forces: Floats, deviations: Floats) -> None:
+        """Spread each point's force over the cells that it may be on, in proportion to how likely it is there."""
+        k, pitch = self._refine, self._scene.blur.cell_mm * self._refine
+        self.image[...] = 0
+        points = []
+        for (row, column), F, sigma in zip(places.tolist(), forces.tolist(), deviations.tolist(), strict=True):
+            rows = _share(self._cells[0], (row + 0.5) * k, sigma[0] * k)
+            columns = _share(self._cells[1], (column + 0.5) * k, sigma[1] * k)
+            self.image += np.outer((F * k**2) * rows, columns)
+            points.append(Point(column * pitch, row * pitch, 1e-3 * F * pitch**2))
+        self.found = tuple(points)
+
+
+class _Fit(NamedTuple):
+    places: Floats  # (n, 2), pitches
+    force: Floats
+    left: float  # of the frame, squared
+    normal: Floats  # of n times force, row and column, then n widths
+    right: Floats
+
+    def step(self, damping: float) -> Floats:
+        """Give the move (n, 2) of the points; the damping also holds those whose response is flat about them."""
+        n = len(self.force)
+        damped = self.normal[: 3 * n, : 3 * n].copy()
+        stiff = damped.diagonal().reshape(n, 3)[:, :1]
+        scale = np.concatenate([np.full((n, 1), RIDGE), np.full((n, 2), damping)], axis=1) * stiff
+        scale[:, 1:] *= self.force[:, None] ** 2
+        damped.flat[:: 3 * n + 1] += scale.ravel()
+        return np.asarray(np.linalg.solve(damped, self.right[: 3 * n]).reshape(n, 3)[:, 1:], float)
+
+
+def _window(image: Image, middle: Floats, reach: int) -> Image:
+    """Give the part of an image within `reach` cells of a place, as far as it lies inside."""
+    i, j = (min(max(round(at), 0), n - 1) for at, n in zip(middle.tolist(), image.shape, strict=True))
+    return image[max(i - reach, 0) : i + reach + 1, max(j - reach, 0) : j + reach + 1]
+
+
+def _solve(A: Image, y: Image) -> Floats:
+    """Least squares for the forces."""
+    normal = np.asarray(A @ A.T, float)
+    normal.flat[:: len(normal) + 1] *= 1 + RIDGE
+    return np.asarray(np.linalg.solve(normal, (A @ y).astype(float)))
+
+
+def _share(edges: Floats, middle: float, deviation: float) -> Image:
+    """How likely a value of that mean and deviation lies in each interval; all of it is in one of them."""
+    scale = 1 / (sqrt(2) * max(deviation, 1e-6))
+    below = np.array([0.5 * (1 + erf((edge - middle) * scale)) for edge in edges.tolist()])
+    below[0], below[-1] = 0, 1
+    return np.asarray(np.diff(below), np.float32)

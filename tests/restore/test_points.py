@@ -1,0 +1,128 @@
+"""Isolated loads off the grid, blurred exactly: where they are and how hard they press."""
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+
+from tactiled.cover.kernel import solve
+from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.stack import Layer, Stack
+from tactiled.geometry import grid
+from tactiled.restore.blur import Blur
+from tactiled.restore.loads import Loads
+from tactiled.restore.methods import make
+
+SHAPE = (16, 20)
+PITCH = 2.0
+SIDE = 0.02 * PITCH  # of the square that stands for a point
+PLACES = np.array([[7.3, 8.9], [20.6, 21.7], [30.1, 5.2]])  # x, y in mm
+FORCES = np.array([0.4, 0.25, 0.3])  # N
+
+
+@cache
+def exact(thickness):
+    array = grid(*SHAPE, PITCH, 0.8 * PITCH)
+    return array, solve(Stack((Layer(thickness * PITCH, 0.6, 0.48),)), "layered")
+
+
+@cache
+def blur_of(thickness, refine=1, finer=True):
+    array, kernel = exact(thickness)
+    more = partial(stencil, kernel, array) if finer else None
+    return Blur.grid(stencil(kernel, array, refine), SHAPE, refine, PITCH / refine, finer=more)
+
+
+@pytest.fixture
+def touched():
+    """Frames under loads at places (mm) of forces (N), with noise of a share of the peak; and that noise."""
+
+    def frame(thickness, places=PLACES, forces=FORCES, share=0.01, seed=0):
+        array, kernel = exact(thickness)
+        clean = matrix(kernel, array, places, SIDE) @ (1e3 * forces / SIDE**2)
+        sigma = share * clean.max()
+        noisy = clean + np.random.default_rng(seed).normal(0, sigma, clean.size)
+        return noisy.reshape(SHAPE).astype(np.float32), sigma
+
+    return frame
+
+
+def in_order(points):
+    found = np.array(sorted(points))
+    return found[:, :2], found[:, 2]
+
+
+@pytest.mark.parametrize("method", ["points", "auto"])
+@pytest.mark.parametrize(("thickness", "share"), [(0.5, 0.002), (1.0, 0.002), (1.0, 0.01), (2.0, 0.01)])
+def test_points_are_found_below_the_pitch(touched, thickness, share, method):
+    frame, sigma = touched(thickness, share=share)
+    restorer = make(method, blur_of(thickness), sigma)
+    done = restorer(frame)
+    assert done.method == "points"
+    places, forces = in_order(restorer.points)
+    np.testing.assert_allclose(places, PLACES, atol=0.1 * PITCH)
+    np.testing.assert_allclose(forces, FORCES, rtol=0.05)
+
+
+@pytest.mark.parametrize("refine", [1, 2, 3])
+def test_the_image_carries_the_force_where_it_is(touched, refine):
+    frame, sigma = touched(1.0)
+    image = make("points", blur_of(1.0, refine), sigma)(frame).image
+    cell = PITCH / refine
+    assert image.sum() * cell**2 == pytest.approx(1e3 * FORCES.sum(), rel=0.05)
+    column, row = ((PLACES[0] + PITCH / 2) / cell).astype(int)
+    assert image.argmax() == row * image.shape[1] + column
+
+
+def test_without_finer_cells_a_load_is_as_large_as_one(touched):
+    frame, sigma = touched(2.0)
+    restorer = make("points", blur_of(2.0, finer=False), sigma)
+    restorer(frame)
+    places, _ = in_order(restorer.points)
+    np.testing.assert_allclose(places, PLACES, atol=0.1 * PITCH)
+
+
+def test_two_that_touch_the_same_taxels_are_told_apart(touched):
+    pair = np.array([[15.0, 15.0], [18.2, 16.4]])
+    frame, sigma = touched(1.0, pair, np.array([0.3, 0.3]), 0.002)
+    restorer = make("points", blur_of(1.0), sigma)
+    assert restorer(frame).method == "points"
+    np.testing.assert_allclose(in_order(restorer.points)[0], pair, atol=0.1 * PITCH)
+
+
+def test_what_is_no_few_points_is_not_told_as_some(touched):
+    x, y = np.meshgrid(*(16.0 + np.arange(-2.5, 2.6, 0.25),) * 2)
+    disc = np.column_stack([x[np.hypot(x - 16, y - 16) < 2.5], y[np.hypot(x - 16, y - 16) < 2.5]])
+    restorer = make("points", blur_of(1.0), 1.0)
+    for share in (0.01, 0.05):
+        frame, sigma = touched(1.0, disc, np.full(len(disc), 0.01), share)
+        restorer = make("points", blur_of(1.0), sigma)
+        done = restorer(frame)
+        assert done.method == "nnls"
+        assert "no few points" in done.why
+        assert restorer.points == ()
+
+
+def test_points_of_the_frame_before_are_not_those_of_this_one(touched):
+    frame, sigma = touched(1.0)
+    restorer = make("auto", blur_of(1.0), sigma)
+    restorer(frame)
+    assert len(restorer.points) == 3
+    restorer(np.zeros(SHAPE, np.float32))
+    assert restorer.points == ()
+
+
+def test_slopes_are_the_responses_own():
+    array, kernel = exact(1.0)
+    loads = Loads(stencil(kernel, array, 4), SHAPE, 4)
+    step = 1 / 32
+    here, ahead, behind, up, down = (np.empty((4, array.size), np.float32) for _ in range(5))
+    loads.jacobian(7.21, 8.83, here)
+    loads.jacobian(7.21 + step, 8.83, ahead)
+    loads.jacobian(7.21 - step, 8.83, behind)
+    loads.jacobian(7.21, 8.83 + step, up)
+    loads.jacobian(7.21, 8.83 - step, down)
+    for slope, more, less in ((here[1], ahead, behind), (here[2], up, down)):
+        np.testing.assert_allclose((more[0] - less[0]) / (2 * step), slope, atol=0.02 * np.abs(slope).max())
+    sides = (ahead + behind + up + down)[0]
+    np.testing.assert_allclose((sides - 4 * here[0]) / (2 * step**2), here[3], atol=0.1 * np.abs(here[3]).max())
