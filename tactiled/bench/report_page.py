@@ -87,7 +87,7 @@ def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
             f"{np.median(faster):.0f} x as fast",
             (
                 f"as scikit-image's most accurate setting of each panel, and more accurate in {better} of"
-                " {len(peers)}"
+                f" {len(peers)}"
             ),
         )
     broken = [one for one in stability.table(found.sweeps) if one.method == "auto" and one.breaks_at]
@@ -185,9 +185,9 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
     yield "<h2 id='failures'>Where methods fail</h2>"
     yield text(
         "One thing at a time goes wrong, from harmless (dotted line) to hopeless. A method breaks where its"
-        " mean error over the scenes is more than 2 % above the raw image's. It was noticed where the frame's"
-        " own flags raise a warning, or where the standard deviation that we claim is at least half the true"
-        " error. Signs are what a frame and its image show without the truth; none warns yet. Each has the"
+        " mean error over the scenes is more than 2 % above the raw image's. It was noticed where the image"
+        " comes with a warning, or where the standard deviation that we claim is at least half the true"
+        " error. Signs are what a frame and its image show without the truth. Each has the"
         f" limit that all but {100 * stability.ALARMS:g} % of sound images keep: "
         + "; ".join(f"{k}, {v}" for k, v in SIGNS.items())
         + ".",
