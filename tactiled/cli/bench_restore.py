@@ -88,8 +88,8 @@ def _moving(found: list[Moving], speeds: list[Speed]) -> Table:
 
 def _accuracy(found: Accuracy, size: int, covers: tuple[float, ...]) -> Table:
     title = f"NRMSE at {size} x {size}, {len(found.presses)} presses, t/pitch {covers}, noise 0.2, 1, 5 %"
-    names = ("raw", *OURS, "skimage wiener", "skimage rl", "best")
-    titles = ("raw", *OURS, "skimage wiener, tuned", "skimage rl, tuned", "better of these")
+    names = ("raw", *OURS, "skimage rl 30", "skimage wiener", "skimage rl", "best")
+    titles = ("raw", *OURS, "skimage rl, 30", "skimage wiener, tuned", "skimage rl, tuned", "better of these")
     table = _table(title, "scene", *titles)
     for scene in DRAWN:
         table.add_row(scene, *(f"{found.mean(name, scene):.3f}" for name in names))

@@ -19,6 +19,8 @@ REVIEW = 8  # frames after which one that needed iterations is asked again wheth
 SURE = 4.0  # standard deviations that count as more than noise
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
+PAUSE = 32  # frames that points are left alone for after a fit that did not stand: twice as many every time
+LONGEST = 512  # of those
 ITERATED = ("nnls", "points")
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
@@ -57,6 +59,7 @@ class Auto:
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
         self._method, self._age = "", 0
+        self._wait, self._pause = 0, PAUSE
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
@@ -64,7 +67,9 @@ class Auto:
     def reset(self) -> None:
         """Forget the frames so far."""
         self._method = ""
+        self._wait, self._pause = 0, PAUSE
         self._nonneg.reset()
+        self.points.reset()
 
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0
@@ -78,6 +83,7 @@ class Auto:
         self.points.found = ()
         if self.rests(y):
             self._method = "idle"
+            self._wait, self._pause = 0, PAUSE
             self._scene.empty()
             return self._nothing
         done = self._some(y)
@@ -114,7 +120,17 @@ class Auto:
     def _iterated(self, y: Image) -> Restored:
         done = self._nonneg(self._wiener)
         gain = self._wiener.filter.noise_gain
-        steps = self.points(y, self._nonneg.image)
+        steps = self._pointed(y)
         if steps:
             return Restored(self.points.image, "points", POINTS, done + steps, gain, self._scene.resolution())
         return Restored(self._nonneg.image, "nnls", NNLS, done, gain, self._scene.resolution())
+
+    def _pointed(self, y: Image) -> int:
+        """Steps of a fit of points that stands; one that does not is not tried again before a while."""
+        if self._wait and self._method != "points":
+            self._wait -= 1
+            return 0
+        steps = self.points(y, self._nonneg.image)
+        self._pause = PAUSE if steps else min(2 * self._pause, LONGEST)
+        self._wait = 0 if steps else self._pause
+        return steps

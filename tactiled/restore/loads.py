@@ -1,6 +1,7 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from tactiled.restore.modes import Floats, Image
@@ -20,36 +21,46 @@ class Loads:
         self.shape, self.side = shape, 1 / refine
         U, s, Vt = np.linalg.svd(stencil * refine**2)
         parts = max(1, int(np.count_nonzero(s > RANK * s[0])))
-        self._down = [np.asarray(each, np.float32) for each in _table(U[:, :parts] * s[:parts], shape[0], refine)]
-        self._across = [np.asarray(each, np.float32) for each in _table(Vt[:parts].T, shape[1], refine)]
+        self._down = _Axis(U[:, :parts] * s[:parts], shape[0], refine)
+        self._across = _Axis(Vt[:parts].T, shape[1], refine)
 
-    def jacobian(self, y: float, x: float, out: Image) -> None:
-        """Fill out (4, R C) with a unit load's frame at row y, column x, its slopes, and half its Laplacian.
+    def jacobian(self, places: Floats, out: Image) -> None:
+        """Fill out (4, n, R C): unit loads' frames at `places` (n, 2), slopes down and across, and the width's.
 
-        The last is what it gains for each square pitch of the load's variance.
+        The last, half the Laplacian, is what a frame gains for each square pitch of the load's variance.
         """
-        down, slope_down, curve_down = _at(self._down, y, self.shape[0])
-        across, slope_across, curve_across = _at(self._across, x, self.shape[1])
-        view = out.reshape(4, *self.shape)
-        np.dot(down.T, across, out=view[0])
-        np.dot(slope_down.T, across, out=view[1])
-        np.dot(down.T, slope_across, out=view[2])
-        np.dot((0.5 * curve_down).T, across, out=view[3])
-        view[3] += np.dot(down.T, 0.5 * curve_across)
+        nearest = (places * PHASES).round()
+        ahead = (places - nearest / PHASES).astype(np.float32)[..., None, None]
+        rows, columns = nearest.astype(np.intp).T
+        down, slope_down, curve_down = self._down(rows, ahead[:, 0])
+        across, slope_across, curve_across = self._across(columns, ahead[:, 1])
+        view = out.reshape(4, len(places), *self.shape)
+        np.matmul(down, across.swapaxes(1, 2), out=view[0])
+        np.matmul(slope_down, across.swapaxes(1, 2), out=view[1])
+        np.matmul(down, slope_across.swapaxes(1, 2), out=view[2])
+        both = np.concatenate([curve_down, down], axis=2), np.concatenate([across, curve_across], axis=2)
+        np.matmul(both[0], both[1].swapaxes(1, 2), out=view[3])
+        view[3] *= np.float32(0.5)
 
 
-def _at(tables: list[Image], place: float, n: int) -> tuple[Image, Image, Image]:
-    """Give (parts, n): the axis' factors at `place` as taxels 0..n-1 see them, their slopes and curvatures."""
-    nearest = round(place * PHASES)
-    ahead = np.float32(place - nearest / PHASES)
-    # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
-    turn, phase = divmod(n * PHASES - nearest, PHASES)
-    value, slope, curve = (table[phase, :, turn : turn + n] for table in tables)
-    return value + ahead * slope, slope + ahead * curve, curve
+class _Axis:
+    """One axis' factors, their slopes and curvatures, tabulated against a load's offset."""
+
+    def __init__(self, parts: Floats, n: int, refine: int) -> None:
+        self._table, self._n = np.asarray(_table(parts, n, refine), np.float32), n
+        self._taxels = np.arange(n)
+
+    def __call__(self, nearest: NDArray[np.intp], ahead: Image) -> Image:
+        """Give (3, n, taxels, parts) for loads at `nearest` phases, and a little `ahead`."""
+        # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
+        turn, phase = np.divmod(self._n * PHASES - nearest, PHASES)
+        found = self._table[:, phase[:, None], turn[:, None] + self._taxels]
+        found[:2] += ahead * found[1:]
+        return found
 
 
-def _table(parts: Floats, n: int, refine: int) -> tuple[Floats, Floats, Floats]:
-    """Give values, slopes and curvatures (PHASES, parts, 2n+1) of an axis' factors, at offsets from n to -n-1."""
+def _table(parts: Floats, n: int, refine: int) -> Floats:
+    """Give values, slopes and curvatures (3, PHASES, 2n+1, parts) of an axis' factors, offsets n to -n-1."""
     offsets = (np.arange(refine * (2 * n - 1)) - refine * (n - 1) - (refine - 1) / 2) / refine
     degree = min(3, len(offsets) - 1)
     spline = make_interp_spline(offsets, parts, k=degree)
@@ -58,6 +69,6 @@ def _table(parts: Floats, n: int, refine: int) -> tuple[Floats, Floats, Floats]:
 
     def phases(order: int) -> Floats:
         values = spline(inside, order) if order <= degree else np.zeros((len(inside), parts.shape[1]))
-        return np.ascontiguousarray(values.reshape(2 * n + 1, PHASES, -1).transpose(1, 2, 0))
+        return np.ascontiguousarray(values.reshape(2 * n + 1, PHASES, -1).swapaxes(0, 1))
 
-    return phases(0), phases(1), phases(2)
+    return np.stack([phases(0), phases(1), phases(2)])

@@ -144,7 +144,11 @@ def _points(scene: Scene) -> Method:
         why = NO_GRID if len(scene.blur.frame_shape) == 1 or min(scene.blur.frame_shape) < FEWEST else TOO_MANY
         return Restored(nonneg.image, "nnls", why, done, gain, scene.resolution())
 
-    return Method(run, nonneg.reset, points=points)
+    def forget() -> None:
+        nonneg.reset()
+        points.reset()
+
+    return Method(run, forget, points=points)
 
 
 def _auto(scene: Scene) -> Method:

@@ -14,11 +14,15 @@ from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 
 MOST = 8  # points
-STEPS = 20  # for one number of points, at most
+STEPS = 12  # for one number of points, at most
+GIVEN = 3  # steps, after which one that takes off less than
+PROMISE = 0.2  # of the residual's square, while that is
+FAR_OFF = 4.0  # times what noise leaves, is the last
+NEAREST = 0.05  # pitches: no place is known better than that
 SPLITS = 1  # times that a point which leaves too much behind is taken for two
 DAMPING = 0.03  # of a point's response, per square pitch, at first
 EASE = 0.3  # times the damping after a step that helped
-EARNED = 0.5  # of the noise's variance: a step that takes less off the residual's square is the last
+EARNED = 2.0  # of the noise's variance: a step that takes less off the residual's square is the last
 SETTLED = 0.01  # pitches: a step that moves no point further is the last
 LEAP = 0.5  # pitches that one step may move a point
 STANDS = 4.0  # standard deviations that a point's force must stand out by
@@ -27,7 +31,7 @@ MODEL = 0.01  # of the frame's norm: what a model of a cover may miss it by
 LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 FEWEST = 3  # taxels a side that tell a place on it
 SMALL = 0.05  # of the image's pressure: no more peaks are looked for once less is left
-FLAT = 4.0  # cells that each of the most points' pressure is spread over in an image of them, at most
+FLAT = 6.5  # cells that a point's pressure is spread over in an image of them, at most
 WIDTH = 0.35  # square pitches of a load's variance along an axis: a disc of more than a pitch is no point
 DOUBT = 1.5  # standard deviations that the width found must stay below that by
 SURPLUS = 0.03  # square pitches of width that are not held against a point: an indenter of a third of a pitch
@@ -35,6 +39,9 @@ SEEN = 2.0  # standard deviations that a width beyond that is seen with
 UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
+
+
+_Told = tuple[Floats, Floats, Floats]  # places (pitches), forces, deviations of the places
 
 
 class Point(NamedTuple):
@@ -53,7 +60,7 @@ class Points:
         fits = min(scene.blur.frame_shape) >= FEWEST
         self._loads: Loads | None = scene.blur.loads if fits else None
         size = scene.flat.size
-        self._jacobian = np.empty((MOST, 4, size), np.float32)
+        self._jacobian = np.empty((4 * MOST, size), np.float32)
         self._residual = np.empty(size, np.float32)
         self._peeled = np.empty(scene.blur.surface_shape, np.float32)
         self._ones = np.ones(self._peeled.size, np.float32)
@@ -62,6 +69,7 @@ class Points:
         self._refine = scene.blur.surface_shape[0] // scene.blur.frame_shape[0]
         self._play = self._loads.side**2 / 6 if self._loads else 0.0  # of a load's width: it is no point itself
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
+        self._last: Floats | None = None  # places
         self.found: tuple[Point, ...] = ()
 
     def __call__(self, y: Image, image: Image) -> int:
@@ -72,12 +80,25 @@ class Points:
         self.found = ()
         if self._loads is None:
             return 0
-        places = self._peaks(image)
-        if not places:
-            return 0
         y = y.reshape(-1)
         self._model = MODEL**2 * float(np.dot(y, y))
-        done, fit = self._refined(y, np.array(places))
+        done, told = 0, None
+        if self._last is not None:
+            done, fit = self._refined(y, self._last)
+            told = self._told(fit)
+        places = None if told else self._peaks(image)
+        if places:
+            more, told = self._anew(y, np.array(places), image)
+            done += more
+        self._last = told[0] if told else None
+        if told is None:
+            return 0
+        self._draw(*told)
+        return done
+
+    def _anew(self, y: Image, places: Floats, image: Image) -> tuple[int, _Told | None]:
+        """Fit as many points as an image has peaks, or one more; gives the steps made and what is told."""
+        done, fit = self._refined(y, places)
         told = self._told(fit)
         for _ in range(SPLITS):
             if told or fit is None or len(fit.force) == MOST:
@@ -85,10 +106,11 @@ class Points:
             more, fit = self._refined(y, self._split(fit, image))
             told = self._told(fit)
             done += more
-        if told is None:
-            return 0
-        self._draw(*told)
-        return done
+        return done, told
+
+    def reset(self) -> None:
+        """Forget the points of the frame before."""
+        self._last, self.found = None, ()
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
@@ -110,7 +132,7 @@ class Points:
             near[...] = 0
             left -= weight
             places.append(((row + 0.5) / k - 0.5, (column + 0.5) / k - 0.5))
-        return places if left <= LEFT * total else []
+        return places if left <= LEFT * total and total**2 <= FLAT * len(places) * k**2 * squares else []
 
     def _refined(self, y: Image, places: Floats) -> tuple[int, "_Fit | None"]:
         """Give the steps made and the fit that they led to, by Levenberg's damped Gauss-Newton."""
@@ -120,23 +142,30 @@ class Points:
         while done < STEPS:
             done += 1
             A = self._responses(places)
-            force = _solve(A[:, 0], y)
-            standing = force > STANDS * noise / np.sqrt((A[:, 0] ** 2).sum(axis=1))
+            gram = np.asarray(A[0] @ A[0].T, float)
+            force = _solve(gram, np.asarray(A[0] @ y, float))
+            standing = force > STANDS * noise / np.sqrt(gram.diagonal())
             if not standing.all():
                 fit, places = None, places[standing]
                 if not len(places):
                     break
                 continue
-            np.subtract(y, force.astype(np.float32) @ A[:, 0], out=self._residual)
+            np.subtract(y, force.astype(np.float32) @ A[0], out=self._residual)
             left = float(np.dot(self._residual, self._residual))
             if fit is None or left <= fit.left:
-                J = self._scaled(A, force)
-                normal, right = np.asarray(J @ J.T, float), np.asarray(J @ self._residual, float)
+                J, scale = A.reshape(4 * len(force), -1), np.concatenate([np.ones_like(force), *[force] * 3])
+                normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self._residual)
                 gained = fit.left - left if fit else np.inf
                 fit = _Fit(places, force, left, normal, right)
                 damping *= EASE
                 if gained < EARNED * (noise**2 + self._model / y.size):
                     break
+                if (
+                    done >= GIVEN
+                    and gained < PROMISE * left
+                    and left > FAR_OFF * (noise**2 * y.size + self._model)
+                ):
+                    return done, fit
             else:
                 damping /= EASE**2
             step = fit.step(damping)
@@ -162,27 +191,16 @@ class Points:
 
     def _responses(self, places: Floats) -> Image:
         assert self._loads is not None
-        A = self._jacobian[: len(places)]
-        for (row, column), each in zip(places.tolist(), A, strict=True):
-            self._loads.jacobian(row, column, each)
-        return A
-
-    def _scaled(self, A: Image, force: Floats) -> Image:
-        """Give (4 n, N): the slopes with each force and place, then those with each width."""
-        n = len(force)
-        F = force.astype(np.float32)
-        J = np.empty((4 * n, A.shape[-1]), np.float32)
-        view = J[: 3 * n].reshape(n, 3, -1)
-        view[:, 0] = A[:, 0]
-        np.multiply(A[:, 1:3], F[:, None, None], out=view[:, 1:])
-        np.multiply(A[:, 3], F[:, None], out=J[3 * n :])
-        return J
+        n = len(places)
+        A = self._jacobian[: 4 * n]
+        self._loads.jacobian(places, A.reshape(4, n, -1))
+        return A.reshape(4, n, -1)
 
     def _within(self, places: Floats) -> Floats:
         rows, columns = self._scene.blur.frame_shape
         return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
 
-    def _told(self, fit: "_Fit | None") -> tuple[Floats, Floats, Floats] | None:
+    def _told(self, fit: "_Fit | None") -> _Told | None:
         """Places, forces and places' deviations, each load given a width of its own; None where unsure."""
         if fit is None:
             return None
@@ -196,18 +214,18 @@ class Points:
         held.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += noise / max(SURPLUS, self._play) ** 2
         last = np.linalg.solve(held, fit.right)
         left = fit.left - float(last @ fit.right)
-        force, *shift = last[: 3 * n].reshape(n, 3).T
+        force, *shift = last[: 3 * n].reshape(3, n)
         if left > noise * (free + SURE * sqrt(2 * free)) + self._model:
             return None
         variance = max(left / free, noise)
         unsure = np.sqrt(np.maximum(inverse.diagonal()[3 * n :], 0) * variance)
         if (width + DOUBT * unsure).max() > WIDTH or (width - SEEN * unsure).max() > SURPLUS:
             return None
-        known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(n, 3) * variance
+        known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
         if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
             return None
         places = self._within(fit.places + np.clip(np.stack(shift, axis=1), -LEAP, LEAP))
-        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], 0))
+        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], NEAREST**2))
 
     def _draw(self, places: Floats, forces: Floats, deviations: Floats) -> None:
         """Spread each point's force over the cells that it may be on, in proportion to how likely it is there."""
@@ -233,11 +251,11 @@ class _Fit(NamedTuple):
         """Give the move (n, 2) of the points; the damping also holds those whose response is flat about them."""
         n = len(self.force)
         damped = self.normal[: 3 * n, : 3 * n].copy()
-        stiff = damped.diagonal().reshape(n, 3)[:, :1]
-        scale = np.concatenate([np.full((n, 1), RIDGE), np.full((n, 2), damping)], axis=1) * stiff
-        scale[:, 1:] *= self.force[:, None] ** 2
-        damped.flat[:: 3 * n + 1] += scale.ravel()
-        return np.asarray(np.linalg.solve(damped, self.right[: 3 * n]).reshape(n, 3)[:, 1:], float)
+        stiff = np.tile(damped.diagonal()[:n], 3)
+        stiff[:n] *= RIDGE
+        stiff[n:] *= damping * np.tile(self.force**2, 2)
+        damped.flat[:: 3 * n + 1] += stiff
+        return np.asarray(np.linalg.solve(damped, self.right[: 3 * n])[n:].reshape(2, n).T, float)
 
 
 def _window(image: Image, middle: Floats, reach: int) -> Image:
@@ -246,11 +264,11 @@ def _window(image: Image, middle: Floats, reach: int) -> Image:
     return image[max(i - reach, 0) : i + reach + 1, max(j - reach, 0) : j + reach + 1]
 
 
-def _solve(A: Image, y: Image) -> Floats:
+def _solve(gram: Floats, right: Floats) -> Floats:
     """Least squares for the forces."""
-    normal = np.asarray(A @ A.T, float)
-    normal.flat[:: len(normal) + 1] *= 1 + RIDGE
-    return np.asarray(np.linalg.solve(normal, (A @ y).astype(float)))
+    held = gram.copy()
+    held.flat[:: len(gram) + 1] *= 1 + RIDGE
+    return np.asarray(np.linalg.solve(held, right), float)
 
 
 def _share(edges: Floats, middle: float, deviation: float) -> Image:

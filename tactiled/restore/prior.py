@@ -43,7 +43,7 @@ class Prior:
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self._levels.append(level)
             self._shapes.append(shape)
-        self._cost_of = np.array(costs, np.float32)
+        self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
         self.squares = np.empty(modes.gain.shape, np.float32)
         self._blocks = np.ones(count.size + 1, np.float32)
         self._power = self._blocks[:-1].reshape(count.shape)

@@ -36,6 +36,7 @@ def test_auto_is_nearer_the_truth_than_skimage_that_knows_it(few):
     found = accuracy(iter(few))
     assert found.mean("auto") < found.mean("best") < found.mean("raw")
     assert found.slips("auto") == 0
+    assert found.mean("rl") < found.mean("skimage rl 30")
     assert found.worst("auto") < 1.02
     assert found.mean("best") <= min(found.mean("skimage wiener"), found.mean("skimage rl"))
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from tactiled.frames import DEAD
+from tactiled.restore.choose import PAUSE
 from tactiled.restore.methods import make
+from tactiled.restore.points import Points
 
 SIGMA = 0.5
 SHAPE = (24, 24)
@@ -97,3 +99,19 @@ def test_an_old_image_does_not_come_back(covered, sensed):
     for _ in range(3):
         image = auto(sensed(right, 2.0)).image
     assert image[:, :10].sum() < 0.02 * image.sum()
+
+
+def test_points_are_left_alone_after_a_fit_that_did_not_stand(covered, sensed, monkeypatch):
+    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
+    truth = np.zeros(SHAPE)
+    truth[10:13, 10:13] = 100
+    tried = []
+    fit = Points.__call__
+    monkeypatch.setattr(Points, "__call__", lambda *each: tried.append(1) or fit(*each))
+    for _ in range(PAUSE):
+        assert auto(sensed(truth, 2.0)).method == "nnls"
+    assert len(tried) == 1
+    auto(sensed(np.zeros(SHAPE)))
+    truth[10:13, 10:13] = 0
+    truth[11, 12] = 600
+    assert auto(sensed(truth, 2.0)).method == "points"
