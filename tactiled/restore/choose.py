@@ -20,7 +20,7 @@ SURE = 4.0  # standard deviations that count as more than noise
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
 PAUSE = 32  # frames that points are left alone for after a fit that did not stand: twice as many every time
-LONGEST = 512  # of those
+LONGEST = 2048  # of those
 ITERATED = ("nnls", "points")
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 

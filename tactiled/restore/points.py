@@ -32,10 +32,10 @@ LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods o
 FEWEST = 3  # taxels a side that tell a place on it
 SMALL = 0.05  # of the image's pressure: no more peaks are looked for once less is left
 FLAT = 6.5  # cells that a point's pressure is spread over in an image of them, at most
-WIDTH = 0.35  # square pitches of a load's variance along an axis: a disc of more than a pitch is no point
-DOUBT = 1.5  # standard deviations that the width found must stay below that by
-SURPLUS = 0.03  # square pitches of width that are not held against a point: an indenter of a third of a pitch
-SEEN = 2.0  # standard deviations that a width beyond that is seen with
+WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.45 pitch has it, and is no point
+DOUBT = 3.0  # standard deviations that the width found must stay below that by
+SURPLUS = 0.03  # square pitches of width by which points may differ
+SEEN = 2.0  # standard deviations beyond that: one so wide is two
 UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
@@ -210,22 +210,32 @@ class Points:
         inverse = np.linalg.inv(normal)
         noise, free = self._scene.noise**2, max(self._residual.size - 4 * n, 1)
         width = inverse[3 * n :] @ fit.right
-        held = normal.copy()
-        held.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += noise / max(SURPLUS, self._play) ** 2
-        last = np.linalg.solve(held, fit.right)
-        left = fit.left - float(last @ fit.right)
-        force, *shift = last[: 3 * n].reshape(3, n)
+        spread = np.maximum(inverse.diagonal()[3 * n :], 1e-30)
+        common = max(float(width @ (1 / spread) / (1 / spread).sum()), 0.0)
+        last = self._held(normal, fit.right, common)
+        left = fit.left + float(last @ (normal @ last - 2 * fit.right))
         if left > noise * (free + SURE * sqrt(2 * free)) + self._model:
             return None
         variance = max(left / free, noise)
-        unsure = np.sqrt(np.maximum(inverse.diagonal()[3 * n :], 0) * variance)
-        if (width + DOUBT * unsure).max() > WIDTH or (width - SEEN * unsure).max() > SURPLUS:
+        unsure = np.sqrt(spread * variance)
+        if common + DOUBT * sqrt(variance / (1 / spread).sum()) > WIDTH:
             return None
+        if (width - SEEN * unsure).max() > common + SURPLUS:
+            return None
+        force, *shift = last[: 3 * n].reshape(3, n)
         known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
         if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
             return None
         places = self._within(fit.places + np.clip(np.stack(shift, axis=1), -LEAP, LEAP))
-        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], NEAREST**2))
+        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
+
+    def _held(self, normal: Floats, right: Floats, common: float) -> Floats:
+        """The last step of all unknowns, every width held near the common one."""
+        n, firm = len(right) // 4, self._scene.noise**2 / max(SURPLUS, self._play) ** 2
+        held, drawn = normal.copy(), right.copy()
+        held.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += firm
+        drawn[3 * n :] += firm * common
+        return np.asarray(np.linalg.solve(held, drawn), float)
 
     def _draw(self, places: Floats, forces: Floats, deviations: Floats) -> None:
         """Spread each point's force over the cells that it may be on, in proportion to how likely it is there."""

@@ -125,3 +125,24 @@ def test_slopes_are_the_responses_own():
         np.testing.assert_allclose((more - less) / (2 * step), slope, atol=0.02 * np.abs(slope).max())
     sides = ahead + behind + up + down
     np.testing.assert_allclose((sides - 4 * here[0]) / (2 * step**2), here[3], atol=0.1 * np.abs(here[3]).max())
+
+
+@pytest.mark.parametrize("share", [0.002, 0.01])
+@pytest.mark.parametrize("radius", [0.3, 0.5, 0.8, 1.2])
+@pytest.mark.parametrize("thickness", [0.5, 1.0, 2.0])
+def test_small_discs_fare_no_worse_for_points(touched, thickness, radius, share):
+    """Before a width was asked for, discs of a third of a pitch came out as points of up to twice their peak."""
+    step = np.arange(-1.2, 1.21, 0.1) * PITCH
+    x, y = (each.ravel() for each in np.meshgrid(step, step))
+    inside = np.hypot(x, y) < radius * PITCH
+    places = np.concatenate([place + np.column_stack([x, y])[inside] for place in PLACES])
+    forces = np.repeat(FORCES / inside.sum(), inside.sum())
+    frame, sigma = touched(thickness, places, forces, share)
+    rows, columns = np.round(places.T[::-1] / PITCH).astype(int)
+    truth = np.zeros(SHAPE)
+    np.add.at(truth, (rows, columns), 1e3 * forces / PITCH**2)
+    error = {
+        name: np.linalg.norm(make(name, blur_of(thickness), sigma)(frame).image - truth)
+        for name in ("auto", "nnls")
+    }
+    assert error["auto"] < 1.1 * error["nnls"]
