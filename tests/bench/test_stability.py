@@ -138,8 +138,9 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     for name in ("stability.svg", "stability-wiener.svg", "calibration.svg"):
         assert (tmp_path / name).read_text().startswith("<?xml")
     written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
-    assert len(written) == 2 * len(stability.OURS + stability.THEIRS)
-    assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == 2 * len(stability.OURS + stability.THEIRS)
+    expected = 2 * len(stability.OURS + stability.THEIRS)
+    assert len(written) == expected
+    assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == expected
 
 
 def test_false_alarms_are_counted_by_the_limits_of_other_scenes():
