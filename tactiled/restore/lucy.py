@@ -7,11 +7,12 @@ from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
 
 OFFSET = 3.0  # noise standard deviations lifted over 0 first, so that cutting the rest off hardly biases the force
-ENOUGH = 1.0  # of the noise's variance: a residual this small has nothing left but noise
+START = np.float32(0.1)  # of that offset, where the frame has less: what starts at 0 stays there
+ENOUGH = 0.8  # of the noise's variance: a residual this small has nothing left but noise, part of which is fitted
 
 
 class Lucy:
-    """Restores a frame by at most `iterations`, from a flat image."""
+    """Restores a frame by at most `iterations`, from the frame itself, or a flat image where cells are finer."""
 
     def __init__(self, scene: Scene, iterations: int, accelerate: bool = False) -> None:
         self._scene, self._iterations, self._accelerate = scene, iterations, accelerate
@@ -40,7 +41,10 @@ class Lucy:
     def __call__(self, y: Image) -> int:
         """Restore a frame without gaps; gives the iterations made."""
         lifted = np.maximum(y + self._lift, np.float32(1e-3) * self._lift)
-        self.image[...] = max(float(y.mean()), float(self._lift))
+        if self.image.shape == lifted.shape:
+            np.maximum(y, START * self._lift, out=self.image)
+        else:
+            self.image[...] = max(float(y.mean()), float(self._lift))
         enough = ENOUGH * self._scene.noise**2
         done = richardson_lucy(
             self._forward,
