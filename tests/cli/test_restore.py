@@ -76,7 +76,8 @@ def test_a_film_is_restored_and_told(config, film, tmp_path, method):
     assert all(set(each) == {"method", "why", "iterations", "microseconds"} for each in told)
     assert all(each["microseconds"] > 0 and each["why"] for each in told)
     if method != "auto":
-        assert {each["method"] for each in told} == {method}
+        fallback = {"nnls"} if method == "points" else set()  # where a fit does not stand
+        assert method in {each["method"] for each in told} <= {method} | fallback
     assert not list(tmp_path.glob("*.part"))
 
 
