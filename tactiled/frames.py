@@ -43,6 +43,9 @@ class Loss:
     malformed: int = 0  # messages on the sensor's id that its codec cannot mean
     incomplete: int = 0  # frames published with taxels missing
     skipped: int = 0  # frames not restored, because a newer one was already there
+    dropped: int = 0  # messages that the kernel threw away, because they were not taken in time
+    errors: int = 0  # error frames: what the bus interface says went wrong on the wire
+    bus_off: int = 0  # times that the bus interface left the bus because of too many of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,15 +1,18 @@
 """The running service: it owns the buses, the threads and what is known of their health."""
 
+import statistics
 import threading
 import time
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
@@ -23,6 +26,7 @@ from tactiled.restore.methods import METHODS
 State = Literal["live", "stale", "silent", "down"]
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
+PERIODS = 100  # from frame to frame, of which the jitter is told
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +38,8 @@ class Status:
     rate_hz: float  # frames a second, over the last second or so; 0 unless live
     detail: str  # one line for people
     loss: Loss
+    jitter_s: float | None = None  # standard deviation of the last periods from frame to frame; None unless live
+    skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
 
 
 class Sensor:
@@ -46,6 +52,7 @@ class Sensor:
         self.methods = tuple(METHODS)
         self.hub = Hub()
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
+        self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
         self._finder = Finder(plan.array, plan.cells)
@@ -60,6 +67,8 @@ class Sensor:
         self._last: float | None = None
         self._period = 0.0
         self._loss = Loss()
+        self._newest: RawFrame | None = None
+        self._periods: deque[float] = deque(maxlen=PERIODS)
         self._failed: str | None = None
         self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
 
@@ -102,7 +111,7 @@ class Sensor:
 
     def offer(self, frame: RawFrame) -> None:
         """Take a new frame; one that still waits for its turn is skipped and counted."""
-        self._note_time()
+        self._note_time(frame)
         with self._wake:
             self._skipped += self._waiting is not None
             self._waiting = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
@@ -111,12 +120,18 @@ class Sensor:
 
     def show(self, frame: RawFrame) -> None:
         """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
-        self._note_time()
+        self._note_time(frame)
         self._loss = frame.loss
         self._restore(frame)
 
-    def _note_time(self) -> None:
+    def _note_time(self, frame: RawFrame) -> None:
         """A frame comes now."""
+        last, self._newest = self._newest, frame
+        with self._wake:
+            if last is None or not 0 <= frame.time - last.time < self.plan.stale_after_s:
+                self._periods.clear()
+            elif frame.sequence == last.sequence + 1:
+                self._periods.append(frame.time - last.time)
         now = self._clock()
         if self._last is not None:
             gap = now - self._last
@@ -147,7 +162,15 @@ class Sensor:
         age = None if last is None else max(0.0, (self._clock() if now is None else now) - last)
         state, detail = self._judge(age)
         rate = 1 / self._period if state == "live" and self._period else 0.0
-        return Status(state, age, rate, detail, self._loss)
+        loss = replace(self.counts(), skipped=self._skipped) if self.counts else self._loss
+        skew = self._newest.skew if self._newest else None
+        return Status(state, age, rate, detail, loss, self._jitter() if state == "live" else None, skew)
+
+    def _jitter(self) -> float | None:
+        """Standard deviation (s) of the last periods, by the times that the bus gave; None of fewer than two."""
+        with self._wake:
+            periods = tuple(self._periods)
+        return statistics.stdev(periods) if len(periods) > 1 else None
 
     def _judge(self, age: float | None) -> tuple[State, str]:
         if self.down is not None:
@@ -163,8 +186,14 @@ class Listener:
     """One bus and the thread that reads it; the bus is opened again, with back-off, when it goes away."""
 
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
-        self.name, self._settings, self._sensors = name, settings, sensors
+        self.name, self._sensors = name, sensors
         self._router = Router({each.name: each.codec for each in sensors.values()})
+        self._settings = only(settings, self._router.ids)
+        self._past: Counter[str] = Counter()  # what readers before this one counted
+        self._swap = threading.Lock()
+        self._told: str | None = None
+        for sensor in sensors.values():
+            sensor.counts = partial(self._loss, sensor.name)
         self._stop = threading.Event()
         self._reader: Reader | None = None
         self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
@@ -204,19 +233,35 @@ class Listener:
                 self._hand(self._router.flush(time.time() - POLL_S))
             else:
                 self._hand(self._router.push(message))
+            if reader.off != self._told:
+                self._tell(reader.off)
 
     def _hand(self, frames: Frames) -> None:
-        for name, frame in frames:
-            self._sensors[name].offer(frame)
+        if frames:
+            counted = self._counted()
+            for name, frame in frames:
+                self._sensors[name].offer(replace(frame, loss=replace(frame.loss, **counted)))
+
+    def _counted(self) -> Counter[str]:
+        """What the bus itself counted since the start, however often it was opened again."""
+        with self._swap:
+            return self._past + Counter(self._reader.counts() if self._reader else {})
+
+    def _loss(self, name: str) -> Loss:
+        """What went wrong by now on a sensor's way in; any thread."""
+        return replace(self._router.assemblers[name].loss, **self._counted())
 
     def _tell(self, down: str | None) -> None:
+        self._told = down
         for sensor in self._sensors.values():
             sensor.down = down
 
     def _drop(self) -> None:
         if self._reader is not None:
             self._reader.close()
-            self._reader = None
+            with self._swap:
+                self._past += Counter(self._reader.counts())
+                self._reader = None
 
 
 class Listening(Protocol):

@@ -1,5 +1,6 @@
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from tactiled.bus.reader import open_bus
 from tactiled.config import parse
 from tactiled.config.build import sensor_plan
 from tactiled.errors import BusError, ConfigError, UnknownSensorError
-from tactiled.frames import Loss, RawFrame
+from tactiled.frames import Loss, Message, RawFrame
 from tactiled.service import Listener, Sensor, Service
 from tests.conftest import CONFIG, NO_LOAD, pressed, until
 
@@ -79,6 +80,11 @@ class Bus:
         self.opened = 0
         self.closed = 0
         self.messages = []
+        self.off = None
+        self.counted = {}
+
+    def counts(self):
+        return self.counted
 
     def open(self, **_):
         if not self.there:
@@ -122,6 +128,58 @@ def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, mon
     assert (bus.opened, bus.closed) == (2, 1)
     listener.stop()
     sensor.stop()
+
+
+def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkeypatch):
+    bus, sensor = Bus(), Sensor(plan)
+    monkeypatch.setattr("tactiled.service.open_bus", bus.open)
+    listener = Listener("can0", {}, {"palm": sensor})
+    listener.start()
+    bus.counted = {"dropped": 3, "errors": 2, "bus_off": 1}
+    bus.off = "bus adapter: bus-off"
+    until(lambda: sensor.status().detail == "bus adapter: bus-off")
+    assert sensor.status().state == "down"
+    loss = sensor.status().loss
+    assert (loss.dropped, loss.errors, loss.bus_off) == (3, 2, 1)
+    bus.off = None
+    until(lambda: sensor.status().state == "silent")
+    bus.messages.append(Message(1.0, 0x123, b""))
+    until(lambda: sensor.status().loss.foreign == 1)  # told without a frame
+    bus.there = False
+    until(lambda: bus.closed == 1)
+    bus.there = True
+    until(lambda: bus.opened == 2)
+    assert sensor.status().loss.errors == 4  # the bus of this test begins with two
+    bus.messages += sensor.codec.encode(pressed().ravel().astype(np.uint16), 0, time.time())
+    sensor.start()
+    until(sensor.hub.latest)
+    assert sensor.hub.latest().loss.errors == 4
+    listener.stop()
+    sensor.stop()
+
+
+def test_jitter_and_skew_are_told_by_the_buss_clock(plan):
+    now = [0.0]
+    sensor = Sensor(plan, lambda: now[0])
+
+    def offer(sequence, at):
+        sensor.offer(replace(frame(sequence), time=at, skew=0.003))
+
+    assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, None)
+    for n in range(101):
+        offer(n, 5.0 + n / 100 + (0.001 if n % 2 else 0.0))
+    status = sensor.status()
+    assert status.jitter_s == pytest.approx(0.001, rel=0.01)  # 11 ms and 9 ms by turns
+    assert status.skew_s == 0.003
+    offer(105, 6.05)  # frames lost between are no jitter
+    assert sensor.status().jitter_s == status.jitter_s
+    offer(106, 600.0)  # nor is a pause: it begins anew
+    assert sensor.status().jitter_s is None
+    for n in range(3):
+        offer(107 + n, 600.01 + n / 100)
+    assert sensor.status().jitter_s == pytest.approx(0, abs=1e-9)
+    now[0] = 10.0
+    assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, 0.003)
 
 
 def test_several_sensors_on_several_buses(request):

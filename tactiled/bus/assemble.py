@@ -1,6 +1,6 @@
 """Readings to frames: what is lost is counted and marked, never mended."""
 
-from collections import Counter
+from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -83,7 +83,7 @@ class Assembler:
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
-        self._counts: Counter[str] = Counter()
+        self._counts = {each.name: 0 for each in fields(Loss)}  # never grows: other threads read it
         self._open: _Open | None = None
         self._closed: list[bytes | None] = [None] * codec.segments  # what the frame closed last had
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun

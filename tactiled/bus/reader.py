@@ -1,9 +1,15 @@
 """The CAN bus, through python-can; nothing else in the package imports it."""
 
 import errno
+import os
+import socket
+import sys
+from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 import can
+from can.interfaces.socketcan import SocketcanBus
 
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -18,13 +24,26 @@ HINTS = {
     errno.ENOBUFS: "its queue is full: no other node acknowledges, or more is sent than the bus carries",
 }
 
+BUFFER = 4 << 20  # bytes that the kernel keeps for us: 0.3 s of two full 1 Mbit/s buses
+SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of SO_MEMINFO's nine numbers counts drops
+BUS_OFF, RESTARTED = 0x40, 0x100  # in the id of SocketCAN's error frames
+OFF = (
+    "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
+    "restart-ms 100` brings it back by itself"
+)
+
 
 class Reader:
     """An open bus: messages out of `receive`, messages into `send`."""
 
     def __init__(self, bus: can.BusABC, label: str) -> None:
         self._bus, self.label = bus, label
-        self.errors = 0  # error and remote frames seen, which carry no taxels
+        self._socket = _socket(bus)
+        self._told = 0  # messages dropped, when last asked
+        self.errors = 0  # error frames seen
+        self.remote = 0  # remote frames seen, which carry no taxels
+        self.bus_off = 0  # times that the interface left the bus, where it tells (SocketCAN)
+        self.off: str | None = None  # that it is off the bus now, and what to do
 
     def receive(self, timeout: float) -> Message | None:
         """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
@@ -34,9 +53,13 @@ class Reader:
             raise _blame(error, self.label) from error
         if got is None:
             return None
-        if got.is_error_frame or got.is_remote_frame:
-            self.errors += 1
+        if got.is_error_frame:
+            self._error(got.arbitration_id)
             return None
+        if got.is_remote_frame:
+            self.remote += 1
+            return None
+        self.off = None
         return Message(got.timestamp, got.arbitration_id, bytes(got.data), got.is_extended_id, got.is_fd)
 
     def send(self, message: Message) -> None:
@@ -54,8 +77,35 @@ class Reader:
         except (can.CanError, OSError, ValueError) as error:
             raise _blame(error, self.label) from error
 
+    def _error(self, kinds: int) -> None:
+        """Count an error frame; only SocketCAN's ids tell their kinds."""
+        self.errors += 1
+        if isinstance(self._bus, SocketcanBus):
+            if kinds & BUS_OFF:
+                self.bus_off += 1
+                self.off = f"bus {self.label}: {OFF}"
+            elif kinds & RESTARTED:
+                self.off = None
+
+    @property
+    def dropped(self) -> int:
+        """Messages that the kernel threw away since the bus was opened, because they were not taken in time."""
+        if (open_ := self._socket) is not None and sys.platform == "linux":
+            with suppress(OSError):  # closed meanwhile by another thread
+                told = open_.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * MEMINFO)
+                self._told = int.from_bytes(told[-4:], sys.byteorder) if len(told) == 4 * MEMINFO else 0
+        return self._told
+
+    def counts(self) -> dict[str, int]:
+        """What went wrong on the bus itself, by the names of `Loss`."""
+        return {"dropped": self.dropped, "errors": self.errors, "bus_off": self.bus_off}
+
     def close(self) -> None:
         """Let go of the bus; one that is gone already is no error."""
+        if self._socket is not None:
+            self._told = self.dropped
+            self._socket.close()
+            self._socket = None
         try:
             self._bus.shutdown()
         except (can.CanError, OSError):
@@ -72,6 +122,31 @@ def open_bus(interface: str, **settings: Any) -> Reader:
         return Reader(can.Bus(interface=interface, **settings), label)
     except Exception as error:  # an interface without its driver raises what it likes, NameError included
         raise _blame(error, label) from error
+
+
+def only(settings: dict[str, Any], ids: Iterable[tuple[int, bool]]) -> dict[str, Any]:
+    """A bus's settings with which the kernel holds back all but `ids`; as they are where it cannot or they say."""
+    if settings.get("interface") != "socketcan" or "can_filters" in settings:
+        return settings
+    return settings | {
+        "can_filters": [
+            {"can_id": id_, "can_mask": 0x1FFFFFFF if extended else 0x7FF, "extended": extended}
+            for id_, extended in sorted(ids)
+        ]
+    }
+
+
+def _socket(bus: can.BusABC) -> socket.socket | None:
+    """A second handle of the socket behind a bus, its buffer enlarged; None for a bus of another kind."""
+    try:
+        found = socket.socket(fileno=os.dup(bus.fileno()))
+    except (OSError, NotImplementedError):
+        return None
+    if found.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) < BUFFER:
+        for option in (socket.SO_RCVBUF, SO_RCVBUFFORCE):  # the second goes past the system's bound, if allowed
+            with suppress(OSError):
+                found.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+    return found
 
 
 def _blame(error: Exception, label: str) -> BusError:

@@ -33,6 +33,9 @@ class Loss(Form):
     malformed: int = Field(description="messages that the codec cannot mean", examples=[0])
     incomplete: int = Field(description="frames with taxels missing", examples=[0])
     skipped: int = Field(description="frames not restored because a newer one was there", examples=[0])
+    dropped: int = Field(description="messages that the kernel threw away, not taken in time", examples=[0])
+    errors: int = Field(description="error frames of the bus interface", examples=[0])
+    bus_off: int = Field(description="times that the bus interface left the bus", examples=[0])
 
 
 class SensorState(Form):
@@ -50,6 +53,13 @@ class SensorState(Form):
     state: State = Field(description="live; stale: no new frame; silent: none yet; down: the bus is gone")
     age_s: float | None = Field(description="s since the last frame came in", examples=[0.004])
     rate_hz: float = Field(description="frames a second", examples=[100.0])
+    jitter_s: float | None = Field(
+        description="standard deviation of the last 100 periods from frame to frame, by the bus's clock",
+        examples=[0.0002],
+    )
+    skew_s: float | None = Field(
+        description="from the newest frame's first message to its last", examples=[0.0031]
+    )
     detail: str = Field(description="one line on the state", examples=[""])
     sequence: int | None = Field(description="of the newest image", examples=[5123])
     loss: Loss
@@ -220,6 +230,9 @@ def loss(status: Status) -> Loss:
         malformed=counts.malformed,
         incomplete=counts.incomplete,
         skipped=counts.skipped,
+        dropped=counts.dropped,
+        errors=counts.errors,
+        bus_off=counts.bus_off,
     )
 
 
@@ -239,6 +252,8 @@ def sensor_state(sensor: Sensor) -> SensorState:
         state=status.state,
         age_s=status.age_s,
         rate_hz=status.rate_hz,
+        jitter_s=status.jitter_s,
+        skew_s=status.skew_s,
         detail=status.detail,
         sequence=image.sequence if image else None,
         loss=loss(status),

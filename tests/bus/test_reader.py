@@ -3,8 +3,9 @@ import socket
 
 import can
 import pytest
+from can.interfaces.socketcan import SocketcanBus
 
-from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.reader import OFF, Reader, only, open_bus
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -54,14 +55,101 @@ def test_a_silent_bus_gives_none_after_the_timeout(wire):
     assert wire[0].receive(0.01) is None
 
 
-def test_error_and_remote_frames_carry_no_taxels_and_are_counted(request):
+def test_error_and_remote_frames_carry_no_taxels_and_are_counted_by_kind(request):
     name = request.node.name
     reader = open_bus(interface="virtual", channel=name)
     with can.Bus(interface="virtual", channel=name) as raw:
         raw.send(can.Message(is_error_frame=True))
         raw.send(can.Message(arbitration_id=0x500, is_remote_frame=True, is_extended_id=False))
-        assert (reader.receive(1.0), reader.receive(1.0), reader.errors) == (None, None, 2)
+        assert (reader.receive(1.0), reader.receive(1.0)) == (None, None)
+    assert (reader.errors, reader.remote) == (1, 1)
+    assert reader.counts() == {"dropped": 0, "errors": 1, "bus_off": 0}
     reader.close()
+
+
+class Noted(SocketcanBus):
+    """SocketCAN without a kernel that has it: gives the frames it is given."""
+
+    def __init__(self, frames):
+        self.frames = list(frames)
+        self._is_shutdown = True
+
+    def fileno(self):
+        raise NotImplementedError
+
+    def _recv_internal(self, timeout):
+        del timeout
+        return self.frames.pop(0), True
+
+    def shutdown(self):
+        pass
+
+
+def error(kinds):
+    return can.Message(arbitration_id=kinds, is_extended_id=False, is_error_frame=True)
+
+
+@pytest.mark.parametrize("back", [error(0x100), can.Message(arbitration_id=0x500, is_extended_id=False)])
+def test_bus_off_is_counted_and_told_until_the_bus_is_back(back):
+    reader = Reader(Noted([error(0x4), error(0x48), error(0x80), back]), "socketcan can0")
+    told = []
+    for _ in range(4):
+        reader.receive(1.0)
+        told.append(reader.off)
+    assert told == [None, f"bus socketcan can0: {OFF}", f"bus socketcan can0: {OFF}", None]
+    assert (reader.errors, reader.bus_off) == (4 if back.is_error_frame else 3, 1)
+
+
+def test_only_socketcan_tells_the_kind_of_an_error_frame(request):
+    name = request.node.name
+    reader = open_bus(interface="virtual", channel=name)
+    with can.Bus(interface="virtual", channel=name) as raw:
+        raw.send(error(0x40))
+        assert reader.receive(1.0) is None
+    assert (reader.errors, reader.bus_off, reader.off) == (1, 0, None)
+    reader.close()
+
+
+def test_socketcan_is_asked_for_the_sensors_ids_only():
+    ids = {(0x501, False), (0x500, False), (0x18FF0000, True)}
+    assert only({"interface": "socketcan", "channel": "can0"}, ids) == {
+        "interface": "socketcan",
+        "channel": "can0",
+        "can_filters": [
+            {"can_id": 0x500, "can_mask": 0x7FF, "extended": False},
+            {"can_id": 0x501, "can_mask": 0x7FF, "extended": False},
+            {"can_id": 0x18FF0000, "can_mask": 0x1FFFFFFF, "extended": True},
+        ],
+    }
+
+
+@pytest.mark.parametrize("settings", [{"interface": "virtual"}, {"interface": "socketcan", "can_filters": []}])
+def test_other_interfaces_and_a_filter_of_ones_own_are_left_alone(settings):
+    assert only(settings, {(0x500, False)}) is settings
+
+
+class Wired(Noted):
+    """A bus with a socket behind it."""
+
+    def __init__(self, end):
+        super().__init__([])
+        self.end = end
+
+    def fileno(self):
+        return self.end.fileno()
+
+
+def test_the_sockets_buffer_is_enlarged_and_a_closed_bus_still_tells_its_counts():
+    ours, theirs = socket.socketpair(type=socket.SOCK_DGRAM)
+    with ours, theirs:
+        before = ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        reader = Reader(Wired(ours), "socketcan can0")
+        after = ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        assert after >= before
+        assert reader.dropped == 0
+        reader.close()
+        assert reader.counts() == {"dropped": 0, "errors": 0, "bus_off": 0}
+        assert ours.fileno() >= 0  # still theirs to close
 
 
 def test_closing_twice_or_after_the_bus_is_gone_is_no_error(request):

@@ -2,6 +2,7 @@
 
 import gc
 import shutil
+import socket
 import subprocess
 import time
 from threading import Event
@@ -12,7 +13,7 @@ import pytest
 from tactiled.bus import recording
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.reader import open_bus
+from tactiled.bus.reader import BUFFER, only, open_bus
 from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -210,3 +211,33 @@ def test_a_link_that_goes_down_and_comes_back(bus, link):
 def test_the_peers_are_there():
     for name in ("cangen", "candump", "canplayer"):
         assert shutil.which(name), f"{name}: install can-utils"
+
+
+def test_what_the_kernel_dropped_is_told_at_once(bus, small):
+    reader, sender = small(2048), bus()
+    for _ in range(300):
+        sender.send(Message(0.0, 0x500, bytes(8)))
+    dropped, received = reader.dropped, 0
+    while reader.receive(0.3) is not None:
+        received += 1
+    assert dropped > 200
+    assert dropped + received == 300
+
+
+def test_a_readers_buffer_holds_a_burst(bus):
+    reader = bus()
+    assert reader._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= BUFFER
+
+
+def test_the_kernel_holds_back_what_no_sensor_listens_to():
+    settings = only({"interface": "socketcan", "channel": "vcan0"}, SMALL.ids | {(0x18FF0000, True)})
+    reader, sender = open_bus(**settings), open_bus(interface="socketcan", channel="vcan0")
+    try:
+        for id_, extended in ((0x123, False), (0x500, True), (0x500, False), (0x18FF0000, True)):
+            sender.send(Message(0.0, id_, b"\1", extended))
+        got = [reader.receive(1.0), reader.receive(1.0)]
+        assert [(each.id, each.extended) for each in got] == [(0x500, False), (0x18FF0000, True)]
+        assert reader.receive(0.3) is None
+    finally:
+        reader.close()
+        sender.close()

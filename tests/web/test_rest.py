@@ -88,6 +88,19 @@ def test_contacts_keep_their_id_from_request_to_request(rig, client):
         assert contact["y_mm"] == pytest.approx(3.5, abs=0.1)
 
 
+def test_what_the_bus_counts_and_how_evenly_frames_come_is_told(rig, client):
+    silent = client.get("/sensors/palm").json()
+    assert (silent["jitter_s"], silent["skew_s"]) == (None, None)
+    rig.show(pressed())
+    told = client.get("/sensors/palm").json()
+    assert told["skew_s"] >= 0
+    assert {kind: told["loss"][kind] for kind in ("dropped", "errors", "bus_off")} == {
+        "dropped": 0,
+        "errors": 0,
+        "bus_off": 0,
+    }
+
+
 def test_a_stale_frame_says_how_stale(rig, client):
     rig.show(pressed())
     until(lambda: client.get("/health").json()["status"] == "degraded")
