@@ -59,7 +59,6 @@ def test_unstopped_richardson_lucy_ends_worse_than_stopped():
     found = iterations.measure(SMALL, 300, (5.0,))
     last = {one.method: one.over_raw for one in found if one.iterations == 300}
     assert last["rl"] < last["unstopped"]
-    assert last["rl"] < 1
 
 
 def test_rules_are_counted_on_the_frames_that_they_decide():
