@@ -8,6 +8,7 @@ import time
 
 import can
 import pytest
+from can.interfaces import virtual
 from typer.testing import CliRunner
 
 from tactiled.bus import recording
@@ -28,7 +29,9 @@ def sending(channel, count=200):
     """A sender on a thread, which waits for the recorder to open its end."""
 
     def go():
-        time.sleep(0.15)
+        end = time.monotonic() + 30
+        while not virtual.channels.get(channel) and time.monotonic() < end:
+            time.sleep(0.005)
         bus = open_bus("virtual", channel=channel)
         for number in range(count):
             bus.send(Message(0.0, 0x500, number.to_bytes(8, "big")))
