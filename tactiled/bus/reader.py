@@ -24,7 +24,7 @@ HINTS = {
     errno.ENOBUFS: "its queue is full: no other node acknowledges, or more is sent than the bus carries",
 }
 
-BUFFER = 4 << 20  # bytes that the kernel keeps for us: 0.3 s of two full 1 Mbit/s buses
+BUFFER = 8 << 20  # bytes that the kernel keeps for us: 0.6 s of two full 1 Mbit/s buses
 SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of SO_MEMINFO's nine numbers counts drops
 BUS_OFF, RESTARTED = 0x40, 0x100  # in the id of SocketCAN's error frames
 OFF = (
@@ -45,12 +45,16 @@ class Reader:
         self.bus_off = 0  # times that the interface left the bus, where it tells (SocketCAN)
         self.off: str | None = None  # that it is off the bus now, and what to do
 
-    def receive(self, timeout: float) -> Message | None:
-        """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
+    def frame(self, timeout: float) -> can.Message | None:
+        """The next frame of any kind, or None after `timeout` (s); BusError where the bus is gone."""
         try:
-            got = self._bus.recv(timeout)
+            return self._bus.recv(timeout)
         except (can.CanError, OSError, ValueError) as error:
             raise _blame(error, self.label) from error
+
+    def receive(self, timeout: float) -> Message | None:
+        """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
+        got = self.frame(timeout)
         if got is None:
             return None
         if got.is_error_frame:

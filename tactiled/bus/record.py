@@ -3,9 +3,6 @@
 import gzip
 import io
 import os
-import platform
-import socket
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,14 +13,12 @@ from typing import Any, BinaryIO, cast
 
 import can
 
-from tactiled.bus.reader import Reader, _blame, open_bus
+from tactiled.bus.reader import Reader, open_bus
 from tactiled.errors import BusError, ConfigError, TactileError
 
 FLUSH_S = 0.25  # how often what has come is put on the disk: a crash costs no more, and a slow disk's time
 WAITING = 100_000  # messages that wait for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
-BUFFER = 1 << 23  # bytes that the kernel keeps for a reader that is late
-SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of the nine numbers counts drops
 
 
 class Tap:
@@ -31,50 +26,16 @@ class Tap:
 
     def __init__(self, reader: Reader) -> None:
         self._reader, self.label = reader, reader.label
-        self._socket = _socket(reader._bus)
-        self._before = self._drops()
-
-    def receive(self, timeout: float) -> can.Message | None:
-        """The next frame of any kind, or None after `timeout` (s); BusError where the bus is gone."""
-        try:
-            return self._reader._bus.recv(timeout)
-        except (can.CanError, OSError, ValueError) as error:
-            raise _blame(error, self.label) from error
+        self.receive = reader.frame
+        self.close = reader.close
+        self._before = reader.dropped
 
     def check(self) -> None:
         """BusError where the kernel has dropped messages that were not taken in time."""
-        if (dropped := self._drops() - self._before) > 0:
+        if (dropped := self._reader.dropped - self._before) > 0:
             raise BusError(
                 f"bus {self.label}: the kernel dropped {dropped} messages: this machine is too busy for it"
             )
-
-    def close(self) -> None:
-        """Let go of the bus."""
-        if self._socket is not None:
-            self._socket.close()
-        self._reader.close()
-
-    def _drops(self) -> int:
-        """Messages that the kernel has dropped since the bus was opened, where it tells."""
-        if self._socket is None or platform.system() != "Linux":
-            return 0
-        try:
-            told = self._socket.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 4 * MEMINFO)
-        except OSError:
-            return 0
-        return int.from_bytes(told[-4:], sys.byteorder) if len(told) == 4 * MEMINFO else 0
-
-
-def _socket(bus: can.BusABC) -> socket.socket | None:
-    """A second handle of the socket behind a bus, its buffer enlarged; None for a bus of another kind."""
-    try:
-        found = socket.socket(fileno=os.dup(bus.fileno()))
-    except (OSError, NotImplementedError):
-        return None
-    for option in (socket.SO_RCVBUF, SO_RCVBUFFORCE):  # the second goes past the system's bound, where allowed to
-        with suppress(OSError):
-            found.setsockopt(socket.SOL_SOCKET, option, BUFFER)
-    return found
 
 
 def open_tap(interface: str, **settings: Any) -> Tap:

@@ -235,9 +235,9 @@ def test_a_bus_that_goes_away_is_told_with_what_was_recorded(tmp_path):
 
 def test_what_the_kernel_drops_ends_it_loudly(tmp_path):
     tap = open_tap("udp_multicast", channel="239.74.163.79")
-    if tap._drops() != 0 or tap._socket is None:
+    if tap._reader.dropped != 0 or tap._reader._socket is None:
         pytest.fail("a socket's drops cannot be seen here")
-    tap._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    tap._reader._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     with can.Bus(interface="udp_multicast", channel="239.74.163.79") as sender:
         for number in range(500):
             sender.send(plain(number))
