@@ -1,17 +1,13 @@
 """`tactiled export`: a recording's images as arrays with their units and provenance."""
 
 import hashlib
-import json
 import re
-import shutil
 import time
-import zipfile
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, BinaryIO
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -23,6 +19,7 @@ from tactiled import __version__
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
 from tactiled.cli.app import app
+from tactiled.cli.columns import Columns, writer
 from tactiled.cli.replay import one_bus
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, make_codec, sensor_plan
@@ -42,10 +39,10 @@ SECRET = re.compile(
 def export(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write, never overwritten: .npz.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write, never overwritten: .npz or .h5.")],
     sensor: Annotated[str | None, typer.Option(help="Which, where the configuration has several.")] = None,
 ) -> None:
-    """Restore every frame of a recording, as fast as it goes, into one .npz file."""
+    """Restore every frame of a recording, as fast as it goes, into one .npz or .h5 file."""
     settings = load(config)
     name = _sensor(settings, sensor)
     _free(out)
@@ -70,8 +67,7 @@ def _sensor(settings: Config, name: str | None) -> str:
 
 def _free(out: Path) -> None:
     """Refuse a name that cannot be written."""
-    if out.suffix != ".npz":
-        raise ConfigError(f"{out}: no format of exports: let its name end in .npz")
+    writer(out)
     if out.exists():
         raise ConfigError(f"{out} is there already: name another file, or remove it first")
     if not out.parent.is_dir():
@@ -94,13 +90,10 @@ def _export(file: Path, settings: Config, config: Path, name: str, out: Path) ->
             about = _about(recording, plan, router.assemblers[name].loss) | {
                 "config": {"file": config.name, "text": SECRET.sub(r'\1"..."', config.read_text("utf-8"))}
             }
-            whole = {
-                "positions_mm": plan.array.positions,
-                "cells_mm": plan.cells.positions,
-                "provenance": np.array(json.dumps(about, indent=1)),
-            }
-            columns.save(Path(room) / "npz", whole)
-            (Path(room) / "npz").rename(out)
+            places = {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions}
+            whole = Path(room) / "whole"
+            writer(out)(columns, whole, places, about)
+            whole.rename(out)
     except OSError as error:
         raise TactileError(f"{out}: {error.strerror or error}: nothing is exported") from error
     return columns.count, recording.told()
@@ -156,45 +149,3 @@ def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]
         "loss": asdict(loss),
         "warnings": plan.warnings,
     }
-
-
-class Columns:
-    """Arrays that grow by a frame at a time, on the disk, so that a long recording needs no memory."""
-
-    def __init__(self, room: Path) -> None:
-        self._room = room
-        self._open: dict[str, BinaryIO] = {}
-        self._forms: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
-        self._closing = ExitStack()
-        self.count = 0
-
-    def add(self, row: dict[str, NDArray[Any]]) -> None:
-        """Append one frame."""
-        for name, array in row.items():
-            if name not in self._open:
-                self._open[name] = self._closing.enter_context((self._room / name).open("wb"))
-                self._forms[name] = array.dtype, array.shape
-            self._open[name].write(array.tobytes())
-        self.count += 1
-
-    def save(self, path: Path, whole: dict[str, NDArray[Any]]) -> None:
-        """Write everything, and the arrays `whole` that are not by frame, as numpy's .npz."""
-        self._closing.close()
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-            for name, (dtype, shape) in self._forms.items():
-                with _entry(archive, name) as entry, (self._room / name).open("rb") as column:
-                    _header(entry, dtype, (self.count, *shape))
-                    shutil.copyfileobj(column, entry, 1 << 20)
-            for name, array in whole.items():
-                with _entry(archive, name) as entry:
-                    np.lib.format.write_array(entry, array, allow_pickle=False)
-
-
-def _entry(archive: zipfile.ZipFile, name: str) -> Any:
-    """A new member; its date is not today's, so that the same export is the same file."""
-    return archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True)
-
-
-def _header(entry: Any, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    told = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-    np.lib.format.write_array_header_1_0(entry, told)

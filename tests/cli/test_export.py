@@ -1,15 +1,18 @@
 import importlib.util
 import json
+import sys
 import tracemalloc
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from tactiled.bus import recording
 from tactiled.cli import app as door
-from tactiled.cli.export import METHOD, SECRET, Columns
+from tactiled.cli.columns import Columns, save_hdf5, save_npz
+from tactiled.cli.export import METHOD, SECRET
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import MISSING
@@ -60,10 +63,32 @@ def test_an_export_is_what_a_replay_shows(tmp_path, config, lossy):
     assert about["config"]["text"] == config.read_text().replace("0123456789abcdef", "...")
 
 
-def test_the_same_export_is_the_same_file(tmp_path, config, lossy):
-    for name in ("a.npz", "b.npz"):
+@pytest.mark.parametrize("ending", ["npz", "h5"])
+def test_the_same_export_is_the_same_file(tmp_path, config, lossy, ending):
+    one, other = (tmp_path / f"{name}.{ending}" for name in "ab")
+    for out in (one, other):
+        assert run(lossy, "--config", config, "-o", out).exit_code == 0
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_hdf5_holds_the_same_with_each_unit_beside_its_array(tmp_path, config, lossy):
+    for name in ("a.npz", "a.h5"):
         assert run(lossy, "--config", config, "-o", tmp_path / name).exit_code == 0
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz") as wanted, h5py.File(tmp_path / "a.h5") as got:
+        assert {*got} | {"provenance"} == {*wanted}
+        for name in got:
+            there = got[name].asstr()[()].astype(METHOD) if name == "method" else got[name][()]
+            assert there.dtype == wanted[name].dtype
+            assert there.tobytes() == wanted[name].tobytes()
+        assert got.attrs["provenance"] == wanted["provenance"].item()
+        assert got["raw"].attrs["units"] == "kPa"
+        assert got["cells_mm"].attrs["units"].startswith("mm")
+
+
+def test_hdf5_without_its_library_is_told_before_any_work(tmp_path, config, lossy, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    told = run(lossy, "--config", config, "-o", tmp_path / "a.h5").exception
+    assert str(told) == "--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz"
 
 
 def test_a_skin_without_a_grid(tmp_path):
@@ -121,21 +146,24 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, mon
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_memory_does_not_grow_with_the_recording(tmp_path):
-    columns = Columns(tmp_path)
+@pytest.mark.parametrize(("save", "load"), [(save_npz, np.load), (save_hdf5, h5py.File)])
+def test_memory_does_not_grow_with_the_recording(tmp_path, save, load):
+    columns, out = Columns(tmp_path), tmp_path / "out"
     row = {"raw": np.ones((64, 64), np.float32), "method": np.array("wiener", METHOD)}
     tracemalloc.start()
     for _ in range(2000):
         columns.add(row)
-    columns.save(tmp_path / "a.npz", {"whole": np.arange(3)})
+    save(columns, out, {"whole": np.arange(3)}, {"units": {"raw": "kPa"}})
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 5e6  # of 33e6
-    with np.load(tmp_path / "a.npz") as got:
+    with load(out) as got:
         assert got["raw"].shape == (2000, 64, 64)
-        assert got["raw"].sum() == 2000 * 64 * 64
-        assert set(got["method"].tolist()) == {"wiener"}
-        assert got["whole"].tolist() == [0, 1, 2]
+        assert got["raw"][()].sum() == 2000 * 64 * 64
+        assert {str(each, "ascii") if isinstance(each, bytes) else str(each) for each in got["method"]} == {
+            "wiener"
+        }
+        assert got["whole"][()].tolist() == [0, 1, 2]
 
 
 def test_the_names_of_all_methods_fit():

@@ -1,0 +1,105 @@
+"""Arrays that grow by a frame at a time, on the disk, and the files that they end in."""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import ModuleType
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.errors import ConfigError
+
+Arrays = dict[str, NDArray[Any]]
+PIECE = 1 << 20  # bytes that are copied at a time
+
+
+class Columns:
+    """One file for each array of a frame, so that a long recording needs no memory."""
+
+    def __init__(self, room: Path) -> None:
+        self._room = room
+        self._open: dict[str, BinaryIO] = {}
+        self._forms: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
+        self._closing = ExitStack()
+        self.count = 0
+
+    def add(self, row: Arrays) -> None:
+        """Append one frame."""
+        for name, array in row.items():
+            if name not in self._open:
+                self._open[name] = self._closing.enter_context((self._room / name).open("wb"))
+                self._forms[name] = array.dtype, array.shape
+            self._open[name].write(array.tobytes())
+        self.count += 1
+
+    def each(self) -> Iterator[tuple[str, np.dtype[Any], tuple[int, ...], Path]]:
+        """Name, type, shape (frames first) and file of every array; nothing can be added after that."""
+        self._closing.close()
+        for name, (dtype, shape) in self._forms.items():
+            yield name, dtype, (self.count, *shape), self._room / name
+
+
+def save_npz(columns: Columns, path: Path, places: Arrays, about: dict[str, Any]) -> None:
+    """Write everything as numpy's .npz, `about` as JSON in `provenance`."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+        for name, dtype, shape, file in columns.each():
+            with _entry(archive, name) as entry, file.open("rb") as column:
+                _header(entry, dtype, shape)
+                shutil.copyfileobj(column, entry, PIECE)
+        for name, array in (places | {"provenance": np.array(json.dumps(about, indent=1))}).items():
+            with _entry(archive, name) as entry:
+                np.lib.format.write_array(entry, array, allow_pickle=False)
+
+
+def _entry(archive: zipfile.ZipFile, name: str) -> Any:
+    """A new member; its date is not today's, so that the same export is the same file."""
+    return archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True)
+
+
+def _header(entry: Any, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    told = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(entry, told)
+
+
+def save_hdf5(columns: Columns, path: Path, places: Arrays, about: dict[str, Any]) -> None:
+    """Write everything as HDF5: each array with its `units`, `about` as JSON in the file's `provenance`."""
+    with _h5py().File(path, "w") as file:
+        for name, dtype, shape, column in columns.each():
+            kept = np.dtype(f"S{dtype.itemsize // 4}") if dtype.kind == "U" else dtype
+            made = file.create_dataset(name, shape, kept)
+            values = np.memmap(column, dtype, "r", shape=shape)
+            for start in range(0, shape[0], step := max(1, PIECE // max(1, values[0].nbytes))):
+                made[start : start + step] = values[start : start + step].astype(kept, copy=False)
+        for name, array in places.items():
+            file[name] = array
+        for name, unit in about["units"].items():
+            file[name].attrs["units"] = unit
+        file.attrs["provenance"] = json.dumps(about, indent=1)
+
+
+def _h5py() -> ModuleType:
+    try:
+        import h5py
+    except ImportError as error:
+        raise ConfigError("--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz") from error
+    return h5py  # type: ignore[no-any-return]
+
+
+WRITERS: dict[str, Callable[[Columns, Path, Arrays, dict[str, Any]], None]] = {
+    ".npz": save_npz,
+    ".h5": save_hdf5,
+}
+
+
+def writer(path: Path) -> Callable[[Columns, Path, Arrays, dict[str, Any]], None]:
+    """What writes a file of that ending; ConfigError, before any work, where nothing does."""
+    if path.suffix not in WRITERS:
+        raise ConfigError(f"{path}: no format of exports: let its name end in {' or '.join(WRITERS)}")
+    if path.suffix == ".h5":
+        _h5py()
+    return WRITERS[path.suffix]
