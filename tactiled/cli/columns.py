@@ -3,16 +3,13 @@
 import json
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tactiled.errors import ConfigError
 
 Arrays = dict[str, NDArray[Any]]
 PIECE = 1 << 20  # bytes that are copied at a time
@@ -68,7 +65,9 @@ def _header(entry: Any, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
 
 def save_hdf5(columns: Columns, path: Path, places: Arrays, about: dict[str, Any]) -> None:
     """Write everything as HDF5: each array with its `units`, `about` as JSON in the file's `provenance`."""
-    with _h5py().File(path, "w") as file:
+    import h5py
+
+    with h5py.File(path, "w") as file:
         for name, dtype, shape, column in columns.each():
             kept = np.dtype(f"S{dtype.itemsize // 4}") if dtype.kind == "U" else dtype
             made = file.create_dataset(name, shape, kept)
@@ -80,26 +79,3 @@ def save_hdf5(columns: Columns, path: Path, places: Arrays, about: dict[str, Any
         for name, unit in about["units"].items():
             file[name].attrs["units"] = unit
         file.attrs["provenance"] = json.dumps(about, indent=1)
-
-
-def _h5py() -> ModuleType:
-    try:
-        import h5py
-    except ImportError as error:
-        raise ConfigError("--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz") from error
-    return h5py  # type: ignore[no-any-return]
-
-
-WRITERS: dict[str, Callable[[Columns, Path, Arrays, dict[str, Any]], None]] = {
-    ".npz": save_npz,
-    ".h5": save_hdf5,
-}
-
-
-def writer(path: Path) -> Callable[[Columns, Path, Arrays, dict[str, Any]], None]:
-    """What writes a file of that ending; ConfigError, before any work, where nothing does."""
-    if path.suffix not in WRITERS:
-        raise ConfigError(f"{path}: no format of exports: let its name end in {' or '.join(WRITERS)}")
-    if path.suffix == ".h5":
-        _h5py()
-    return WRITERS[path.suffix]

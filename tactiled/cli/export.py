@@ -4,14 +4,13 @@ import hashlib
 import re
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, astuple, fields
+from contextlib import ExitStack
+from dataclasses import asdict, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
@@ -19,17 +18,16 @@ from tactiled import __version__
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
 from tactiled.cli.app import app
-from tactiled.cli.columns import Columns, writer
 from tactiled.cli.replay import one_bus
+from tactiled.cli.sinks import FORMATS, Sink
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, make_codec, sensor_plan
 from tactiled.errors import ConfigError, TactileError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Loss
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Loss, Message
 from tactiled.pipeline import Pipeline
 
 FLAGS = {"MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED}
 LOSS = tuple(each.name for each in fields(Loss))
-METHOD = "<U16"  # longer than any method's name
 SECRET = re.compile(
     r"""(?s)((?:read_token|control_token)["']?\s*=\s*)(""{2}.*?""{2}|'''.*?'''|"(?:\\.|[^"\\])*"|'[^']*')"""
 )
@@ -39,16 +37,18 @@ SECRET = re.compile(
 def export(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write, never overwritten: .npz or .h5.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write, never overwritten: .npz, .h5 or .mcap.")
+    ],
     sensor: Annotated[str | None, typer.Option(help="Which, where the configuration has several.")] = None,
 ) -> None:
-    """Restore every frame of a recording, as fast as it goes, into one .npz or .h5 file."""
+    """Restore every frame of a recording, as fast as it goes, into one file of arrays, or one for Foxglove."""
     settings = load(config)
     name = _sensor(settings, sensor)
-    _free(out)
+    make = _free(out)
     began = time.perf_counter()
     with threadpool_limits(1):
-        count, messages = _export(file, settings, config, name, out)
+        count, messages = _export(file, settings, config, name, out, make)
     took = time.perf_counter() - began
     Console(soft_wrap=True, highlight=False).print(
         f"{out}: {count} frames of {name} from {messages} in {took:.1f} s", markup=False
@@ -65,57 +65,51 @@ def _sensor(settings: Config, name: str | None) -> str:
     return name or next(iter(settings.sensor))
 
 
-def _free(out: Path) -> None:
-    """Refuse a name that cannot be written."""
-    writer(out)
+def _free(out: Path) -> type[Sink]:
+    """What writes a file of that name; ConfigError where it cannot be written."""
+    if out.suffix not in FORMATS:
+        raise ConfigError(f"{out}: no format of exports: let its name end in {', '.join(FORMATS)}")
+    FORMATS[out.suffix].check()
     if out.exists():
         raise ConfigError(f"{out} is there already: name another file, or remove it first")
     if not out.parent.is_dir():
         raise ConfigError(f"{out}: no such directory: name a file that can be written")
+    return FORMATS[out.suffix]
 
 
-def _export(file: Path, settings: Config, config: Path, name: str, out: Path) -> tuple[int, str]:
+def _export(file: Path, settings: Config, config: Path, name: str, out: Path, make: type[Sink]) -> tuple[int, str]:
     """Write the file; how many frames, and of what."""
     plan = sensor_plan(name, settings.sensor[name])
     beside = one_bus(settings, plan.bus).sensor
     router = Router({key: make_codec(each) for key, each in beside.items()})
-    recording = Recording(file)
+    recording, count = Recording(file), 0
     try:
-        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room:
-            columns = Columns(Path(room))
-            for image in _images(recording, router, plan):
-                columns.add(_row(image))
-            if not columns.count:
+        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room, ExitStack() as closing:
+            sink = closing.enter_context(make(Path(room), plan))
+            for image in _images(_heard(recording, sink), router, plan):
+                sink.image(image)
+                count += 1
+            if not count:
                 raise ConfigError(f"recording {file}: holds no frame of sensor {name} ({recording.told()})")
             about = _about(recording, plan, router.assemblers[name].loss) | {
                 "config": {"file": config.name, "text": SECRET.sub(r'\1"..."', config.read_text("utf-8"))}
             }
-            places = {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions}
-            whole = Path(room) / "whole"
-            writer(out)(columns, whole, places, about)
-            whole.rename(out)
+            sink.end(about).rename(out)
     except OSError as error:
         raise TactileError(f"{out}: {error.strerror or error}: nothing is exported") from error
-    return columns.count, recording.told()
+    return count, recording.told()
 
 
-def _images(recording: Recording, router: Router, plan: SensorPlan) -> Iterator[Image]:
+def _heard(recording: Recording, sink: Sink) -> Iterator[Message]:
+    """A recording's messages, each of which the sink gets too."""
+    for message in recording:
+        sink.message(message)
+        yield message
+
+
+def _images(messages: Iterator[Message], router: Router, plan: SensorPlan) -> Iterator[Image]:
     pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
-    return (pipeline.process(frame) for name, frame in frames(recording, router) if name == plan.name)
-
-
-def _row(image: Image) -> dict[str, NDArray[Any]]:
-    """What is kept of one frame."""
-    return {
-        "raw": image.raw.astype("<f4", copy=False),
-        "restored": image.restored.astype("<f4", copy=False),
-        "flags": image.flags,
-        "time": np.array(image.time, "<f8"),
-        "sequence": np.array(image.sequence, "<i8"),
-        "method": np.array(image.method, METHOD),
-        "noise_kpa": np.array(image.noise_kpa, "<f8"),
-        "loss": np.array(astuple(image.loss), "<i8"),
-    }
+    return (pipeline.process(frame) for name, frame in frames(messages, router) if name == plan.name)
 
 
 def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]:

@@ -1,18 +1,24 @@
 import importlib.util
 import json
-import sys
 import tracemalloc
+from base64 import b64decode
+from collections import defaultdict
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
 from tactiled.bus import recording
 from tactiled.cli import app as door
 from tactiled.cli.columns import Columns, save_hdf5, save_npz
-from tactiled.cli.export import METHOD, SECRET
+from tactiled.cli.export import SECRET
+from tactiled.cli.sinks import METHOD
+from tactiled.config import load
+from tactiled.config.build import sensor_plan
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import MISSING
@@ -63,7 +69,7 @@ def test_an_export_is_what_a_replay_shows(tmp_path, config, lossy):
     assert about["config"]["text"] == config.read_text().replace("0123456789abcdef", "...")
 
 
-@pytest.mark.parametrize("ending", ["npz", "h5"])
+@pytest.mark.parametrize("ending", ["npz", "h5", "mcap"])
 def test_the_same_export_is_the_same_file(tmp_path, config, lossy, ending):
     one, other = (tmp_path / f"{name}.{ending}" for name in "ab")
     for out in (one, other):
@@ -85,8 +91,71 @@ def test_hdf5_holds_the_same_with_each_unit_beside_its_array(tmp_path, config, l
         assert got["cells_mm"].attrs["units"].startswith("mm")
 
 
+def test_mcap_holds_images_and_messages_to_scale_in_foxgloves_schemas(tmp_path, config, lossy):
+    for name in ("a.npz", "a.mcap"):
+        assert run(lossy, "--config", config, "-o", tmp_path / name).exit_code == 0
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory(), json_decoder])
+        got = defaultdict(list)
+        for each in reader.iter_decoded_messages():
+            got[each.channel.topic].append(each)
+        kept = json.loads(next(iter(reader.iter_metadata())).metadata["json"])
+    with np.load(tmp_path / "a.npz") as wanted:
+        assert kept == json.loads(wanted["provenance"].item())
+        for topic, name in (("/palm/raw", "raw"), ("/palm/restored", "restored")):
+            assert {each.schema.name for each in got[topic]} == {"foxglove.Grid"}
+            images = [pressures(each.decoded_message) for each in got[topic]]
+            np.testing.assert_array_equal(images, wanted[name])
+        assert [each.decoded_message["method"] for each in got["/palm/status"]] == wanted["method"].tolist()
+        times = [each.message.log_time for each in got["/palm/raw"]]
+        np.testing.assert_allclose(np.array(times) * 1e-9, wanted["time"], atol=1e-6)
+    grid = got["/palm/raw"][0].decoded_message
+    assert (grid.frame_id, grid.column_count, grid.cell_size.x, grid.cell_size.y) == ("palm", 8, 0.001, 0.001)
+    assert (grid.pose.position.x, grid.pose.position.y) == (-0.0005, -0.0005)
+    sent = [(each.id, bytes(each.data)) for each in recording.read(lossy)]
+    heard = [(each.decoded_message["id"], b64decode(each.decoded_message["data"])) for each in got["/can0"]]
+    assert heard == sent[: len(heard)]
+    assert len(heard) == 177
+
+
+def json_decoder(encoding, _):
+    return json.loads if encoding == "json" else None
+
+
+json_decoder.decoder_for = json_decoder
+
+
+def pressures(grid):
+    offset = {each.name: each.offset for each in grid.fields}["pressure_kpa"]
+    cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.cell_stride)
+    return cells[:, offset : offset + 4].copy().view("<f4").reshape(-1, grid.column_count)
+
+
+def test_a_layout_is_a_cloud_of_points_in_mcap(tmp_path):
+    path, out = tmp_path / "hand.toml", tmp_path / "a.mcap"
+    path.write_text(GRASP)
+    assert run(recording.path("book_1"), "--config", path, "-o", out).exit_code == 0
+    with out.open("rb") as file:
+        clouds = [
+            each.decoded_message
+            for each in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/hand/raw")
+            if each.schema.name == "foxglove.PointCloud"
+        ]
+    assert len(clouds) == 15
+    points = np.frombuffer(clouds[0].data, "<f4, <f4, <f4, <f4, u1")
+    assert (len(points), clouds[0].point_stride) == (60, 17)
+    places = sensor_plan("hand", load(path).sensor["hand"]).array.positions
+    np.testing.assert_allclose(np.column_stack([points["f0"], points["f1"]]), 1e-3 * places, atol=1e-7)
+
+
+def test_mcap_without_its_library_is_told_before_any_work(tmp_path, config, lossy, monkeypatch):
+    monkeypatch.setattr("tactiled.foxglove.messages", None)
+    told = run(lossy, "--config", config, "-o", tmp_path / "a.mcap").exception
+    assert str(told) == "--out: .mcap needs Foxglove's SDK: pip install 'tactiled[foxglove]'"
+
+
 def test_hdf5_without_its_library_is_told_before_any_work(tmp_path, config, lossy, monkeypatch):
-    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setattr("tactiled.cli.sinks.find_spec", {"h5py": None}.__getitem__)
     told = run(lossy, "--config", config, "-o", tmp_path / "a.h5").exception
     assert str(told) == "--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz"
 
@@ -121,7 +190,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(tmp_path, conf
     there.write_text("mine")
     before = sorted(tmp_path.iterdir())
     for recorded, out, says in (
-        (lossy, tmp_path / "a.csv", "let its name end in .npz"),
+        (lossy, tmp_path / "a.csv", "let its name end in .npz, .h5, .mcap"),
         (lossy, there, "is there already"),
         (lossy, tmp_path / "gone" / "a.npz", "no such directory"),
         (tmp_path / "gone.log", tmp_path / "a.npz", "gone.log: No such file"),

@@ -1,0 +1,158 @@
+"""Images and messages in Foxglove's schemas; the only room that knows its SDK, which is an extra.
+
+Grids are foxglove.Grid, layouts foxglove.PointCloud, true to scale in m: x along a row, y down a column, in the
+array's own frame of reference, which bears the sensor's name.
+"""
+
+import base64
+import json
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.errors import ConfigError
+from tactiled.frames import Image, Message
+from tactiled.geometry import Array, Cells
+
+try:
+    from foxglove import messages
+except ImportError:
+    messages = None  # type: ignore[assignment]
+
+Floats = NDArray[np.float64]
+
+MM = 1e-3  # m
+BUS = {
+    "title": "CAN frame",
+    "type": "object",
+    "properties": {
+        "id": {"type": "integer", "description": "CAN id, 11 bits, or 29 where extended"},
+        "extended": {"type": "boolean"},
+        "fd": {"type": "boolean", "description": "CAN FD"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+    },
+}
+STATUS = {
+    "title": "tactiled status",
+    "type": "object",
+    "properties": {
+        "sequence": {"type": "integer", "description": "counts up without wrapping, lost frames included"},
+        "method": {"type": "string"},
+        "why": {"type": "string"},
+        "iterations": {"type": "integer"},
+        "noise_kpa": {"type": "number", "description": "standard deviation of one raw taxel"},
+        "noise_gain": {"type": "number", "description": "restored noise over raw noise"},
+        "resolution_mm": {"type": "number", "description": "finest half-period above the noise"},
+        "force_n": {"type": "number", "description": "whole force of the restored image"},
+        "peak_kpa": {"type": "number", "description": "highest pressure of the restored image"},
+        "loss": {"type": "object", "description": "counts so far by kind"},
+        "warnings": {"type": "array", "items": {"type": "string"}},
+    },
+}
+
+
+class Topic(NamedTuple):
+    """What a topic's messages are."""
+
+    name: str
+    encoding: str  # of its messages: protobuf, json
+    schema: str
+    schema_encoding: str
+    schema_data: bytes
+
+
+def need(what: str) -> None:
+    """Raise ConfigError, which says what to install, where Foxglove's SDK is not there."""
+    if messages is None:
+        raise ConfigError(f"{what} needs Foxglove's SDK: pip install 'tactiled[foxglove]'")
+
+
+def stamp(time: float) -> int:
+    """Nanoseconds of a time (s)."""
+    return round(time * 1e9)
+
+
+def _json(name: str, schema: dict[str, Any]) -> Topic:
+    return Topic(name, "json", schema["title"], "jsonschema", json.dumps(schema).encode())
+
+
+class Surface:
+    """One kind of image, its cells at `positions` (N, 2) and, on a grid, of a `side` (mm)."""
+
+    def __init__(
+        self, name: str, shape: tuple[int, ...], positions: Floats, side: float, flagged: bool = False
+    ) -> None:
+        self._frame, self._columns = name.split("/")[1], shape[-1]
+        self._grid, self._side = len(shape) == 2, MM * side
+        form = [("pressure_kpa", "<f4"), ("flags", "u1")][: 1 + flagged]
+        self._data = np.zeros(shape, form if self._grid else [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *form])
+        x, y = (MM * (positions[0] - side / 2)).tolist() if self._grid else (0.0, 0.0)
+        if not self._grid:
+            self._data["x"], self._data["y"] = MM * positions.T
+        self._pose = messages.Pose(
+            position=messages.Vector3(x=x, y=y, z=0), orientation=messages.Quaternion(x=0, y=0, z=0, w=1)
+        )
+        self._fields = [_field(self._data.dtype, each) for each in self._data.dtype.names or ()]
+        schema = (messages.Grid if self._grid else messages.PointCloud).get_schema()
+        self.topic = Topic(name, "protobuf", schema.name, schema.encoding, schema.data)
+
+    def message(self, time: float, pressure: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> bytes:
+        """One image (kPa) of a time (s)."""
+        self._data["pressure_kpa"] = pressure
+        if flags is not None:
+            self._data["flags"] = flags
+        stride, at = self._data.itemsize, stamp(time)
+        told: dict[str, Any] = {
+            "timestamp": messages.Timestamp(sec=at // 10**9, nsec=at % 10**9),
+            "frame_id": self._frame,
+            "pose": self._pose,
+            "fields": self._fields,
+            "data": self._data.tobytes(),
+        }
+        if not self._grid:
+            return messages.PointCloud(**told, point_stride=stride).encode()
+        side = messages.Vector2(x=self._side, y=self._side)
+        rows: dict[str, Any] = {"row_stride": self._columns * stride, "cell_stride": stride}
+        return messages.Grid(**told, **rows, column_count=self._columns, cell_size=side).encode()
+
+
+def _field(form: np.dtype[Any], name: str) -> Any:
+    kind, offset = (form.fields or {name: (form, 0)})[name][:2]
+    number = messages.PackedElementFieldNumericType
+    return messages.PackedElementField(
+        name=name, offset=offset, type=number.Uint8 if kind == np.uint8 else number.Float32
+    )
+
+
+class Topics:
+    """One sensor's topics: /NAME/raw, /NAME/restored and /NAME/status."""
+
+    def __init__(self, name: str, array: Array, cells: Cells, surface_shape: tuple[int, ...]) -> None:
+        side = array.pitch * array.frame_shape[0] / surface_shape[0]
+        self._raw = Surface(f"/{name}/raw", array.frame_shape, array.positions, array.pitch, True)
+        self._restored = Surface(f"/{name}/restored", surface_shape, cells.positions, side)
+        self._areas = 1e-3 * cells.areas.astype(np.float32)  # kPa mm^2 are mN
+        self.topics = self._raw.topic, self._restored.topic, _json(f"/{name}/status", STATUS)
+
+    def messages(self, image: Image) -> tuple[bytes, bytes, bytes]:
+        """One image with all that is known of it: a message for each of the topics."""
+        told = {key: getattr(image, key) for key in STATUS["properties"] if hasattr(image, key)}
+        told["force_n"] = float(np.dot(self._areas, image.restored.reshape(-1)))
+        told["peak_kpa"] = float(image.restored.max(initial=0))
+        told["loss"], told["warnings"] = asdict(image.loss), list(image.warnings)
+        raw = self._raw.message(image.time, image.raw, image.flags)
+        return raw, self._restored.message(image.time, image.restored), json.dumps(told).encode()
+
+
+def bus_topic(name: str) -> Topic:
+    """A bus's data frames: /NAME."""
+    return _json(f"/{name}", BUS)
+
+
+def bus_message(message: Message) -> bytes:
+    """One data frame."""
+    data = base64.b64encode(message.data).decode()
+    told = {"id": message.id, "extended": message.extended, "fd": message.fd, "data": data}
+    return json.dumps(told).encode()
