@@ -1,11 +1,15 @@
 """The command line's one door: a clear line and exit code 2 for every error that is the user's to mend."""
 
+import signal
 import sys
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from threading import Event
 
 import typer
 from rich.console import Console
 
-from tactiled.errors import TactileError
+from tactiled.errors import ConfigError, TactileError
 
 app = typer.Typer(
     name="tactiled",
@@ -25,3 +29,24 @@ def main() -> None:
     except TactileError as error:
         Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", str(error), markup=False)
         sys.exit(2)
+
+
+@contextmanager
+def interrupted() -> Iterator[Event]:
+    """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
+    stop = Event()
+    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def choose(option: str, name: str | None, known: Collection[str]) -> str:
+    """The one of `known` that --`option` names, or the only one there is; ConfigError otherwise."""
+    if name is None and len(known) > 1:
+        raise ConfigError(f"--{option} is missing: choose one of {', '.join(known)}")
+    if name is not None and name not in known:
+        raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(known)}")
+    return name or next(iter(known))

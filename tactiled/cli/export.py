@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from tactiled import __version__
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
-from tactiled.cli.app import app
+from tactiled.cli.app import app, choose
 from tactiled.cli.replay import one_bus
 from tactiled.cli.sinks import FORMATS, Sink
 from tactiled.config import Config, load
@@ -44,7 +44,7 @@ def export(
 ) -> None:
     """Restore every frame of a recording, as fast as it goes, into one file of arrays, or one for Foxglove."""
     settings = load(config)
-    name = _sensor(settings, sensor)
+    name = choose("sensor", sensor, settings.sensor)
     make = _free(out)
     began = time.perf_counter()
     with threadpool_limits(1):
@@ -53,16 +53,6 @@ def export(
     Console(soft_wrap=True, highlight=False).print(
         f"{out}: {count} frames of {name} from {messages} in {took:.1f} s", markup=False
     )
-
-
-def _sensor(settings: Config, name: str | None) -> str:
-    """The sensor asked for, or the only one there is; ConfigError otherwise."""
-    known = ", ".join(settings.sensor)
-    if name is None and len(settings.sensor) > 1:
-        raise ConfigError(f"--sensor is missing: choose one of {known}")
-    if name is not None and name not in settings.sensor:
-        raise ConfigError(f"--sensor {name}: no such sensor: choose one of {known}")
-    return name or next(iter(settings.sensor))
 
 
 def _free(out: Path) -> type[Sink]:

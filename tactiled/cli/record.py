@@ -7,8 +7,7 @@ import typer
 from rich.console import Console
 
 from tactiled.bus.record import Recorder, open_tap, record
-from tactiled.cli.app import app
-from tactiled.cli.simulate import _interrupt
+from tactiled.cli.app import app, choose, interrupted
 from tactiled.config import Config, load
 from tactiled.errors import ConfigError
 
@@ -36,7 +35,7 @@ def record_(
     console = Console(soft_wrap=True, highlight=False)
     tap = open_tap(**settings)
     try:
-        with _interrupt() as stop:
+        with interrupted() as stop:
             console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
             written = record(tap, Recorder(out), stop, float("inf") if seconds is None else seconds)
     finally:
@@ -57,14 +56,4 @@ def bus_settings(
         return {"interface": interface} | options
     if interface is not None or options:
         raise ConfigError("--config: says how to open the bus: leave out --interface and the options beside it")
-    return config.bus[bus_name(config, bus)].settings()
-
-
-def bus_name(config: Config, bus: str | None) -> str:
-    """The bus asked for, or the only one there is; ConfigError otherwise."""
-    known = ", ".join(config.bus)
-    if bus is None and len(config.bus) > 1:
-        raise ConfigError(f"--bus is missing: choose one of {known}")
-    if bus is not None and bus not in config.bus:
-        raise ConfigError(f"--bus {bus}: no such bus: choose one of {known}")
-    return bus or next(iter(config.bus))
+    return config.bus[choose("bus", bus, config.bus)].settings()

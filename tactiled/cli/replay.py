@@ -8,8 +8,7 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.replay import Replay
-from tactiled.cli.app import app
-from tactiled.cli.record import bus_name
+from tactiled.cli.app import app, choose
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 from tactiled.service import Sensor, Service
@@ -56,7 +55,7 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
 
 def one_bus(settings: Config, bus: str | None) -> Config:
     """The configuration of one bus and its sensors; ConfigError where it has none."""
-    name = bus_name(settings, bus)
+    name = choose("bus", bus, settings.bus)
     sensors = {key: each for key, each in settings.sensor.items() if each.bus == name}
     if not sensors:
         raise ConfigError(f"bus {name}: no sensor of the configuration is on it")

@@ -1,11 +1,7 @@
 """`tactiled simulate`: an array under a cover that is not there, on any bus that python-can knows."""
 
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from threading import Event
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +9,7 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.reader import open_bus
-from tactiled.cli.app import app
+from tactiled.cli.app import app, choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
 from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
 from tactiled.config.example import EXAMPLE
@@ -53,7 +49,7 @@ def simulate(
     console.print(f"{name}: {scene} on {sender.label} at {rate_hz:g} Hz: end it by Ctrl-C", markup=False)
     began = time.monotonic()
     try:
-        with threadpool_limits(1), _interrupt() as stop:
+        with threadpool_limits(1), interrupted() as stop:
             sent = play(source.messages, sender.send, rate_hz, stop, float("inf") if seconds is None else seconds)
     finally:
         sender.close()
@@ -61,26 +57,9 @@ def simulate(
     console.print(f"sent {sent} frames of {source.codec.segments} messages in {took:.1f} s", markup=False)
 
 
-@contextmanager
-def _interrupt() -> Iterator[Event]:
-    """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
-    stop = Event()
-    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
-
-
 def _chosen(settings: Config, name: str | None, fd: bool | None) -> tuple[str, Sensor]:
     """The sensor asked for, with the kind of message asked for; ConfigError where there is none such."""
-    known = ", ".join(settings.sensor)
-    if name is None and len(settings.sensor) > 1:
-        raise ConfigError(f"--sensor is missing: choose one of {known}")
-    name = name or next(iter(settings.sensor))
-    if name not in settings.sensor:
-        raise ConfigError(f"--sensor {name}: no such sensor: choose one of {known}")
+    name = choose("sensor", name, settings.sensor)
     one = settings.sensor[name]
     if fd is None:
         return name, one

@@ -10,8 +10,7 @@ from rich.console import Console
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Found, Heard, recognise
-from tactiled.cli.app import app
-from tactiled.cli.simulate import _interrupt
+from tactiled.cli.app import app, interrupted
 from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
@@ -96,7 +95,7 @@ def _listen(settings: dict[str, Any], seconds: float) -> list[Message]:
     reader = open_bus(**settings)
     heard: list[Message] = []
     try:
-        with _interrupt() as stop:
+        with interrupted() as stop:
             end = time.monotonic() + seconds
             while not stop.is_set() and (left := end - time.monotonic()) > 0 and len(heard) < MOST:
                 if (message := reader.receive(min(left, POLL_S))) is not None:
