@@ -16,6 +16,7 @@ from tactiled.simulate.scenes import SCENES
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
 STAY_S = 8.0  # of a tour in each scene
+ROUNDING_S = 1e-6  # of deadlines: a frame due this close before the end belongs behind it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +66,7 @@ def play(
     """
     began = due = time.monotonic()
     sequence = 0
-    while due - began < seconds and not stop.wait(max(0.0, due - time.monotonic())):
+    while due - began < seconds - ROUNDING_S and not stop.wait(max(0.0, due - time.monotonic())):
         for message in source(sequence, due - began, time.time()):
             send(message)
         sequence += 1

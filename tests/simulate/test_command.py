@@ -1,7 +1,7 @@
 import os
 import signal
 import tty
-from threading import Timer
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -100,9 +100,18 @@ def test_a_serial_adapter_gets_its_own_words(tmp_path):
 
 
 def test_an_interrupt_ends_it_between_two_frames(listener, request):
-    Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    other = open_bus(interface="virtual", channel=request.node.name)
+
+    def interrupt():
+        if other.receive(60.0):  # it sends
+            os.kill(os.getpid(), signal.SIGINT)
+
+    thread = Thread(target=interrupt)
+    thread.start()
     result = run(f"--interface virtual --channel {request.node.name} --scene empty")
-    assert result.exit_code == 0
+    thread.join()
+    other.close()
+    assert result.exit_code == 0, result.output
     frames, loss = frames_of(listener, make_codec(parse(EXAMPLE).sensor["palm"]))
     assert f"sent {len(frames)} frames" in result.output
     assert loss.incomplete == 0

@@ -71,6 +71,10 @@ def test_messages_go_out_in_order_with_the_time_of_their_frame():
     assert all(abs(each.time - time.time()) < 5 for each in sent)
 
 
+def test_rounding_sends_no_frame_more_than_was_asked_for():
+    assert max(play(one, lambda _: None, 1000.0, Event(), 0.003) for _ in range(50)) == 3
+
+
 def test_the_stop_is_seen_between_two_frames():
     stop = Event()
     Timer(0.1, stop.set).start()
