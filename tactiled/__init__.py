@@ -2,4 +2,7 @@
 
 from importlib.metadata import version
 
+from tactiled.client import connect
+
+__all__ = ["__version__", "connect"]
 __version__ = version("tactiled")

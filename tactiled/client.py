@@ -1,15 +1,15 @@
 """A client of the service: live images as numpy arrays, reconnecting; and the few things one asks of it.
 
-from tactiled.client import connect
+import tactiled
 
-for image in connect("http://127.0.0.1:8000").stream("palm"):
+for image in tactiled.connect("http://127.0.0.1:8000").stream("palm"):
     print(image.sequence, image.restored.max(), "kPa")
 """
 
 import asyncio
 import json
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.error import HTTPError, URLError
@@ -27,6 +27,7 @@ from tactiled.web.wire import Unpacked, unpack
 
 ANSWER_S = 10.0  # that the service may take to answer
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
+LOST = OSError, ConnectionClosed, InvalidHandshake, InvalidURI  # TimeoutError is an OSError
 REFUSED = range(4400, 4500)  # close codes that another attempt will meet again
 
 
@@ -42,6 +43,7 @@ class Image:
     noise_kpa: float
     resolution_mm: float
     status: dict[str, Any] = field(default_factory=dict)  # what the stream said last: state, loss, warnings, ...
+    sensor: str = ""
 
 
 def connect(url: str, token: str | None = None) -> "Client":
@@ -54,25 +56,76 @@ def connect(url: str, token: str | None = None) -> "Client":
 class _Pairs:
     """Puts a stream's messages together: one image when both of its kinds are in."""
 
-    def __init__(self) -> None:
-        self._raw: Unpacked | None = None
-        self._status: dict[str, Any] = {}
+    def __init__(self, sensor: str) -> None:
+        self._sensor = sensor  # of messages that name none
+        self._raw: dict[str, Unpacked] = {}
+        self._status: dict[str, dict[str, Any]] = {}
 
     def take(self, data: str | bytes) -> Image | None:
         if isinstance(data, str):
-            self._status = json.loads(data)
+            said = json.loads(data)
+            self._status[said["sensor"]] = said
             return None
         part = unpack(data)
+        name = part.sensor or self._sensor
         if part.kind == "raw":
-            self._raw = part
+            self._raw[name] = part
             return None
-        raw = self._raw
+        raw = self._raw.get(name)
         if raw is None or raw.sequence != part.sequence:
             return None
         return Image(
             raw.values, part.values, raw.flags, raw.sequence, raw.timestamp, raw.noise_kpa, raw.resolution_mm,
-            self._status,
+            self._status.get(name, {}), name,
         )  # fmt: skip
+
+
+class _Attempts:
+    """What a stream knows from one connection to the next: when the last image came, and how long to wait."""
+
+    def __init__(self, client: "Client", sensor: str | Sequence[str], rate_hz: float, patience_s: float | None):
+        self._url, self._patience_s = client.url, patience_s
+        self._one = sensor if isinstance(sensor, str) else ""
+        query: dict[str, object] = {"kinds": "raw,restored", "rate_hz": rate_hz}
+        if isinstance(sensor, str):
+            self._named, path = f"sensor {sensor!r}", f"/sensors/{quote(sensor, safe='')}/stream"
+        else:
+            self._named, path = f"sensors {', '.join(sensor)}", "/stream"
+            query |= {"sensors": ",".join(sensor)}
+        self.address = f"{client.url.replace('http', 'ws', 1)}/api/v1{path}?{urlencode(query)}"
+        self.options: dict[str, Any] = {
+            "additional_headers": client.headers,
+            "compression": None,
+            "max_queue": 4,
+            "close_timeout": 1,
+        }
+        self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
+
+    def connected(self) -> None:
+        """A connection begins, whose messages have no past."""
+        self._pairs = _Pairs(self._one)
+
+    def left(self) -> float | None:
+        """How long (s) the next message may take; None: for ever."""
+        return None if self._patience_s is None else max(0.0, self._heard + self._patience_s - time.monotonic())
+
+    def take(self, data: str | bytes) -> Image | None:
+        """The image that a message completes."""
+        image = self._pairs.take(data)
+        if image is not None:
+            self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
+        return image
+
+    def failed(self, error: Exception) -> float:
+        """How long to wait (s) for the next attempt after an error; TactileError where there is to be none."""
+        if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in REFUSED:
+            raise TactileError(f"{self._url}: {error.rcvd.reason}") from error
+        if isinstance(error, InvalidURI):
+            raise TactileError(f"{self._url}: {error}") from error
+        if self.left() == 0:
+            raise TactileError(f"{self._named} at {self._url}: no image for {self._patience_s} s") from error
+        wait, self._wait = self._wait, min(2 * self._wait, BACK_OFF_S[1])
+        return wait
 
 
 class Client:
@@ -80,7 +133,7 @@ class Client:
 
     def __init__(self, url: str, token: str | None = None) -> None:
         self.url = url
-        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self.headers = {"Authorization": f"Bearer {token}"} if token else {}
 
     def sensors(self) -> list[dict[str, Any]]:
         """Every sensor and how it is doing."""
@@ -95,79 +148,45 @@ class Client:
         """Take the mean of the next frames as the unloaded array."""
         self._ask("POST", f"/sensors/{quote(sensor, safe='')}/tare")
 
-    def stream(self, sensor: str, rate_hz: float = 0.0, patience_s: float | None = None) -> Iterator[Image]:
-        """The newest images as they come, for ever; reconnects by itself.
+    def stream(
+        self, sensor: str | Sequence[str], rate_hz: float = 0.0, patience_s: float | None = None
+    ) -> Iterator[Image]:
+        """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
 
-        At most `rate_hz` a second (0: every frame). TactileError if no image comes for `patience_s`
+        At most `rate_hz` a second (0: every frame) of each. TactileError if no image comes for `patience_s`
         (None: it waits), or if the service refuses.
         """
-        address, wait = self._address(sensor, rate_hz), BACK_OFF_S[0]
-        heard = time.monotonic()
+        attempts = _Attempts(self, sensor, rate_hz, patience_s)
         while True:
             try:
-                with connect_sync(
-                    address, additional_headers=self._headers, compression=None, max_queue=4, close_timeout=1
-                ) as socket:
-                    pairs = _Pairs()
+                with connect_sync(attempts.address, **attempts.options) as socket:
+                    attempts.connected()
                     while True:
-                        left = None if patience_s is None else heard + patience_s - time.monotonic()
-                        image = pairs.take(socket.recv(timeout=left))
+                        image = attempts.take(socket.recv(timeout=attempts.left()))
                         if image is not None:
-                            heard, wait = time.monotonic(), BACK_OFF_S[0]
                             yield image
-            except TimeoutError as error:
-                raise self._late(sensor, patience_s) from error
-            except (OSError, ConnectionClosed, InvalidHandshake, InvalidURI) as error:
-                self._judge(error)
-            if patience_s is not None and time.monotonic() - heard > patience_s:
-                raise self._late(sensor, patience_s)
-            time.sleep(wait)
-            wait = min(2 * wait, BACK_OFF_S[1])
+            except LOST as error:
+                time.sleep(attempts.failed(error))
 
     async def astream(
-        self, sensor: str, rate_hz: float = 0.0, patience_s: float | None = None
+        self, sensor: str | Sequence[str], rate_hz: float = 0.0, patience_s: float | None = None
     ) -> AsyncIterator[Image]:
         """The same as `stream`, for asyncio."""
-        address, wait = self._address(sensor, rate_hz), BACK_OFF_S[0]
-        heard = time.monotonic()
+        attempts = _Attempts(self, sensor, rate_hz, patience_s)
         while True:
             try:
-                async with connect_async(
-                    address, additional_headers=self._headers, compression=None, max_queue=4, close_timeout=1
-                ) as socket:
-                    pairs = _Pairs()
+                async with connect_async(attempts.address, **attempts.options) as socket:
+                    attempts.connected()
                     while True:
-                        left = None if patience_s is None else heard + patience_s - time.monotonic()
-                        image = pairs.take(await asyncio.wait_for(socket.recv(), left))
+                        image = attempts.take(await asyncio.wait_for(socket.recv(), attempts.left()))
                         if image is not None:
-                            heard, wait = time.monotonic(), BACK_OFF_S[0]
                             yield image
-            except TimeoutError as error:
-                raise self._late(sensor, patience_s) from error
-            except (OSError, ConnectionClosed, InvalidHandshake, InvalidURI) as error:
-                self._judge(error)
-            if patience_s is not None and time.monotonic() - heard > patience_s:
-                raise self._late(sensor, patience_s)
-            await asyncio.sleep(wait)
-            wait = min(2 * wait, BACK_OFF_S[1])
-
-    def _address(self, sensor: str, rate_hz: float) -> str:
-        query = urlencode({"kinds": "raw,restored", "rate_hz": rate_hz})
-        return f"{self.url.replace('http', 'ws', 1)}/api/v1/sensors/{quote(sensor, safe='')}/stream?{query}"
-
-    def _late(self, sensor: str, patience_s: float | None) -> TactileError:
-        return TactileError(f"sensor {sensor!r} at {self.url}: no image for {patience_s} s")
-
-    def _judge(self, error: Exception) -> None:
-        """Let an error pass that may be over at the next attempt; TactileError for any other."""
-        if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in REFUSED:
-            raise TactileError(f"{self.url}: {error.rcvd.reason}") from error
-        if isinstance(error, InvalidURI):
-            raise TactileError(f"{self.url}: {error}") from error
+            except LOST as error:
+                await asyncio.sleep(attempts.failed(error))
 
     def _ask(self, verb: str, path: str, body: object = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
-        headers = self._headers | ({"Content-Type": "application/json"} if data else {})
+        headers = self.headers | ({"Content-Type": "application/json"} if data else {})
         request = Request(f"{self.url}/api/v1{path}", data, headers, method=verb)
         try:
             with urlopen(request, timeout=ANSWER_S) as answer:  # connect() lets http and https in only

@@ -1,5 +1,7 @@
 import asyncio
+import re
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.server import running
 from tests.conftest import pressed, until
+
+README = Path(__file__).parents[1] / "README.md"
 
 
 @pytest.fixture
@@ -40,6 +44,14 @@ def test_the_status_comes_with_the_images(url):
             assert image.status["state"] == "live"
             assert image.status["sensor"] == "palm"
             break
+
+
+def test_as_in_the_readme(playing, url, capsys):
+    said = re.search(r"```python\nimport tactiled\n.*?```", README.read_text(), re.S)[0].splitlines()[1:-1]
+    program = "\n".join(said).replace("http://127.0.0.1:8000", url) + "\n    break\n"
+    exec(program)
+    assert re.fullmatch(r"\d+ [\d.]+ kPa .*\n", capsys.readouterr().out)
+    assert playing.sensor.status().state == "live"
 
 
 def test_the_same_for_asyncio(playing, url):

@@ -5,13 +5,12 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from fastapi import FastAPI, WebSocket
+from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
 from tactiled import __version__
 from tactiled.config import Server
-from tactiled.errors import UnknownSensorError
 from tactiled.service import Service
 from tactiled.web import film, problems, recordings, rest, stream
 from tactiled.web.feed import Feed
@@ -21,7 +20,7 @@ STATIC = Path(__file__).parent / "static"
 TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
 
-Live images: `WS /api/v1/sensors/{name}/stream`, described in the README."""
+Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in the README."""
 
 
 def create(service: Service, server: Server) -> FastAPI:
@@ -50,18 +49,7 @@ def create(service: Service, server: Server) -> FastAPI:
     if server.recordings is not None:
         app.include_router(recordings.make(server.recordings, service.buses))
 
-    @app.websocket("/api/v1/sensors/{name}/stream")
-    async def _stream(socket: WebSocket, name: str) -> None:
-        await socket.accept()
-        try:
-            service.sensor(name)
-            asked = stream.wish(socket.query_params)
-        except UnknownSensorError as error:
-            await socket.close(stream.NOT_FOUND, str(error)[:120])
-        except ValueError as error:
-            await socket.close(stream.BAD_REQUEST, str(error)[:120])
-        else:
-            await stream.Stream(socket, feeds[name], asked).run()
+    app.include_router(stream.make(feeds))
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:
@@ -76,4 +64,4 @@ async def _tick(feeds: dict[str, Feed]) -> None:
     while True:
         await asyncio.sleep(TICK_S)
         for feed in feeds.values():
-            feed.wake()
+            feed.tick()

@@ -1,4 +1,4 @@
-"""From a sensor's worker thread to the event loop: the newest image, packed once for all who stream it."""
+"""From a sensor's worker thread to the event loop: what is new, made into messages once for all who stream it."""
 
 import asyncio
 import time
@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from tactiled.frames import Image
 from tactiled.service import Sensor
+from tactiled.web import forms
 from tactiled.web.wire import Kind, pack
 
 
@@ -16,43 +17,70 @@ class Feed:
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
         self.image: Image | None = None
-        self._packed: dict[Kind, bytes] = {}
+        self._binary: dict[tuple[Kind, bool], bytes] = {}
+        self._text: dict[Kind, str] = {}
+        self._status: forms.StreamStatus | None = None
+        self._contacts: asyncio.Task[forms.Contacts | None] | None = None
         self._clients: set[asyncio.Event] = set()
 
     @contextmanager
-    def listen(self) -> Iterator[asyncio.Event]:
-        """An event that is set whenever a newer image or another state is there."""
-        wake = asyncio.Event()
-        wake.set()
+    def listen(self, wake: asyncio.Event) -> Iterator[None]:
+        """Set `wake` now, and whenever a newer image or another state may be there."""
         if not self._clients:
             self._take(self.sensor.hub.latest())
             loop = asyncio.get_running_loop()
             self._stop = self.sensor.hub.subscribe(lambda image: _later(loop, self, image))
         self._clients.add(wake)
+        wake.set()
         try:
-            yield wake
+            yield
         finally:
             self._clients.discard(wake)
             if not self._clients:
                 self._stop()
 
-    def wake(self) -> None:
+    def tick(self) -> None:
         """Let every client look again."""
+        self._status = None
         for client in self._clients:
             client.set()
 
-    def message(self, kind: Kind) -> bytes:
-        """Bytes of the newest image, the same for every client; call it only when there is one."""
-        if kind not in self._packed:
-            if self.image is None:
-                raise LookupError(f"no image of {self.sensor.name} yet")
-            self._packed[kind] = pack(self.image, kind, time.time())
-        return self._packed[kind]
+    def binary(self, kind: Kind, named: bool) -> bytes:
+        """The newest image's bytes, its sensor's name in them if `named`; LookupError before the first."""
+        key = kind, named
+        if key not in self._binary:
+            self._binary[key] = pack(self._newest(), kind, time.time(), self.sensor.name if named else "")
+        return self._binary[key]
+
+    def text(self, kind: Kind) -> str:
+        """The newest image as JSON; LookupError before the first."""
+        if kind not in self._text:
+            self._text[kind] = forms.frame(self.sensor, self._newest(), kind).model_dump_json()
+        return self._text[kind]
+
+    def status(self) -> forms.StreamStatus:
+        """The sensor's state, as it was when the clients were last woken."""
+        if self._status is None:
+            self._status = forms.stream_status(self.sensor, self.image, self.sensor.status())
+        return self._status
+
+    async def contacts(self) -> forms.Contacts | None:
+        """The contacts in the newest image, looked for once, on another thread; None before the first."""
+        if self._contacts is None:
+            self._contacts = asyncio.create_task(asyncio.to_thread(forms.contacts, self.sensor))
+        return await asyncio.shield(self._contacts)
+
+    def _newest(self) -> Image:
+        if self.image is None:
+            raise LookupError(f"no image of {self.sensor.name} yet")
+        return self.image
 
     def _take(self, image: Image | None) -> None:
         self.image = image
-        self._packed.clear()
-        self.wake()
+        self._binary.clear()
+        self._text.clear()
+        self._contacts = None
+        self.tick()
 
 
 def _later(loop: asyncio.AbstractEventLoop, feed: Feed, image: Image) -> None:

@@ -1,36 +1,51 @@
 """A WebSocket that knows how far its client has read, so that a slow one is never sent what it cannot take.
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read.
-Here a ping follows every few messages; a client answers when it has read that far, and until then no more is sent.
+Here a ping follows every few messages; a client answers when it has read that far. Until then `room` is not set,
+and whoever streams waits for it before it takes the newest image.
 """
 
 import asyncio
 from typing import Any
 
+from fastapi import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
+from websockets.http11 import Request
 
 EVERY = 4  # messages a ping
-WINDOW = 2  # pings that may be unanswered: at most EVERY * WINDOW messages are on their way
+WINDOW = 2  # pings that may be unanswered: at most EVERY * WINDOW messages are on their way, and the next few
 MARK = b"tactiled"
+ROOM = "tactiled.room"
+
+
+def room(socket: WebSocket) -> asyncio.Event:
+    """Set while the client keeps up."""
+    found: asyncio.Event = socket.scope["state"][ROOM]
+    return found
 
 
 class PacedWebSocket(WebSocketsSansIOProtocol):
-    """uvicorn's protocol, its `send` held back while the client is more than a few messages behind."""
+    """uvicorn's protocol, which tells the application whether the client is more than a few messages behind."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._sent = 0
         self._pinged = 0
         self._answered = 0
-        self._keeping_up = asyncio.Event()
-        self._keeping_up.set()
+        self._room = asyncio.Event()
+        self._room.set()
+
+    def handle_connect(self, event: Request) -> None:
+        """Hand the event to the application, which runs with the next turn of the loop."""
+        super().handle_connect(event)
+        if self.response.status_code == 101:
+            self.scope["state"][ROOM] = self._room
 
     async def send(self, message: Any) -> None:
-        """Send one ASGI message once the client has read enough of those before."""
-        await self._keeping_up.wait()
+        """Send one ASGI message, and a ping after every few."""
         await super().send(message)
-        if message["type"] != "websocket.send" or message.get("bytes") is None:
+        if message["type"] != "websocket.send":
             return
         self._sent += 1
         if self._sent % EVERY == 0 and not self.close_sent and not self.transport.is_closing():
@@ -38,7 +53,7 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
             self.conn.send_ping(MARK + self._pinged.to_bytes(8, "big"))
             self.transport.write(b"".join(self.conn.data_to_send()))
             if self._pinged - self._answered >= WINDOW:
-                self._keeping_up.clear()
+                self._room.clear()
 
     def handle_pong(self, event: Frame) -> None:
         """Take note of how far the client has read."""
@@ -48,14 +63,14 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
             return
         self._answered = max(self._answered, min(int.from_bytes(data[len(MARK) :], "big"), self._pinged))
         if self._pinged - self._answered < WINDOW:
-            self._keeping_up.set()
+            self._room.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let a `send` that waits see that there is nobody left."""
-        self._keeping_up.set()
+        """Let an application that waits see that there is nobody left."""
+        self._room.set()
         super().connection_lost(exc)
 
     def shutdown(self) -> None:
-        """Let a `send` that waits end when the server does."""
-        self._keeping_up.set()
+        """Let an application that waits end when the server does."""
+        self._room.set()
         super().shutdown()

@@ -8,7 +8,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
-from tactiled.web import problems
+from tactiled.web import problems, session
 from tactiled.web.keys import COOKIE, Keys
 
 Refusal = tuple[int, str]
@@ -24,7 +24,6 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-FORBIDDEN, UNAUTHORIZED = 4403, 4401  # close codes of streams, after HTTP's
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 ALONE = "; HttpOnly; SameSite=Strict; Path=/"
 
@@ -93,5 +92,5 @@ async def _close(refusal: Refusal, receive: Receive, send: Send) -> None:
     status, reason = refusal
     await receive()
     await send({"type": "websocket.accept"})
-    code = UNAUTHORIZED if status == 401 else FORBIDDEN
-    await send({"type": "websocket.close", "code": code, "reason": reason[:120]})
+    code = session.UNAUTHORIZED if status == 401 else session.FORBIDDEN
+    await send({"type": "websocket.close", "code": code, "reason": session.fitting(reason)})

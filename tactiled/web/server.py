@@ -15,6 +15,7 @@ from tactiled.errors import TactileError
 from tactiled.service import Service
 from tactiled.web.app import create
 from tactiled.web.flow import PacedWebSocket
+from tactiled.web.session import MOST
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
@@ -51,6 +52,7 @@ def _server(service: Service, at: Server) -> uvicorn.Server:
         uvicorn.Config(
             create(service, at),
             ws=PacedWebSocket,
+            ws_max_size=MOST,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
             log_level="warning",
             access_log=False,

@@ -1,156 +1,141 @@
-"""`WS /api/v1/sensors/{name}/stream`: newest wins, nothing queues for a client that does not read."""
+"""WebSocket streams of one sensor or several: newest wins, nothing queues for a client that does not read."""
 
 import asyncio
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, cast
+from collections.abc import Sequence
+from contextlib import ExitStack
 
-from fastapi import WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 
+from tactiled.errors import UnknownSensorError
 from tactiled.frames import Image
-from tactiled.web import forms
 from tactiled.web.feed import Feed
-from tactiled.web.wire import KINDS, Kind
+from tactiled.web.flow import room
+from tactiled.web.session import heard, refuse, serve
+from tactiled.web.wish import Wish, asked_for, next_of, wish
 
-BAD_REQUEST, NOT_FOUND = 4400, 4404  # close codes, after HTTP's
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
 CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
-MOST = 64 * 1024  # bytes of a client's message
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """What a client asked for in the address."""
+def make(feeds: dict[str, Feed]) -> APIRouter:
+    """The streams of these sensors."""
+    router = APIRouter(prefix="/api/v1")
 
-    kinds: tuple[Kind, ...] = KINDS
-    rate_hz: float = 0.0  # 0: every frame
-    form: Literal["binary", "json"] = "binary"
-    contacts: bool = False  # as text messages
-    credit: bool = False  # one image of each kind for each {"type": "next"}
+    @router.websocket("/sensors/{name}/stream")
+    async def _one(socket: WebSocket, name: str) -> None:
+        await socket.accept()
+        try:
+            asked = wish(socket.query_params)
+            stream = Stream(socket, _found(feeds, [name]), asked, named=False)
+        except (UnknownSensorError, ValueError) as error:
+            await refuse(socket, error)
+        else:
+            await stream.run()
+
+    @router.websocket("/stream")
+    async def _several(socket: WebSocket) -> None:
+        await socket.accept()
+        try:
+            asked = wish(socket.query_params, ["sensors"])
+            names = asked_for(socket.query_params, list(feeds))
+            stream = Stream(socket, _found(feeds, names), asked, named=True)
+        except (UnknownSensorError, ValueError) as error:
+            await refuse(socket, error)
+        else:
+            await stream.run()
+
+    return router
 
 
-def wish(query: Mapping[str, str]) -> Wish:
-    """Read the address's query; ValueError that names the parameter and its value."""
-    unknown = set(query) - {"kinds", "rate_hz", "format", "flow", "contacts", "token"}
-    if unknown:
-        raise ValueError(f"{min(unknown)}: no such parameter: there are kinds, rate_hz, format, flow, contacts")
-    kinds = tuple(query.get("kinds", "raw,restored").split(","))
-    if not set(kinds) <= set(KINDS):
-        raise ValueError(f"kinds={query['kinds']}: give raw, restored or raw,restored")
-    try:
-        rate_hz = float(query.get("rate_hz", "0"))
-    except ValueError:
-        rate_hz = -1.0
-    if not 0 <= rate_hz <= 1e4:
-        raise ValueError(f"rate_hz={query['rate_hz']}: give 0 (every frame) to 10000")
-    form, flow = query.get("format", "binary"), query.get("flow", "newest")
-    if form not in ("binary", "json"):
-        raise ValueError(f"format={form}: give binary or json")
-    if flow not in ("newest", "credit"):
-        raise ValueError(f"flow={flow}: give newest or credit")
-    if (contacts := query.get("contacts", "0")) not in ("0", "1"):
-        raise ValueError(f"contacts={contacts}: give 0 or 1")
-    return Wish(
-        cast(tuple[Kind, ...], kinds),
-        rate_hz,
-        cast(Literal["binary", "json"], form),
-        contacts == "1",
-        flow == "credit",
-    )
+def _found(feeds: dict[str, Feed], names: Sequence[str]) -> list[Feed]:
+    """The feeds of these sensors; UnknownSensorError names one that is not there."""
+    for name in names:
+        if name not in feeds:
+            raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {', '.join(feeds)}")
+    return [feeds[name] for name in names]
+
+
+class _Line:
+    """One sensor as one client sees it: what it has been sent and told, and when."""
+
+    def __init__(self, feed: Feed, credit: bool) -> None:
+        self.feed, self.credit = feed, credit
+        self.sent: Image | None = None
+        self.due = self.alarm = 0.0  # when it may be sent the next image; and is woken for it
+        self.told: tuple[object, ...] = ()
+        self.told_at = 0.0
+        self.touched = -1
+        self.touched_at = 0.0
 
 
 class Stream:
-    """One client of one sensor."""
+    """One client of one sensor or several; `named`: binary messages say of which."""
 
-    def __init__(self, socket: WebSocket, feed: Feed, asked: Wish) -> None:
-        self._socket, self._feed, self._wish = socket, feed, asked
-        self._credit = 0 if asked.credit else 1
-        self._sent: Image | None = None
-        self._told: tuple[object, ...] = ()
-        self._told_at = 0.0
-        self._due = 0.0
-        self._touched = -1
-        self._touched_at = 0.0
+    def __init__(self, socket: WebSocket, feeds: Sequence[Feed], asked: Wish, named: bool) -> None:
+        self._socket, self._wish, self._named = socket, asked, named
+        self._lines = {feed.sensor.name: _Line(feed, not asked.credit) for feed in feeds}
+        self._wake = asyncio.Event()
+        self._room = room(socket)
 
     async def run(self) -> None:
         """Serve until the client leaves, or says something that means nothing."""
-        with self._feed.listen() as self._wake:
-            tasks = [asyncio.create_task(each) for each in (self._listen(), self._talk())]
-            try:
-                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-                for task in done:
-                    task.result()
-            except WebSocketDisconnect:
-                return
-            except ValueError as error:
-                await self._socket.close(BAD_REQUEST, str(error)[:120])
-            finally:
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
+        with ExitStack() as stack:
+            for line in self._lines.values():
+                stack.enter_context(line.feed.listen(self._wake))
+            await serve(self._socket, self._listen(), self._talk())
 
     async def _listen(self) -> None:
         while True:
-            text = await self._socket.receive_text()
-            if len(text) > MOST or not _asks_for_next(text):
-                raise ValueError(f'message {text[:40]!r}: the only one there is: {{"type": "next"}}')
-            if self._wish.credit:
-                self._credit = 1
-                self._wake.set()
+            for name in next_of(await heard(self._socket), list(self._lines)):
+                self._lines[name].credit = True
+            self._wake.set()
 
     async def _talk(self) -> None:
-        loop = asyncio.get_running_loop()
         while True:
             await self._wake.wait()
-            if (early := self._due - loop.time()) > 0:
-                await asyncio.sleep(early)
             self._wake.clear()
-            await self._send_image()
-            await self._send_status(loop.time())
-            if self._wish.contacts:
-                await self._send_contacts(loop.time())
+            for line in self._lines.values():
+                await self._room.wait()
+                await self._send_image(line)
+                await self._send_status(line)
+                if self._wish.contacts:
+                    await self._send_contacts(line)
 
-    async def _send_image(self) -> None:
-        image = self._feed.image
-        if image is None or image is self._sent or not self._credit:
+    async def _send_image(self, line: _Line) -> None:
+        image = line.feed.image
+        if image is None or image is line.sent or not line.credit:
             return
-        self._sent = image
-        if self._wish.credit:
-            self._credit = 0
         if self._wish.rate_hz:
-            self._due = asyncio.get_running_loop().time() + 1 / self._wish.rate_hz
+            loop = asyncio.get_running_loop()
+            now = loop.time()
+            if now < line.due:
+                if line.alarm < line.due:
+                    line.alarm = line.due
+                    loop.call_at(line.due, self._wake.set)
+                return
+            line.due = now + 1 / self._wish.rate_hz
+        line.sent, line.credit = image, not self._wish.credit
         if self._wish.form == "binary":
-            for message in [self._feed.message(kind) for kind in self._wish.kinds]:
+            for message in [line.feed.binary(kind, self._named) for kind in self._wish.kinds]:
                 await self._socket.send_bytes(message)
-            return
-        for kind in self._wish.kinds:
-            frame = forms.frame(self._feed.sensor, image, kind)
-            await self._socket.send_text(frame.model_dump_json())
+        else:
+            for text in [line.feed.text(kind) for kind in self._wish.kinds]:
+                await self._socket.send_text(text)
 
-    async def _send_status(self, now: float) -> None:
-        image = self._sent or self._feed.image
-        status = self._feed.sensor.status()
-        ran = () if image is None else (image.method, image.warnings)
-        told = (status.state, self._feed.sensor.method, *ran)
-        if now - self._told_at < (STATUS_S if told == self._told else CHANGE_S):
+    async def _send_status(self, line: _Line) -> None:
+        status, now = line.feed.status(), asyncio.get_running_loop().time()
+        told = (status.state, status.method, status.ran, status.warnings)
+        if now - line.told_at < (STATUS_S if told == line.told else CHANGE_S):
             return
-        self._told, self._told_at = told, now
-        await self._socket.send_text(forms.stream_status(self._feed.sensor, image, status).model_dump_json())
+        line.told, line.told_at = told, now
+        await self._socket.send_text(status.model_dump_json())
 
-    async def _send_contacts(self, now: float) -> None:
-        if now - self._touched_at < CONTACTS_S:
+    async def _send_contacts(self, line: _Line) -> None:
+        now = asyncio.get_running_loop().time()
+        if now - line.touched_at < CONTACTS_S:
             return
-        found = await asyncio.to_thread(forms.contacts, self._feed.sensor)
-        if found is not None and found.sequence != self._touched:
-            self._touched, self._touched_at = found.sequence, now
+        found = await line.feed.contacts()
+        if found is not None and found.sequence != line.touched:
+            line.touched, line.touched_at = found.sequence, now
             await self._socket.send_text(found.model_dump_json())
-
-
-def _asks_for_next(text: str) -> bool:
-    try:
-        said: Any = json.loads(text)
-    except ValueError:
-        return False
-    return isinstance(said, dict) and said == {"type": "next"}

@@ -2,12 +2,15 @@ import json
 import socket
 import threading
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from tactiled.web.feed import Feed
+from tactiled.web.server import running
 from tactiled.web.wire import unpack
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
@@ -143,21 +146,22 @@ def test_a_page_of_another_site_gets_no_stream(url):
         assert caught.value.rcvd.code == 4403
 
 
-def handshake(url):
+def handshake(url, query):
     """A client that reads nothing but the answer to its handshake."""
     host, port = url.removeprefix("http://").split(":")
     plug = socket.create_connection((host, int(port)))
     plug.sendall(
-        f"GET /api/v1/sensors/palm/stream HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
+        f"GET /api/v1/sensors/palm/stream{query} HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
         "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
     )
     return plug
 
 
-def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice(rig, url):
+@pytest.mark.parametrize(("query", "mark"), [("", b"TCTL"), ("?format=json", b'"frame"')])
+def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice(rig, url, query, mark):
     stop = threading.Event()
-    with handshake(url) as stalled, stream(url, "?kinds=raw") as reading:
+    with handshake(url, query) as stalled, stream(url, "?kinds=raw") as reading:
         sender = rig.play(200, stop)
         sequences = [each.sequence for each in images(reading, 300)]
         stop.set()
@@ -167,7 +171,7 @@ def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice
         stalled.settimeout(0.2)
         try:
             while data := stalled.recv(1 << 20):
-                waiting += data.count(b"TCTL")
+                waiting += data.count(mark)
         except TimeoutError:
             pass
     assert rig.sequence >= 299
@@ -176,18 +180,74 @@ def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice
     assert 0 < waiting <= FEW
 
 
-def test_a_slow_client_that_reads_on_sees_the_newest(rig, url):
+@pytest.mark.parametrize("query", ["?kinds=raw", "", "?kinds=raw&flow=credit"])
+def test_a_client_that_comes_back_sees_what_was_on_its_way_and_then_nothing_old(rig, url, query):
     stop = threading.Event()
-    with stream(url, "?kinds=raw", max_queue=1) as client:
+    with stream(url, query, max_queue=1) as client:
         sender = rig.play(100, stop)
-        images(client, 5)
-        time.sleep(1.0)
-        began = time.time()
-        old = [began - each.sent for each in images(client, 30)]
+        ages, back = [], None
+        while len(ages) < 60:
+            if "credit" in query:
+                client.send('{"type": "next"}')
+            image = images(client, 1)[0]
+            if back is not None:
+                ages.append((image.sent - back, time.time() - image.sent))
+            elif image.sequence > 5:
+                time.sleep(1.0)
+                back = time.time()
         stop.set()
         sender.join()
-    assert sum(age > 0.5 for age in old) <= FEW  # s, of the second that it did not read
-    assert max(old[FEW:]) < 0.5
+    before = sum(sent < -0.1 for sent, _ in ages)  # made over 100 ms before the client came back
+    assert before <= (0 if "credit" in query else FEW)
+    assert max(age for _, age in ages[before:]) < 0.5  # s, on a busy machine
+    assert [sent < -0.1 for sent, _ in ages] == [True] * before + [False] * (60 - before)
+
+
+@pytest.mark.parametrize(
+    "said", [b"next", "", "[]", '{"type": "next", "sensor": "tip"}', '{"type": "next", "n": 2}']
+)
+def test_what_a_client_may_not_say(url, said):
+    with stream(url) as client:
+        client.send(said)
+        with pytest.raises(ConnectionClosed) as caught:
+            images(client, 1)
+        assert caught.value.rcvd.code == 4400
+        assert caught.value.rcvd.reason.startswith("message ")
+
+
+def test_a_message_without_end_is_refused_unread(url):
+    with stream(url) as client:
+        client.send("x" * 70_000)
+        with pytest.raises(ConnectionClosed) as caught:
+            images(client, 1)
+        assert caught.value.rcvd.code == 1009
+
+
+def test_a_service_that_ends_says_so(rig):
+    with ExitStack() as stack:
+        with running(rig.service) as url:
+            client = stack.enter_context(stream(url))
+            client.recv(timeout=2)
+        with pytest.raises(ConnectionClosed) as caught:
+            images(client, 1)
+    assert caught.value.rcvd.code == 1012
+
+
+def test_a_fault_of_the_service_is_told_as_one(url, monkeypatch, caplog):
+    monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
+    with stream(url) as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            images(client, 1)
+        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1011, "the service failed: see its log")
+    until(lambda: "ZeroDivisionError" in caplog.text)
+
+
+def test_a_long_reason_is_cut_to_what_a_close_frame_holds(url):
+    with stream(url, "?kinds=" + "ü" * 200) as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert caught.value.rcvd.code == 4400
+        assert caught.value.rcvd.reason.startswith("kinds=üüü")
 
 
 def test_clients_that_leave_leave_nothing_behind(rig, url):

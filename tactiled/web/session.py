@@ -1,0 +1,61 @@
+"""One client on a WebSocket, until it leaves or is closed; the codes are after HTTP's, or the protocol's own."""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+from fastapi import WebSocket, WebSocketDisconnect
+
+from tactiled.errors import UnknownSensorError
+
+BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND = 4400, 4401, 4403, 4404
+TOO_BIG, FAILED, RESTART = 1009, 1011, 1012
+CLOSES = {
+    TOO_BIG: "a message of more than 64 KiB",
+    FAILED: "the service failed, which its log explains; or the client has answered no ping for 20 s",
+    RESTART: "the service ends",
+    BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
+    UNAUTHORIZED: "no token, or one that is not known",
+    FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",
+    NOT_FOUND: "no such sensor; the reason names it and those that there are",
+}
+MOST = 64 * 1024  # bytes of a client's message
+MOST_REASON = 123  # bytes of a close frame's reason
+
+
+def fitting(reason: str) -> str:
+    """As much of a reason as a close frame holds."""
+    return reason.encode()[:MOST_REASON].decode(errors="ignore")
+
+
+async def refuse(socket: WebSocket, error: Exception) -> None:
+    """Close, since the client is wrong, with the reason."""
+    code = NOT_FOUND if isinstance(error, UnknownSensorError) else BAD_REQUEST
+    await socket.close(code, fitting(str(error)))
+
+
+async def heard(socket: WebSocket) -> str | None:
+    """The client's next message, None for one of bytes; WebSocketDisconnect when it has left."""
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message["code"], message.get("reason"))
+    text: str | None = message.get("text")
+    return text
+
+
+async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], talk: Coroutine[Any, Any, None]) -> None:
+    """Listen and talk until the client leaves; a ValueError of `listen` says that it is wrong."""
+    tasks = listening, _ = asyncio.create_task(listen), asyncio.create_task(talk)
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        error = task.exception()
+        if task is listening and isinstance(error, ValueError):
+            await refuse(socket, error)
+        elif error is not None and not isinstance(error, WebSocketDisconnect):
+            await socket.close(FAILED, "the service failed: see its log")
+            raise error

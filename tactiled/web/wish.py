@@ -1,0 +1,77 @@
+"""What a client of a stream asks for in the address, and may say."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+from tactiled.web.wire import KINDS, Kind
+
+PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts")
+NEXT = '{"type": "next"}, or with "sensor": its name'
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a client asked for in the address."""
+
+    kinds: tuple[Kind, ...] = KINDS
+    rate_hz: float = 0.0  # 0: every frame
+    form: Literal["binary", "json"] = "binary"
+    contacts: bool = False  # as text messages
+    credit: bool = False  # one image of each kind for each {"type": "next"}
+
+
+def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
+    """Read the address's query, which may have `more` parameters; ValueError names the parameter and its value."""
+    there = (*PARAMETERS, *more)
+    if unknown := set(query) - {*there, "token"}:
+        raise ValueError(f"{min(unknown)}: no such parameter: there are {', '.join(there)}")
+    kinds = tuple(query.get("kinds", "raw,restored").split(","))
+    if not set(kinds) <= set(KINDS) or len(set(kinds)) < len(kinds):
+        raise ValueError(f"kinds={query['kinds']}: give raw, restored or raw,restored")
+    try:
+        rate_hz = float(query.get("rate_hz", "0"))
+    except ValueError:
+        rate_hz = -1.0
+    if not 0 <= rate_hz <= 1e4:
+        raise ValueError(f"rate_hz={query['rate_hz']}: give 0 (every frame) to 10000")
+    return Wish(
+        cast(tuple[Kind, ...], kinds),
+        rate_hz,
+        cast(Literal["binary", "json"], _one_of(query, "format", "binary", "json")),
+        _one_of(query, "contacts", "0", "1") == "1",
+        _one_of(query, "flow", "newest", "credit") == "credit",
+    )
+
+
+def _one_of(query: Mapping[str, str], name: str, *choices: str) -> str:
+    """The value of a parameter, by default the first of its choices."""
+    if (value := query.get(name, choices[0])) not in choices:
+        raise ValueError(f"{name}={value}: give {' or '.join(choices)}")
+    return value
+
+
+def asked_for(query: Mapping[str, str], there: Sequence[str]) -> list[str]:
+    """The sensors that a query names, by default all; ValueError where it names one twice or none."""
+    names = query["sensors"].split(",") if "sensors" in query else list(there)
+    if len(set(names)) < len(names):
+        raise ValueError(f"sensors={query['sensors']}: give each name once")
+    return names
+
+
+def next_of(text: str | None, names: Sequence[str]) -> Sequence[str]:
+    """The sensors of which a client's message asks for the next image; ValueError where it says anything else."""
+    try:
+        said: Any = json.loads(text or "")
+    except ValueError:
+        said = None
+    if said == {"type": "next"}:
+        return names
+    if (
+        isinstance(said, dict)
+        and said == {"type": "next", "sensor": said.get("sensor")}
+        and said["sensor"] in names
+    ):
+        return [said["sensor"]]
+    raise ValueError(f"message {'of bytes' if text is None else repr(text[:40])}: the only one there is: {NEXT}")

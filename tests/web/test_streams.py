@@ -1,0 +1,179 @@
+import asyncio
+import json
+import re
+import threading
+import time
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+import tactiled
+from tactiled.errors import TactileError
+from tactiled.web.wire import unpack
+from tests.conftest import NO_LOAD, Rig, pressed, until
+
+TIP = """
+[sensor.tip]
+bus = "can0"
+method = "raw"
+codec = { name = "packed", bits = 12, fd = true, array_id = 1 }
+array = { rows = 4, columns = 4, pitch_mm = 1.0 }
+cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
+kernel = { model = "layered" }
+calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
+"""
+
+
+@pytest.fixture
+def rig(request):
+    made = Rig(re.sub(r"\W", "-", request.node.name), TIP)
+    made.tip = made.service.sensor("tip")
+    made.service.start()
+    yield made
+    made.service.stop()
+    made.bus.close()
+
+
+def touch_tip(rig, sequence, counts=NO_LOAD + 20):
+    for message in rig.tip.codec.encode(np.full(16, counts, np.uint16), sequence, time.time()):
+        rig.bus.send(message)
+    until(lambda: (image := rig.tip.hub.latest()) and image.sequence == sequence)
+
+
+def streams(url, query=""):
+    return connect(f"{url.replace('http', 'ws', 1)}/api/v1/stream{query}", compression=None)
+
+
+def heard(client, seconds):
+    """The messages of the next seconds, images unpacked."""
+    got, end = [], time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        try:
+            data = client.recv(timeout=left)
+        except TimeoutError:
+            break
+        got.append(json.loads(data) if isinstance(data, str) else unpack(data))
+    return got
+
+
+@pytest.mark.parametrize("query", ["", "?sensors=palm,tip", "?sensors=tip,palm&kinds=restored"])
+def test_one_socket_has_the_images_and_states_of_several_sensors(rig, url, query):
+    rig.show(pressed())
+    touch_tip(rig, 0)
+    with streams(url, query) as client:
+        got = heard(client, 0.5)
+    images = [each for each in got if not isinstance(each, dict)]
+    kinds = ["restored"] if "kinds" in query else ["raw", "restored"]
+    assert sorted((each.sensor, each.kind) for each in images) == sorted(
+        (n, k) for n in ("palm", "tip") for k in kinds
+    )
+    shapes = {each.sensor: each.values.shape for each in images}
+    assert shapes == {"palm": (8, 8), "tip": (4, 4)}
+    assert next(each.values for each in images if each.sensor == "tip").tolist() == [[10.0] * 4] * 4
+    assert {each["sensor"] for each in got if isinstance(each, dict)} == {"palm", "tip"}
+
+
+def test_a_busy_sensor_does_not_hold_another_back(rig, url):
+    stop = threading.Event()
+    with streams(url, "?kinds=raw&rate_hz=5") as client:
+        sender = rig.play(100, stop)
+        for sequence in range(5):
+            touch_tip(rig, sequence)
+            time.sleep(0.2)
+        stop.set()
+        sender.join()
+        got = [each for each in heard(client, 0.5) if not isinstance(each, dict)]
+    sequences = {name: [each.sequence for each in got if each.sensor == name] for name in ("palm", "tip")}
+    assert len(sequences["palm"]) < 15  # at most 5 a second, of 100
+    assert sequences["tip"][-1] == 4
+    for of_one in sequences.values():
+        assert of_one == sorted(set(of_one))
+
+
+def test_json_names_the_sensor_too(rig, url):
+    touch_tip(rig, 0)
+    with streams(url, "?sensors=tip&format=json&kinds=raw&contacts=1") as client:
+        got = heard(client, 0.5)
+    assert [(each["type"], each["sensor"]) for each in got][:2] == [("frame", "tip"), ("status", "tip")]
+    assert {each["type"] for each in got} == {"frame", "status", "contacts"}
+    assert {each["sensor"] for each in got} == {"tip"}
+
+
+def test_credit_may_be_given_to_one_sensor_or_to_all(rig, url):
+    rig.show(pressed())
+    touch_tip(rig, 0)
+
+    def images(client):
+        return [each.sensor for each in heard(client, 0.3) if not isinstance(each, dict)]
+
+    with streams(url, "?flow=credit&kinds=raw") as client:
+        assert images(client) == []
+        client.send('{"type": "next", "sensor": "tip"}')
+        assert images(client) == ["tip"]
+        rig.show(pressed(4))
+        touch_tip(rig, 1)
+        client.send('{"type": "next"}')
+        assert sorted(images(client)) == ["palm", "tip"]
+        assert images(client) == []
+
+
+@pytest.mark.parametrize(
+    ("query", "code", "reason"),
+    [
+        ("?sensors=palm,plam", 4404, "sensor 'plam': no such sensor: there are palm, tip"),
+        ("?sensors=", 4404, "sensor '': no such sensor: there are palm, tip"),
+        ("?sensors=tip,tip", 4400, "sensors=tip,tip: give each name once"),
+        (
+            "?sensor=tip",
+            4400,
+            "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts, sensors",
+        ),
+        ("?kinds=raw,raw", 4400, "kinds=raw,raw: give raw, restored or raw,restored"),
+    ],
+)
+def test_a_wrong_address_is_refused_with_the_reason(url, query, code, reason):
+    with streams(url, query) as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (code, reason)
+
+
+def test_a_stream_of_one_sensor_takes_no_list(url):
+    with connect(f"{url.replace('http', 'ws', 1)}/api/v1/sensors/palm/stream?sensors=tip") as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert caught.value.rcvd.reason.startswith("sensors: no such parameter")
+
+
+@pytest.fixture
+def playing(rig):
+    rig.show(pressed())
+    touch_tip(rig, 0)
+    return rig
+
+
+@pytest.mark.usefixtures("playing")
+def test_the_client_streams_several_sensors(url):
+    stream = tactiled.connect(url).stream(["palm", "tip"], patience_s=5)
+    seen = [next(stream), next(stream)]
+    assert {each.sensor: each.restored.shape for each in seen} == {"palm": (8, 8), "tip": (4, 4)}
+    stream.close()
+
+
+@pytest.mark.usefixtures("playing")
+def test_the_client_streams_several_for_asyncio(url):
+    async def two():
+        stream = tactiled.connect(url).astream(["palm", "tip"], patience_s=5)
+        return {(await anext(stream)).sensor, (await anext(stream)).sensor}
+
+    assert asyncio.run(two()) == {"palm", "tip"}
+
+
+def test_the_client_names_the_sensors_it_waited_for(rig, url):
+    del rig
+    with pytest.raises(TactileError, match=f"sensors palm, tip at {url}: no image for 0.1 s"):
+        next(tactiled.connect(url).stream(("palm", "tip"), patience_s=0.1))
+    with pytest.raises(TactileError, match="sensor 'plam': no such sensor: there are palm, tip"):
+        next(tactiled.connect(url).stream(["plam"]))
