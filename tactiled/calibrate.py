@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,7 @@ class Calibrator:
         known = np.isfinite(counts)
         self._no_load[known] = counts[known]
 
-    def __call__(
-        self, counts: NDArray[np.uint16], flags: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for a missing or bad taxel, and the flags with DEAD and SATURATED added."""
         gain = self.calibration.kpa_per_count
         flags = flags | self._dead

@@ -1,7 +1,7 @@
 """The frozen values that ride the belt from the bus to the browser; none of them owns behaviour."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,9 @@ MISSING = 1  # the taxel's message did not come
 BAD = 2  # the sensor itself calls the taxel out of range or not connected
 DEAD = 4  # the configuration or the calibration says that the taxel does not work
 SATURATED = 8  # the taxel is at its ceiling: its pressure is a lower bound, not a value
+
+
+Counts: TypeAlias = NDArray[np.uint16 | np.float32]  # floats where a skin sends more than 16 bits, or a sign
 
 
 class Message(NamedTuple):
@@ -55,7 +58,7 @@ class RawFrame:
     sequence: int  # counts up without wrapping, lost frames included
     time: float  # s, of the frame's first message
     skew: float  # s, from the frame's first message to its last
-    counts: NDArray[np.uint16]  # (N,)
+    counts: Counts  # (N,)
     flags: NDArray[np.uint8]  # (N,) MISSING | BAD
     loss: Loss
 

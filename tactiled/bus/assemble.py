@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.codecs import Codec
+from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
 
 UNLEARN = 16  # frames in a row that are not whole, after which a learned order is forgotten
@@ -160,9 +161,13 @@ class Assembler:
             self._cycle.learn(frame, frame.began - self._ended)
         self._ended = frame.ended
         self.count("lost", frame.left)
-        self.count("incomplete", int(frame.left > 0))
         skew = frame.ended - frame.began
-        counts = self.codec.unpack(frame.payloads)
+        try:
+            counts = self.codec.unpack(frame.payloads)
+        except CodecError:  # another package's codec: none of ours raises here
+            self.count("malformed", self.codec.segments - frame.left)
+            return ()
+        self.count("incomplete", int(frame.left > 0))
         return (RawFrame(self._sequence, frame.began, skew, counts, self._flags(frame), self.loss),)
 
     def _flags(self, frame: _Open) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from tactiled.cli.app import app, choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
 from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
 from tactiled.config.example import EXAMPLE
+from tactiled.config.schema import Packed
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
 from tactiled.simulate import SCENES, Player, play, player
@@ -63,7 +64,7 @@ def _chosen(settings: Config, name: str | None, fd: bool | None) -> tuple[str, S
     one = settings.sensor[name]
     if fd is None:
         return name, one
-    if one.codec.name == "packed":
+    if isinstance(one.codec, Packed):
         return name, one.model_copy(update={"codec": one.codec.model_copy(update={"fd": fd})})
     if fd:
         raise ConfigError(f"--fd: sensor {name} speaks {one.codec.name}, which is classic CAN")
@@ -78,7 +79,7 @@ def _bus(
     if interface is None and not own:
         raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
     base = {"interface": interface} if interface else settings.bus[one.bus].settings()
-    if one.codec.name == "packed" and one.codec.fd:
+    if isinstance(one.codec, Packed) and one.codec.fd:
         given["fd"] = True
     return base | given
 

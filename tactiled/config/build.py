@@ -6,9 +6,10 @@ from functools import partial
 
 import numpy as np
 
-from tactiled.bus.codecs import Codec
+from tactiled.bus.codecs import Codec, plugins
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
+from tactiled.bus.codecs.dbc import Dbc, expand
 from tactiled.bus.codecs.icub import NO_LOAD, Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
@@ -147,6 +148,11 @@ def make_codec(sensor: schema.Sensor) -> Codec:
     settings = sensor.codec.model_dump(exclude={"name"})
     if isinstance(sensor.codec, schema.Packed):
         return Packed(make_array(sensor).size, **settings)
+    if isinstance(sensor.codec, schema.Dbc):
+        array = make_array(sensor)
+        return Dbc(sensor.codec.file, expand(sensor.codec.taxels, array.shape, array.size, sensor.codec.first))
+    if isinstance(sensor.codec, schema.Plugin):
+        return plugins.make(sensor.codec.name, settings)
     return SKINS[sensor.codec.name](**settings)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tactiled.config.schema import Bus, Config, Section
+from tactiled.bus.codecs import plugins
+from tactiled.config.schema import BUILT_IN, Bus, Config, Section
 from tactiled.errors import ConfigError
 
 _SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())
@@ -26,13 +27,13 @@ def load(path: Path) -> Config:
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
-    return parse(text, str(path))
+    return parse(text, str(path), path.parent)
 
 
-def parse(text: str, source: str = "config") -> Config:
-    """Read a configuration from TOML text; `source` names it in the ConfigError."""
+def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
+    """Read a configuration from TOML text; `source` names it in the ConfigError, its paths begin in `folder`."""
     try:
-        config = Config.model_validate(tomllib.loads(text))
+        config = Config.model_validate(tomllib.loads(text), context={"folder": folder})
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}") from error
     except ValidationError as error:
@@ -92,6 +93,7 @@ def _crossed(config: Config) -> Iterator[str]:
             yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"
         if not sensor.cover:
             yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"
+        yield from _clashes(name, sensor.codec.name)
         bus = config.bus.get(sensor.bus)
         if (
             bus
@@ -100,3 +102,11 @@ def _crossed(config: Config) -> Iterator[str]:
             and bus.interface in FD_IF_TOLD
         ):
             yield f"sensor.{name}.codec.fd = true: bus {sensor.bus} is not CAN FD: set bus.{sensor.bus}.fd = true"
+
+
+def _clashes(sensor: str, codec: str) -> Iterator[str]:
+    """Codecs of other packages that bear a built-in's name."""
+    for offer in plugins.offers():
+        if offer.name == codec and codec in BUILT_IN:
+            says = f"{plugins.package(offer)} offers a codec of the same name: rename or uninstall that one"
+            yield f"sensor.{sensor}.codec.name = {codec!r}: built in, and {says}"

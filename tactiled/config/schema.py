@@ -1,9 +1,23 @@
 """What a configuration file may say: every key, its unit in its name, its bounds."""
 
+import difflib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SecretStr,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from tactiled.bus.codecs import plugins
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
@@ -153,7 +167,63 @@ class Linker(Section):
     fingers: tuple[Annotated[int, Field(ge=1, le=5)], ...] = Field((1,), min_length=1)  # 1 thumb ... 5 little
 
 
-Codec = Packed | Icub | Xela | Barrett | PowerOn | CySkin | Linker
+def _beside(file: Path, info: ValidationInfo) -> Path:
+    """A path of the file, relative to the folder it lies in."""
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / file
+
+
+class Dbc(Section):
+    """The signals of a DBC file."""
+
+    name: Literal["dbc"]
+    file: Annotated[Path, AfterValidator(_beside)]
+    taxels: str | tuple[str, ...] = Field(min_length=1)  # "Message.Signal" of each, or a template
+    first: Literal[0, 1] = 0  # number of a template's first row, column, taxel
+
+
+BUILT_IN = ("packed", "icub", "xela", "barrett", "poweron", "cyskin", "linker", "dbc")
+
+
+def _offered(name: str) -> str:
+    """Refuse a name that no installed package offers, or two."""
+    offers = [each for each in plugins.offers() if each.name == name]
+    if len(offers) > 1:
+        raise ValueError(f"{name!r}: offered by {' and '.join(map(plugins.package, offers))}: uninstall one")
+    if not offers:
+        known = (*BUILT_IN, *(each.name for each in plugins.offers()))
+        near = difflib.get_close_matches(name, known, 1)
+        meant = f": did you mean {near[0]}?" if near else ""
+        raise ValueError(f"{name!r} is no codec: there are {', '.join(known)}{meant}")
+    return name
+
+
+class Plugin(BaseModel):
+    """A codec that another package offers; its own settings are passed on as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: Annotated[str, AfterValidator(_offered)]
+
+
+def _kind(codec: Any) -> str:
+    """Which of the codecs a table means."""
+    name = codec.get("name") if isinstance(codec, dict) else getattr(codec, "name", None)
+    return name if name in BUILT_IN else "plug-in"
+
+
+Codec = Annotated[
+    Annotated[Packed, Tag("packed")]
+    | Annotated[Icub, Tag("icub")]
+    | Annotated[Xela, Tag("xela")]
+    | Annotated[Barrett, Tag("barrett")]
+    | Annotated[PowerOn, Tag("poweron")]
+    | Annotated[CySkin, Tag("cyskin")]
+    | Annotated[Linker, Tag("linker")]
+    | Annotated[Dbc, Tag("dbc")]
+    | Annotated[Plugin, Tag("plug-in")],
+    Discriminator(_kind),
+]
 
 
 class Calibration(Section):
@@ -170,7 +240,7 @@ class Sensor(Section):
     """One array on one bus."""
 
     bus: Name
-    codec: Annotated[Codec, Field(discriminator="name")]
+    codec: Codec
     array: Array = Array()
     cover: Layers
     substrate: Layers = ()

@@ -1,12 +1,12 @@
 """CAN bytes to readings and back: one file a skin, pure functions of bytes."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
+from tactiled.bus.codecs.plain import Plain
+from tactiled.frames import Counts, Message, Reading
 
-from tactiled.frames import Message, Reading
+__all__ = ["Codec", "Plain", "Poll", "Talk", "Talking", "talk_of"]
 
 
 class Codec(Protocol):
@@ -42,8 +42,38 @@ class Codec(Protocol):
     def decode(self, message: Message) -> Reading:
         """What a message on one of `ids` says; CodecError if it says nothing that can be meant."""
 
-    def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
+    def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
         """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,), the inverse of `decode` and `unpack`."""
+
+
+class Poll(NamedTuple):
+    """A request that is sent over and over."""
+
+    message: Message
+    period_s: float
+    segments: range  # that answer it
+
+
+class Talk(NamedTuple):
+    """What has to be said to a skin so that it sends."""
+
+    start: tuple[tuple[float, Message], ...] = ()  # once, each so many s after the bus was opened
+    polls: tuple[Poll, ...] = ()  # over and over from then on
+    stop: tuple[Message, ...] = ()  # once, before the bus is closed
+
+
+@runtime_checkable
+class Talking(Protocol):
+    """What a codec offers besides, whose skin sends nothing by itself."""
+
+    @property
+    def talk(self) -> Talk:
+        """What has to be said to the skin."""
+
+
+def talk_of(codec: Codec) -> Talk:
+    """What has to be said to a codec's skin; nothing for most."""
+    return codec.talk if isinstance(codec, Talking) else Talk()

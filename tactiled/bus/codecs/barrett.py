@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
 from tactiled.errors import CodecError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 FULL = 0x409  # group and property of the full format; the node stands above
 
@@ -47,18 +47,18 @@ class Barrett(Plain):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        data = self._bytes(payloads, 8)
+        data = self.stacked(payloads, 8)
         digits: NDArray[np.int_] = (
             np.stack([data >> 4, data & 0xF], axis=-1).reshape(self.segments, 16)[:, 1:].astype(int)
         )
         taxels = digits[:, 0::3] << 8 | digits[:, 1::3] << 4 | digits[:, 2::3]
         return np.asarray(taxels.ravel()[: self.size], np.uint16)
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the 25th taxel is 0, the sequence number has no place in them."""
         del sequence
         ((id_, _),) = self.ids
-        padded = [*self._checked(counts).tolist(), 0]
+        padded = [*self.checked(counts).tolist(), 0]
         return [
             Message(
                 time, id_, bytes.fromhex(f"{n:x}" + "".join(f"{each:03x}" for each in padded[5 * n : 5 * n + 5]))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
 from tactiled.errors import CodecError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 ORDER = (11, 15, 14, 12, 9, 13, 8, 10, 6, 7, 4, 5, 2, 0, 3, 1)
 BASE, STEP = 0x405, 2  # the first message's id, and from one to the next
@@ -52,11 +52,11 @@ class CySkin(Plain):
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
         counts = np.empty(self.size, np.uint16)
-        counts[list(ORDER)] = self._bytes(payloads, 8).view("<u2").ravel()
+        counts[list(ORDER)] = self.stacked(payloads, 8).view("<u2").ravel()
         return counts
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the sequence number has no place in them."""
         del sequence
-        sent = self._checked(counts)[list(ORDER)].astype("<u2").reshape(-1, 4)
+        sent = self.checked(counts)[list(ORDER)].astype("<u2").reshape(-1, 4)
         return [Message(time, BASE + STEP * segment, each.tobytes()) for segment, each in enumerate(sent)]

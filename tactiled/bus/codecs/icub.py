@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 PERIODIC, OLD, POLL = 0x400, 0x300, 0x200  # message classes: skin data, skin data of older boards, set-up
 HEAD, TAIL = 0x40, 0xC0  # first byte: pads 0-6, pads 7-11 and diagnostics
@@ -135,7 +135,7 @@ class Icub:
         first = place * len(self.pads)
         return tuple(first + at for at, pad in enumerate(self.pads) if lost or code >> (4 + pad) & 1)
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); thermal pads say no load; the sequence number has no place in them."""
         del sequence
         if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:

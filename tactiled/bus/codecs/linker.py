@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
 from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 HANDS = {"right": 0x27, "left": 0x28}
 FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring, 5 little
@@ -70,12 +70,12 @@ class Linker(Plain):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        return self._bytes(payloads, COLUMNS).astype(np.uint16).ravel()
+        return self.stacked(payloads, COLUMNS).astype(np.uint16).ravel()
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the sequence number has no place in them."""
         del sequence
-        rows = self._checked(counts).reshape(-1, ROWS, COLUMNS).tolist()
+        rows = self.checked(counts).reshape(-1, ROWS, COLUMNS).tolist()
         return [
             Message(time, HANDS[self.hand], bytes((FINGER + finger, row << 4, *taxels)))
             for finger, matrix in zip(self.fingers, rows, strict=True)

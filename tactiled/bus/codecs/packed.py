@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 HEADER = 2  # bytes: sequence number, segment index
 CLASSIC, FD = 8, 64  # bytes a message
@@ -120,7 +120,7 @@ class Packed:
         byte, bit = self._places
         return (windows[byte] >> bit & self.full_scale).astype(np.uint16)
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); CodecError where a count needs more bits."""
         counts = np.asarray(counts, "<u2")
         if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import CodecError
+from tactiled.frames import Counts
 
 
 class Plain:
@@ -42,17 +43,17 @@ class Plain:
         """The taxels that a segment carries, as an index into a frame."""
         return slice(segment * self.taxels, min((segment + 1) * self.taxels, self.size))
 
-    def _bytes(self, payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
+    def stacked(self, payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
         """The payloads of a frame (segments, length), 0 where one is None."""
         blank = bytes(length)
         whole = b"".join(blank if each is None else each for each in payloads)
         return np.frombuffer(whole, np.uint8).reshape(-1, length)
 
-    def _checked(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    def checked(self, counts: Counts) -> NDArray[np.uint16]:
         """The counts of one frame (N,), which the skin can say; CodecError where it cannot."""
-        counts = np.asarray(counts, np.uint16)
-        if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:
+        whole = np.asarray(counts, np.uint16)
+        if whole.shape != (self.size,) or int(whole.max()) > self.full_scale:
             raise CodecError(
-                f"counts {counts.shape} up to {counts.max()}: expected {self.size} up to {self.full_scale}"
+                f"counts {whole.shape} up to {whole.max()}: expected {self.size} up to {self.full_scale}"
             )
-        return counts
+        return whole

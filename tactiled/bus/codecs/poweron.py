@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
 from tactiled.errors import CodecError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 USED = 5  # bytes of a message that say something
 
@@ -47,11 +47,11 @@ class PowerOn(Plain):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        data = self._bytes(payloads, USED).astype(np.uint16)
+        data = self.stacked(payloads, USED).astype(np.uint16)
         high = np.column_stack([data[:, 3] & 0xF, data[:, 3] >> 4, data[:, 4] & 0xF])
         return (high << 8 | data[:, :3]).astype(np.uint16).ravel()
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the sequence number has no place in them."""
         del sequence
         return [
@@ -60,5 +60,5 @@ class PowerOn(Plain):
                 self.base_id + segment,
                 bytes((a & 0xFF, b & 0xFF, c & 0xFF, b >> 8 << 4 | a >> 8, c >> 8, 0, 0, 0)),
             )
-            for segment, (a, b, c) in enumerate(self._checked(counts).reshape(-1, 3).tolist())
+            for segment, (a, b, c) in enumerate(self.checked(counts).reshape(-1, 3).tolist())
         ]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
 from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Message, Reading
+from tactiled.frames import Counts, Message, Reading
 
 STATUS = 0x83  # first byte of what `encode` makes
 REST = 0x4000  # counts of an axis that `encode` says nothing of
@@ -85,17 +85,17 @@ class Xela(Plain):
 
     def axes(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of X, Y and Z (N, 3) of one frame; 0 where a segment is None."""
-        return self._bytes(payloads, 6).copy().view(">u2").astype(np.uint16)
+        return self.stacked(payloads, 6).copy().view(">u2").astype(np.uint16)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of Z (N,), normal to the skin; 0 where a segment is None."""
         return self.axes(payloads)[:, 2]
 
-    def encode(self, counts: NDArray[np.uint16], sequence: int, time: float) -> list[Message]:
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,) without shear; the sequence number has no place in them."""
         del sequence
         axes = np.full((self.size, 3), REST, ">u2")
-        axes[:, 2] = self._checked(counts)
+        axes[:, 2] = self.checked(counts)
         return [
             Message(time, id_, bytes((STATUS, *one.tobytes(), 0)))
             for id_, one in zip(self._ids, axes, strict=True)
