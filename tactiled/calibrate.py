@@ -46,6 +46,11 @@ class Calibrator:
             raise ConfigError(f"dead names taxel {beyond[0]}: the array has 0 to {size - 1}")
         self._dead[list(calibration.dead)] = DEAD
 
+    @property
+    def no_load(self) -> NDArray[np.float32]:
+        """Counts of each taxel (N,) without a load; a copy."""
+        return self._no_load.copy()
+
     def tare(self, counts: NDArray[np.float64]) -> None:
         """Take `counts` (N,), a mean over frames of the unloaded array, as no load; NaN keeps the taxel's own."""
         known = np.isfinite(counts)

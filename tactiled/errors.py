@@ -23,3 +23,7 @@ class BusError(TactileError):
 
 class UnknownSensorError(TactileError):
     """A sensor name that the configuration does not have."""
+
+
+class StateError(TactileError):
+    """What a client wants kept cannot be written."""

@@ -41,6 +41,7 @@ class Pipeline:
         self._calibrator = Calibrator(calibration, array.size)
         self._noise = _Noise(calibration)
         self._tare = _Tare(array.size)
+        self.tared = 0  # times
         self._doubt = Doubt(blur)
         self._method = ""
         self.set_method(method)
@@ -50,6 +51,16 @@ class Pipeline:
     def method(self) -> str:
         """Name of the method asked for."""
         return self._method
+
+    @property
+    def no_load(self) -> NDArray[np.float32]:
+        """Counts of each taxel (N,) without a load, as configured or last tared."""
+        return self._calibrator.no_load
+
+    @property
+    def noise_kpa(self) -> float:
+        """Standard deviation of a taxel, configured or measured."""
+        return self._noise.kpa
 
     def set_method(self, name: str) -> None:
         """Restore the next frames by `name`; ConfigError if there is no such method."""
@@ -76,6 +87,7 @@ class Pipeline:
         if (mean := self._tare.add(frame)) is not None:
             self._calibrator.tare(mean)
             self._restorer.reset()
+            self.tared += 1
         pressure, flags = self._calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(self.array.frame_shape), flags.reshape(self.array.frame_shape)
         self._noise.add(raw)

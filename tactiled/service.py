@@ -17,11 +17,15 @@ from tactiled.bus.router import Frames, Router
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.contacts import APART, Contact, Finder, Tracker
-from tactiled.errors import BusError, TactileError, UnknownSensorError
+from tactiled.errors import BusError, StateError, TactileError, UnknownSensorError
+from tactiled.events import Events
 from tactiled.frames import Image, Loss, RawFrame
+from tactiled.history import History
 from tactiled.hub import Hub
 from tactiled.pipeline import Pipeline
-from tactiled.restore.methods import METHODS
+from tactiled.restore.methods import METHODS, require
+from tactiled.state import State as Kept
+from tactiled.watch import Heard, Watch
 
 State = Literal["live", "stale", "silent", "down"]
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
@@ -45,12 +49,18 @@ class Status:
 class Sensor:
     """One array: a worker thread that restores its newest frame, the newest image, and its health."""
 
-    def __init__(self, plan: SensorPlan, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        plan: SensorPlan,
+        clock: Callable[[], float] = time.monotonic,
+        history: tuple[float, int] = (0.0, 0),  # s and bytes of images that are kept
+    ) -> None:
         self.name, self.bus_name, self.codec_name, self.codec = plan.name, plan.bus, plan.codec_name, plan.codec
         self.array, self.kernel, self.cells = plan.array, plan.kernel, plan.cells
         self.calibration = plan.calibration
         self.methods = tuple(METHODS)
-        self.hub = Hub()
+        self.hub, self.heard = Hub(), Heard()
+        self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape)
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.plan, self._clock = plan, clock
@@ -97,6 +107,21 @@ class Sensor:
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""
         self._pipeline.tare()
+
+    @property
+    def no_load(self) -> NDArray[np.float32]:
+        """Counts of each taxel (N,) without a load, as configured or last tared."""
+        return self._pipeline.no_load
+
+    @property
+    def noise_kpa(self) -> float:
+        """Standard deviation of a taxel, configured or measured."""
+        return self._pipeline.noise_kpa
+
+    @property
+    def tared(self) -> int:
+        """How often it was tared."""
+        return self._pipeline.tared
 
     def start(self) -> None:
         """Start restoring."""
@@ -151,7 +176,10 @@ class Sensor:
     def _restore(self, frame: RawFrame) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
         try:
-            self.hub.publish(self._pipeline.process(frame))
+            image = self._pipeline.process(frame)
+            self.hub.publish(image)
+            self.history.add(image)
+            self.heard.add(image)
             self._failed = None
         except Exception as error:
             self._failed = f"restoration failed: {type(error).__name__}: {error}"
@@ -278,10 +306,17 @@ class Service:
     """Every sensor of a configuration, on its bus or on what `listen` puts in a bus's place."""
 
     def __init__(
-        self, config: Config, listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener
+        self,
+        config: Config,
+        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener,
+        state: Kept | None = None,
     ) -> None:
+        self.config, self.state, self.events = config, state, Events()
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
-        self.sensors = {plan.name: Sensor(plan) for plan in sensor_plans(config)}
+        history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
+        self.sensors = {plan.name: Sensor(plan, history=history) for plan in sensor_plans(config)}
+        self._watch = Watch(self.sensors.values(), self.events)
+        self._recall()
         self._listeners = [
             listen(
                 name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}
@@ -297,6 +332,35 @@ class Service:
             known = ", ".join(self.sensors)
             raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {known}") from error
 
+    def set_method(self, name: str, method: str, keep: bool = False) -> None:
+        """Restore by another method from the next frame on, and with `keep` after a restart, too.
+
+        ConfigError where there is no such method, StateError where it cannot be kept; then nothing has changed.
+        """
+        sensor = self.sensor(name)
+        require(method)
+        if keep:
+            if self.state is None:
+                raise StateError("keep = true: this service keeps no state: `tactiled run` does")
+            self.state.keep(name, None if method == sensor.plan.method else method)
+        sensor.set_method(method)
+        self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
+
+    def tare(self, name: str) -> None:
+        """Take the mean of a sensor's next frames as the unloaded array."""
+        self.sensor(name).tare()
+        self.events.add("tare_asked", "the next frames are taken as no load", name)
+
+    def _recall(self) -> None:
+        """Take over what was kept; what no longer means anything is told, not applied."""
+        for name, method in self.state.methods.items() if self.state else ():
+            sensor = self.sensors.get(name)
+            if sensor is None or method not in METHODS:
+                self.events.add("state_ignored", f"sensor {name}, method {method}: no longer there")
+                continue
+            sensor.set_method(method)
+            self.events.add("method_kept", f"{method}, where the configuration says {sensor.plan.method}", name)
+
     def start(self) -> None:
         """Start everything; a TactileError, with nothing left running, where a bus cannot be opened."""
         for sensor in self.sensors.values():
@@ -307,9 +371,11 @@ class Service:
         except TactileError:
             self.stop()
             raise
+        self._watch.start()
 
     def stop(self) -> None:
         """Stop everything that runs."""
+        self._watch.stop()
         for listener in self._listeners:
             listener.stop()
         for sensor in self.sensors.values():

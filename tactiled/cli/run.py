@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 from tactiled.cli.app import app
 from tactiled.config import load
 from tactiled.service import Service
+from tactiled.state import State, default
 from tactiled.web.server import serve
 
 
@@ -17,7 +18,7 @@ def run(config: Annotated[Path, typer.Argument(help="Configuration file (TOML)."
     """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
     settings = load(config)
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
-        service = Service(settings)
+        service = Service(settings, state=State(settings.server.state or default(config)))
         service.start()
         try:
             serve(service, settings.server)

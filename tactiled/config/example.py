@@ -11,6 +11,10 @@ port = 8000
 # tls_certificate = "/etc/tactiled/cert.pem"
 # tls_key = "/etc/tactiled/key.pem"
 # recordings = "/var/lib/tactiled"  # folder that clients may record the buses into
+# state = "/var/lib/tactiled/state.json"  # what clients want kept over a restart
+history_s = 5.0             # of images kept for clients that ask for a window
+history_mb = 64             # and no more memory than this for all sensors
+control_per_minute = 600    # changes and costly answers that one client may ask for; 0: no bound
 
 # One table a CAN bus. `interface` and `channel` are python-can's, and so is any further key:
 #   socketcan (can0), slcan (/dev/ttyUSB0), pcan (PCAN_USBBUS1), kvaser (0), udp_multicast, virtual, ...

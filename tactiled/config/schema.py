@@ -43,6 +43,10 @@ class Server(Section):
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None  # PEM
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
+    state: Path | None = None  # file of what clients want kept; None: in the user's state directory
+    history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
+    history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
+    control_per_minute: int = Field(600, ge=0, le=1_000_000)  # changes, and costly answers, a client; 0: no bound
 
     @property
     def loopback(self) -> bool:

@@ -6,17 +6,23 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
+from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
 
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.service import Service
-from tactiled.web import film, problems, recordings, rest, stream
+from tactiled.web import film, log, problems, recordings, rest, settings, stream, window
+from tactiled.web.common import WRONG
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
+from tactiled.web.rates import Rates
 
 STATIC = Path(__file__).parent / "static"
+SMALL = 2048  # bytes that are sent as they are
+NO_GAIN = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures hardly compress
 TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
 
@@ -43,11 +49,12 @@ def create(service: Service, server: Server) -> FastAPI:
         redoc_url=None,
     )
     problems.install(app)
-    app.state.service = service
-    app.include_router(rest.router)
-    app.include_router(film.router, responses={422: rest.PROBLEM})
+    app.state.service, app.state.server = service, server
+    app.state.rates = Rates(server.control_per_minute)
+    for router in (rest.router, window.router, log.router, settings.router, film.router):
+        app.include_router(router, responses=WRONG)
     if server.recordings is not None:
-        app.include_router(recordings.make(server.recordings, service.buses))
+        app.include_router(recordings.make(server.recordings, service.buses, service.events))
 
     app.include_router(stream.make(feeds))
 
@@ -56,7 +63,10 @@ def create(service: Service, server: Server) -> FastAPI:
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(Guard, server=server)
+    app.add_middleware(
+        GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
+    )
+    app.add_middleware(Guard, server=server, rates=app.state.rates)  # the last added is the first met
     return app
 
 

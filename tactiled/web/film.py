@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -19,20 +19,25 @@ from tactiled.config.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.offline import Offline, opened, write
 from tactiled.service import Service
-from tactiled.web import forms
+from tactiled.web.body import MOST_FILM as MOST_IN
+from tactiled.web.common import BODY as BODIES
+from tactiled.web.common import CONTROL, WAIT, Responses, problem
+from tactiled.web.forms import MethodName
 from tactiled.web.problems import Problem
 
-MOST_IN = 64 << 20  # bytes of a film
 MOST_OUT = 256 << 20  # bytes of its images
 NPY = "application/x-npy"
-PROBLEM = {"model": forms.Problem, "content": {"application/problem+json": {}}}
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    200: {"description": "restored images, float32 kPa", "content": {NPY: {"schema": {"type": "string"}}}},
-    404: PROBLEM | {"description": "no such sensor"},
-    413: PROBLEM | {"description": f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB"},
-    422: PROBLEM | {"description": "no .npy of frames of this sensor's shape, or a wrong parameter"},
-    429: PROBLEM | {"description": "another film is being restored; see Retry-After"},
-}
+RESPONSES: Responses = (
+    BODIES
+    | CONTROL
+    | {
+        200: {"description": "restored images, float32 kPa", "content": {NPY: {"schema": {"type": "string"}}}},
+        404: problem("no such sensor"),
+        413: problem(f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB"),
+        422: problem("no .npy of frames of this sensor's shape, or a wrong parameter"),
+        429: problem("another film is being restored, or more than control_per_minute", Retry_After=WAIT),
+    }
+)
 BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "string", "format": "binary"}}}}}
 
 router = APIRouter(prefix="/api/v1")
@@ -47,7 +52,9 @@ class _Done(NamedTuple):
 
 
 @router.post("/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra=BODY)
-async def restore(request: Request, sensor: str, method: str = "auto", noise_kpa: Noise = None) -> FileResponse:
+async def restore(
+    request: Request, sensor: str, method: MethodName = "auto", noise_kpa: Noise = None
+) -> FileResponse:
     """Restore frames (T, rows, columns) or (T, taxels) in kPa, NaN where unknown, as the sensor's own would be.
 
     The answer's headers say the noise (kPa) and how often each method ran.
@@ -75,13 +82,9 @@ async def restore(request: Request, sensor: str, method: str = "auto", noise_kpa
 
 
 async def _receive(request: Request, path: Path) -> None:
-    """Take the body in; Problem 413 once it is too large."""
-    size = 0
+    """Take the body in."""
     with path.open("wb") as file:
         async for piece in request.stream():
-            size += len(piece)
-            if size > MOST_IN:
-                raise Problem(413, f"a film of more than {MOST_IN >> 20} MiB: send it in parts")
             file.write(piece)
 
 

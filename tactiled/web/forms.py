@@ -7,20 +7,39 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactiled.config.build import UNCALIBRATED
 from tactiled.cover.meaning import meaning
 from tactiled.frames import Image
+from tactiled.restore.methods import METHODS
 from tactiled.service import Sensor, Service, State, Status
 
 Shown = Literal["raw", "restored", "deviation"]
+Streamed = Literal["raw", "restored"]
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
 Name = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
+
+
+Values = Annotated[
+    list[list[float | None]] | list[float | None],
+    Field(
+        description="rows of a grid, or one list; null where nothing is known",
+        examples=[[[0.0, 12.5], [3.25, 0.0]]],
+    ),
+]
+MethodName = Annotated[str, Field(json_schema_extra={"enum": list(METHODS)})]
 
 
 class Form(BaseModel):
     """A JSON object of the API."""
 
     model_config = ConfigDict(frozen=True)
+
+
+class Asked(Form):
+    """A JSON object that a client sends: a key that there is not is refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Loss(Form):
@@ -89,10 +108,7 @@ class Frame(Form):
     timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
     state: State
     age_s: float | None = Field(description="s since the last frame came in", examples=[0.004])
-    values: list[list[float | None]] | list[float | None] = Field(
-        description="rows of a grid, or one list; null where nothing is known",
-        examples=[[[0.0, 12.5], [3.25, 0.0]]],
-    )
+    values: Values
     flags: list[list[int]] | list[int] = Field(
         description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; always of the raw image's shape",
         examples=[[[0, 0], [0, 0]]],
@@ -195,12 +211,33 @@ class Geometry(Form):
     )
 
 
+class MethodAsked(Asked):
+    """How a sensor's frames shall be restored."""
+
+    method: MethodName = Field(examples=["nnls"])
+    keep: bool = Field(False, description="over a restart of the service", examples=[True])
+
+
 class Method(Form):
     """How a sensor's frames are restored."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    method: MethodName = Field(description="asked for", examples=["nnls"])
+    configured: MethodName = Field(examples=["auto"])
+    kept: MethodName | None = Field(
+        description="what a restart restores by; null: as configured", examples=["nnls"]
+    )
 
-    method: str = Field(examples=["nnls"])
+
+class CalibrationForm(Form):
+    """From counts to kPa: (counts - no_load) * kpa_per_count."""
+
+    calibrated: bool = Field(description="false: one count is shown as one kPa", examples=[True])
+    kpa_per_count: float = Field(description="negative where counts fall under pressure", examples=[0.05])
+    no_load: list[float] = Field(description="counts of each taxel, as last tared", examples=[[80.0, 81.5]])
+    tared: int = Field(description="times since the start", examples=[0])
+    saturation: float | None = Field(description="counts of the ceiling; null: none", examples=[4095.0])
+    noise_kpa: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
+    dead: list[int] = Field(description="taxels that do not work", examples=[[17]])
 
 
 class Colormap(Form):
@@ -267,11 +304,11 @@ def health(service: Service) -> Health:
     return Health(status="ok" if live else "degraded", sensors=sensors)
 
 
-def _numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[float | None]:
+def numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[float | None]:
     """Round to DECIMALS; null for what JSON has no number for."""
-    numbers = np.round(values.astype(float), DECIMALS).astype(object)
-    numbers[~np.isfinite(values)] = None
-    listed: list[list[float | None]] = numbers.tolist()
+    rounded = np.round(values.astype(float), DECIMALS).astype(object)
+    rounded[~np.isfinite(values)] = None
+    listed: list[list[float | None]] = rounded.tolist()
     return listed
 
 
@@ -292,7 +329,7 @@ def frame(sensor: Sensor, image: Image, kind: Shown) -> Frame:
         timestamp=image.time,
         state=status.state,
         age_s=status.age_s,
-        values=_numbers(values(sensor, image, kind)),
+        values=numbers(values(sensor, image, kind)),
         flags=image.flags.tolist(),
         method=image.method,
         why=image.why,
@@ -381,4 +418,24 @@ def geometry(sensor: Sensor) -> Geometry:
         raw=ImageShape(rows=rows, columns=columns, cell_mm=array.pitch),
         restored=ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=cell_mm),
         areas_mm2=None if array.shape else sensor.cells.areas.tolist(),
+    )
+
+
+def method(service: Service, sensor: Sensor) -> Method:
+    """How a sensor's frames are restored, and would be after a restart."""
+    kept = service.state.methods.get(sensor.name) if service.state else None
+    return Method(method=sensor.method, configured=sensor.plan.method, kept=kept if kept in METHODS else None)
+
+
+def calibration(sensor: Sensor) -> CalibrationForm:
+    """A sensor's calibration as it is now."""
+    configured = sensor.calibration
+    return CalibrationForm(
+        calibrated=UNCALIBRATED not in sensor.plan.warnings,
+        kpa_per_count=configured.kpa_per_count,
+        no_load=sensor.no_load.tolist(),
+        tared=sensor.tared,
+        saturation=configured.saturation,
+        noise_kpa=sensor.noise_kpa,
+        dead=list(configured.dead),
     )

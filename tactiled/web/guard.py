@@ -1,6 +1,7 @@
 """What a browser may do with the service: headers on every response, and no other site's page let in."""
 
-from urllib.parse import urlsplit
+import logging
+import re
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import Response
@@ -9,9 +10,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.web import problems, session
+from tactiled.web.body import bounded
 from tactiled.web.keys import COOKIE, Keys
+from tactiled.web.rates import Rates
 
 Refusal = tuple[int, str]
+LOG = logging.getLogger(__name__)
+HOME = re.compile(
+    rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
+)
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -31,8 +38,8 @@ ALONE = "; HttpOnly; SameSite=Strict; Path=/"
 class Guard:
     """Refuses pages of another origin, a foreign host name on loopback (DNS rebinding), and a missing token."""
 
-    def __init__(self, app: ASGIApp, server: Server) -> None:
-        self._app, self._server, self._keys = app, server, Keys(server)
+    def __init__(self, app: ASGIApp, server: Server, rates: Rates) -> None:
+        self._app, self._server, self._keys, self._rates = app, server, Keys(server), rates
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -45,29 +52,50 @@ class Guard:
             await (_close(refusal, receive, send) if refusal else self._app(scope, receive, send))
             return
 
+        started = False
+
         async def guarded(message: Message) -> None:
+            nonlocal started
             if message["type"] == "http.response.start":
+                started = True
                 answer = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     answer.setdefault(name, value)
             await send(message)
 
-        app = self._app
+        try:
+            app = self._answer(refusal, scope, query)
+            await app(scope, bounded(scope, receive), guarded)
+        except Exception:
+            LOG.exception("%s %s failed", scope["method"], scope["path"])
+            if started:
+                raise
+            await problems.response(500, "the service failed at this: see its log")(scope, receive, guarded)
+
+    def _answer(self, refusal: Refusal | None, scope: Scope, query: QueryParams) -> ASGIApp:
+        """Who answers a request."""
         if refusal:
-            app = problems.response(*refusal, {"WWW-Authenticate": "Bearer"} if refusal[0] == 401 else None)
-        elif self._keys.needed and scope["path"] == "/" and "token" in query:
-            app = self._welcome(query["token"])
-        await app(scope, receive, guarded)
+            return problems.response(*refusal, {"WWW-Authenticate": "Bearer"} if refusal[0] == 401 else None)
+        if scope["method"] not in SAFE:
+            try:
+                self._rates.count(scope)
+            except problems.Problem as error:
+                return problems.response(error.status_code, error.detail, error.headers)
+        if scope["path"] == "/" and self._keys.scopes(query.get("token", "")):
+            return self._welcome(query["token"])
+        return self._app
 
     def _stranger(self, headers: Headers) -> Refusal | None:
         """Why a request from elsewhere is refused."""
-        host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
-        if self._server.loopback and name not in LOOPBACK:
-            return 403, f"Host: {host}: this service answers to localhost only"
+        hosts, host = headers.getlist("host"), headers.get("host", "")
+        if self._server.loopback and (len(hosts) != 1 or not HOME.fullmatch(host)):
+            return 403, f"Host: {host:.80}: this service answers to localhost only"
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return 403, f"Origin: {origin}: pages of another site may not use this service"
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
+            return 403, f"Origin: {origin:.80}: pages of another site may not use this service"
+        site, mode = headers.get("sec-fetch-site", "none"), headers.get("sec-fetch-mode")
+        if site not in ("none", "same-origin") and mode != "navigate":
+            return 403, f"Sec-Fetch-Site: {site:.80}: pages of another site may not use this service"
         return None
 
     def _keyless(self, scope: Scope, headers: Headers, query: QueryParams) -> Refusal | None:

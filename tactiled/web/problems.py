@@ -6,6 +6,7 @@ from http import HTTPStatus
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Route
 
 from tactiled.errors import ConfigError, UnknownSensorError
 from tactiled.web import forms
@@ -28,8 +29,13 @@ def install(app: FastAPI) -> None:
     """Answer every error of an application in this form."""
 
     @app.exception_handler(HTTPException)
-    async def _http(_: Request, error: HTTPException) -> Response:
-        return response(error.status_code, str(error.detail), error.headers)
+    async def _http(request: Request, error: HTTPException) -> Response:
+        detail, headers = str(error.detail), dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(sorted(_methods(app, request)))
+        if not isinstance(error, Problem) and detail == HTTPStatus(error.status_code).phrase:
+            detail = f"{request.method} {request.url.path:.200}: {detail.lower()}"
+        return response(error.status_code, detail, headers)
 
     @app.exception_handler(UnknownSensorError)
     async def _unknown(_: Request, error: UnknownSensorError) -> Response:
@@ -43,9 +49,14 @@ def install(app: FastAPI) -> None:
     async def _invalid(_: Request, error: RequestValidationError) -> Response:
         return response(422, "; ".join(_say(each) for each in error.errors()))
 
-    @app.exception_handler(Exception)
-    async def _unforeseen(_: Request, error: Exception) -> Response:
-        return response(500, f"{type(error).__name__}: see the service's log")
+
+def _methods(app: FastAPI, request: Request) -> set[str]:
+    """Every method of the routes that have a request's path."""
+    found: set[str] = set()
+    for route in app.routes:
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
+            found |= route.methods or set()
+    return found
 
 
 def _say(error: Mapping[str, object]) -> str:

@@ -8,58 +8,66 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, FastAPI, Query
 from fastapi import Path as Part
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from tactiled.bus.record import Recorder, open_tap, record
 from tactiled.errors import BusError, TactileError
+from tactiled.events import Events
 from tactiled.web import forms
+from tactiled.web.common import BODY, CONTROL, WRONG, Responses, problem
 from tactiled.web.problems import Problem
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
-PROBLEM = {"model": forms.Problem, "content": {"application/problem+json": {}}}
-GONE: dict[int | str, dict[str, Any]] = {404: PROBLEM | {"description": "no such recording"}}
-BUSY: dict[int | str, dict[str, Any]] = {409: PROBLEM | {"description": "it runs, or is there already"}}
-NO_BUS: dict[int | str, dict[str, Any]] = {
-    404: PROBLEM | {"description": "no such bus"},
-    503: PROBLEM | {"description": "the bus cannot be opened, or the file cannot be written"},
+GONE: Responses = {404: problem("no such recording")}
+BUSY: Responses = {409: problem("it runs, or is there already")}
+NO_BUS: Responses = {
+    404: problem("no such bus"),
+    503: problem("the bus cannot be opened, or the file cannot be written"),
 }
 Name = Annotated[str, Part(pattern=NAME, description="a recording's file name")]
 
 
-class Start(BaseModel):
+class Start(forms.Asked):
     """What to record."""
 
-    bus: str = Field(description="a bus of the configuration")
-    name: str | None = Field(None, pattern=NAME, description="file name; made of bus and time if left out")
+    bus: str = Field(description="a bus of the configuration", examples=["can0"])
+    name: str | None = Field(
+        None, pattern=NAME, description="file name; made of bus and time if left out", examples=["grasp.log"]
+    )
 
 
-class Recorded(BaseModel):
+class Recorded(forms.Form):
     """One recording."""
 
-    name: str
-    bytes: int
-    running: bool
-    bus: str | None = Field(None, description="where it was started since the service was")
+    name: str = Field(examples=["grasp.log"])
+    bytes: int = Field(examples=[48231])
+    running: bool = Field(examples=[True])
+    bus: str | None = Field(None, description="where it was started since the service was", examples=["can0"])
     messages: int | None = Field(
-        None, description="on the disk so far, where it was started since the service was"
+        None, description="on the disk so far, where it was started since the service was", examples=[1025]
     )
-    error: str | None = Field(None, description="why it ended early")
+    error: str | None = Field(None, description="why it ended early", examples=[None])
 
 
-class Listed(BaseModel):
-    """Every recording in the folder."""
+class Listed(forms.Form):
+    """Recordings in the folder, by name."""
 
     recordings: tuple[Recorded, ...]
+    after: str | None = Field(description="ask for these next; null: there are no more", examples=[None])
+
+
+After = Annotated[str | None, Query(max_length=120, description="only names behind this one")]
+Limit = Annotated[int, Query(ge=1, le=1000)]
 
 
 class _Run:
     """One recording and the thread that reads its bus."""
 
-    def __init__(self, bus: str, settings: Mapping[str, Any], path: Path) -> None:
-        self.bus = bus
+    def __init__(self, bus: str, settings: Mapping[str, Any], path: Path, events: Events) -> None:
+        self.bus, self._name, self._events = bus, path.name, events
         self.error: str | None = None
         self._stop = Event()
         self._tap = open_tap(**settings)
@@ -86,20 +94,25 @@ class _Run:
             self.error = str(error)
         finally:
             self._tap.close()
+            ending = self.error or f"{self.recorder.written} messages"
+            self._events.add("recording_ended", f"{self._name}: {ending}", bus=self.bus)
 
 
 class Recordings:
     """The recordings of a folder, and those that run: one a bus at most."""
 
-    def __init__(self, folder: Path, buses: Mapping[str, Mapping[str, Any]]) -> None:
-        self._folder, self._buses = folder, buses
+    def __init__(self, folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events) -> None:
+        self._folder, self._buses, self._events = folder, buses, events
         self._runs: dict[str, _Run] = {}
         self._lock = Lock()
 
-    def listed(self) -> tuple[Recorded, ...]:
-        """Every recording, by name; links and files of other kinds are none."""
+    def listed(self, after: str | None, limit: int) -> Listed:
+        """The first `limit` recordings behind `after`, by name; links and files of other kinds are none."""
         with self._lock:
-            return tuple(self._told(each) for each in sorted(self._folder.glob("*")) if _is_recording(each))
+            names = sorted(each.name for each in self._folder.glob("*") if after is None or each.name > after)
+            found = [path for name in names if _is_recording(path := self._folder / name)]
+            page = tuple(self._told(path) for path in found[:limit])
+        return Listed(recordings=page, after=page[-1].name if len(found) > limit else None)
 
     def start(self, bus: str, name: str | None) -> Recorded:
         """Start one; Problem where there is no such bus, or one of that bus or name is there."""
@@ -113,9 +126,10 @@ class Recordings:
                 raise Problem(409, f"recording {path.name}: is there already")
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                self._runs[path.name] = _Run(bus, self._buses[bus], path)
+                self._runs[path.name] = _Run(bus, self._buses[bus], path, self._events)
             except (BusError, OSError) as error:
                 raise Problem(503, str(error)) from error
+            self._events.add("recording_started", path.name, bus=bus)
             return self._told(path)
 
     def stop(self, name: str) -> Recorded:
@@ -171,9 +185,9 @@ def _is_recording(path: Path) -> bool:
     return re.fullmatch(NAME, path.name) is not None and path.is_file() and not path.is_symlink()
 
 
-def make(folder: Path, buses: Mapping[str, Mapping[str, Any]]) -> APIRouter:
+def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events) -> APIRouter:
     """The routes of a folder and of buses by name, with python-can's settings of each."""
-    recordings = Recordings(folder, buses)
+    recordings = Recordings(folder, buses, events)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -184,20 +198,20 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]]) -> APIRouter:
         prefix="/api/v1/recordings",
         tags=["recordings"],
         lifespan=lifespan,
-        responses={422: PROBLEM | {"description": "a name that no recording may have"}},
+        responses=WRONG,
     )
 
     @router.get("")
-    def listed() -> Listed:
-        """Every recording in the folder."""
-        return Listed(recordings=recordings.listed())
+    def listed(after: After = None, limit: Limit = 100) -> Listed:
+        """The recordings in the folder, by name, page by page."""
+        return recordings.listed(after, limit)
 
-    @router.post("", status_code=201, responses=NO_BUS | BUSY)
+    @router.post("", status_code=201, responses=NO_BUS | BUSY | CONTROL | BODY)
     def start(what: Start) -> Recorded:
         """Record a bus from now on."""
         return recordings.start(what.bus, what.name)
 
-    @router.post("/{name}/stop", responses=GONE)
+    @router.post("/{name}/stop", responses=GONE | CONTROL)
     def stop(name: Name) -> Recorded:
         """End a recording; one that has ended already stays as it is."""
         return recordings.stop(name)
@@ -207,7 +221,7 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]]) -> APIRouter:
         """The file of a recording that does not run."""
         return FileResponse(recordings.ended(name), media_type="application/octet-stream", filename=name)
 
-    @router.delete("/{name}", status_code=204, responses=GONE | BUSY)
+    @router.delete("/{name}", status_code=204, responses=GONE | BUSY | CONTROL)
     def delete(name: Name) -> None:
         """Delete a recording that does not run."""
         recordings.delete(name)

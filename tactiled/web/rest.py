@@ -1,53 +1,56 @@
 """The REST resources under /api/v1."""
 
 from io import BytesIO
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
+from tactiled.errors import StateError
 from tactiled.frames import Image
-from tactiled.service import Sensor, Service
+from tactiled.service import Sensor
 from tactiled.web import forms, picture
+from tactiled.web.common import (
+    BODY,
+    CONTROL,
+    NO_FRAME,
+    NO_SENSOR,
+    NOT_ACCEPTED,
+    TOO_MANY,
+    WRONG,
+    Found,
+    Responses,
+    Served,
+    accepted,
+    costly,
+    no_frame,
+    problem,
+)
 from tactiled.web.forms import Shown
 from tactiled.web.problems import Problem
 
 Format = Literal["json", "npy", "png"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "png": "image/png"}
-PROBLEM = {"model": forms.Problem, "content": {"application/problem+json": {}}}
-NO_SENSOR: dict[int | str, dict[str, Any]] = {404: PROBLEM | {"description": "no such sensor"}}
-FRAME: dict[int | str, dict[str, Any]] = {
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+HEADERS = {
+    "ETag": "for If-None-Match: the image in its present state",
+    "X-Tactiled-Sequence": "number of the image",
+    "X-Tactiled-Timestamp": "s, of the frame's first CAN message",
+    "X-Tactiled-State": "live, stale or down",
+    "X-Tactiled-Age": "s since the last frame came in",
+    "X-Tactiled-Unit": "kPa",
+}
+TOLD = {name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()}
+FRAME: Responses = {
     200: {
         "description": "the newest image",
-        "content": {
-            MEDIA["npy"]: {"schema": {"type": "string", "format": "binary"}},
-            MEDIA["png"]: {"schema": {"type": "string", "format": "binary"}},
-        },
+        "content": {MEDIA["npy"]: BINARY, MEDIA["png"]: BINARY},
+        "headers": TOLD,
     },
-    304: {"description": "If-None-Match names the newest image in its present state"},
-    406: PROBLEM | {"description": "Accept names no format there is"},
-    503: PROBLEM | {"description": "no frame yet; see Retry-After"},
+    304: {"description": "If-None-Match names the newest image in its present state", "headers": TOLD},
 }
 
-
-router = APIRouter(
-    prefix="/api/v1", responses={422: PROBLEM | {"description": "a parameter or the body is wrong"}}
-)
-
-
-def _service(request: Request) -> Service:
-    found: Service = request.app.state.service
-    return found
-
-
-Served = Annotated[Service, Depends(_service)]
-
-
-def _sensor(name: str, service: Served) -> Sensor:
-    return service.sensor(name)
-
-
-Found = Annotated[Sensor, Depends(_sensor)]
+router = APIRouter(prefix="/api/v1", responses=WRONG)
 
 
 @router.get("/health", tags=["service"])
@@ -87,30 +90,44 @@ def kernel(sensor: Found) -> forms.KernelForm:
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
-def get_method(sensor: Found) -> forms.Method:
+def get_method(sensor: Found, service: Served) -> forms.Method:
     """The method asked for."""
-    return forms.Method(method=sensor.method)
+    return forms.method(service, sensor)
 
 
-@router.put("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
-def put_method(sensor: Found, asked: forms.Method) -> forms.Method:
-    """Restore by another method from the next frame on."""
-    sensor.set_method(asked.method)
-    return asked
+KEEP: Responses = {409: problem("this service keeps no state"), 503: problem("the state cannot be written")}
 
 
-@router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR)
-def tare(sensor: Found) -> None:
-    """Take the mean of the next frames as the unloaded array."""
-    sensor.tare()
+@router.put("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR | KEEP | CONTROL | BODY)
+def put_method(sensor: Found, service: Served, asked: forms.MethodAsked) -> forms.Method:
+    """Restore by another method from the next frame on, and after a restart as well with `keep`."""
+    if asked.keep and service.state is None:
+        raise Problem(409, "keep = true: this service keeps no state: `tactiled run` does")
+    try:
+        service.set_method(sensor.name, asked.method, asked.keep)
+    except StateError as error:
+        raise Problem(503, str(error)) from error
+    return forms.method(service, sensor)
 
 
-@router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | {503: FRAME[503]})
+@router.get("/sensors/{name}/calibration", tags=["sensors"], responses=NO_SENSOR)
+def calibration(sensor: Found) -> forms.CalibrationForm:
+    """What turns counts into kPa now; the configuration sets it, a tare its no_load."""
+    return forms.calibration(sensor)
+
+
+@router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | CONTROL)
+def tare(sensor: Found, service: Served) -> None:
+    """Take the mean of the next 16 frames as the unloaded array."""
+    service.tare(sensor.name)
+
+
+@router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | NO_FRAME)
 def contacts(sensor: Found) -> forms.Contacts:
     """Where something touches: centre, force, area, axes, tracked from request to request."""
     found = forms.contacts(sensor)
     if found is None:
-        raise _no_frame(sensor)
+        raise no_frame(sensor)
     return found
 
 
@@ -119,46 +136,30 @@ Asked = Annotated[Format | None, Query(alias="format", description="over the Acc
 
 
 @router.get(
-    "/sensors/{name}/frames/{kind}", tags=["frames"], response_model=forms.Frame, responses=NO_SENSOR | FRAME
+    "/sensors/{name}/frames/{kind}",
+    tags=["frames"],
+    response_model=forms.Frame,
+    responses=NO_SENSOR | NO_FRAME | NOT_ACCEPTED | TOO_MANY | FRAME,
 )
 def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
     """The newest image, in kPa: raw, restored, or the restored one's standard deviation.
 
     What is known against it is in the JSON, or in X-Tactiled headers.
     """
-    form = form or _accepted(request.headers.get("accept", "*/*"))
+    form = form or accepted(request, MEDIA)
+    if form == "png" or kind == "deviation":
+        costly(request)
     image = sensor.hub.latest()
     if image is None:
-        raise _no_frame(sensor)
+        raise no_frame(sensor)
     return _answer(sensor, image, kind, form, request, top_kpa)
-
-
-def _no_frame(sensor: Sensor) -> Problem:
-    return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
-
-
-def _accepted(header: str) -> Format:
-    """The format that an Accept header likes best; Problem 406 where it likes none."""
-    likes = [_like(part) for part in header.split(",")]
-    for weight, media in sorted(likes, key=lambda like: -like[0]):
-        for form, name in MEDIA.items():
-            if weight > 0 and media in (name, name.split("/")[0] + "/*", "*/*"):
-                return form
-    raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA.values())}")
-
-
-def _like(part: str) -> tuple[float, str]:
-    """How much a part of an Accept header likes which media type."""
-    media, *parameters = (each.strip().lower() for each in part.split(";"))
-    weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
-    return (float(weight) if weight.replace(".", "", 1).isdigit() else 0.0), media
 
 
 def _answer(
     sensor: Sensor, image: Image, kind: Shown, form: Format, request: Request, top_kpa: float | None
 ) -> Response:
     status = sensor.status()
-    tag = f'"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"'
+    tag = f'W/"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"'
     headers = {
         "ETag": tag,
         "Cache-Control": "no-cache",
@@ -169,7 +170,7 @@ def _answer(
         "X-Tactiled-Age": "" if status.age_s is None else f"{status.age_s:.3f}",
         "X-Tactiled-Unit": "kPa",
     }
-    if tag in request.headers.get("if-none-match", ""):
+    if _named(tag, request.headers.get("if-none-match", "")):
         return Response(status_code=304, headers=headers)
     if form == "png":
         content = picture.png(sensor, image, kind, top_kpa)
@@ -180,3 +181,9 @@ def _answer(
     else:
         content = forms.frame(sensor, image, kind).model_dump_json().encode()
     return Response(content, media_type=MEDIA[form], headers=headers)
+
+
+def _named(tag: str, header: str) -> bool:
+    """Whether an If-None-Match header names a tag; weak and strong ones are the same there."""
+    named = {each.strip().removeprefix("W/") for each in header.split(",")}
+    return bool(named & {tag.removeprefix("W/"), "*"})

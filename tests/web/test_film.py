@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
-from tactiled.web import film
+from tactiled.web import body, film
 
 
 @pytest.fixture
@@ -67,9 +67,9 @@ def test_what_is_no_film_of_this_sensor_is_refused_by_name(url, body, query, sta
 
 
 def test_a_film_that_is_too_large_is_refused_as_soon_as_that_is_known(url, frames, monkeypatch):
-    monkeypatch.setattr(film, "MOST_IN", 1 << 10)
+    monkeypatch.setattr(body, "MOST_FILM", 1 << 10)
     assert post(url, npy(frames)).status_code == 413
-    monkeypatch.setattr(film, "MOST_IN", 1 << 20)
+    monkeypatch.setattr(body, "MOST_FILM", 1 << 20)
     monkeypatch.setattr(film, "MOST_OUT", 1 << 10)
     assert post(url, npy(frames)).status_code == 413
 

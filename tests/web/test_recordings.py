@@ -10,6 +10,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from tactiled.bus import recording
+from tactiled.events import Events
 from tactiled.web import problems
 from tactiled.web.recordings import make
 
@@ -46,7 +47,7 @@ def api(folder, request):
         "can0": {"interface": "virtual", "channel": request.node.name},
         "gone": {"interface": "slcan", "channel": "/dev/gone", "sleep_after_open": 0},
     }
-    app.include_router(make(folder, buses))
+    app.include_router(make(folder, buses, Events()))
     with serving(app) as client:
         yield client
 
@@ -63,7 +64,7 @@ def send(bus, count):
 
 
 def test_one_recording_from_its_start_to_its_end(api, bus, folder):
-    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(ROOT).json() == {"recordings": [], "after": None}
     began = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
     assert began.status_code == 201
     assert began.json()["running"] is True
@@ -86,7 +87,7 @@ def test_one_recording_from_its_start_to_its_end(api, bus, folder):
         *range(20),
     ]
     assert api.delete(f"{ROOT}/a.log").status_code == 204
-    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(ROOT).json() == {"recordings": [], "after": None}
     assert api.get(f"{ROOT}/a.log").status_code == 404
 
 
@@ -142,7 +143,7 @@ def test_a_link_out_of_the_folder_is_no_recording(api, folder):
     folder.mkdir()
     (folder / "link.log").symlink_to(folder.parent / "secret.log")
     (folder / "dangling.log").symlink_to(folder.parent / "new.log")
-    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(ROOT).json() == {"recordings": [], "after": None}
     assert api.get(f"{ROOT}/link.log").status_code == 404
     assert api.delete(f"{ROOT}/link.log").status_code == 404
     assert api.post(ROOT, json={"bus": "can0", "name": "dangling.log"}).status_code == 409
@@ -155,7 +156,7 @@ def test_a_bus_that_is_not_there(api):
     gone = api.post(ROOT, json={"bus": "gone"})
     assert gone.status_code == 503
     assert "No such file" in gone.json()["detail"]
-    assert api.get(ROOT).json() == {"recordings": []}
+    assert api.get(ROOT).json() == {"recordings": [], "after": None}
 
 
 def test_a_folder_that_cannot_be_made_is_told(api, folder):
@@ -183,7 +184,7 @@ def test_a_full_disk_ends_it_and_says_so(api, bus, monkeypatch):
 
 def test_the_end_of_the_service_ends_a_recording_whole(folder, request):
     app = FastAPI()
-    app.include_router(make(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}))
+    app.include_router(make(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}, Events()))
     with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
         client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
         send(bus, 50)

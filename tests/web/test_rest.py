@@ -143,14 +143,15 @@ def test_the_accept_header_chooses(rig, client, accept, gives):
 
 def test_the_method_is_changed_within_a_frame_and_a_wrong_one_changes_nothing(rig, client):
     rig.show(pressed())
-    assert client.put("/sensors/palm/method", json={"method": "raw"}).json() == {"method": "raw"}
+    told = client.put("/sensors/palm/method", json={"method": "raw"}).json()
+    assert told == {"method": "raw", "configured": "wiener", "kept": None}
     assert rig.show(pressed()).method == "raw"
     assert "method = 'sharpen': no such method" in problem(
         client.put("/sensors/palm/method", json={"method": "sharpen"}), 422
     )
     problem(client.put("/sensors/palm/method", json={"methd": "raw"}), 422)
     problem(client.put("/sensors/palm/method", content=b"{"), 422)
-    assert client.get("/sensors/palm/method").json() == {"method": "raw"}
+    assert client.get("/sensors/palm/method").json() == told
 
 
 def test_tare_takes_the_load_off(rig, client):
@@ -192,7 +193,7 @@ def test_the_kernel_and_the_geometry(client):
 
 def test_every_error_of_every_resource_is_documented_as_a_problem_and_every_field_has_a_type(client):
     spec = client.get("/openapi.json").json()
-    assert len(spec["paths"]) == 11
+    assert len(spec["paths"]) == 15
     for path, operations in spec["paths"].items():
         for operation in operations.values():
             for status, answer in operation["responses"].items():
@@ -206,7 +207,7 @@ def test_the_examples_of_the_documentation_are_valid(client):
     from tactiled.web import forms
 
     schemas = client.get("/openapi.json").json()["components"]["schemas"]
-    for name in ("Loss", "Method", "Problem", "KernelForm", "Colormap"):
+    for name in ("Loss", "Method", "MethodAsked", "Problem", "KernelForm", "Colormap"):
         example = {field: about["examples"][0] for field, about in schemas[name]["properties"].items()}
         getattr(forms, name).model_validate(example)
 
@@ -220,7 +221,7 @@ def test_the_examples_of_the_documentation_are_valid(client):
 )
 def test_pages_of_other_sites_are_refused(client, headers, says):
     assert says in problem(client.put("/sensors/palm/method", json={"method": "raw"}, headers=headers), 403)
-    assert client.get("/sensors/palm/method").json() == {"method": "wiener"}
+    assert client.get("/sensors/palm/method").json()["method"] == "wiener"
 
 
 def test_every_answer_carries_the_security_headers(client):

@@ -1,0 +1,69 @@
+"""What clients changed and want kept: a small file beside the configuration, read at start."""
+
+import hashlib
+import json
+import os
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from tactiled.errors import ConfigError, StateError
+
+VERSION = 1
+
+
+def default(config: Path) -> Path:
+    """Where the state of a configuration file is kept if it names no place: the user's state directory."""
+    place = config.resolve()
+    named = hashlib.sha256(str(place).encode()).hexdigest()[:8]
+    home = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return home / "tactiled" / f"{place.stem}-{named}.json"
+
+
+class State:
+    """Methods kept by sensor; on the disk it is the old file or the new one, never half of one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        self.methods = _read(path)
+
+    def keep(self, sensor: str, method: str | None) -> None:
+        """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""
+        with self._lock:
+            methods = {name: each for name, each in self.methods.items() if name != sensor}
+            if method is not None:
+                methods[sensor] = method
+            if methods != self.methods:
+                _write(self.path, {"version": VERSION, "methods": methods})
+            self.methods = methods
+
+
+def _read(path: Path) -> dict[str, str]:
+    try:
+        said: Any = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"state {path}: {error}: mend it or delete it") from error
+    methods = said.get("methods") if isinstance(said, dict) and said.get("version") == VERSION else None
+    if not isinstance(methods, dict) or not all(isinstance(each, str) for each in methods.values()):
+        raise ConfigError(f"state {path}: no state file of version {VERSION}: delete it")
+    return methods
+
+
+def _write(path: Path, content: object) -> None:
+    """Replace a file at once."""
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w", encoding="utf-8") as file:
+            json.dump(content, file, indent=1)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise StateError(f"state {path}: {error.strerror}: nothing was kept") from error

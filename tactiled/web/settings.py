@@ -1,0 +1,98 @@
+"""`GET /api/v1/config`: what the service runs with, without its secrets."""
+
+import re
+from typing import Any, Literal
+
+from fastapi import APIRouter, Request
+from pydantic import Field
+
+from tactiled.config import Server, schema
+from tactiled.service import Service
+from tactiled.web import forms
+from tactiled.web.common import Served
+
+HIDDEN = "hidden"
+SECRET = re.compile("token|password|secret|key|credential", re.IGNORECASE)  # in names of a bus's settings
+
+router = APIRouter(prefix="/api/v1", tags=["service"])
+
+
+class ServerForm(forms.Form):
+    """Where clients find the service and what they may do."""
+
+    host: str = Field(examples=["127.0.0.1"])
+    port: int = Field(examples=[8000])
+    read_token: bool = Field(description="whether one is needed", examples=[False])
+    control_token: bool = Field(description="whether one is needed", examples=[False])
+    tls: bool = Field(examples=[False])
+    recordings: bool = Field(description="whether clients may record", examples=[True])
+    keeps_state: bool = Field(description="whether `keep` is possible", examples=[True])
+    history_s: float = Field(examples=[5.0])
+    history_mb: float = Field(examples=[64.0])
+    control_per_minute: int = Field(examples=[600])
+
+
+class Override(forms.Form):
+    """What is not as configured."""
+
+    sensor: forms.Name
+    key: Literal["method"] = "method"
+    configured: str = Field(examples=["auto"])
+    value: str = Field(examples=["nnls"])
+    kept: bool = Field(description="whether a restart keeps it", examples=[True])
+
+
+class ConfigForm(forms.Form):
+    """The configuration as read, with every default, and what clients changed since."""
+
+    server: ServerForm
+    bus: dict[str, dict[str, Any]] = Field(
+        description="python-can's settings; secrets are hidden",
+        examples=[{"can0": {"interface": "socketcan", "channel": "can0", "fd": True}}],
+    )
+    sensor: dict[str, schema.Sensor] = Field(description="as in the file, units in the keys")
+    overrides: tuple[Override, ...]
+
+
+@router.get("/config")
+def config(request: Request, service: Served) -> ConfigForm:
+    """The configuration as read, with every default; no token, no path of the machine."""
+    return ConfigForm(
+        server=_server(request.app.state.server, service),
+        bus={name: _open(settings) for name, settings in service.buses.items()},
+        sensor=service.config.sensor,
+        overrides=tuple(_overrides(service)),
+    )
+
+
+def _server(server: Server, service: Service) -> ServerForm:
+    return ServerForm(
+        host=server.host,
+        port=server.port,
+        read_token=server.read_token is not None or server.control_token is not None,
+        control_token=server.control_token is not None,
+        tls=server.tls_certificate is not None,
+        recordings=server.recordings is not None,
+        keeps_state=service.state is not None,
+        history_s=server.history_s,
+        history_mb=server.history_mb,
+        control_per_minute=server.control_per_minute,
+    )
+
+
+def _open(settings: dict[str, Any]) -> dict[str, Any]:
+    return {key: HIDDEN if SECRET.search(key) else value for key, value in settings.items()}
+
+
+def _overrides(service: Service) -> list[Override]:
+    kept = service.state.methods if service.state else {}
+    return [
+        Override(
+            sensor=name,
+            configured=sensor.plan.method,
+            value=sensor.method,
+            kept=kept.get(name) == sensor.method,
+        )
+        for name, sensor in service.sensors.items()
+        if sensor.method != sensor.plan.method
+    ]

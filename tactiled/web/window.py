@@ -1,0 +1,131 @@
+"""`GET /api/v1/sensors/{name}/frames`: the images of the last seconds."""
+
+from collections.abc import Iterator
+from io import BytesIO
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request, Response
+from numpy.typing import NDArray
+from pydantic import Field
+
+from tactiled.history import Kept
+from tactiled.service import Sensor
+from tactiled.web import forms
+from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly
+
+Format = Literal["json", "npy", "npz"]
+MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "npz": "application/x-npz"}
+MOST = 1000  # images an answer
+MOST_VALUES: dict[Format, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
+BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+class KeptFrame(forms.Form):
+    """One image of the last seconds."""
+
+    sequence: int = Field(description="lost frames leave gaps", examples=[5123])
+    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
+    method: str = Field(description="that restored it", examples=["nnls"])
+    values: forms.Values
+    flags: list[list[int]] | list[int] | None = Field(
+        description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; null where all are 0", examples=[None]
+    )
+
+
+class Frames(forms.Form):
+    """Images of the last seconds, oldest first."""
+
+    type: Literal["frames"] = "frames"
+    sensor: forms.Name
+    kind: forms.Streamed = Field(examples=["restored"])
+    unit: Literal["kPa"] = "kPa"
+    before: int | None = Field(
+        description="ask for these next: older images of the same time; null: there are none", examples=[None]
+    )
+    frames: list[KeptFrame]
+
+
+HEADERS = {
+    "X-Tactiled-Unit": "kPa",
+    "X-Tactiled-Sequence": "numbers of the images, as ranges: 5-9,12 where 10 and 11 were lost",
+    "X-Tactiled-Timestamp": "s, of the first image and of the last",
+    "X-Tactiled-Before": "ask for these next; absent: there are none",
+}
+RESPONSES: Responses = {
+    200: {
+        "description": "images, oldest first: .npy (T, rows, columns); .npz with sequence, time, flags and values",
+        "content": {MEDIA["npy"]: BINARY, MEDIA["npz"]: BINARY},
+        "headers": {name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()},
+    }
+}
+Last = Annotated[
+    str, Query(pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$", description="back from the newest image", examples=["2s"])
+]
+Before = Annotated[int | None, Query(ge=0, le=2**62, description="only images of a lower number")]
+Limit = Annotated[int, Query(ge=1, le=MOST, description="images; fewer come where they are large")]
+
+router = APIRouter(prefix="/api/v1", tags=["frames"])
+
+
+@router.get(
+    "/sensors/{name}/frames",
+    response_model=Frames,
+    responses=NO_SENSOR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
+    dependencies=[Depends(costly)],
+)
+def frames(
+    sensor: Found,
+    request: Request,
+    kind: forms.Streamed = "restored",
+    last: Last = "1s",
+    before: Before = None,
+    limit: Limit = 100,
+    form: Annotated[Format | None, Query(alias="format", description="over the Accept header")] = None,
+) -> Response:
+    """The images of the last seconds, kPa, from as far back as `history_s` of the configuration.
+
+    The newest come first, page by page; within a page they are in order.
+    """
+    form = form or accepted(request, MEDIA)
+    kept = sensor.history(kind, float(last[:-1]), before, limit, MOST_VALUES[form])
+    headers = {"X-Tactiled-Unit": "kPa", "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
+    if len(kept.time):
+        headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"
+    if kept.older:
+        headers["X-Tactiled-Before"] = str(kept.sequence[0])
+    return Response(_content(sensor, kind, kept, form), media_type=MEDIA[form], headers=headers)
+
+
+def _content(sensor: Sensor, kind: forms.Streamed, kept: Kept, form: Format) -> bytes:
+    if form == "json":
+        return b"".join(_json(sensor, kind, kept))
+    out = BytesIO()
+    if form == "npy":
+        np.save(out, kept.values)
+    else:
+        np.savez(out, sequence=kept.sequence, time=kept.time, flags=kept.flags, values=kept.values)
+    return out.getvalue()
+
+
+def _json(sensor: Sensor, kind: forms.Streamed, kept: Kept) -> Iterator[bytes]:
+    """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
+    head = Frames(sensor=sensor.name, kind=kind, before=int(kept.sequence[0]) if kept.older else None, frames=[])
+    yield head.model_dump_json().encode().removesuffix(b"]}")
+    for n, method in enumerate(kept.method):
+        one = KeptFrame(
+            sequence=int(kept.sequence[n]),
+            timestamp=float(kept.time[n]),
+            method=method,
+            values=forms.numbers(kept.values[n]),
+            flags=kept.flags[n].tolist() if kept.flags[n].any() else None,
+        )
+        yield (b"," if n else b"") + one.model_dump_json().encode()
+    yield b"]}"
+
+
+def _ranges(numbers: NDArray[np.int64]) -> str:
+    """Ascending numbers, those in a row written as first-last."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else []
+    told = [f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
+    return ",".join(told)

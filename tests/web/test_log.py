@@ -1,0 +1,138 @@
+import threading
+import time
+
+import httpx
+import pytest
+from pydantic import SecretStr
+
+from tactiled.config import Server, parse
+from tactiled.service import Service
+from tactiled.state import State
+from tactiled.web.server import running
+from tests.conftest import CONFIG, pressed, until
+from tests.web.test_rest import problem
+
+MOST_S = 10  # that a machine may be busy with other things
+
+
+@pytest.fixture
+def client(url):
+    with httpx.Client(base_url=url + "/api/v1", timeout=30) as made:
+        yield made
+
+
+def kinds(client, **query):
+    return [each["kind"] for each in client.get("/events", params=query).json()["events"]]
+
+
+def test_what_happens_to_a_sensor_is_told_in_order(rig, client):
+    rig.show(pressed())
+    until(lambda: kinds(client) == ["sensor_live"])
+    client.put("/sensors/palm/method", json={"method": "raw"})
+    client.put("/sensors/palm/method", json={"method": "sharpen"})
+    client.post("/sensors/palm/tare")
+    until(lambda: kinds(client)[-1] == "sensor_stale")
+    told = client.get("/events").json()
+    assert kinds(client) == ["sensor_live", "method_set", "tare_asked", "sensor_stale"]
+    assert [each["id"] for each in told["events"]] == [1, 2, 3, 4]
+    assert {each["sensor"] for each in told["events"]} == {"palm"}
+    assert (told["newest"], told["missed"]) == (4, 0)
+    assert told["events"][1]["text"] == "raw"
+    assert abs(told["events"][3]["time"] - time.time()) < MOST_S
+    for _ in range(16):
+        rig.show(pressed())
+    until(lambda: "tare_done" in kinds(client, after=4))
+
+
+def test_pages_lead_on_and_what_has_fallen_out_is_counted(rig, client):
+    for n in range(1500):
+        rig.service.events.add("method_set", f"m{n}", "palm")
+    first = client.get("/events", params={"limit": 1000}).json()
+    assert (first["missed"], len(first["events"]), first["events"][0]["text"]) == (500, 1000, "m500")
+    page = client.get("/events", params={"after": 1490, "limit": 4}).json()
+    assert [each["id"] for each in page["events"]] == [1491, 1492, 1493, 1494]
+    assert client.get("/events", params={"after": 1500}).json()["events"] == []
+    restarted = client.get("/events", params={"after": 10**6, "wait": 30}).json()
+    assert (len(restarted["events"]), restarted["newest"]) == (100, 1500)
+
+
+def test_a_client_that_waits_hears_of_the_next_event_when_it_happens(rig, client):
+    def later():
+        time.sleep(0.3)
+        rig.service.events.add("bus_up", "is there again", bus="can0")
+
+    newest = client.get("/events").json()["newest"]
+    thread = threading.Thread(target=later)
+    thread.start()
+    began = time.monotonic()
+    told = client.get("/events", params={"after": newest, "wait": 25}).json()
+    thread.join()
+    assert [each["text"] for each in told["events"]] == ["is there again"]
+    assert 0.2 < time.monotonic() - began < MOST_S
+    none = client.get("/events", params={"after": told["newest"], "wait": 0.2}).json()
+    assert none == {"events": [], "newest": told["newest"], "missed": 0}
+    until(lambda: not rig.service.events._listeners)
+
+
+@pytest.mark.parametrize("query", [{"wait": 31}, {"wait": "nan"}, {"after": -1}, {"limit": 0}, {"after": "x"}])
+def test_what_is_wrong_is_named(client, query):
+    (name, value), *_ = query.items()
+    assert f"{name} = '{value}'" in problem(client.get("/events", params=query), 422)
+
+
+def test_recordings_are_told(rig, tmp_path):
+    with (
+        running(rig.service, Server(port=0, recordings=tmp_path)) as url,
+        httpx.Client(base_url=url + "/api/v1") as client,
+    ):
+        client.post("/recordings", json={"bus": "can0", "name": "a.log"})
+        client.post("/recordings/a.log/stop")
+        told = client.get("/events").json()["events"]
+    assert [(each["kind"], each["bus"], each["text"]) for each in told] == [
+        ("recording_started", "can0", "a.log"),
+        ("recording_ended", "can0", "a.log: 0 messages"),
+    ]
+
+
+def test_a_method_is_kept_where_the_service_keeps_state(tmp_path, client):
+    detail = problem(client.put("/sensors/palm/method", json={"method": "raw", "keep": True}), 409)
+    assert detail.startswith("keep = true: this service keeps no state")
+    assert client.get("/sensors/palm/method").json()["method"] == "wiener"
+    config = parse(CONFIG.format(channel="none"))
+    for _ in range(2):
+        service = Service(config, state=State(tmp_path / "state.json"))
+        with running(service) as url:
+            asked = {"method": "nnls", "keep": True}
+            told = httpx.put(url + "/api/v1/sensors/palm/method", json=asked).json()
+            assert told == {"method": "nnls", "configured": "wiener", "kept": "nnls"}
+            (override,) = httpx.get(url + "/api/v1/config").json()["overrides"]
+            assert override == {
+                "sensor": "palm", "key": "method", "configured": "wiener", "value": "nnls", "kept": True
+            }  # fmt: skip
+    assert service.events.after(0)[0].kind == "method_kept"
+
+
+def test_the_configuration_is_told_without_its_secrets(rig):
+    token = SecretStr("hush-hush-hush-1")
+    rig.service.buses["can0"] |= {"password": "hush-bus"}
+    with running(rig.service, Server(port=0, control_token=token)) as url:
+        answer = httpx.get(url + "/api/v1/config", headers={"Authorization": f"Bearer {token.get_secret_value()}"})
+    told = answer.json()
+    assert "hush" not in answer.text
+    assert told["bus"]["can0"]["password"] == "hidden"
+    assert (told["server"]["control_token"], told["server"]["tls"]) == (True, False)
+    assert told["sensor"]["palm"]["codec"]["name"] == "packed"
+    assert told["sensor"]["palm"]["cover"][0]["thickness_mm"] == 0.8
+    assert told["overrides"] == []
+
+
+def test_the_calibration_is_told_as_it_is_now(rig, client):
+    told = client.get("/sensors/palm/calibration").json()
+    assert (told["kpa_per_count"], told["noise_kpa"], told["saturation"], told["tared"]) == (0.5, 0.5, 4000, 0)
+    assert told["no_load"] == [100.0] * 64
+    client.post("/sensors/palm/tare")
+    for _ in range(17):
+        rig.show(pressed())
+    told = client.get("/sensors/palm/calibration").json()
+    assert told["no_load"] == pressed().ravel().tolist()
+    assert told["tared"] == 1
