@@ -14,7 +14,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.service import Service
-from tactiled.web import film, log, problems, recordings, rest, settings, stream, window
+from tactiled.web import asyncapi, film, log, problems, recordings, rest, settings, stream, window
 from tactiled.web.common import WRONG
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
@@ -26,7 +26,8 @@ NO_GAIN = ("application/x-npy", "application/x-npz", "application/octet-stream")
 TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
 
-Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in the README."""
+Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in AsyncAPI by
+[asyncapi.json](asyncapi.json)."""
 
 
 def create(service: Service, server: Server) -> FastAPI:
@@ -57,6 +58,7 @@ def create(service: Service, server: Server) -> FastAPI:
         app.include_router(recordings.make(server.recordings, service.buses, service.events))
 
     app.include_router(stream.make(feeds))
+    app.include_router(asyncapi.make())
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:

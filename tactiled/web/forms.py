@@ -170,6 +170,15 @@ class Contacts(Form):
     contacts: tuple[ContactForm, ...]
 
 
+class Next(Form):
+    """What a client of a stream says with flow=credit, to be sent the newest image."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    type: Literal["next"]
+    sensor: str | None = Field(None, description="of this one; else of all", examples=["palm"])
+
+
 class KernelForm(Form):
     """What the cover does."""
 

@@ -12,6 +12,28 @@ Kind = Literal["raw", "restored"]
 KINDS: tuple[Kind, ...] = ("raw", "restored")
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
+LAYOUT = (  # offset, type, meaning
+    (0, "4 bytes", "TCTL"),
+    (4, "u8", f"version, {VERSION}"),
+    (5, "u8", "kind: 0 raw, 1 restored"),
+    (6, "u16", "rows; 1 of a layout that is no grid"),
+    (8, "u16", "columns"),
+    (10, "u16", "F, bytes of flags: one a taxel after a raw image, else 0"),
+    (12, "u16", "N, bytes of the sensor's name: 0 on a stream of one sensor"),
+    (14, "u16", "0"),
+    (16, "u64", "sequence, not wrapped; lost frames leave gaps"),
+    (24, "f64", "time of the frame's first CAN message, Unix s"),
+    (32, "f64", "time the message was made, Unix s"),
+    (40, "f32", "noise, kPa: standard deviation of a raw taxel"),
+    (44, "f32", "noise gain: restored noise over raw noise"),
+    (48, "f32", "resolution, mm: finest half-period above the noise"),
+    (52, "f32", "microseconds from counts to restored image"),
+    (56, "u32", "iterations"),
+    (60, "u32", "0"),
+    (64, "f32 x rows x columns", "pressure, kPa, row by row; NaN: unknown"),
+    (None, "u8 x F", "flags: 1 missing, 2 called faulty by the sensor, 4 dead, 8 saturated"),
+    (None, "u8 x N", "the sensor's name"),
+)
 
 
 class Unpacked(NamedTuple):

@@ -1,10 +1,12 @@
 """What a client of a stream asks for in the address, and may say."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
+from pydantic import ValidationError
+
+from tactiled.web.forms import Next
 from tactiled.web.wire import KINDS, Kind
 
 PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts")
@@ -63,15 +65,9 @@ def asked_for(query: Mapping[str, str], there: Sequence[str]) -> list[str]:
 def next_of(text: str | None, names: Sequence[str]) -> Sequence[str]:
     """The sensors of which a client's message asks for the next image; ValueError where it says anything else."""
     try:
-        said: Any = json.loads(text or "")
-    except ValueError:
-        said = None
-    if said == {"type": "next"}:
-        return names
-    if (
-        isinstance(said, dict)
-        and said == {"type": "next", "sensor": said.get("sensor")}
-        and said["sensor"] in names
-    ):
-        return [said["sensor"]]
+        sensor = Next.model_validate_json(text or "").sensor
+        if sensor is None or sensor in names:
+            return names if sensor is None else [sensor]
+    except ValidationError:
+        pass
     raise ValueError(f"message {'of bytes' if text is None else repr(text[:40])}: the only one there is: {NEXT}")

@@ -1,0 +1,135 @@
+"""`/api/v1/asyncapi.json`: the WebSockets in AsyncAPI 3.0, from the models that their messages are made of."""
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel
+from pydantic.json_schema import models_json_schema
+
+from tactiled import __version__
+from tactiled.web import forms, session
+from tactiled.web.wire import KINDS, LAYOUT
+
+Json = dict[str, Any]
+
+ABOUT = """Live images of covered tactile arrays, and how their sensors are doing.
+
+Newest wins: nothing queues for a client that does not read. Where tokens are configured, a client shows one as
+`Authorization: Bearer TOKEN` or `?token=TOKEN`. REST is described in `openapi.json`."""
+TOLD: dict[str, tuple[type[BaseModel], str]] = {
+    "status": (forms.StreamStatus, "A sensor's state, at least once a second and on every change"),
+    "contacts": (forms.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
+    "frame": (forms.Frame, "With format=json: one image"),
+}
+QUERY: Json = {
+    "kinds": {
+        "type": "string",
+        "enum": [*KINDS, ",".join(KINDS), ",".join(reversed(KINDS))],
+        "default": ",".join(KINDS),
+        "description": "images of every frame, in this order",
+    },
+    "rate_hz": {"type": "number", "minimum": 0, "maximum": 10000, "default": 0, "description": "0: every frame"},
+    "format": {"type": "string", "enum": ["binary", "json"], "default": "binary", "description": "of images"},
+    "flow": {
+        "type": "string",
+        "enum": ["newest", "credit"],
+        "default": "newest",
+        "description": "credit: one image of each kind for each message that asks for the next",
+    },
+    "contacts": {"type": "string", "enum": ["0", "1"], "default": "0"},
+    "token": {"type": "string", "description": "where the service asks for one"},
+}
+SENSORS: Json = {
+    "type": "string",
+    "description": "names with commas between; left out: all",
+    "examples": ["palm,tip"],
+}
+
+
+def make() -> APIRouter:
+    """The route."""
+    router = APIRouter(prefix="/api/v1")
+
+    @router.get("/asyncapi.json", include_in_schema=False)  # a description is no resource
+    def asyncapi(request: Request) -> Json:
+        """The WebSockets of this service in AsyncAPI 3.0."""
+        return document(request.url.netloc, secure=request.url.scheme == "https")
+
+    return router
+
+
+def document(host: str, secure: bool = False) -> Json:
+    """The description of the service at `host`."""
+    models: list[type[BaseModel]] = [*(model for model, _ in TOLD.values()), forms.Next]
+    _, schemas = models_json_schema(
+        [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
+    )
+    one, several = "/api/v1/sensors/{name}/stream", "/api/v1/stream"
+    return {
+        "asyncapi": "3.0.0",
+        "info": {"title": "tactiled", "version": __version__, "description": ABOUT},
+        "servers": {"here": {"host": host, "protocol": "wss" if secure else "ws"}},
+        "defaultContentType": "application/json",
+        "channels": {
+            "sensor": _channel(one, "Images of one sensor", QUERY)
+            | {
+                "parameters": {
+                    "name": {"description": "of the sensor, as in the configuration", "examples": ["palm"]}
+                }
+            },
+            "sensors": _channel(
+                several, "Images of several sensors; every message names its own", QUERY | {"sensors": SENSORS}
+            ),
+        },
+        "operations": {
+            f"{verb}{channel.capitalize()}": _operation(action, channel, messages)
+            for channel in ("sensor", "sensors")
+            for verb, action, messages in (("show", "send", ["image", *TOLD]), ("ask", "receive", ["next"]))
+        },
+        "components": {"schemas": schemas["$defs"], "messages": _messages()},
+    }
+
+
+def _channel(address: str, about: str, query: Json) -> Json:
+    """A WebSocket, its address's parameters and why it may close."""
+    return {
+        "address": address,
+        "description": f"{about}. One that is refused is opened all the same, to be told why: see x-close-codes.",
+        "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in ("image", *TOLD, "next")},
+        "bindings": {
+            "ws": {
+                "method": "GET",
+                "query": {"type": "object", "properties": query, "additionalProperties": False},
+            }
+        },
+        "x-close-codes": [{"code": code, "description": why} for code, why in session.CLOSES.items()],
+    }
+
+
+def _operation(action: str, channel: str, messages: list[str]) -> Json:
+    return {
+        "action": action,
+        "channel": {"$ref": f"#/channels/{channel}"},
+        "messages": [{"$ref": f"#/channels/{channel}/messages/{name}"} for name in messages],
+    }
+
+
+def _messages() -> Json:
+    told = {name: _message(name, model, about) for name, (model, about) in TOLD.items()}
+    image = {
+        "title": "image",
+        "summary": "One image, little-endian",
+        "contentType": "application/octet-stream",
+        "payload": {"type": "string", "format": "binary"},
+        "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],
+    }
+    return told | {"image": image, "next": _message("next", forms.Next, "With flow=credit: send the next image")}
+
+
+def _message(name: str, model: type[BaseModel], about: str) -> Json:
+    """A message whose payload is a form."""
+    return {
+        "title": name,
+        "summary": about,
+        "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
+    }

@@ -1,0 +1,188 @@
+import json
+import re
+import struct
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+import jsonschema
+import pytest
+from pydantic import SecretStr
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from tactiled.config import Server
+from tactiled.web.feed import Feed
+from tactiled.web.server import running
+from tactiled.web.session import CLOSES
+from tactiled.web.wire import HEADER, unpack
+from tactiled.web.wish import PARAMETERS, Wish, wish
+from tests.conftest import pressed, until
+
+README = Path(__file__).parents[2] / "README.md"
+
+
+@pytest.fixture
+def document(url):
+    return httpx.get(url + "/api/v1/asyncapi.json").raise_for_status().json()
+
+
+def found(document, ref):
+    here = document
+    for part in ref.removeprefix("#/").split("/"):
+        here = here[part]
+    return here
+
+
+def payload(document, message):
+    """A validator of a message's payload."""
+    schema = document["components"]["messages"][message]["payload"]
+    return jsonschema.Draft202012Validator(schema | {"components": document["components"]})
+
+
+def websocket(url, path):
+    return connect(url.replace("http", "ws", 1) + path, compression=None)
+
+
+def heard(client, seconds):
+    got, end = [], time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        try:
+            got.append(client.recv(timeout=left))
+        except TimeoutError:
+            break
+    return got
+
+
+def test_it_says_where_it_is_and_openapi_says_where_to_find_it(url, document):
+    assert document["asyncapi"] == "3.0.0"
+    assert document["servers"]["here"] == {"host": url.removeprefix("http://"), "protocol": "ws"}
+    openapi = httpx.get(url + "/api/v1/openapi.json").json()
+    assert "(asyncapi.json)" in openapi["info"]["description"]
+
+
+def test_every_reference_leads_somewhere(document):
+    refs = re.findall(r'"\$ref": "(#[^"]+)"', json.dumps(document))
+    assert len(refs) > 20
+    for ref in refs:
+        assert found(document, ref)
+
+
+@pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])
+def test_what_is_streamed_is_what_is_described(rig, url, document, path):
+    with websocket(url, path + "?format=json&contacts=1") as client:
+        before = heard(client, 0.3)  # no frame yet
+        rig.show(pressed())
+        rig.send(pressed(), drop=[0])  # taxels missing: null in the raw image
+        after = heard(client, 1.5)  # the sensor falls silent
+    told = [json.loads(text) for text in before + after]
+    assert {each["type"] for each in told} == {"frame", "status", "contacts"}
+    assert {each["state"] for each in told if each["type"] == "status"} == {"silent", "live", "stale"}
+    assert any(None in row for each in told if each["type"] == "frame" for row in each["values"])
+    for each in told:
+        payload(document, each["type"]).validate(each)
+        spoilt = {key: value for key, value in each.items() if key != "state"}
+        assert not payload(document, each["type"]).is_valid(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("said", "good"),
+    [
+        ('{"type": "next"}', True),
+        ('{"type": "next", "sensor": "palm"}', True),
+        ('{"type": "more"}', False),
+        ("{}", False),
+    ],
+)
+def test_what_a_client_may_say_is_what_is_described(url, document, said, good):
+    assert payload(document, "next").is_valid(json.loads(said)) == good
+    with websocket(url, "/api/v1/stream") as client:
+        client.send(said)
+        if good:
+            assert heard(client, 0.3)
+        else:
+            with pytest.raises(ConnectionClosed):
+                heard(client, 0.3)
+
+
+@pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])
+def test_bytes_lie_where_the_layout_says(rig, url, document, path):
+    image = rig.show(pressed())
+    with websocket(url, path + "?kinds=raw") as client:
+        data = next(each for each in heard(client, 0.3) if isinstance(each, bytes))
+    layout = {
+        each["meaning"].split(",")[0]: each for each in document["components"]["messages"]["image"]["x-layout"]
+    }
+
+    def at(meaning):
+        form = {"u8": "B", "u16": "<H", "u32": "<I", "u64": "<Q", "f32": "<f", "f64": "<d"}[
+            layout[meaning]["type"]
+        ]
+        return struct.unpack_from(form, data, layout[meaning]["offset"])[0]
+
+    part = unpack(data)
+    rows, columns = at("rows; 1 of a layout that is no grid"), at("columns")
+    assert (rows, columns, at("sequence")) == (8, 8, image.sequence)
+    assert at("time of the frame's first CAN message") == image.time
+    assert at("noise") == image.noise_kpa
+    flagged, named = at("F"), at("N")
+    assert (flagged, named) == (64, len(part.sensor))
+    assert layout["pressure"]["offset"] == HEADER.size
+    assert len(data) == HEADER.size + 4 * rows * columns + flagged + named
+    assert data[len(data) - named :].decode() == part.sensor == ("palm" if path.endswith("v1/stream") else "")
+
+
+def test_the_parameters_described_are_those_there_are(document):
+    query = document["channels"]["sensor"]["bindings"]["ws"]["query"]["properties"]
+    assert set(query) == {*PARAMETERS, "token"}
+    assert set(document["channels"]["sensors"]["bindings"]["ws"]["query"]["properties"]) == {*query, "sensors"}
+    assert wish({name: str(each["default"]) for name, each in query.items() if "default" in each}) == Wish()
+    for name, each in query.items():
+        for value in each.get(
+            "enum", [each.get("minimum", 0), each.get("maximum", 0)] if name == "rate_hz" else []
+        ):
+            wish({name: str(value)})
+
+
+def closed(client):
+    """The code that a stream is closed with."""
+    with pytest.raises(ConnectionClosed) as caught:
+        heard(client, 5)
+    return caught.value.rcvd.code
+
+
+def test_every_close_code_described_is_the_one_used(rig, document, monkeypatch):
+    seen = {}
+    with ExitStack() as stack:
+        with running(rig.service) as url:
+            address = url.replace("http", "ws", 1) + "/api/v1/stream"
+            for name, query, origin in (
+                ("4400", "?kinds=x", None),
+                ("4404", "?sensors=plam", None),
+                ("4403", "", "http://x"),
+            ):
+                with connect(address + query, origin=origin) as client:
+                    seen[name] = closed(client)
+            with connect(address) as client:
+                client.send("x" * 70_000)
+                seen["1009"] = closed(client)
+            ending = stack.enter_context(connect(address))
+            ending.recv(timeout=2)
+        seen["1012"] = closed(ending)
+    guarded = Server(port=0, control_token=SecretStr("c" * 16))
+    with running(rig.service, guarded) as url, websocket(url, "/api/v1/stream") as client:
+        seen["4401"] = closed(client)
+    monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
+    with running(rig.service) as url, websocket(url, "/api/v1/stream") as client:
+        seen["1011"] = closed(client)
+    until(lambda: not rig.sensor.hub._listeners)
+    assert {int(name) for name in seen} == set(seen.values())
+    for channel in document["channels"].values():
+        assert {each["code"] for each in channel["x-close-codes"]} == set(seen.values())
+
+
+def test_the_readme_has_the_same_codes():
+    assert dict(re.findall(r"^\| (\d{4}) \| (.+) \|$", README.read_text(), re.M)) == {
+        str(code): why for code, why in CLOSES.items()
+    }
