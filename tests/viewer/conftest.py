@@ -4,6 +4,9 @@ import time
 import pytest
 from playwright.sync_api import sync_playwright
 
+PAINTED = "Number(document.documentElement.dataset.painted) > 0"
+PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
+
 
 @pytest.fixture(scope="session")
 def browser():
@@ -20,8 +23,8 @@ def open_page(browser):
     """Opens the viewer; at the end, nothing may have gone wrong in the page."""
     contexts, faults = [], []
 
-    def open_page(url, width=1280, height=860):
-        context = browser.new_context(viewport={"width": width, "height": height})
+    def open_page(url, width=1280, height=860, ready=PAINTED, **options):
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()
         page.on("pageerror", lambda error: faults.append(str(error)))
@@ -29,8 +32,7 @@ def open_page(browser):
         page.on("request", lambda request: faults.append(request.url) if not local(request.url, url) else None)
         page.faults = faults
         page.goto(url)
-
-        wait(page, "Number(document.documentElement.dataset.painted) > 0")
+        wait(page, ready)
         return page
 
     yield open_page

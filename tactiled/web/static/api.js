@@ -8,7 +8,11 @@ const TIMEOUT_MS = 8000;
 
 /** @typedef {"live"|"stale"|"silent"|"down"} State */
 
-/** @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"incomplete"|"skipped", number>} Loss */
+/**
+ * What went wrong on the way in, counted since the service started.
+ * @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"dropped"|"incomplete"|"skipped"|"errors"|"bus_off",
+ *   number>} Loss
+ */
 
 /**
  * @typedef {object} Sensor
@@ -24,6 +28,8 @@ const TIMEOUT_MS = 8000;
  * @property {State} state
  * @property {number|null} age_s
  * @property {number} rate_hz
+ * @property {number|null} jitter_s standard deviation of the periods from frame to frame
+ * @property {number|null} skew_s from a frame's first message to its last
  * @property {string} detail
  * @property {Loss} loss
  * @property {number|null} sequence
@@ -56,6 +62,26 @@ const TIMEOUT_MS = 8000;
 
 /** @typedef {{name: string, colors: [number, number, number][]}} Colormap */
 
+/**
+ * @typedef {object} Recording
+ * @property {string} name of its file
+ * @property {number} bytes
+ * @property {boolean} running
+ * @property {string|null} bus
+ * @property {number|null} messages on the disk so far; null where it was not begun by this service
+ * @property {string|null} error why it ended early
+ */
+
+/**
+ * @typedef {object} Event
+ * @property {number} id
+ * @property {number} time Unix s
+ * @property {string} kind
+ * @property {string|null} sensor
+ * @property {string|null} bus
+ * @property {string} text
+ */
+
 /** An answer that is not a success, with the service's own words where it gave any. */
 export class ApiError extends Error {
   /**
@@ -70,28 +96,58 @@ export class ApiError extends Error {
 }
 
 /**
- * @param {string} path below the API's root
- * @param {RequestInit} [options]
- * @returns {Promise<any>} the body, or null where there is none
+ * @param {string} path below the service's root
+ * @param {RequestInit} options
+ * @returns {Promise<Response>} whatever its status; ApiError where none came
  */
-async function request(path, options = {}) {
-  let response;
+async function answer(path, options) {
   try {
-    response = await fetch(ROOT + path, { ...options, signal: AbortSignal.timeout(TIMEOUT_MS) });
+    return await fetch(path, { ...options, signal: AbortSignal.timeout(TIMEOUT_MS) });
   } catch (error) {
     throw new ApiError(0, error instanceof DOMException && error.name === "TimeoutError"
       ? `no answer within ${TIMEOUT_MS / 1000} s` : "the service cannot be reached");
   }
-  const text = await response.text();
-  let body = null;
-  try {
-    body = text ? JSON.parse(text) : null;
-  } catch {
-    body = null;
-  }
-  if (!response.ok) throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`);
-  return body;
 }
+
+/**
+ * @param {Response} response
+ * @returns {Promise<any>} the JSON in it, or null where there is none
+ */
+async function json(response) {
+  const text = await response.text();
+  try {
+    return text ? JSON.parse(text) : null;
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * @param {string} path below the API's root
+ * @param {RequestInit} [options]
+ * @returns {Promise<Response>} a success; else ApiError
+ */
+async function succeed(path, options = {}) {
+  const response = await answer(ROOT + path, options);
+  if (response.ok) return response;
+  const body = await json(response);
+  throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`);
+}
+
+/**
+ * @param {string} path below the API's root
+ * @param {RequestInit} [options]
+ * @returns {Promise<any>} the body, or null where there is none
+ */
+const request = async (path, options) => json(await succeed(path, options));
+
+/**
+ * @param {"POST"|"PUT"} method
+ * @param {unknown} body
+ * @returns {RequestInit}
+ */
+const sending = (method, body) =>
+  ({ method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 
 /**
  * @param {string} name
@@ -123,9 +179,7 @@ export const colormap = () => request("/colormap");
  * @returns {Promise<{method: string}>}
  */
 export const setMethod = (name, method) =>
-  request(`${at(name)}/method`, {
-    method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ method }),
-  });
+  request(`${at(name)}/method`, sending("PUT", { method }));
 
 /**
  * @param {string} name
@@ -135,12 +189,97 @@ export const tare = (name) => request(`${at(name)}/tare`, { method: "POST" });
 
 /**
  * @param {string} name
+ * @returns {Promise<{timestamp: number, kpa: Float32Array}>} the newest image's standard deviation, kPa a cell
+ */
+export async function deviation(name) {
+  const response = await succeed(`${at(name)}/frames/deviation?format=npy`);
+  return { timestamp: Number(response.headers.get("X-Tactiled-Timestamp")), kpa: npy(await response.arrayBuffer()) };
+}
+
+/**
+ * @param {ArrayBuffer} file
+ * @returns {Float32Array} what a .npy file of 32-bit numbers holds
+ */
+function npy(file) {
+  const start = 10 + new DataView(file).getUint16(8, true); // version 1: the header's length, then the header
+  const header = new TextDecoder("latin1").decode(file.slice(10, start));
+  if (!header.includes("'<f4'") || !header.includes("'fortran_order': False")) {
+    throw new RangeError(`deviation: expected rows of 32-bit numbers, got ${header.trim()}`);
+  }
+  return new Float32Array(file.slice(start));
+}
+
+/** @returns {Promise<Set<string>>} the paths that this service has, below the API's root */
+export async function offered() {
+  const paths = Object.keys((await request("/openapi.json")).paths);
+  return new Set(paths.map((each) => each.slice(ROOT.length)));
+}
+
+/**
+ * @param {number} after id of the newest event that is known
+ * @returns {Promise<{events: Event[], newest: number}>}
+ */
+export const events = (after) => request(`/events?after=${after}`);
+
+/** @returns {Promise<Recording[]>} */
+export const recordings = async () => (await request("/recordings")).recordings;
+
+/**
+ * @param {string} bus
+ * @returns {Promise<Recording>}
+ */
+export const startRecording = (bus) => request("/recordings", sending("POST", { bus }));
+
+/**
+ * @param {string} name
+ * @returns {Promise<Recording>}
+ */
+export const stopRecording = (name) => request(`/recordings/${encodeURIComponent(name)}/stop`, { method: "POST" });
+
+/**
+ * @param {string} name
+ * @returns {Promise<unknown>}
+ */
+export const deleteRecording = (name) => request(`/recordings/${encodeURIComponent(name)}`, { method: "DELETE" });
+
+/**
+ * @param {string} name
+ * @returns {string} where the file is to be had
+ */
+export const recordingUrl = (name) => `${ROOT}/recordings/${encodeURIComponent(name)}`;
+
+/**
+ * Show a token; the service keeps it in a cookie that no script reads.
+ * @param {string} token
+ */
+export async function showToken(token) {
+  const response = await answer(`/?token=${encodeURIComponent(token)}`, { cache: "no-store" });
+  if (!response.ok) throw new ApiError(response.status, "the service does not know this token");
+}
+
+/**
+ * @param {string} name
+ * @param {string} query
  * @returns {string} the WebSocket address of a sensor's stream
  */
-export function streamUrl(name) {
-  const url = new URL(`${ROOT}${at(name)}/stream`, location.href);
+function stream(name, query) {
+  const url = new URL(`${ROOT}${at(name)}/stream?${query}`, location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-  // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
-  url.search = "?kinds=raw,restored&rate_hz=75&flow=credit";
   return url.href;
 }
+
+/**
+ * @param {string} name
+ * @param {boolean} contacts whether they are to come, too
+ * @returns {string} the address of both images, one pair at a time
+ */
+export const streamUrl = (name, contacts) =>
+  // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
+  stream(name, `kinds=raw,restored&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
+
+/**
+ * @param {string} name
+ * @param {number} rate_hz at most
+ * @returns {string} the address of the restored image alone
+ */
+export const tileUrl = (name, rate_hz) => stream(name, `kinds=restored&rate_hz=${rate_hz}&flow=credit`);

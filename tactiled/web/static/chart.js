@@ -14,6 +14,7 @@ import { tickText, ticks } from "./scale.js";
  * @property {number} length points in use
  * @property {"raw"|"restored"|"accent"} ink
  * @property {"plain"|"steps"|"dots"} style
+ * @property {Float64Array|null} spread half the height of the band about the line, at each point; null for none
  */
 
 /**
@@ -23,7 +24,7 @@ import { tickText, ticks } from "./scale.js";
  * @returns {Line}
  */
 export function line(capacity, ink, style = "plain") {
-  return { x: new Float64Array(capacity), y: new Float64Array(capacity), length: 0, ink, style };
+  return { x: new Float64Array(capacity), y: new Float64Array(capacity), length: 0, ink, style, spread: null };
 }
 
 /**
@@ -109,6 +110,7 @@ export class Chart {
     draw.beginPath();
     draw.rect(SIDE, HEAD - 2, w, h + 4);
     draw.clip();
+    for (const each of lines) if (each.spread) this._band(each, each.spread, axes, h, sx, sy);
     for (const each of lines) this._line(each, axes, h, sx, sy);
     draw.restore();
   }
@@ -152,6 +154,31 @@ export class Chart {
     draw.textAlign = "left";
     draw.textBaseline = "top";
     draw.fillText(axes.y, 0, 0);
+  }
+
+  /**
+   * @param {Line} of
+   * @param {Float64Array} spread
+   * @param {Axes} axes
+   * @param {number} h
+   * @param {number} sx
+   * @param {number} sy
+   */
+  _band(of, spread, axes, h, sx, sy) {
+    const draw = this._pen;
+    const floor = HEAD + h + axes.bottom * sy;
+    const wide = of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : of.style === "dots" ? 2 : 0;
+    draw.fillStyle = this._ink[of.ink];
+    draw.globalAlpha = 0.28;
+    draw.beginPath();
+    for (let i = 0; i < of.length; i += 1) {
+      const x = SIDE + (of.x[i] - axes.left) * sx;
+      const y = floor - (of.y[i] + spread[i]) * sy;
+      const tall = 2 * spread[i] * sy;
+      if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, tall);
+    }
+    draw.fill();
+    draw.globalAlpha = 1;
   }
 
   /**

@@ -5,12 +5,10 @@
  */
 
 import { fit, pen } from "./paint.js";
-import { SATURATED } from "./wire.js";
 
 /** @typedef {import("./plane.js").Plane} Plane */
 /** @typedef {import("./plane.js").Cells} Cells */
 /** @typedef {import("./scale.js").Scale} Scale */
-/** @typedef {import("./measures.js").Measures} Measures */
 
 /** The 256 colours, as pixels and as CSS. */
 export class Palette {
@@ -22,27 +20,15 @@ export class Palette {
   }
 }
 
-/**
- * What is marked on a map.
- * @typedef {object} Marks
- * @property {number} lineY mm, of the cross-section; NaN for none
- * @property {number} probeX mm; NaN for none
- * @property {number} probeY mm
- * @property {boolean} pinned
- */
-
 export class Heatmap {
   /**
    * @param {HTMLCanvasElement} canvas the cells
-   * @param {HTMLCanvasElement} overlay the marks
-   * @param {HTMLElement} frame what holds both
+   * @param {HTMLElement} frame what holds it
    */
-  constructor(canvas, overlay, frame) {
+  constructor(canvas, frame) {
     this.canvas = canvas;
-    this.overlay = overlay;
     this.frame = frame;
     this._pen = pen(canvas);
-    this._marks = pen(overlay);
     /** @type {Plane|null} */
     this._plane = null;
     /** @type {Cells|null} */
@@ -87,14 +73,12 @@ export class Heatmap {
     const height = this._plane.height * zoom;
     this.frame.style.width = `${width}px`;
     this.frame.style.height = `${height}px`;
-    this._ratio = fit(this.overlay, width, height);
-    if (!this._plane.isGrid) fit(this.canvas, width, height);
+    if (!this._plane.isGrid) this._ratio = fit(this.canvas, width, height);
   }
 
   /** Show nothing. */
   clear() {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this._marks.clearRect(0, 0, this.overlay.width, this.overlay.height);
   }
 
   /**
@@ -179,111 +163,13 @@ export class Heatmap {
   }
 
   /**
-   * Mark the cross-section, the probe, the centre of contact and the saturated taxels.
-   * @param {Marks} marks
-   * @param {Measures|null} measures
-   * @param {Uint8Array|null} flags of the raw image; null where nothing is saturated
-   * @param {Cells|null} taxels that the flags are of
-   */
-  mark(marks, measures, flags, taxels) {
-    const plane = this._plane;
-    if (!plane) return;
-    const draw = this._marks;
-    const px = this.zoom * this._ratio;
-    const { width, height } = this.overlay;
-    draw.clearRect(0, 0, width, height);
-    if (flags && taxels) this._markSaturated(flags, taxels, px);
-    if (Number.isFinite(marks.lineY)) {
-      const y = (marks.lineY - plane.top) * px;
-      this._stroke(0, y, width, y, true);
-    }
-    if (Number.isFinite(marks.probeX)) {
-      const x = (marks.probeX - plane.left) * px;
-      const y = (marks.probeY - plane.top) * px;
-      const arm = 9 * this._ratio;
-      this._stroke(x, y - arm, x, y + arm, false);
-      this._stroke(x - arm, y, x + arm, y, false);
-      if (marks.pinned) this._ring(x, y, 4 * this._ratio);
-    }
-    if (measures && measures.contact) {
-      this._ring((measures.x - plane.left) * px, (measures.y - plane.top) * px, 6 * this._ratio);
-    }
-  }
-
-  /**
-   * @param {Uint8Array} flags
-   * @param {Cells} taxels
-   * @param {number} px
-   */
-  _markSaturated(flags, taxels, px) {
-    const plane = this._plane;
-    if (!plane) return;
-    const half = Math.max(1.5 * this._ratio, Math.min(5 * this._ratio, 0.3 * taxels.side * px));
-    const draw = this._marks;
-    draw.beginPath();
-    for (let i = 0; i < taxels.count; i += 1) {
-      if (!(flags[i] & SATURATED)) continue;
-      const x = (taxels.x[i] - plane.left) * px;
-      const y = (taxels.y[i] - plane.top) * px;
-      draw.moveTo(x - half, y - half);
-      draw.lineTo(x + half, y + half);
-      draw.moveTo(x - half, y + half);
-      draw.lineTo(x + half, y - half);
-    }
-    this._twoTone(1.5, "#000", "#fff");
-  }
-
-  /**
-   * @param {number} x0
-   * @param {number} y0
-   * @param {number} x1
-   * @param {number} y1
-   * @param {boolean} faint
-   */
-  _stroke(x0, y0, x1, y1, faint) {
-    const draw = this._marks;
-    draw.beginPath();
-    draw.moveTo(x0, y0);
-    draw.lineTo(x1, y1);
-    if (faint) this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
-    else this._twoTone(1.5, "rgb(0 0 0 / 80%)", "#fff");
-  }
-
-  /**
-   * @param {number} x
-   * @param {number} y
-   * @param {number} radius
-   */
-  _ring(x, y, radius) {
-    this._marks.beginPath();
-    this._marks.arc(x, y, radius, 0, 2 * Math.PI);
-    this._twoTone(1.5, "rgb(0 0 0 / 80%)", "#fff");
-  }
-
-  /**
-   * Stroke the path so that it shows on any colour.
-   * @param {number} width CSS px
-   * @param {string} under
-   * @param {string} over
-   */
-  _twoTone(width, under, over) {
-    const draw = this._marks;
-    draw.lineWidth = (width + 2) * this._ratio;
-    draw.strokeStyle = under;
-    draw.stroke();
-    draw.lineWidth = width * this._ratio;
-    draw.strokeStyle = over;
-    draw.stroke();
-  }
-
-  /**
    * Where on the plane a pointer is.
    * @param {PointerEvent} event
    * @param {{x: number, y: number}} into mm
    */
   locate(event, into) {
     if (!this._plane) return;
-    const box = this.overlay.getBoundingClientRect();
+    const box = this.canvas.getBoundingClientRect();
     into.x = this._plane.left + ((event.clientX - box.left) / box.width) * this._plane.width;
     into.y = this._plane.top + ((event.clientY - box.top) / box.height) * this._plane.height;
   }

@@ -27,6 +27,7 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
+ * @property {number} latency ms until it was painted; NaN where it never was
  * @property {boolean} saturated any taxel is
  * @property {Measures} ofRaw
  * @property {Measures} ofRestored
@@ -47,7 +48,7 @@ export class History {
       restored: restored.subarray(i * m, (i + 1) * m),
       flags: flags.subarray(i * n, (i + 1) * n),
       sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0, resolutionMm: 0, microseconds: 0,
-      iterations: 0, saturated: false, ofRaw: measures(), ofRestored: measures(),
+      iterations: 0, latency: NaN, saturated: false, ofRaw: measures(), ofRestored: measures(),
     }));
     this._head = 0;
     /** How many frames are kept. */
@@ -95,6 +96,7 @@ export class History {
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
+    frame.latency = NaN;
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);

@@ -6,6 +6,8 @@
 /** @typedef {import("./heatmap.js").Heatmap} Heatmap */
 /** @typedef {import("./plane.js").Plane} Plane */
 
+const TAP_PX = 10; // that a tap may slip, and within which a pinned place is the same
+
 export class Probe {
   /**
    * @param {Heatmap[]} maps
@@ -18,23 +20,55 @@ export class Probe {
     this.pinned = false;
     this._onMove = onMove;
     this._at = { x: NaN, y: NaN };
-    for (const map of maps) {
-      const { overlay } = map;
-      overlay.addEventListener("pointermove", (event) => {
-        if (this.pinned && !(event.buttons & 1)) return;
-        this._follow(map, event);
-      });
-      overlay.addEventListener("pointerdown", (event) => {
-        if (event.button !== 0) return;
-        map.locate(event, this._at);
-        const same = this.pinned && Math.hypot(this._at.x - this.x, this._at.y - this.y) * map.zoom < 8;
-        this.pinned = !same;
-        this._follow(map, event);
-      });
-      overlay.addEventListener("pointerleave", () => {
-        if (!this.pinned) this.clear();
-      });
+    /** Where a finger came down, CSS px; NaN where none did, or it has moved on: then it scrolls the page. */
+    this._touch = { x: NaN, y: NaN };
+    for (const map of maps) this._listen(map);
+  }
+
+  /** @param {Heatmap} map */
+  _listen(map) {
+    const surface = map.frame;
+    surface.addEventListener("pointermove", (event) => {
+      if (event.pointerType === "touch") this._moved(event);
+      else if (!this.pinned || event.buttons & 1) this._follow(map, event);
+    });
+    surface.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      if (event.pointerType !== "touch") this._press(map, event);
+      else this._touch = event.isPrimary ? { x: event.clientX, y: event.clientY } : { x: NaN, y: NaN };
+    });
+    surface.addEventListener("pointerup", (event) => {
+      if (event.pointerType !== "touch") return;
+      this._moved(event);
+      if (Number.isFinite(this._touch.x)) this._press(map, event);
+      this._touch.x = NaN;
+    });
+    surface.addEventListener("pointercancel", () => { this._touch.x = NaN; });
+    surface.addEventListener("pointerleave", (event) => {
+      if (!this.pinned && event.pointerType !== "touch") this.clear();
+    });
+  }
+
+  /** @param {PointerEvent} event of a finger */
+  _moved(event) {
+    if (Math.hypot(event.clientX - this._touch.x, event.clientY - this._touch.y) > TAP_PX) this._touch.x = NaN;
+  }
+
+  /**
+   * Pin here, or release what is pinned here.
+   * @param {Heatmap} map
+   * @param {PointerEvent} event
+   */
+  _press(map, event) {
+    map.locate(event, this._at);
+    const near = event.pointerType === "touch" ? 2 * TAP_PX : TAP_PX;
+    const same = this.pinned && Math.hypot(this._at.x - this.x, this._at.y - this.y) * map.zoom < near;
+    if (same && event.pointerType === "touch") {
+      this.clear();
+      return;
     }
+    this.pinned = !same;
+    this._follow(map, event);
   }
 
   clear() {

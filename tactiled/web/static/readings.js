@@ -15,15 +15,25 @@ const METHODS = {
   "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)", idle: "idle",
 };
 
-const LOSSES = /** @type {const} */ ([
-  ["lost", "Messages that never came"],
-  ["late", "Messages out of order"],
-  ["repeated", "Messages that came twice"],
-  ["malformed", "Messages that the codec cannot mean"],
-  ["incomplete", "Frames published with taxels missing"],
-  ["skipped", "Frames not restored, because a newer one was there"],
-  ["foreign", "Messages on the bus that belong to no sensor"],
-]);
+/** What is counted, by unit. */
+const LOSSES = /** @type {const} */ ({
+  messages: [
+    ["lost", "lost", "never came"],
+    ["late", "late", "came out of order"],
+    ["repeated", "repeated", "came twice"],
+    ["malformed", "malformed", "the codec cannot mean them"],
+    ["foreign", "foreign", "on the bus, but of no sensor"],
+    ["dropped", "dropped", "thrown away by the kernel, not taken in time"],
+  ],
+  frames: [
+    ["incomplete", "incomplete", "published with taxels missing"],
+    ["skipped", "skipped", "not restored, because a newer one was there"],
+  ],
+  "on the bus": [
+    ["errors", "error frames", "what the bus interface says went wrong on the wire"],
+    ["bus_off", "bus-off", "times that the bus interface left the bus because of errors"],
+  ],
+});
 
 /** Counts that belong to a healthy service: a shared bus, a frame overtaken by the next. */
 const HARMLESS = new Set(["foreign", "skipped"]);
@@ -36,29 +46,44 @@ export const methodTitle = (name) => METHODS[/** @type {keyof METHODS} */ (name)
 
 export class Readings {
   constructor() {
-    const list = byId("loss");
     /** @type {Map<string, HTMLElement>} */
     this._loss = new Map();
-    for (const [kind, title] of LOSSES) {
-      const name = document.createElement("dt");
-      const value = document.createElement("dd");
-      name.textContent = kind;
-      name.title = title;
-      value.textContent = "\u2013";
-      list.append(name, value);
-      this._loss.set(kind, value);
-    }
+    for (const [unit, kinds] of Object.entries(LOSSES)) byId("loss").append(...this._counts(unit, kinds));
     this._at = Object.fromEntries([
       "force-raw", "force-restored", "peak-raw", "peak-restored", "x-raw", "x-restored", "y-raw", "y-restored",
       "ran", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
-      "fps", "latency",
+      "fps", "latency", "jitter", "skew",
     ].map((id) => [id, byId(id)]));
     this._warnings = byId("warnings");
     this._warned = "";
   }
 
+  /**
+   * @param {string} unit
+   * @param {readonly (readonly [string, string, string])[]} kinds key, name, meaning
+   * @returns {HTMLElement[]} a heading and a list
+   */
+  _counts(unit, kinds) {
+    const heading = document.createElement("h4");
+    heading.textContent = unit;
+    const list = document.createElement("dl");
+    list.className = "grid";
+    for (const [kind, title, meaning] of kinds) {
+      const name = document.createElement("dt");
+      const value = document.createElement("dd");
+      name.textContent = title;
+      name.title = meaning;
+      value.textContent = "\u2013";
+      list.append(name, value);
+      this._loss.set(kind, value);
+    }
+    return [heading, list];
+  }
+
   /** @param {Sensor} sensor */
   about(sensor) {
+    say(this._at.jitter, sensor.jitter_s === null ? "\u2013" : time(sensor.jitter_s * 1e6));
+    say(this._at.skew, sensor.skew_s === null ? "\u2013" : time(sensor.skew_s * 1e6));
     const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
     say(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
     this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;

@@ -6,10 +6,10 @@
 import { fixed, inks, number, pen } from "./paint.js";
 import { tickText, ticks } from "./scale.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
 /** @typedef {import("./plane.js").Cells} Cells */
 /** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./heatmap.js").Heatmap} Heatmap */
+/** @typedef {import("./session.js").Session} Session */
+/** @typedef {import("./maps.js").Maps} Maps */
 /** @typedef {import("./heatmap.js").Palette} Palette */
 /** @typedef {import("./scale.js").Scale} Scale */
 
@@ -47,20 +47,18 @@ const moment = (timestamp) => new Date(timestamp * 1000).toISOString();
 
 /**
  * Save a frame, one line per cell.
- * @param {string} sensor
- * @param {Plane} plane
+ * @param {Session} session
  * @param {Frame} frame
- * @param {string} method
  */
-export function saveCsv(sensor, plane, frame, method) {
+export function saveCsv({ name, plane, status }, frame) {
   const lines = [
-    `# sensor ${sensor}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${method}`,
+    `# sensor ${name}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${status?.ran ?? ""}`,
     "# kpa is empty where nothing is known; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
     "image,row,column,x_mm,y_mm,kpa,flags",
   ];
   rows("raw", plane.raw, frame.raw, frame.flags, lines);
   rows("restored", plane.restored, frame.restored, null, lines);
-  download(`${stem(sensor, frame)}.csv`, new Blob([lines.join("\n"), "\n"], { type: "text/csv" }));
+  download(`${stem(name, frame)}.csv`, new Blob([lines.join("\n"), "\n"], { type: "text/csv" }));
 }
 
 /**
@@ -81,59 +79,92 @@ function rows(image, cells, kpa, flags, into) {
 
 /**
  * Save both maps with their legend and readings.
- * @param {string} sensor
- * @param {Plane} plane
+ * @param {Session} session
  * @param {Frame} frame
- * @param {Heatmap} raw
- * @param {Heatmap} restored
+ * @param {Maps} maps
  * @param {Scale} scale
  * @param {Palette} palette
  * @param {string} state what the page says of the frame: live, stale, ...
  */
-export function savePng(sensor, plane, frame, raw, restored, scale, palette, state) {
+export function savePng({ name, plane }, frame, maps, scale, palette, state) {
   const zoom = MAP / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const canvas = document.createElement("canvas");
   canvas.width = 3 * EDGE + 2 * w + LEGEND;
   canvas.height = HEAD + h + FOOT;
-  const draw = pen(canvas);
-  const ink = inks();
-  draw.fillStyle = ink.panel;
-  draw.fillRect(0, 0, canvas.width, canvas.height);
-  const write = (/** @type {string} */ text, /** @type {number} */ x, /** @type {number} */ y, size = 15, color = ink.text) => {
-    draw.font = `${size}px ${ink.font}`;
-    draw.fillStyle = color;
-    draw.fillText(text, x, y);
-  };
-  write(`${sensor}, frame ${frame.sequence}`, EDGE, 32, 19);
-  write(`${moment(frame.timestamp)}, ${state}`, EDGE + 320, 32, 15, ink.muted);
-  for (const [i, name, map, of] of /** @type {[number, string, Heatmap, import("./measures.js").Measures][]} */ ([
-    [0, "Raw", raw, frame.ofRaw], [1, "Restored", restored, frame.ofRestored],
-  ])) {
-    const x = EDGE + i * (w + EDGE);
-    write(name, x, HEAD - 14, 16);
-    draw.fillStyle = "#8d949c";
+  const sheet = new Sheet(canvas);
+  sheet.write(`${name}, frame ${frame.sequence}`, EDGE, 32, 19);
+  sheet.write(`${moment(frame.timestamp)}, ${state}`, EDGE + 320, 32, 15, sheet.ink.muted);
+  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, maps.rawMarks.canvas, plane.isGrid, frame.ofRaw);
+  sheet.map("Restored", w + 2 * EDGE, w, h, maps.restored.canvas, maps.restoredMarks.canvas, plane.isGrid, frame.ofRestored);
+  const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
+  sheet.write(size, EDGE, HEAD + h + 56, 15, sheet.ink.muted);
+  sheet.legend(2 * w + 3 * EDGE, h, scale, palette);
+  canvas.toBlob((blob) => blob && download(`${stem(name, frame)}.png`, blob), "image/png");
+}
+
+/** The picture while it is made. */
+class Sheet {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.ink = inks();
+    this._pen = pen(canvas);
+    this._pen.fillStyle = this.ink.panel;
+    this._pen.fillRect(0, 0, canvas.width, canvas.height);
+  }
+
+  /**
+   * @param {string} text
+   * @param {number} x
+   * @param {number} y
+   * @param {number} size px
+   * @param {string} color
+   */
+  write(text, x, y, size = 15, color = this.ink.text) {
+    this._pen.font = `${size}px ${this.ink.font}`;
+    this._pen.fillStyle = color;
+    this._pen.fillText(text, x, y);
+  }
+
+  /**
+   * @param {string} title
+   * @param {number} x
+   * @param {number} w
+   * @param {number} h
+   * @param {HTMLCanvasElement} cells
+   * @param {HTMLCanvasElement} marks
+   * @param {boolean} grid
+   * @param {import("./measures.js").Measures} of
+   */
+  map(title, x, w, h, cells, marks, grid, of) {
+    const draw = this._pen;
+    this.write(title, x, HEAD - 14, 16);
+    draw.fillStyle = grid ? "#8d949c" : "#333c46";
     draw.fillRect(x, HEAD, w, h);
-    if (!plane.isGrid) {
-      draw.fillStyle = "#333c46";
-      draw.fillRect(x, HEAD, w, h);
+    draw.imageSmoothingEnabled = !grid;
+    draw.drawImage(cells, x, HEAD, w, h);
+    draw.imageSmoothingEnabled = true;
+    draw.drawImage(marks, x, HEAD, w, h);
+    const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
+    this.write(`force ${number(of.force)} N   peak ${number(of.peak)} kPa   ${centre}`, x, HEAD + h + 28);
+  }
+
+  /**
+   * @param {number} x
+   * @param {number} h
+   * @param {Scale} scale
+   * @param {Palette} palette
+   */
+  legend(x, h, scale, palette) {
+    this.write("kPa", x, HEAD - 14);
+    for (let i = 0; i < 256; i += 1) {
+      this._pen.fillStyle = palette.css[i];
+      this._pen.fillRect(x, HEAD + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
     }
-    draw.imageSmoothingEnabled = !plane.isGrid;
-    draw.drawImage(map.canvas, x, HEAD, w, h);
-    draw.drawImage(map.overlay, x, HEAD, w, h);
-    write(`force ${number(of.force)} N   peak ${number(of.peak)} kPa   centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`, x, HEAD + h + 28);
+    const span = scale.high - scale.low;
+    for (const value of ticks(scale.low, scale.high, 8)) {
+      this.write(tickText(value, span), x + 28, HEAD + h * (1 - (value - scale.low) / span) + 5);
+    }
   }
-  write(`map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`, EDGE, HEAD + h + 56, 15, ink.muted);
-  const x = 2 * w + 3 * EDGE;
-  write("kPa", x, HEAD - 14);
-  for (let i = 0; i < 256; i += 1) {
-    draw.fillStyle = palette.css[i];
-    draw.fillRect(x, HEAD + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
-  }
-  const span = scale.high - scale.low;
-  for (const value of ticks(scale.low, scale.high, 8)) {
-    write(tickText(value, span), x + 28, HEAD + h * (1 - (value - scale.low) / span) + 5);
-  }
-  canvas.toBlob((blob) => blob && download(`${stem(sensor, frame)}.png`, blob), "image/png");
 }

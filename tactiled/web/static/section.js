@@ -12,6 +12,7 @@ import { fixed } from "./paint.js";
 /** @typedef {import("./scale.js").Scale} Scale */
 /** @typedef {import("./chart.js").Line} Line */
 
+const SPREAD = 2; // standard deviations to either side of the restored line
 const MARGIN = 0.06; // of the range, drawn below it
 const DEEP = 0.4; // of the range, drawn below it while something is there
 const HOLD = 180; // frames for which that stays, so that the axis does not jump
@@ -26,6 +27,7 @@ export class Section {
     this._raw = line(0, "raw");
     this._restored = line(0, "restored");
     this._lines = [this._raw, this._restored];
+    this._deviation = line(0, "restored"); // along the same cells
     /** @type {import("./chart.js").Axes} */
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "x, mm", y: "kPa" };
   }
@@ -37,6 +39,7 @@ export class Section {
     this._raw = line(plane.raw.columns, "raw", style);
     this._restored = line(plane.restored.columns, "restored", style);
     this._lines = [this._raw, this._restored];
+    this._deviation = line(plane.restored.columns, "restored");
     this._axes.left = plane.left;
     this._axes.right = plane.left + plane.width;
   }
@@ -46,8 +49,9 @@ export class Section {
    * @param {number} y mm, height of the line
    * @param {number} probeX mm; NaN for none
    * @param {Scale} scale
+   * @param {Float32Array|null} deviation kPa, of each restored cell; null where it is not known
    */
-  draw(frame, y, probeX, scale) {
+  draw(frame, y, probeX, scale, deviation) {
     const plane = this._plane;
     if (!plane) return;
     const span = scale.high - scale.low;
@@ -57,10 +61,23 @@ export class Section {
       cut(plane, plane.raw, frame.raw, y, this._raw);
       cut(plane, plane.restored, frame.restored, y, this._restored);
     }
+    this._restored.spread = frame && deviation ? this._spread(plane, deviation, y) : null;
     const least = scale.low - MARGIN * span;
     this._deep = goesBelow(this._raw, least) || goesBelow(this._restored, least) ? HOLD : Math.max(0, this._deep - 1);
     this._axes.bottom = scale.low - (this._deep ? DEEP : MARGIN) * span;
     this.chart.draw(this._axes, this._lines, probeX, Number.isFinite(probeX) ? `x ${fixed(probeX, 1)} mm` : "");
+  }
+
+  /**
+   * @param {Plane} plane
+   * @param {Float32Array} deviation
+   * @param {number} y mm
+   * @returns {Float64Array} kPa, half the height of the band
+   */
+  _spread(plane, deviation, y) {
+    cut(plane, plane.restored, deviation, y, this._deviation);
+    for (let i = 0; i < this._deviation.length; i += 1) this._deviation.y[i] *= SPREAD;
+    return this._deviation.y;
   }
 }
 

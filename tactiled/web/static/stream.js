@@ -3,7 +3,7 @@
  * @module
  */
 
-import { RAW, packet, parse } from "./wire.js";
+import { packet, parse } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 /** @typedef {import("./api.js").Loss} Loss */
@@ -30,9 +30,11 @@ import { RAW, packet, parse } from "./wire.js";
 
 /**
  * @typedef {object} Listener
- * @property {(raw: Packet, restored: Packet) => void} onPair both images of one frame; the views die with the call
+ * @property {(images: Packet[]) => void} onImages of one frame, each at the place of its kind; the views die with
+ *   the call
  * @property {(status: Status) => void} onStatus
  * @property {() => void} onLink the link's state changed
+ * @property {(found: import("./contacts.js").Found) => void} [onContacts]
  */
 
 const FIRST_WAIT_MS = 500;
@@ -43,9 +45,10 @@ const NEXT = JSON.stringify({ type: "next" });
 export class Stream {
   /**
    * @param {string} url
+   * @param {number[]} kinds of image that the address asks for
    * @param {Listener} listener
    */
-  constructor(url, listener) {
+  constructor(url, kinds, listener) {
     /** @type {"connecting"|"open"|"closed"} */
     this.link = "connecting";
     /** Why the link closed, in the service's words; "" where it gave none. */
@@ -59,11 +62,9 @@ export class Stream {
     this.askedAt = 0;
     this._url = url;
     this._listener = listener;
-    this._raw = packet();
-    this._restored = packet();
+    this._kinds = kinds;
+    this._images = [packet(), packet()];
     this._scratch = packet();
-    this._rawSequence = -1;
-    this._restoredSequence = -1;
     this._stopped = false;
     this._timer = 0;
     /** @type {WebSocket|null} */
@@ -77,6 +78,17 @@ export class Stream {
     if (this.link !== "open" || this.askedAt || !this._socket) return;
     this._socket.send(NEXT);
     this.askedAt = performance.now();
+  }
+
+  /**
+   * Go on with another address.
+   * @param {string} url
+   */
+  move(url) {
+    this._url = url;
+    if (this.link === "closed" || this._stopped) return;
+    this._drop();
+    this._connect();
   }
 
   /** Try again now instead of after the wait. */
@@ -97,7 +109,7 @@ export class Stream {
   _connect() {
     this.link = "connecting";
     this.askedAt = 0;
-    this._rawSequence = this._restoredSequence = -1;
+    this._forget();
     const socket = new WebSocket(this._url);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
@@ -109,41 +121,48 @@ export class Stream {
     socket.onmessage = (event) => this._take(event.data);
     socket.onclose = (event) => this._closed(event.reason);
     this._socket = socket;
-    this._listener.onLink?.();
+    this._listener.onLink();
   }
 
   /** @param {ArrayBuffer|string} data */
   _take(data) {
     this.heardAt = performance.now();
     if (typeof data === "string") {
-      const message = JSON.parse(data);
-      if (message.type === "status") {
-        this.attempts = 0;
-        this._listener.onStatus(message);
-      }
+      this._tell(JSON.parse(data));
       return;
     }
-    let one;
     try {
-      one = parse(data, this._scratch);
+      this._keep(parse(data, this._scratch));
     } catch (error) {
       this._closed(error instanceof Error ? error.message : String(error));
-      return;
     }
+  }
+
+  /** @param {Status|import("./contacts.js").Found} message */
+  _tell(message) {
+    if (message.type === "contacts") {
+      this._listener.onContacts?.(message);
+    } else if (message.type === "status") {
+      this.attempts = 0;
+      this._listener.onStatus(message);
+    }
+  }
+
+  /** @param {Packet} one */
+  _keep(one) {
     this.attempts = 0;
-    if (one.kind === RAW) {
-      this._scratch = this._raw;
-      this._raw = one;
-      this._rawSequence = one.sequence;
-    } else {
-      this._scratch = this._restored;
-      this._restored = one;
-      this._restoredSequence = one.sequence;
-    }
-    if (this._rawSequence !== this._restoredSequence) return;
-    this._rawSequence = this._restoredSequence = -1;
+    if (!this._kinds.includes(one.kind)) throw new RangeError(`an image of kind ${one.kind} was not asked for`);
+    this._scratch = this._images[one.kind];
+    this._images[one.kind] = one;
+    for (const kind of this._kinds) if (this._images[kind].sequence !== one.sequence) return;
     this.askedAt = 0;
-    this._listener.onPair(this._raw, this._restored);
+    this._listener.onImages(this._images);
+    this._forget();
+  }
+
+  /** An image seen so far is no part of a frame still to come. */
+  _forget() {
+    for (const image of this._images) image.sequence = -1;
   }
 
   _checkQuiet() {

@@ -7,6 +7,9 @@ import { byId, say } from "./paint.js";
 
 /** @typedef {import("./api.js").Sensor} Sensor */
 
+/** What stands for all sensors at once, where a sensor's name is meant: none is called so. */
+export const ALL = "";
+
 export class Tabs {
   /** @param {(name: string) => void} onChoose */
   constructor(onChoose) {
@@ -17,9 +20,9 @@ export class Tabs {
     this._list.addEventListener("keydown", (event) => this._move(event));
   }
 
-  /** @returns {string[]} */
+  /** @returns {string[]} of the sensors */
   get names() {
-    return [...this._tabs.keys()];
+    return [...this._tabs.keys()].filter((each) => each !== ALL);
   }
 
   /** @param {Sensor[]} sensors */
@@ -52,20 +55,21 @@ export class Tabs {
   _build(names) {
     this._tabs.clear();
     this._list.replaceChildren();
-    for (const name of names) {
+    for (const name of names.length > 1 ? [ALL, ...names] : names) {
       const tab = document.createElement("button");
       tab.type = "button";
       tab.setAttribute("role", "tab");
-      tab.setAttribute("aria-controls", "main");
+      tab.setAttribute("aria-controls", name === ALL ? "wall" : "main");
       tab.setAttribute("aria-selected", "false");
       const dot = document.createElement("span");
       dot.className = "dot";
       dot.setAttribute("aria-hidden", "true");
       const title = document.createElement("span");
-      title.textContent = name;
+      title.textContent = name === ALL ? "All" : name;
+      if (name === ALL) tab.title = "All sensors at once (W)";
       const state = document.createElement("span");
       state.className = "sub";
-      tab.append(dot, title, state);
+      tab.append(...(name === ALL ? [title] : [dot, title, state]));
       tab.addEventListener("click", () => this._onChoose(name));
       this._tabs.set(name, tab);
       this._list.append(tab);
@@ -75,7 +79,7 @@ export class Tabs {
   /** @param {KeyboardEvent} event */
   _move(event) {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    const names = this.names;
+    const names = [...this._tabs.keys()];
     const now = names.findIndex((each) => this._tabs.get(each) === document.activeElement);
     if (!step || now < 0 || names.length < 2) return;
     event.stopPropagation();

@@ -1,0 +1,58 @@
+/**
+ * The contacts as a table: what the outlines on the maps say, in numbers.
+ * @module
+ */
+
+import { fixed, say } from "./paint.js";
+
+/** @typedef {import("./contacts.js").Contact} Contact */
+
+const MOST = 6; // rows, the strongest
+const COLUMNS = 6;
+
+export class ContactList {
+  /** @param {HTMLElement} root that holds the table and the line for where there is nothing to list */
+  constructor(root) {
+    this._body = /** @type {HTMLTableSectionElement} */ (root.querySelector("tbody"));
+    this._table = /** @type {HTMLTableElement} */ (root.querySelector("table"));
+    this._line = /** @type {HTMLElement} */ (root.querySelector("p"));
+  }
+
+  /**
+   * @param {Contact[]|null} contacts null where none are known
+   * @param {boolean} asked whether they are asked for
+   */
+  show(contacts, asked) {
+    const count = Math.min(MOST, contacts?.length ?? 0);
+    this._table.hidden = !count;
+    this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
+    const more = (contacts?.length ?? 0) - count;
+    say(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? "Nothing touches." : "–");
+    while (this._body.rows.length < count) this._body.append(row());
+    while (this._body.rows.length > count) this._body.deleteRow(-1);
+    for (let i = 0; contacts && i < count; i += 1) fill(this._body.rows[i].cells, contacts[i]);
+  }
+}
+
+/** @returns {HTMLTableRowElement} an empty one */
+function row() {
+  const made = document.createElement("tr");
+  const head = document.createElement("th");
+  head.scope = "row";
+  made.append(head);
+  for (let i = 1; i < COLUMNS; i += 1) made.append(document.createElement("td"));
+  return made;
+}
+
+/**
+ * @param {HTMLCollectionOf<HTMLTableCellElement>} cells
+ * @param {Contact} contact
+ */
+function fill(cells, contact) {
+  say(cells[0], String(contact.id));
+  say(cells[1], fixed(contact.force_n, 2));
+  say(cells[2], fixed(contact.peak_kpa, 0));
+  say(cells[3], fixed(contact.area_mm2, 0));
+  say(cells[4], fixed(contact.x_mm, 1));
+  say(cells[5], fixed(contact.y_mm, 1));
+}

@@ -1,0 +1,67 @@
+/**
+ * Where something touches, as the stream tells it, kept as long as the frames are.
+ * @module
+ */
+
+import { fixed } from "./paint.js";
+
+/**
+ * One contact as the service tells it.
+ * @typedef {object} Told
+ * @property {number} id the same while the contact lasts
+ * @property {number} x_mm
+ * @property {number} y_mm
+ * @property {number} force_n
+ * @property {number} area_mm2
+ * @property {number} peak_kpa
+ * @property {number} major_mm standard deviation of the pressure along the longer axis
+ * @property {number} minor_mm
+ * @property {number} angle_rad of the longer axis, from x towards y
+ */
+
+/** @typedef {Told & {label: string}} Contact with what is written beside it */
+
+/**
+ * The stream's message on one image's contacts.
+ * @typedef {object} Found
+ * @property {"contacts"} type
+ * @property {number} sequence
+ * @property {number} timestamp Unix s, of the frame
+ * @property {Told[]} contacts the strongest first
+ */
+
+const KEPT = 256; // messages: more than ten seconds at twenty a second
+const HOLDS_S = 0.25; // that contacts of one frame may be drawn on the frames after it
+
+export class Contacts {
+  constructor() {
+    /** @type {{timestamp: number, contacts: Contact[]}[]} */
+    this._kept = [];
+    this._newest = -1;
+  }
+
+  /** Keep nothing. */
+  clear() {
+    this._kept = [];
+    this._newest = -1;
+  }
+
+  /** @param {Found} found */
+  push(found) {
+    const contacts = found.contacts.map((each) => ({ ...each, label: `${each.id}: ${fixed(each.force_n, 2)} N` }));
+    this._newest = (this._newest + 1) % KEPT;
+    this._kept[this._newest] = { timestamp: found.timestamp, contacts };
+  }
+
+  /**
+   * @param {number} timestamp of a frame
+   * @returns {Contact[]|null} in it, or in one shortly before it; null where nothing is known
+   */
+  at(timestamp) {
+    for (let i = 0; i < this._kept.length; i += 1) {
+      const one = this._kept[(this._newest - i + this._kept.length) % this._kept.length];
+      if (one.timestamp <= timestamp) return timestamp - one.timestamp <= HOLDS_S ? one.contacts : null;
+    }
+    return null;
+  }
+}

@@ -1,0 +1,63 @@
+/**
+ * What changes something in the service, and the token that it may want for it.
+ * @module
+ */
+
+import { ApiError, showToken } from "./api.js";
+import { notice, words } from "./notice.js";
+import { byId, say } from "./paint.js";
+
+const dialog = /** @type {HTMLDialogElement} */ (byId("token"));
+const field = /** @type {HTMLInputElement} */ (byId("token-field"));
+
+/**
+ * Do something that may be refused for want of a token; then ask for one and do it again.
+ * @param {() => Promise<unknown>} action
+ * @param {string} failed what to say where it fails
+ * @returns {Promise<boolean>} it was done
+ */
+export async function control(action, failed) {
+  for (;;) {
+    try {
+      await action();
+      return true;
+    } catch (error) {
+      const refused = error instanceof ApiError && (error.status === 401 || error.status === 403);
+      if (refused && await ask(error.message)) continue;
+      notice(`${failed}: ${words(error)}`, true);
+      return false;
+    }
+  }
+}
+
+/**
+ * Ask for a token until the service knows it.
+ * @param {string} why
+ * @returns {Promise<boolean>} false where none was given
+ */
+async function ask(why) {
+  for (let text = why; ; ) {
+    const given = await once(text);
+    if (!given) return false;
+    try {
+      await showToken(given);
+      return true;
+    } catch (error) {
+      text = words(error);
+    }
+  }
+}
+
+/**
+ * @param {string} why
+ * @returns {Promise<string>} what was typed; "" where the dialog was left
+ */
+function once(why) {
+  say(byId("token-why"), why);
+  field.value = "";
+  dialog.returnValue = "";
+  dialog.showModal();
+  return new Promise((resolve) => {
+    dialog.addEventListener("close", () => resolve(dialog.returnValue === "use" ? field.value : ""), { once: true });
+  });
+}

@@ -1,0 +1,181 @@
+/**
+ * Buttons, fields and keys.
+ * @module
+ */
+
+import * as api from "./api.js";
+import { control } from "./control.js";
+import { keys } from "./keys.js";
+import { notice } from "./notice.js";
+import { byId } from "./paint.js";
+import { methodTitle } from "./readings.js";
+import { saveCsv, savePng } from "./save.js";
+
+/** @typedef {import("./viewer.js").Viewer} Viewer */
+
+/**
+ * What the controls act on beside the viewer.
+ * @typedef {object} Rooms
+ * @property {import("./screen.js").Screen} screen
+ * @property {import("./recorder.js").Recorder} recorder
+ * @property {() => string[]} sensors names of them
+ * @property {(name: string) => void} choose a sensor, or all of them
+ * @property {() => void} toggleWall
+ * @property {() => void} nextTheme
+ */
+
+const picker = /** @type {HTMLSelectElement} */ (byId("method"));
+const help = /** @type {HTMLDialogElement} */ (byId("help"));
+
+/**
+ * Wire everything that can be pressed.
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+export function controls(viewer, rooms) {
+  buttons(viewer, rooms);
+  range(viewer, rooms);
+  keyboard(viewer, rooms);
+  picker.addEventListener("change", () => chooseMethod(viewer));
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function buttons(viewer, rooms) {
+  const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
+  const contacts = /** @type {HTMLInputElement} */ (byId("contacts-on"));
+  const press = (/** @type {string} */ id, /** @type {() => void} */ action) => byId(id).addEventListener("click", action);
+  press("pause", () => viewer.pause(!viewer.session?.paused));
+  press("back", () => viewer.step(-1));
+  press("forward", () => viewer.step(1));
+  press("tare", () => tare(viewer));
+  press("save-png", () => save("png", viewer, rooms));
+  press("save-csv", () => save("csv", viewer, rooms));
+  press("help-open", () => help.showModal());
+  press("help-close", () => help.close());
+  press("banner-action", () => viewer.session?.stream.retry());
+  scrub.addEventListener("input", () => viewer.show(Number(scrub.max) - Number(scrub.value)));
+  contacts.addEventListener("change", () => viewer.showContacts(contacts.checked));
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function range(viewer, rooms) {
+  const auto = /** @type {HTMLInputElement} */ (byId("range-auto"));
+  const low = /** @type {HTMLInputElement} */ (byId("range-low"));
+  const high = /** @type {HTMLInputElement} */ (byId("range-high"));
+  byId("range").addEventListener("submit", (event) => event.preventDefault());
+  auto.addEventListener("change", () => setAuto(auto.checked, viewer, rooms));
+  for (const input of [low, high]) {
+    input.addEventListener("input", () => {
+      const fine = viewer.scale.fix(low.valueAsNumber, high.valueAsNumber);
+      for (const each of [low, high]) each.setAttribute("aria-invalid", String(!fine));
+      if (fine) auto.checked = false;
+      viewer.refresh();
+    });
+  }
+}
+
+/**
+ * @param {boolean} auto
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function setAuto(auto, viewer, rooms) {
+  const { scale } = viewer;
+  if (auto) scale.release();
+  else scale.fix(scale.low, scale.high);
+  rooms.screen.range(scale);
+  viewer.refresh();
+}
+
+/** @param {Viewer} viewer */
+async function chooseMethod(viewer) {
+  const { value } = picker;
+  picker.blur();
+  if (await control(() => api.setMethod(viewer.name, value), "Method not changed")) notice(`Method: ${methodTitle(value)}`);
+  else picker.value = viewer.session?.status?.method ?? picker.value;
+}
+
+/** @param {Viewer} viewer */
+async function tare(viewer) {
+  const { name } = viewer;
+  if (name && await control(() => api.tare(name), "Tare failed")) {
+    notice("Tare: the next frames are taken as the unloaded array.");
+  }
+}
+
+/**
+ * @param {"png"|"csv"} kind
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function save(kind, viewer, rooms) {
+  const { session, palette } = viewer;
+  if (!session?.frame || !palette) {
+    notice("There is no frame to save yet.", true);
+    return;
+  }
+  if (kind === "csv") saveCsv(session, session.frame);
+  else savePng(session, session.frame, viewer.maps, viewer.scale, palette, session.paused ? "paused" : rooms.screen.level);
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {number} dx
+ * @param {number} dy
+ * @param {KeyboardEvent} event
+ */
+function arrow(viewer, dx, dy, event) {
+  const plane = viewer.session?.plane;
+  if (event.altKey && plane) viewer.probe.nudge(dx * plane.restored.side, dy * plane.restored.side, plane);
+  else if (dx) viewer.step(dx * (event.shiftKey ? 10 : 1));
+}
+
+/** @param {Viewer} viewer */
+function pin(viewer) {
+  const { session } = viewer;
+  const of = session?.frame?.ofRestored;
+  if (!session || !of) return;
+  const { plane } = session;
+  viewer.probe.pin(of.contact ? of.x : plane.left + plane.width / 2, of.contact ? of.y : plane.top + plane.height / 2);
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function keyboard(viewer, rooms) {
+  const contacts = byId("contacts-on");
+  keys({
+    " ": () => viewer.pause(!viewer.session?.paused),
+    ArrowLeft: (event) => arrow(viewer, -1, 0, event),
+    ArrowRight: (event) => arrow(viewer, 1, 0, event),
+    l: () => viewer.pause(false),
+    a: () => setAuto(!viewer.scale.auto, viewer, rooms),
+    o: () => contacts.click(),
+    t: () => tare(viewer),
+    r: () => rooms.recorder.toggle(),
+    s: () => save("png", viewer, rooms),
+    c: () => save("csv", viewer, rooms),
+    w: rooms.toggleWall,
+    d: rooms.nextTheme,
+    m: () => picker.focus(),
+    p: () => pin(viewer),
+    "?": () => help.showModal(),
+    Escape: () => viewer.probe.clear(),
+    ...Object.fromEntries(Array.from({ length: 9 }, (_, i) => [String(i + 1), () => {
+      const name = rooms.sensors()[i];
+      if (name) rooms.choose(name);
+    }])),
+  });
+  document.addEventListener("keydown", (event) => {
+    if (!event.altKey || !viewer.probe.pinned || (event.key !== "ArrowUp" && event.key !== "ArrowDown")) return;
+    event.preventDefault();
+    arrow(viewer, 0, event.key === "ArrowUp" ? -1 : 1, event);
+  });
+}

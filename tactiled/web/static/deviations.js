@@ -1,0 +1,72 @@
+/**
+ * How sure the restored image is: its standard deviation, asked for only while somebody looks at it.
+ * @module
+ */
+
+import * as api from "./api.js";
+
+/** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./history.js").Frame} Frame */
+
+const KEPT = 32;
+const HOLDS_S = 1.5; // between the frame that a deviation is of and one that it is drawn with
+const ASK_MS = 500; // it costs the service more than the image itself
+
+export class Deviations {
+  /**
+   * @param {string} name of the sensor
+   * @param {Plane} plane
+   */
+  constructor(name, plane) {
+    this._name = name;
+    this._count = plane.restored.count;
+    /** @type {{timestamp: number, kpa: Float32Array}[]} */
+    this._kept = [];
+    this._asked = -Infinity; // ms
+    this._asking = false;
+  }
+
+  /** Keep nothing. */
+  clear() {
+    this._kept = [];
+  }
+
+  /**
+   * The deviation to draw with a frame.
+   * @param {number} timestamp of the frame, Unix s
+   * @returns {Float32Array|null} kPa, one a restored cell; null where none is near enough in time
+   */
+  at(timestamp) {
+    let best = null;
+    let least = HOLDS_S;
+    for (const each of this._kept) {
+      const away = Math.abs(each.timestamp - timestamp);
+      if (away > least) continue;
+      least = away;
+      best = each.kpa;
+    }
+    return best;
+  }
+
+  /**
+   * Ask for the newest image's, unless that was done just now.
+   * @param {Frame} frame the newest
+   * @param {number} now ms, on performance.now's clock
+   */
+  async ask(frame, now) {
+    const known = this._kept[this._kept.length - 1];
+    if (this._asking || now - this._asked < ASK_MS || (known && known.timestamp >= frame.timestamp)) return;
+    this._asking = true;
+    this._asked = now;
+    try {
+      const told = await api.deviation(this._name);
+      if (told.kpa.length !== this._count) return;
+      if (this._kept.length === KEPT) this._kept.shift();
+      this._kept.push(told);
+    } catch {
+      this._asked = now + 4 * ASK_MS; // no band is drawn meanwhile; the link's own trouble is told elsewhere
+    } finally {
+      this._asking = false;
+    }
+  }
+}

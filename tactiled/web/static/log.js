@@ -1,0 +1,54 @@
+/**
+ * What happened to the service, newest first, with times.
+ * @module
+ */
+
+import * as api from "./api.js";
+import { byId } from "./paint.js";
+
+/** @typedef {import("./api.js").Event} Event */
+
+const MOST = 100; // lines
+const BAD = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored"]);
+
+export class Log {
+  constructor() {
+    this._list = byId("events");
+    this._newest = 0;
+    this.offered = false;
+  }
+
+  /** @param {boolean} offered whether the service tells what happened */
+  offer(offered) {
+    this.offered = offered;
+    byId("log").hidden = !offered;
+  }
+
+  /** Fetch what happened since the last look. */
+  async update() {
+    if (!this.offered) return;
+    const { events, newest } = await api.events(this._newest);
+    if (newest < this._newest) this._list.replaceChildren();
+    this._newest = events.length ? events[events.length - 1].id : newest;
+    for (const each of events) this._list.prepend(line(each));
+    while (this._list.children.length > MOST) this._list.lastElementChild?.remove();
+  }
+}
+
+/**
+ * @param {Event} event
+ * @returns {HTMLElement}
+ */
+function line(event) {
+  const item = document.createElement("li");
+  item.classList.toggle("bad", BAD.has(event.kind));
+  const when = document.createElement("time");
+  const date = new Date(event.time * 1000);
+  when.dateTime = date.toISOString();
+  when.textContent = date.toLocaleTimeString([], { hour12: false });
+  when.title = date.toLocaleString();
+  const what = document.createElement("b");
+  what.textContent = [event.sensor ?? event.bus, event.kind.replaceAll("_", " ")].filter(Boolean).join(": ");
+  item.append(when, " ", what, ` ${event.text}`);
+  return item;
+}

@@ -1,0 +1,100 @@
+/**
+ * The raw and the restored map side by side, on one colour scale and one scale in mm.
+ * @module
+ */
+
+import { Colorbar } from "./colorbar.js";
+import { Heatmap } from "./heatmap.js";
+import { Overlay } from "./overlay.js";
+import { byId, say } from "./paint.js";
+
+/** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./heatmap.js").Palette} Palette */
+/** @typedef {import("./scale.js").Scale} Scale */
+/** @typedef {import("./history.js").Frame} Frame */
+
+const DESK = matchMedia("(min-width: 900px)"); // where the maps share the window's height
+const CHEAP = 0.94; // of the size there is, from which a cell is made a whole number of pixels
+
+export class Maps {
+  constructor() {
+    this.raw = new Heatmap(byId("raw"), byId("raw-frame"));
+    this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
+    this.rawMarks = new Overlay(byId("raw-marks"));
+    this.restoredMarks = new Overlay(byId("restored-marks"));
+    this.colorbar = new Colorbar(byId("colorbar"));
+    this._boxes = byId("boxes");
+    /** @type {Plane|null} */
+    this._plane = null;
+  }
+
+  /** @param {Plane} plane */
+  use(plane) {
+    this._plane = plane;
+    this.raw.use(plane, plane.raw);
+    this.restored.use(plane, plane.restored);
+    this.layout();
+  }
+
+  /** Show nothing. */
+  clear() {
+    this._plane = null;
+    for (const each of [this.raw, this.restored, this.rawMarks, this.restoredMarks]) each.clear();
+  }
+
+  /**
+   * @param {Frame} frame
+   * @param {Scale} scale
+   * @param {Palette} palette
+   * @param {import("./overlay.js").Marks} marks
+   */
+  paint(frame, scale, palette, marks) {
+    this.raw.paint(frame.raw, scale, palette);
+    this.restored.paint(frame.restored, scale, palette);
+    const flags = frame.saturated ? frame.flags : null;
+    this.rawMarks.draw(marks, frame.ofRaw, flags);
+    this.restoredMarks.draw(marks, frame.ofRestored, flags);
+  }
+
+  /** Make both maps as large as their boxes allow, true to scale. */
+  layout() {
+    const plane = this._plane;
+    if (!plane) return;
+    const box = /** @type {HTMLElement} */ (this.raw.frame.parentElement);
+    this._boxes.classList.toggle("stacked", plane.width > 1.5 * plane.height);
+    const height = DESK.matches ? box.clientHeight : 0.7 * window.innerHeight;
+    const zoom = crisp(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
+    this.raw.resize(zoom);
+    this.restored.resize(zoom);
+    this.rawMarks.resize(plane, zoom);
+    this.restoredMarks.resize(plane, zoom);
+    const length = roundDown((0.3 * box.clientWidth) / zoom);
+    byId("ruler-bar").style.width = `${length * zoom}px`;
+    say(byId("ruler-text"), `${length} mm`);
+    const apart = this.restored.frame.getBoundingClientRect().top - this.raw.frame.getBoundingClientRect().top;
+    byId("legend").style.setProperty("--map-height", `${apart + plane.height * zoom}px`);
+    this.colorbar.forget();
+  }
+}
+
+/**
+ * @param {Plane} plane
+ * @param {number} zoom CSS px per mm
+ * @returns {number} a little less, where that puts the cells of a grid on whole pixels
+ */
+function crisp(plane, zoom) {
+  if (!plane.isGrid) return zoom;
+  const cell = Math.min(plane.raw.side, plane.restored.side);
+  const ratio = window.devicePixelRatio || 1;
+  const whole = Math.floor(zoom * cell * ratio) / ratio / cell;
+  return whole > CHEAP * zoom ? whole : zoom;
+}
+
+/**
+ * @param {number} length
+ * @returns {number} a round number not above it
+ */
+function roundDown(length) {
+  const power = 10 ** Math.floor(Math.log10(length));
+  return ([5, 2, 1].find((step) => step * power <= length) ?? 1) * power;
+}

@@ -1,0 +1,30 @@
+/**
+ * Something said in passing.
+ * @module
+ */
+
+import { byId, say } from "./paint.js";
+
+const STAYS_MS = 3000;
+const BAD_STAYS_MS = 8000;
+
+let timer = 0;
+
+/**
+ * @param {string} text
+ * @param {boolean} [bad]
+ */
+export function notice(text, bad = false) {
+  const element = byId("notice");
+  say(element, text);
+  element.hidden = false;
+  element.classList.toggle("bad", bad);
+  clearTimeout(timer);
+  timer = setTimeout(() => { element.hidden = true; }, bad ? BAD_STAYS_MS : STAYS_MS);
+}
+
+/**
+ * @param {unknown} error
+ * @returns {string}
+ */
+export const words = (error) => (error instanceof Error ? error.message : String(error));

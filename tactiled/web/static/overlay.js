@@ -1,0 +1,226 @@
+/**
+ * What is marked on a map: contacts, the cross-section, the probe, saturated taxels.
+ * Every mark is light on dark, so that it shows on any colour of the map and to every eye.
+ * @module
+ */
+
+import { fit, pen } from "./paint.js";
+import { SATURATED } from "./wire.js";
+
+/** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./contacts.js").Contact} Contact */
+
+/**
+ * What is to be marked.
+ * @typedef {object} Marks
+ * @property {number} lineY mm, of the cross-section; NaN for none
+ * @property {number} probeX mm; NaN for none
+ * @property {number} probeY mm
+ * @property {boolean} pinned
+ * @property {Contact[]|null} contacts null where they are not to be shown
+ */
+
+const OUTLINE = 2; // standard deviations from a contact's centre to its outline: the rim of an even disc
+const CROSS = 4; // CSS px, half of a centre's cross
+const LEAST = 6; // CSS px, the least half axis of an outline
+const TEXT = 12; // CSS px
+
+export class Overlay {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this._pen = pen(canvas);
+    /** @type {Plane|null} */
+    this._plane = null;
+    this._ratio = 1;
+    /** Device px per mm. */
+    this._px = 1;
+    this._font = getComputedStyle(document.body).fontFamily;
+    /** Left, top, right and bottom of the labels that are drawn already, device px. */
+    this._taken = new Float64Array(4 * 64);
+    this._labels = 0;
+  }
+
+  /**
+   * @param {Plane} plane
+   * @param {number} zoom CSS px per mm
+   */
+  resize(plane, zoom) {
+    this._plane = plane;
+    this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
+    this._px = zoom * this._ratio;
+  }
+
+  /** Show nothing. */
+  clear() {
+    this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+  }
+
+  /**
+   * @param {Marks} marks
+   * @param {import("./measures.js").Measures} measures of the map's image
+   * @param {Uint8Array|null} flags of the raw image; null where nothing is saturated
+   */
+  draw(marks, measures, flags) {
+    const plane = this._plane;
+    if (!plane) return;
+    this.clear();
+    if (flags) this._saturated(flags, plane);
+    if (Number.isFinite(marks.lineY)) this._line((marks.lineY - plane.top) * this._px);
+    if (marks.contacts) this._contacts(marks.contacts, plane);
+    else if (measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
+    if (!Number.isFinite(marks.probeX)) return;
+    const x = (marks.probeX - plane.left) * this._px;
+    const y = (marks.probeY - plane.top) * this._px;
+    this._pen.beginPath();
+    this._cross(x, y, 9 * this._ratio);
+    this._twoTone(1.5);
+    if (marks.pinned) this._ring(x, y, 4);
+  }
+
+  /**
+   * @param {Contact[]} contacts
+   * @param {Plane} plane
+   */
+  _contacts(contacts, plane) {
+    const draw = this._pen;
+    const least = LEAST * this._ratio;
+    draw.beginPath();
+    for (const each of contacts) {
+      const x = (each.x_mm - plane.left) * this._px;
+      const y = (each.y_mm - plane.top) * this._px;
+      const major = Math.max(least, OUTLINE * each.major_mm * this._px);
+      const minor = Math.max(least, OUTLINE * each.minor_mm * this._px);
+      draw.moveTo(x + major * Math.cos(each.angle_rad), y + major * Math.sin(each.angle_rad));
+      draw.ellipse(x, y, major, minor, each.angle_rad, 0, 2 * Math.PI);
+      this._cross(x, y, CROSS * this._ratio);
+    }
+    this._twoTone(1.5);
+    this._labels = 0;
+    draw.font = `600 ${TEXT * this._ratio}px ${this._font}`;
+    draw.textBaseline = "middle";
+    draw.textAlign = "center";
+    draw.lineJoin = "round";
+    for (const each of contacts) this._label(each, plane);
+  }
+
+  /**
+   * Write a contact's number and force above it, below it, or beside it: where there is room first.
+   * @param {Contact} contact
+   * @param {Plane} plane
+   */
+  _label(contact, plane) {
+    const half = this._pen.measureText(contact.label).width / 2 + 3 * this._ratio;
+    const rise = (TEXT * this._ratio) / 2 + 2 * this._ratio;
+    const reach = Math.max(LEAST * this._ratio, OUTLINE * contact.major_mm * this._px);
+    const x = (contact.x_mm - plane.left) * this._px;
+    const y = (contact.y_mm - plane.top) * this._px;
+    const low = y + reach + rise;
+    const high = y - reach - rise;
+    const within = Math.max(half, Math.min(this.canvas.width - half, x));
+    if (this._place(contact.label, within, high, half, rise) || this._place(contact.label, within, low, half, rise)
+      || this._place(contact.label, x + reach + half, y, half, rise)) return;
+    this._place(contact.label, x - reach - half, y, half, rise);
+  }
+
+  /**
+   * @param {string} text
+   * @param {number} x device px, of its middle
+   * @param {number} y
+   * @param {number} half of its width
+   * @param {number} rise half of its height
+   * @returns {boolean} false, with nothing written, where it would leave the map or cover another label
+   */
+  _place(text, x, y, half, rise) {
+    const taken = this._taken;
+    if (x < half || y < rise || x + half > this.canvas.width || y + rise > this.canvas.height) return false;
+    for (let i = 0; i < 4 * this._labels; i += 4) {
+      if (x - half < taken[i + 2] && x + half > taken[i] && y - rise < taken[i + 3] && y + rise > taken[i + 1]) return false;
+    }
+    if (4 * this._labels < taken.length) {
+      const at = 4 * this._labels;
+      taken[at] = x - half;
+      taken[at + 1] = y - rise;
+      taken[at + 2] = x + half;
+      taken[at + 3] = y + rise;
+      this._labels += 1;
+    }
+    const draw = this._pen;
+    draw.lineWidth = 3.5 * this._ratio;
+    draw.strokeStyle = "rgb(0 0 0 / 85%)";
+    draw.strokeText(text, x, y);
+    draw.fillStyle = "#fff";
+    draw.fillText(text, x, y);
+    return true;
+  }
+
+  /**
+   * @param {Uint8Array} flags
+   * @param {Plane} plane
+   */
+  _saturated(flags, plane) {
+    const taxels = plane.raw;
+    const half = Math.max(1.5 * this._ratio, Math.min(5 * this._ratio, 0.3 * taxels.side * this._px));
+    const draw = this._pen;
+    draw.beginPath();
+    for (let i = 0; i < taxels.count; i += 1) {
+      if (!(flags[i] & SATURATED)) continue;
+      const x = (taxels.x[i] - plane.left) * this._px;
+      const y = (taxels.y[i] - plane.top) * this._px;
+      draw.moveTo(x - half, y - half);
+      draw.lineTo(x + half, y + half);
+      draw.moveTo(x - half, y + half);
+      draw.lineTo(x + half, y - half);
+    }
+    this._twoTone(1.5);
+  }
+
+  /** @param {number} y device px */
+  _line(y) {
+    const draw = this._pen;
+    draw.beginPath();
+    draw.moveTo(0, y);
+    draw.lineTo(this.canvas.width, y);
+    this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
+  }
+
+  /**
+   * @param {number} x device px
+   * @param {number} y
+   * @param {number} arm
+   */
+  _cross(x, y, arm) {
+    const draw = this._pen;
+    draw.moveTo(x, y - arm);
+    draw.lineTo(x, y + arm);
+    draw.moveTo(x - arm, y);
+    draw.lineTo(x + arm, y);
+  }
+
+  /**
+   * @param {number} x device px
+   * @param {number} y
+   * @param {number} radius CSS px
+   */
+  _ring(x, y, radius) {
+    this._pen.beginPath();
+    this._pen.arc(x, y, radius * this._ratio, 0, 2 * Math.PI);
+    this._twoTone(1.5);
+  }
+
+  /**
+   * Stroke the path so that it shows on any colour.
+   * @param {number} width CSS px
+   * @param {string} under
+   * @param {string} over
+   */
+  _twoTone(width, under = "rgb(0 0 0 / 80%)", over = "#fff") {
+    const draw = this._pen;
+    draw.lineWidth = (width + 2) * this._ratio;
+    draw.strokeStyle = under;
+    draw.stroke();
+    draw.lineWidth = width * this._ratio;
+    draw.strokeStyle = over;
+    draw.stroke();
+  }
+}

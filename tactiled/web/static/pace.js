@@ -1,0 +1,58 @@
+/**
+ * How fast pictures come to the screen, and how old they are there.
+ * @module
+ */
+
+/** @typedef {import("./history.js").Frame} Frame */
+
+const CLOCKS_S = 0.25; // that the browser's and the service's clocks may differ and still be compared
+const KEPT = 128; // paintings, more than a second's
+
+export class Pace {
+  constructor() {
+    this.painted = 0;
+    /** Of the newest picture, ms from the frame's first bus message to the screen. */
+    this.latency = NaN;
+    this._times = new Float64Array(KEPT);
+    this._skew = Infinity; // least of (arrival - sent), s
+  }
+
+  /** Another sensor's pictures come from now on. */
+  reset() {
+    this.latency = NaN;
+    this._skew = Infinity;
+  }
+
+  /**
+   * A frame is on the screen for the first time.
+   * @param {number} now ms, on performance.now's clock
+   * @param {Frame} frame whose latency is noted
+   */
+  paint(now, frame) {
+    this._times[this.painted % KEPT] = now;
+    this.painted += 1;
+    const at = Date.now() / 1000;
+    this._skew = Math.min(this._skew, at - frame.sent);
+    const way = at - frame.sent - (this.clocksDiffer ? this._skew : 0);
+    this.latency = frame.latency = (way + frame.sent - frame.timestamp) * 1000;
+  }
+
+  /** @returns {boolean} the two clocks are too far apart to compare, and the way over the network is left out */
+  get clocksDiffer() {
+    return Number.isFinite(this._skew) && Math.abs(this._skew) > CLOCKS_S;
+  }
+
+  /** @returns {number} s that this browser's clock is off the service's; 0 where they agree */
+  get skew() {
+    return this.clocksDiffer ? this._skew : 0;
+  }
+
+  /** @returns {number} pictures painted in the last second */
+  fps() {
+    const since = performance.now() - 1000;
+    const known = Math.min(this.painted, KEPT);
+    let count = 0;
+    for (let i = 0; i < known; i += 1) if (this._times[i] > since) count += 1;
+    return count;
+  }
+}

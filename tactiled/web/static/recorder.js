@@ -1,0 +1,163 @@
+/**
+ * Recordings of a bus: begin, end, list, fetch, delete.
+ * @module
+ */
+
+import * as api from "./api.js";
+import { control } from "./control.js";
+import { notice } from "./notice.js";
+import { byId, number, say } from "./paint.js";
+
+/** @typedef {import("./api.js").Recording} Recording */
+
+const SURE_MS = 4000; // that a delete waits for its second click
+const UNITS = ["B", "kB", "MB", "GB"];
+
+export class Recorder {
+  /** @param {() => string} bus of the sensor that is watched; "" for none */
+  constructor(bus) {
+    this._bus = bus;
+    this._button = /** @type {HTMLButtonElement} */ (byId("record"));
+    this._list = byId("recordings");
+    /** @type {Recording[]} */
+    this._recordings = [];
+    this._shown = "";
+    this.offered = false;
+    this._button.addEventListener("click", () => this.toggle());
+  }
+
+  /** @param {boolean} offered whether the service has a folder to record into */
+  offer(offered) {
+    this.offered = offered;
+    this._button.hidden = !offered;
+    byId("recordings-hint").hidden = offered;
+  }
+
+  /** Look at the folder. */
+  async update() {
+    if (!this.offered) return;
+    this._recordings = await api.recordings();
+    this.read();
+  }
+
+  /** @returns {Recording|undefined} what runs on the bus that is watched */
+  get _running() {
+    const bus = this._bus();
+    return this._recordings.find((each) => each.running && each.bus === bus);
+  }
+
+  /** Begin to record the bus that is watched, or end it. */
+  async toggle() {
+    const bus = this._bus();
+    if (!this.offered || !bus) return;
+    const running = this._running;
+    if (running) await this._stop(running.name);
+    else if (await control(() => api.startRecording(bus), "Not recorded")) notice(`Recording ${bus}.`);
+    await this._look();
+  }
+
+  /** @param {string} name */
+  async _stop(name) {
+    if (await control(() => api.stopRecording(name), "Recording not ended")) notice(`Recorded: ${name}.`);
+  }
+
+  async _look() {
+    await this.update().catch(() => undefined); // the next look says what is wrong
+  }
+
+  /** Bring button and list up to date. */
+  read() {
+    const running = this._running;
+    this._button.setAttribute("aria-pressed", String(Boolean(running)));
+    this._button.disabled = !this._bus();
+    say(this._button, running ? "Stop" : "Record");
+    const shown = JSON.stringify(this._recordings.map((each) => [each.name, each.running, each.error]));
+    if (shown !== this._shown) {
+      this._shown = shown;
+      this._list.replaceChildren(...this._recordings.map((each) => this._row(each)));
+    }
+    for (const [i, each] of this._recordings.entries()) {
+      say(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), about(each));
+    }
+    byId("recordings-none").hidden = !this.offered || this._recordings.length > 0;
+  }
+
+  /**
+   * @param {Recording} recording
+   * @returns {HTMLElement}
+   */
+  _row(recording) {
+    const item = document.createElement("li");
+    const name = document.createElement(recording.running ? "b" : "a");
+    name.textContent = recording.name;
+    if (name instanceof HTMLAnchorElement) {
+      name.href = api.recordingUrl(recording.name);
+      name.download = recording.name;
+      name.title = `Download ${recording.name}`;
+    }
+    const sub = document.createElement("span");
+    sub.className = "sub";
+    item.append(name, recording.running ? this._stopper(recording.name) : this._deleter(recording.name), sub);
+    return item;
+  }
+
+  /**
+   * @param {string} name
+   * @returns {HTMLButtonElement}
+   */
+  _stopper(name) {
+    const button = small("Stop", `Stop recording ${name}`);
+    button.addEventListener("click", async () => {
+      await this._stop(name);
+      await this._look();
+    });
+    return button;
+  }
+
+  /**
+   * @param {string} name
+   * @returns {HTMLButtonElement} to be pressed twice
+   */
+  _deleter(name) {
+    const button = small("Delete", `Delete ${name}`);
+    button.addEventListener("click", async () => {
+      if (button.dataset.sure === undefined) {
+        button.dataset.sure = "";
+        button.textContent = "Really delete";
+        setTimeout(() => {
+          delete button.dataset.sure;
+          button.textContent = "Delete";
+        }, SURE_MS);
+        return;
+      }
+      await control(() => api.deleteRecording(name), "Not deleted");
+      await this._look();
+    });
+    return button;
+  }
+}
+
+/**
+ * @param {string} text
+ * @param {string} label
+ * @returns {HTMLButtonElement}
+ */
+function small(text, label) {
+  const button = document.createElement("button");
+  button.type = "button";
+  button.textContent = text;
+  button.title = label;
+  return button;
+}
+
+/**
+ * @param {Recording} recording
+ * @returns {string}
+ */
+function about(recording) {
+  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(1, recording.bytes)) / 3));
+  const size = `${number(recording.bytes / 1000 ** power)} ${UNITS[power]}`;
+  const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
+  const state = recording.running ? `recording ${recording.bus}, ` : "";
+  return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
+}

@@ -1,0 +1,153 @@
+/**
+ * What the page says in words: state, probe, range, playback and contacts.
+ * @module
+ */
+
+import { ContactList } from "./contactlist.js";
+import { byId, fixed, say } from "./paint.js";
+import { Readings } from "./readings.js";
+import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
+
+/** @typedef {import("./viewer.js").Viewer} Viewer */
+/** @typedef {import("./history.js").Frame} Frame */
+/** @typedef {import("./health.js").Health} Health */
+/** @typedef {import("./session.js").Session} Session */
+
+const FLAGS = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
+const PILL = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
+/** @type {Health} */
+const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
+/** @type {Health} */
+const CONNECTING = { level: "connecting", title: "CONNECTING", text: "" };
+
+export class Screen {
+  constructor() {
+    this.readings = new Readings();
+    this.contacts = new ContactList(byId("contact-list"));
+    this._level = "";
+    this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
+    this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
+    this._high = /** @type {HTMLInputElement} */ (byId("range-high"));
+    this._pause = byId("pause");
+    this._scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
+  }
+
+  /** @returns {string} what the page says of the picture: live, stale, ... */
+  get level() {
+    return this._level;
+  }
+
+  /**
+   * Bring everything up to date.
+   * @param {Viewer} viewer
+   * @param {boolean} reachable the service answers
+   */
+  read(viewer, reachable) {
+    const { session, pace } = viewer;
+    const health = session?.health() ?? (reachable || viewer.name ? CONNECTING : UNREACHABLE);
+    const paused = session?.paused ?? false;
+    this._health(health, viewer.name, paused, session?.stream.link === "closed");
+    const frame = session?.frame ?? null;
+    const live = health.level === "live";
+    this.readings.frame(frame);
+    this.readings.status(session?.status ?? null, live);
+    this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
+    this._probe(viewer, frame);
+    this._playback(session, frame, live);
+    this.range(viewer.scale);
+    this.contacts.show(viewer.marks.contacts, viewer.contacts);
+    const lineY = viewer.marks.lineY;
+    say(byId("section-where"), Number.isFinite(lineY) && frame ? `y ${fixed(lineY, 1)} mm${viewer.probe.pinned ? ", pinned" : ""}` : "");
+  }
+
+  /**
+   * @param {Health} health
+   * @param {string} name
+   * @param {boolean} paused
+   * @param {boolean} closed
+   */
+  _health(health, name, paused, closed) {
+    if (health.level !== this._level) {
+      this._level = health.level;
+      const what = health.level === "live" ? `${name} is live` : `${name || "service"}: ${health.title.toLowerCase()}. ${health.text}`;
+      say(byId("announce"), health.level === "connecting" ? "" : what);
+      document.body.dataset.level = health.level;
+    }
+    document.body.classList.toggle("paused", paused);
+    byId("banner").hidden = health.title === "" || health.level === "connecting";
+    say(byId("banner-title"), health.title);
+    say(byId("banner-text"), health.text);
+    byId("banner-action").hidden = health.level !== "disconnected" || !closed;
+    say(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL[health.level]);
+    const title = name ? `${name}${health.level === "live" ? "" : ` (${health.level})`}, tactiled` : "tactiled";
+    if (document.title !== title) document.title = title;
+  }
+
+  /**
+   * @param {Viewer} viewer
+   * @param {Frame|null} frame
+   */
+  _probe(viewer, frame) {
+    const plane = viewer.session?.plane;
+    const { x, y } = viewer.probe;
+    say(byId("probe"), frame && plane && Number.isFinite(x) ? reading(plane, frame, x, y) : "Point at a map to read it; click or tap to pin.");
+  }
+
+  /** @param {import("./scale.js").Scale} scale */
+  range(scale) {
+    this._autoRange.checked = scale.auto;
+    showNumber(this._low, scale.low);
+    showNumber(this._high, scale.high);
+  }
+
+  /**
+   * @param {Session|null} session
+   * @param {Frame|null} frame
+   * @param {boolean} live
+   */
+  _playback(session, frame, live) {
+    const kept = session?.history.length ?? 0;
+    const back = session?.back ?? 0;
+    const paused = session?.paused ?? false;
+    this._pause.setAttribute("aria-pressed", String(paused));
+    say(this._pause, paused ? "Go live" : "Pause");
+    this._scrub.max = String(Math.max(0, kept - 1));
+    this._scrub.value = String(kept - 1 - back);
+    this._scrub.disabled = kept < 2;
+    const newest = session?.history.at(0);
+    const when = frame && newest && back ? `${fixed(frame.timestamp - newest.timestamp, 2)} s` : "newest";
+    const text = paused ? when : live ? "live" : "last";
+    say(byId("when"), text);
+    if (this._scrub.getAttribute("aria-valuetext") !== text) this._scrub.setAttribute("aria-valuetext", text);
+  }
+}
+
+/**
+ * @param {import("./plane.js").Plane} plane
+ * @param {Frame} frame
+ * @param {number} x mm
+ * @param {number} y mm
+ * @returns {string} what is there
+ */
+function reading(plane, frame, x, y) {
+  const r = plane.find(plane.raw, x, y);
+  const s = plane.find(plane.restored, x, y);
+  const place = `x ${fixed(x, 1)}, y ${fixed(y, 1)} mm`;
+  if (r < 0 || s < 0) return `${place}: no taxel here`;
+  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : `${fixed(frame.raw[r], 1)} kPa`;
+  const flags = FLAGS.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
+  const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
+  return `${place}: raw ${raw}, restored ${fixed(frame.restored[s], 1)} kPa (${taxel}${flags})`;
+}
+
+/**
+ * Show a number in a field, unless somebody is typing there.
+ * @param {HTMLInputElement} input
+ * @param {number} value
+ */
+function showNumber(input, value) {
+  if (document.activeElement === input) return;
+  const text = String(+value.toPrecision(4));
+  if (input.value !== text) input.value = text;
+  input.removeAttribute("aria-invalid");
+}

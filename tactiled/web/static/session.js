@@ -1,0 +1,137 @@
+/**
+ * One sensor as it is watched: its stream, the frames that are kept, and which of them is shown.
+ * @module
+ */
+
+import * as api from "./api.js";
+import { Contacts } from "./contacts.js";
+import { Deviations } from "./deviations.js";
+import { judge } from "./health.js";
+import { History } from "./history.js";
+import { Stream } from "./stream.js";
+import { RAW, RESTORED } from "./wire.js";
+
+/** @typedef {import("./history.js").Frame} Frame */
+/** @typedef {import("./stream.js").Status} Status */
+/** @typedef {import("./plane.js").Plane} Plane */
+
+/**
+ * @typedef {object} Listener
+ * @property {(frame: Frame) => void} onFrame a frame came
+ * @property {(status: Status, changed: boolean) => void} onStatus
+ * @property {() => void} onLink
+ * @property {() => void} onContacts contacts of a frame came
+ * @property {() => void} onOther the sensor has another shape than was believed
+ */
+
+const FAR_S = 60; // between a frame and the next, from which they are not of one play
+
+export class Session {
+  /**
+   * @param {string} name
+   * @param {Plane} plane
+   * @param {boolean} contacts whether they are asked for, too
+   * @param {Listener} listener
+   */
+  constructor(name, plane, contacts, listener) {
+    this.name = name;
+    this.plane = plane;
+    this.history = new History(plane);
+    this.contacts = new Contacts();
+    this.deviations = new Deviations(name, plane);
+    this.paused = false;
+    /** Which kept frame is shown, 0 the newest. */
+    this.back = 0;
+    /** @type {Status|null} */
+    this.status = null;
+    this._toldAt = 0;
+    this._frameAt = 0;
+    this._listener = listener;
+    this.stream = new Stream(api.streamUrl(name, contacts), [RAW, RESTORED], {
+      onImages: (images) => this._take(images),
+      onStatus: (status) => this._hear(status),
+      onLink: () => this._linked(),
+      onContacts: (found) => {
+        if (this.paused) return;
+        this.contacts.push(found);
+        this._listener.onContacts();
+      },
+    });
+  }
+
+  /** @returns {Frame|null} the one that is shown */
+  get frame() {
+    return this.history.at(this.back);
+  }
+
+  /** @returns {import("./health.js").Health} */
+  health() {
+    return judge(this.stream, this.status, this._toldAt, this._frameAt);
+  }
+
+  /** Watch no longer. */
+  stop() {
+    this.stream.stop();
+  }
+
+  /** @param {boolean} contacts whether they are asked for from now on */
+  ask(contacts) {
+    if (!contacts) this.contacts.clear();
+    this.stream.move(api.streamUrl(this.name, contacts));
+  }
+
+  /** @param {boolean} to */
+  pause(to) {
+    this.paused = to;
+    if (to) return;
+    this.back = 0;
+    this.stream.next();
+  }
+
+  /**
+   * Show another kept frame; the picture stands still from then on.
+   * @param {number} to how far back
+   */
+  show(to) {
+    if (!this.history.length) return;
+    this.pause(true);
+    this.back = Math.max(0, Math.min(this.history.length - 1, to));
+  }
+
+  /** What came is on the screen. */
+  done() {
+    if (!this.paused) this.stream.next();
+  }
+
+  /** @param {import("./wire.js").Packet[]} images */
+  _take(images) {
+    if (this.paused) return;
+    const raw = images[RAW];
+    const restored = images[RESTORED];
+    if (!this.history.fits(raw, restored)) {
+      this._listener.onOther();
+      return;
+    }
+    const newest = this.history.at(0);
+    if (newest && (restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + FAR_S)) {
+      this.history.clear();
+      this.contacts.clear();
+      this.deviations.clear();
+    }
+    this._frameAt = performance.now();
+    this._listener.onFrame(this.history.push(raw, restored));
+  }
+
+  /** @param {Status} status */
+  _hear(status) {
+    const changed = this.status?.state !== status.state || this.status?.method !== status.method;
+    this.status = status;
+    this._toldAt = performance.now();
+    this._listener.onStatus(status, changed);
+  }
+
+  _linked() {
+    if (!this.paused) this.stream?.next(); // the stream tells of its first link while it is being made
+    this._listener.onLink();
+  }
+}

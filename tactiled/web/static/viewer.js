@@ -1,0 +1,246 @@
+/**
+ * The sensor that is watched, on the screen: maps, charts and the cover.
+ * @module
+ */
+
+import * as api from "./api.js";
+import { KernelPanel } from "./kernel.js";
+import { Maps } from "./maps.js";
+import { notice, words } from "./notice.js";
+import { Pace } from "./pace.js";
+import { byId } from "./paint.js";
+import { Plane } from "./plane.js";
+import { Probe } from "./probe.js";
+import { Scale } from "./scale.js";
+import { Section, highest } from "./section.js";
+import { Session } from "./session.js";
+import { Trend } from "./trend.js";
+
+/** @typedef {import("./history.js").Frame} Frame */
+/** @typedef {import("./heatmap.js").Palette} Palette */
+
+const STAYS = 0.85; // of the peak that the cross-section must still reach where it is
+const TRENDS_MS = 100; // between two drawings of what changes slowly
+
+/**
+ * @typedef {object} Listener
+ * @property {() => void} onChange something that is told in words has changed
+ * @property {(status: import("./stream.js").Status) => void} onStatus
+ */
+
+export class Viewer {
+  /** @param {Listener} listener */
+  constructor(listener) {
+    this._listener = listener;
+    this.scale = new Scale();
+    this.maps = new Maps();
+    this.section = new Section(byId("section"));
+    this.forces = new Trend(byId("forces"), "N", 0.1, [
+      { ink: "raw", of: (frame) => frame.ofRaw.force }, { ink: "restored", of: (frame) => frame.ofRestored.force },
+    ]);
+    this.latencies = new Trend(byId("latencies"), "ms", 5, [{ ink: "accent", of: (frame) => frame.latency }]);
+    this.kernel = new KernelPanel(byId("kernel"));
+    this.pace = new Pace();
+    this.probe = new Probe([this.maps.raw, this.maps.restored], () => this.refresh());
+    /** @type {Palette|null} */
+    this.palette = null;
+    /** @type {Session|null} */
+    this.session = null;
+    /** Name of the sensor that is chosen; "" for none. */
+    this.name = "";
+    /** Whether contacts are shown. */
+    this.contacts = true;
+    /** Whether anybody can see the cross-section. */
+    this.sectionSeen = true;
+    /** @type {import("./overlay.js").Marks} */
+    this.marks = { lineY: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null };
+    this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
+    this._fresh = false; // a frame came that is not painted yet
+    this._dirty = false;
+    this._trendsAt = 0;
+    this._paint = this._paint.bind(this);
+  }
+
+  /** Paint at the screen's next turn. */
+  refresh() {
+    if (this._dirty) return;
+    this._dirty = true;
+    requestAnimationFrame(this._paint);
+  }
+
+  /** @param {number} now ms */
+  _paint(now) {
+    this._dirty = false;
+    const { session, palette } = this;
+    if (!session || !palette) return;
+    const { frame } = session;
+    this.maps.colorbar.draw(this.scale, palette);
+    if (frame) this._mark(frame, session);
+    if (frame) this.maps.paint(frame, this.scale, palette, this.marks);
+    this.section.draw(frame, this.marks.lineY, this.probe.x, this.scale, frame && this._deviation(frame, session, now));
+    if (!this._fresh || now - this._trendsAt >= TRENDS_MS) {
+      this._trendsAt = now;
+      this.forces.draw(session.history, session.back);
+      this.latencies.draw(session.history, session.back);
+    }
+    if (!this._fresh || !frame) return;
+    this._fresh = false;
+    this.pace.paint(now, frame);
+    document.documentElement.dataset.painted = String(this.pace.painted);
+    session.done();
+  }
+
+  /**
+   * @param {Frame} frame
+   * @param {Session} session
+   */
+  _mark(frame, session) {
+    const { marks, probe } = this;
+    const { ofRestored } = frame;
+    const { plane } = session;
+    if (Number.isFinite(probe.y)) marks.lineY = probe.y;
+    else if (ofRestored.contact) {
+      // The line stays until the peak has clearly moved: noise alone must not make it jump between equal rows.
+      const stays = highest(plane, marks.lineY, frame.restored) >= STAYS * ofRestored.peak;
+      if (!stays) marks.lineY = plane.restored.y[ofRestored.peakIndex];
+    } else if (!Number.isFinite(marks.lineY)) marks.lineY = plane.top + plane.height / 2;
+    marks.probeX = probe.x;
+    marks.probeY = probe.y;
+    marks.pinned = probe.pinned;
+    marks.contacts = this.contacts ? session.contacts.at(frame.timestamp) : null;
+  }
+
+  /**
+   * @param {Frame} frame
+   * @param {Session} session
+   * @param {number} now ms
+   * @returns {Float32Array|null} kPa, of each restored cell
+   */
+  _deviation(frame, session, now) {
+    if (!this.sectionSeen) return null;
+    if (!session.paused) session.deviations.ask(frame, now);
+    return session.deviations.at(frame.timestamp);
+  }
+
+  /** The window has another size. */
+  layout() {
+    this.maps.layout();
+    this.kernel.draw();
+    this._paint(performance.now()); // at once: a canvas of another size is empty
+  }
+
+  /** The theme is another. */
+  restyle() {
+    for (const each of [this.section, this.forces, this.latencies, this.kernel]) each.chart.restyle();
+    this.maps.colorbar.forget();
+    this.kernel.draw();
+    this.refresh();
+  }
+
+  /** @param {boolean} shown */
+  showContacts(shown) {
+    this.contacts = shown;
+    this.session?.ask(shown);
+    this.refresh();
+  }
+
+  /** Watch no sensor. */
+  leave() {
+    this._selection += 1;
+    this.session?.stop();
+    this.session = null;
+    this.name = "";
+    this._fresh = false;
+    this.marks.lineY = NaN;
+    this.pace.reset();
+    this.probe.clear();
+    this.scale.reset();
+    this.maps.clear();
+    this.kernel.use(null);
+  }
+
+  /**
+   * Watch another sensor.
+   * @param {string} name
+   */
+  async select(name) {
+    if (name === this.name) return;
+    this.leave();
+    this.name = name;
+    this._listener.onChange();
+    const mine = this._selection;
+    try {
+      const plane = new Plane(await api.geometry(name));
+      if (mine === this._selection) this._open(name, plane);
+    } catch (error) {
+      if (mine !== this._selection) return;
+      this.name = "";
+      notice(`${name}: ${words(error)}`, true);
+      return;
+    }
+    try {
+      const kernel = await api.kernel(name);
+      if (mine === this._selection) this.kernel.use(kernel);
+    } catch (error) {
+      if (mine === this._selection) notice(`Cover of ${name}: ${words(error)}`, true);
+    }
+  }
+
+  /**
+   * @param {string} name
+   * @param {Plane} plane
+   */
+  _open(name, plane) {
+    this.maps.use(plane);
+    this.section.use(plane);
+    this.session = new Session(name, plane, this.contacts, {
+      onFrame: (frame) => this._take(frame),
+      onStatus: (status, changed) => {
+        this._listener.onStatus(status);
+        if (changed) this._listener.onChange();
+      },
+      onLink: () => this._listener.onChange(),
+      onContacts: () => this.refresh(),
+      onOther: () => {
+        this.leave();
+        this.select(name);
+      },
+    });
+    this.forces.use(this.session.history);
+    this.latencies.use(this.session.history);
+    this.refresh();
+    this._listener.onChange();
+  }
+
+  /** @param {Frame} frame */
+  _take(frame) {
+    const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
+    const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
+    const peak = Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
+    this.scale.follow(peak, noise * Math.max(1, gain), frame.timestamp);
+    this._fresh = true;
+    this.refresh();
+  }
+
+  /** @param {boolean} to */
+  pause(to) {
+    this.session?.pause(to);
+    this.refresh();
+    this._listener.onChange();
+  }
+
+  /**
+   * Show another kept frame.
+   * @param {number} steps back where negative
+   */
+  step(steps) {
+    this.show((this.session?.back ?? 0) - steps);
+  }
+
+  /** @param {number} back from the newest frame */
+  show(back) {
+    this.session?.show(back);
+    this.refresh();
+    this._listener.onChange();
+  }
+}
