@@ -49,6 +49,7 @@ class Loss:
     dropped: int = 0  # messages that the kernel threw away, because they were not taken in time
     errors: int = 0  # error frames: what the bus interface says went wrong on the wire
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
+    unsent: int = 0  # messages to skins, requests among them, that the bus did not take
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,10 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bus.codecs import talk_of
 from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
+from tactiled.bus.talk import Talker
 from tactiled.config import Config
 from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.contacts import APART, Contact, Finder, Tracker
@@ -222,6 +224,7 @@ class Listener:
         self._told: str | None = None
         for sensor in sensors.values():
             sensor.counts = partial(self._loss, sensor.name)
+        self._talker = Talker(talk_of(each.codec) for each in sensors.values())
         self._stop = threading.Event()
         self._reader: Reader | None = None
         self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
@@ -237,6 +240,7 @@ class Listener:
         if self._thread.ident is not None:
             self._thread.join()
         if self._reader is not None:
+            self._talker.end(self._reader.send)
             self._reader.close()
 
     def _run(self) -> None:
@@ -255,8 +259,11 @@ class Listener:
 
     def _read(self, reader: Reader) -> None:
         """Take messages until the stop, or until a BusError."""
+        self._talker.begin(time.monotonic())
         while not self._stop.is_set():
-            message = reader.receive(POLL_S)
+            now = time.monotonic()
+            reader.unsent += self._talker.say(reader.send, now)
+            message = reader.receive(min(POLL_S, self._talker.wait(now)))
             if message is None:
                 self._hand(self._router.flush(time.time() - POLL_S))
             else:

@@ -82,6 +82,7 @@ class Bus:
         self.messages = []
         self.off = None
         self.counted = {}
+        self.unsent = 0
 
     def counts(self):
         return self.counted
@@ -99,6 +100,9 @@ class Bus:
             time.sleep(timeout / 10)
             return None
         return self.messages.pop(0)
+
+    def send(self, message):
+        raise AssertionError(f"nothing is to be said to this skin: {message}")
 
     def close(self):
         self.closed += 1

@@ -42,6 +42,7 @@ class Reader:
         self._told = 0  # messages dropped, when last asked
         self.errors = 0  # error frames seen
         self.remote = 0  # remote frames seen, which carry no taxels
+        self.unsent = 0  # messages to skins that the bus did not take
         self.bus_off = 0  # times that the interface left the bus, where it tells (SocketCAN)
         self.off: str | None = None  # that it is off the bus now, and what to do
 
@@ -102,7 +103,7 @@ class Reader:
 
     def counts(self) -> dict[str, int]:
         """What went wrong on the bus itself, by the names of `Loss`."""
-        return {"dropped": self.dropped, "errors": self.errors, "bus_off": self.bus_off}
+        return {"dropped": self.dropped, "errors": self.errors, "bus_off": self.bus_off, "unsent": self.unsent}
 
     def close(self) -> None:
         """Let go of the bus; one that is gone already is no error."""

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
+from tactiled.bus.codecs import talk_of
 from tactiled.bus.reader import open_bus
 from tactiled.cli.app import app, choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
@@ -16,7 +17,7 @@ from tactiled.config.example import EXAMPLE
 from tactiled.config.schema import Packed
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
-from tactiled.simulate import SCENES, Player, play, player
+from tactiled.simulate import SCENES, Player, answer, play, player
 
 
 @app.command()
@@ -47,15 +48,22 @@ def simulate(
     source = _player(one, scene, noise_kpa)
     sender = open_bus(**bus)
     console = Console(soft_wrap=True, highlight=False)
-    console.print(f"{name}: {scene} on {sender.label} at {rate_hz:g} Hz: end it by Ctrl-C", markup=False)
+    polled = bool(talk_of(source.codec).polls)
+    pace = "whenever it is asked" if polled else f"at {rate_hz:g} Hz"
+    console.print(f"{name}: {scene} on {sender.label} {pace}: end it by Ctrl-C", markup=False)
     began = time.monotonic()
     try:
         with threadpool_limits(1), interrupted() as stop:
-            sent = play(source.messages, sender.send, rate_hz, stop, float("inf") if seconds is None else seconds)
+            long = float("inf") if seconds is None else seconds
+            if polled:
+                sent = answer(source, sender.receive, sender.send, stop, long)
+            else:
+                sent = play(source.messages, sender.send, rate_hz, stop, long)
     finally:
         sender.close()
     took = time.monotonic() - began
-    console.print(f"sent {sent} frames of {source.codec.segments} messages in {took:.1f} s", markup=False)
+    done = f"answered {sent} requests" if polled else f"sent {sent} frames of {source.codec.segments} messages"
+    console.print(f"{done} in {took:.1f} s", markup=False)
 
 
 def _chosen(settings: Config, name: str | None, fd: bool | None) -> tuple[str, Sensor]:

@@ -131,6 +131,8 @@ class Icub(Section):
     board: int = Field(ge=0, le=15)
     triangles: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field(min_length=1)
     thermal_pads: bool = True  # false: pads 6 and 10 are taxels too, as on a fingertip
+    start: bool = False  # set the board up and start it
+    period_ms: int = Field(30, ge=1, le=255)  # that a started board sends at
 
 
 class Xela(Section):
@@ -141,6 +143,7 @@ class Xela(Section):
     controller: int = Field(1, ge=0, le=15)
     rows: tuple[Annotated[int, Field(ge=0, le=7)], ...] = Field((4, 3, 2, 1), min_length=1)  # SDAs, top row first
     columns: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1)  # taxels
+    start: bool = False  # start an older board
 
 
 class Barrett(Section):
@@ -169,6 +172,7 @@ class Linker(Section):
     name: Literal["linker"]
     hand: Literal["right", "left"] = "right"
     fingers: tuple[Annotated[int, Field(ge=1, le=5)], ...] = Field((1,), min_length=1)  # 1 thumb ... 5 little
+    poll_hz: float = Field(20.0, ge=0, le=1000, allow_inf_nan=False)  # 0: only listen
 
 
 def _beside(file: Path, info: ValidationInfo) -> Path:

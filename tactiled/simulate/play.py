@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 
-from tactiled.bus.codecs import Codec
+from tactiled.bus.codecs import Codec, talk_of
 from tactiled.calibrate import Calibration
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
@@ -15,6 +15,7 @@ from tactiled.simulate.array import Surface, Taxels
 from tactiled.simulate.scenes import SCENES
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
+WAIT_S = 0.05  # for a request: bounds how late a stop is seen
 STAY_S = 8.0  # of a tour in each scene
 ROUNDING_S = 1e-6  # of deadlines: a frame due this close before the end belongs behind it
 
@@ -50,6 +51,27 @@ def player(
         raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
     taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed)
     return Player(codec, Surface(kernel, array), taxels, TOUR if scene == "tour" else (scene,))
+
+
+def answer(
+    one: Player,
+    receive: Callable[[float], Message | None],
+    send: Callable[[Message], None],
+    stop: Event,
+    seconds: float = float("inf"),
+) -> int:
+    """Answer the requests of a skin that sends when asked, until `stop` or for `seconds`; returns how many."""
+    asked = {poll.message._replace(time=0.0): poll.segments for poll in talk_of(one.codec).polls}
+    began, answered = time.monotonic(), 0
+    while not stop.is_set() and (t := time.monotonic() - began) < seconds:
+        request = receive(WAIT_S)
+        segments = asked.get(request._replace(time=0.0)) if request else None
+        if segments is not None:
+            messages = one.messages(answered, t, time.time())
+            for each in segments:
+                send(messages[each])
+            answered += 1
+    return answered
 
 
 def play(

@@ -55,6 +55,7 @@ class Loss(Form):
     dropped: int = Field(description="messages that the kernel threw away, not taken in time", examples=[0])
     errors: int = Field(description="error frames of the bus interface", examples=[0])
     bus_off: int = Field(description="times that the bus interface left the bus", examples=[0])
+    unsent: int = Field(description="requests to skins that the bus did not take", examples=[0])
 
 
 class SensorState(Form):
@@ -279,6 +280,7 @@ def loss(status: Status) -> Loss:
         dropped=counts.dropped,
         errors=counts.errors,
         bus_off=counts.bus_off,
+        unsent=counts.unsent,
     )
 
 

@@ -97,7 +97,9 @@ def test_genuine_poweron_frames():
 
 def test_linkers_rows():
     codec = Linker("right", (2, 1))
-    assert [(each.id, each.data.hex()) for each in codec.requests()] == [(0x27, "b2c6"), (0x27, "b1c6")]
+    polls = codec.talk.polls
+    assert [(each.message.id, each.message.data.hex()) for each in polls] == [(0x27, "b2c6"), (0x27, "b1c6")]
+    assert [each.segments for each in polls] == [range(12), range(12, 24)]
     found = np.array(counts(codec, "027#B130000102030405")).reshape(2, 12, 6)
     assert found[1, 3].tolist() == [0, 1, 2, 3, 4, 5]
     assert np.count_nonzero(found) == 5

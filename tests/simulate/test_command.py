@@ -1,7 +1,7 @@
 import os
 import signal
 import tty
-from threading import Thread
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from tactiled.config import parse
 from tactiled.config.build import make_codec
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.errors import BusError, ConfigError
+from tactiled.frames import Message
 
 __all__ = ["simulate"]  # importing it gives the command line its verb
 
@@ -139,3 +140,41 @@ def test_a_skin_of_classic_messages_does_not_take_fd(tmp_path):
     path.write_text(GRASP)
     told = run(f"--config {path} --interface virtual --fd").exception
     assert str(told) == "--fd: sensor hand speaks icub, which is classic CAN"
+
+
+HAND = """
+[bus.can0]
+interface = "virtual"
+channel = "{channel}"
+[sensor.hand]
+bus = "can0"
+codec = {{ name = "linker" }}
+array = {{ rows = 12, columns = 6, pitch_mm = 1.0 }}
+cover = {{ thickness_mm = 1.0, young_mpa = 0.6, poisson = 0.48 }}
+"""
+
+
+def test_a_hand_that_is_polled_answers_as_often_as_it_is_asked_and_no_more(listener, request, tmp_path):
+    (tmp_path / "hand.toml").write_text(HAND.format(channel=request.node.name))
+    codec = make_codec(parse(HAND.format(channel="x")).sensor["hand"])
+    asker, over = open_bus(interface="virtual", channel=request.node.name), Event()
+    (poll,) = codec.talk.polls
+
+    def ask():
+        while not over.wait(0.1):
+            asker.send(poll.message)
+            asker.send(Message(0.0, 0x27, b"\xb2\xc6"))  # of another finger
+
+    thread = Thread(target=ask)
+    thread.start()
+    result = run(f"--config {tmp_path / 'hand.toml'} --seconds 1 --scene ring")
+    over.set()
+    thread.join()
+    asker.close()
+    assert result.exit_code == 0, result.output
+    assert "on virtual" in result.output
+    assert "whenever it is asked" in result.output
+    frames, loss = frames_of(listener, codec)
+    assert frames
+    assert f"answered {len(frames)} requests" in result.output
+    assert loss.lost == 0

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bus.codecs import Talk
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
@@ -34,6 +35,7 @@ PLACES = (
     (0.0, 296.55),
     (128.62, 222.83),
 )
+SET_UP_S = 0.5  # that a board is given between its set-up and its start
 APART = 25.0  # mm between the centres of triangles drawn side by side
 
 
@@ -44,11 +46,22 @@ class Icub:
     board: int
     triangles: tuple[int, ...]
     thermal_pads: bool = True  # False: pads 6 and 10 are taxels too, as on a fingertip
+    start: bool = False  # set the board up and start it; False: another program does
+    period_ms: int = 30  # of what it sends once started
 
     def __post_init__(self) -> None:
         """Refuse a triangle named twice."""
         if len(set(self.triangles)) != len(self.triangles):
             raise ConfigError(f"codec.triangles = {list(self.triangles)}: names a triangle twice")
+
+    @property
+    def talk(self) -> Talk:
+        """Set up, half a second later start, at the end stop: what the robot's own software says to a board."""
+        if not self.start:
+            return Talk()
+        set_up = (configure_board(self.board, self.period_ms), configure_triangles(self.board, 0, 15))
+        begun = ((0.0, set_up[0]), (0.0, set_up[1]), (SET_UP_S, start(self.board)))
+        return Talk(start=begun, stop=(stop(self.board),))
 
     @cached_property
     def pads(self) -> tuple[int, ...]:

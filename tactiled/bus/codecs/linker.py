@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs.plain import Plain
+from tactiled.bus.codecs import Plain, Poll, Talk
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
@@ -27,6 +27,7 @@ class Linker(Plain):
 
     hand: Literal["right", "left"] = "right"
     fingers: tuple[int, ...] = (1,)
+    poll_hz: float = 20.0  # requests a second to each finger; 0: only listen
     taxels = COLUMNS
 
     def __post_init__(self) -> None:
@@ -54,9 +55,18 @@ class Linker(Plain):
         """The (id, extended) of the messages it listens to."""
         return frozenset({(HANDS[self.hand], False)})
 
-    def requests(self) -> list[Message]:
-        """The messages that ask for one frame."""
-        return [Message(0.0, HANDS[self.hand], bytes((FINGER + finger, MATRIX))) for finger in self.fingers]
+    @property
+    def talk(self) -> Talk:
+        """A request to each finger at the same time, which answers by its rows."""
+        if not self.poll_hz:
+            return Talk()
+        asked = (Message(0.0, HANDS[self.hand], bytes((FINGER + finger, MATRIX))) for finger in self.fingers)
+        return Talk(
+            polls=tuple(
+                Poll(each, 1 / self.poll_hz, range(ROWS * place, ROWS * (place + 1)))
+                for place, each in enumerate(asked)
+            )
+        )
 
     def decode(self, message: Message) -> Reading:
         """What one message says: the finger, the row in the high digit, six taxels."""

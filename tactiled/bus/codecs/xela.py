@@ -11,12 +11,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs.plain import Plain
+from tactiled.bus.codecs import Plain, Talk
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
 STATUS = 0x83  # first byte of what `encode` makes
 REST = 0x4000  # counts of an axis that `encode` says nothing of
+START = 0x200  # id, with the board's number, on which older boards are started and stopped
 OLDER = {
     "4x4-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(4)),
     "4x4-new": tuple(0x200 + 8 * row + column for row in range(4) for column in range(4)),
@@ -37,14 +38,27 @@ class Xela(Plain):
     controller: int = 1
     rows: tuple[int, ...] = (4, 3, 2, 1)
     columns: tuple[int, ...] = (5, 4, 3, 2, 1, 0)
+    start: bool = False  # start an older board, whose number is `controller`
     taxels = 1
 
     def __post_init__(self) -> None:
         """Refuse a profile that is not known, and an SDA or a taxel named twice."""
         if self.profile != "current" and self.profile not in OLDER:
             raise ConfigError(f"codec.profile = {self.profile!r}: choose current or one of {', '.join(OLDER)}")
+        if self.start and self.profile == "current":
+            raise ConfigError(
+                "codec.start = true: modules of the current profile send by themselves: leave it out"
+            )
         if len(set(self._ids)) != len(self._ids):
             raise ConfigError("codec.rows or codec.columns names an SDA or a taxel twice")
+
+    @property
+    def talk(self) -> Talk:
+        """Start, and at the end stop, an older board."""
+        if not self.start:
+            return Talk()
+        id_ = START | self.controller
+        return Talk(start=((0.0, Message(0.0, id_, b"\x07\x00")),), stop=(Message(0.0, id_, b"\x07\x01"),))
 
     @cached_property
     def _ids(self) -> tuple[int, ...]:
