@@ -20,6 +20,7 @@ STYLES = {  # name as it begins -> label, mark, colour; the longest that fits co
     "raw": ("raw image", "X", GREY),
     "wiener": ("wiener", "o", BLUE),
     "nnls": ("nnls", "^", GREEN),
+    "tv": ("tv", "d", GREEN),
     "points": ("points", "v", PINK),
     "rl": ("rl: 5, 30 (default), 200 iterations", "s", RED),
     "rl-fast": ("rl-fast", "P", SKY),

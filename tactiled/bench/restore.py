@@ -20,7 +20,7 @@ from tactiled.restore.methods import Restorer, make
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
 
-OURS = ("wiener", "rl", "nnls", "points", "auto")
+OURS = ("wiener", "rl", "rl-fast", "nnls", "tv", "points", "auto")
 LUCY = 30  # iterations, of both sides
 # scikit-image has no types.
 wiener: Callable[..., NDArray[Any]] = restoration.wiener

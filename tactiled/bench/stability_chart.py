@@ -16,6 +16,7 @@ STYLES = {  # method -> label, colour, mark, dashes
     "auto": ("auto", BLACK, "*", "-"),
     "wiener": ("wiener", BLUE, "o", "-"),
     "nnls": ("nnls", GREEN, "^", "-"),
+    "tv": ("tv", GREEN, "d", (0, (1, 1))),
     "points": ("points", PINK, "v", "-"),
     "rl": ("rl", RED, "s", "-"),
     "rl-fast": ("rl-fast", SKY, "P", "-"),

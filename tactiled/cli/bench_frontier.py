@@ -59,7 +59,7 @@ def made(folder: Path) -> Path:
 def _table(found: "list[measure.Panel]") -> Table:
     """One row a panel: error and time of ours, the better of scikit-image's settings."""
     table = Table(title="NRMSE, and median µs a frame", title_justify="left")
-    names = ("auto", "raw", "wiener", "nnls", "rl", "rl-fast", "skimage wiener", "skimage rl")
+    names = ("auto", "raw", "wiener", "nnls", "tv", "rl", "rl-fast", "skimage wiener", "skimage rl")
     for name in ("cover", "noise", *names, "floor"):
         table.add_column(name.replace(" ", "\n"), no_wrap=True)
     for one in found:

@@ -16,12 +16,14 @@ from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import FEWEST, Point, Points
 from tactiled.restore.scene import Restored, Scene
+from tactiled.restore.variation import Variation
 
 Run = Callable[[Image], Restored]
 
 LUCY = 30  # iterations of Richardson-Lucy
 ASKED = "as asked"
 TOO_MANY = "no few points explain the frame down to its noise: non-negative instead"
+NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 
 
@@ -120,15 +122,21 @@ def _lucy(scene: Scene, accelerate: bool = False) -> Method:
     return Method(run)
 
 
-def _nonneg(scene: Scene) -> Method:
-    nonneg, wiener = Nonneg(scene), Wiener(scene)
+def _nonneg(scene: Scene, solver: Nonneg | None = None, name: str = "nnls", why: str = ASKED) -> Method:
+    nonneg, wiener = solver or Nonneg(scene), Wiener(scene)
 
     def run(y: Image) -> Restored:
         scene.look(y)
         done = nonneg(wiener)
-        return Restored(nonneg.image, "nnls", ASKED, done, wiener.filter.noise_gain, scene.resolution())
+        return Restored(nonneg.image, name, why, done, wiener.filter.noise_gain, scene.resolution())
 
     return Method(run, nonneg.reset)
+
+
+def _variation(scene: Scene) -> Method:
+    if len(scene.blur.surface_shape) == 1:
+        return _nonneg(scene, why=NO_AREA)
+    return _nonneg(scene, Variation(scene), "tv")
 
 
 def _points(scene: Scene) -> Method:
@@ -163,5 +171,6 @@ METHODS: dict[str, Callable[[Scene], Method]] = {
     "rl": _lucy,
     "rl-fast": lambda scene: _lucy(scene, accelerate=True),
     "nnls": _nonneg,
+    "tv": _variation,
     "points": _points,
 }

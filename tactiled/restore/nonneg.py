@@ -3,6 +3,7 @@
 import numpy as np
 
 from tactiled.restore.linear import Wiener
+from tactiled.restore.modes import Image
 from tactiled.restore.scene import Scene
 
 PENALTY = 0.3  # ADMM's: against a blur whose largest gain is 1
@@ -17,7 +18,7 @@ WARM = 0.3  # the same from the image before: it has been through many iteration
 ANEW = 4  # iterations after which the share of pressed cells is counted again
 
 
-class _Step:
+class Step:
     """The constants of the iteration for one spectrum, its Gaussian weighed by `slack`."""
 
     def __init__(self, scene: Scene, slack: float) -> None:
@@ -38,9 +39,11 @@ class Nonneg:
     is each that it is not: s = SPARSE / sqrt(share), the share being (sum x)^2 / (M sum x^2) of the image so far.
     """
 
+    _steady = WARM
+
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._steps: dict[tuple[int, float], _Step] = {}
+        self._steps: dict[tuple[int, float], Step] = {}
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._predict = scene.modes.to_taxels()
         self._modes, self._data = self._there.empty(), self._there.empty()
@@ -60,11 +63,9 @@ class Nonneg:
     def __call__(self, wiener: Wiener) -> int:
         """Iterate until an iteration changes hardly anything; gives how many were made."""
         scene = self._scene
-        enough = (WARM if self._warm else STEADY) * scene.noise
+        enough = (self._steady if self._warm else STEADY) * scene.noise
         if not self._warm:
-            self._t[...] = wiener()
-            np.maximum(self._t, 0, out=self._t)
-            np.minimum(self._t, 0, out=self._pull)
+            self._start(wiener())
             self._warm = True
         limit = enough**2 * self._t.size
         done = 0
@@ -74,21 +75,42 @@ class Nonneg:
             done += 1
             if self._iterate(step) <= limit:
                 break
-        np.maximum(self._t, ZERO, out=self.image)
+        self._show()
         scale = scene.force_scale(scene.force - float(np.dot(self._reach, self.image.reshape(-1))))
         if scale != 1.0:
             np.multiply(self.image, np.float32(scale), out=self.image)
         return done
 
-    def _load(self) -> _Step:
-        """Put in place what the modes owe to the data and to the share of pressed cells; gives the next step."""
+    def _start(self, guess: Image) -> None:
+        """Start anew from an image that may be negative."""
+        np.maximum(guess, ZERO, out=self._t)
+        self._pull[...] = ZERO
+
+    def _show(self) -> None:
+        """Put the image so far in place."""
         np.maximum(self._t, ZERO, out=self.image)
+
+    def _slack(self, share: float) -> float:
+        """How much of the Gaussian's weight is left to it."""
+        return LOOSE if share < FEW else 1.0
+
+    def _less(self) -> Image:
+        """Give the image less its multiplier."""
+        return np.abs(self._t, out=self._abs)
+
+    def _split(self) -> None:
+        """Take from t, as `_change`, the multiplier: what of it is no image."""
+        np.minimum(self._t, ZERO, out=self._change)
+
+    def _load(self) -> Step:
+        """Put in place what the modes owe to the data and to the share of pressed cells; gives the next step."""
+        self._show()
         flat = self.image.reshape(-1)
         total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
         share = max(total**2 / (flat.size * squares), FEWEST) if squares else 1.0
-        key = self._scene.number, (LOOSE if share < FEW else 1.0)
+        key = self._scene.number, self._slack(share)
         if key not in self._steps:
-            self._steps[key] = _Step(self._scene, key[1])
+            self._steps[key] = Step(self._scene, key[1])
         step = self._steps[key]
         np.multiply(self._ones, step.sparse, out=self._data)
         np.multiply(self._data, np.float32(share**-0.5), out=self._data)
@@ -96,15 +118,14 @@ class Nonneg:
         np.add(self._head, self._seen, out=self._head)
         return step
 
-    def _iterate(self, step: _Step) -> float:
+    def _iterate(self, step: Step) -> float:
         """Move t one iteration on; gives the squared change of the multiplier."""
-        np.abs(self._t, out=self._abs)
-        self._there(self._abs, self._modes)
+        self._there(self._less(), self._modes)
         np.multiply(self._modes, step.again, out=self._modes)
         np.add(self._modes, self._data, out=self._modes)
         self._back(self._modes, self._t)
         np.add(self._t, self._pull, out=self._t)
-        np.minimum(self._t, ZERO, out=self._change)
+        self._split()
         self._pull, self._change = self._change, self._pull
         np.subtract(self._change, self._pull, out=self._change)
         flat = self._change.reshape(-1)

@@ -32,8 +32,10 @@ class Prior:
         count = self._pool(np.ones(modes.gain.shape))
         self._levels: list[float] = []  # of the spectra, rising
         self._shapes: list[Floats] = []
+        self._corners: list[float] = []
         costs: list[list[float]] = []
-        for level, shape in product(LEVELS, [_shape(modes, q0, p) for q0, p in product(CORNERS, POWERS)]):
+        shapes = [(q0, _shape(modes, q0, p)) for q0, p in product(CORNERS, POWERS)]
+        for level, (q0, shape) in product(LEVELS, shapes):
             S = level * shape[modes.head]
             amplified = float((modes.gain * S / (modes.gain**2 * S + 1)).max())
             if amplified > MOST and costs:
@@ -43,6 +45,7 @@ class Prior:
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self._levels.append(level)
             self._shapes.append(shape)
+            self._corners.append(q0)
         self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
         self.squares = np.empty(modes.gain.shape, np.float32)
         self._blocks = np.ones(count.size + 1, np.float32)
@@ -70,6 +73,10 @@ class Prior:
     def ratio(self, number: int) -> Floats:
         """S over the noise's variance, for every surface mode."""
         return np.asarray(self._levels[number] * self._shapes[number])
+
+    def corner(self, number: int) -> float:
+        """Frequency (cycles a cell) beyond which a spectrum falls."""
+        return self._corners[number]
 
 
 def _shape(modes: Modes, q0: float, p: float) -> Floats:

@@ -108,17 +108,18 @@ def test_any_noise_will_do(covered, pressed, method, sigma):
     assert float(np.abs(image).max()) <= BOUND * max(float(frame.max()), 4 * sigma)
 
 
-@pytest.mark.parametrize("method", ["wiener", "nnls", "auto"])
+@pytest.mark.parametrize("method", ["wiener", "nnls", "tv", "auto"])
 def test_nothing_but_dead_taxels_is_nothing(covered, method):
     blur = covered((12, 12))
     image = make(method, blur, SIGMA)(np.full((12, 12), 100, np.float32), np.full((12, 12), DEAD, np.uint8)).image
     assert not image.any()
 
 
-def test_ten_thousand_iterations_stay_where_they_are(covered, pressed):
+@pytest.mark.parametrize("method", ["nnls", "tv"])
+def test_ten_thousand_iterations_stay_where_they_are(covered, pressed, method):
     blur = covered((12, 12))
     frame, _ = pressed(blur, SIGMA)
-    restorer = make("nnls", blur, SIGMA)
+    restorer = make(method, blur, SIGMA)
     first = restorer(frame).image.copy()
     for _ in range(3000):
         last = restorer(frame).image

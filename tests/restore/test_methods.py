@@ -26,7 +26,7 @@ def test_a_restored_image_is_nearer_the_truth_than_the_raw_one(covered, pressed,
     assert (done.iterations > 0) == (done.method not in ("raw", "wiener", "idle"))
 
 
-@pytest.mark.parametrize("method", ["wiener", "nnls", "auto"])
+@pytest.mark.parametrize("method", ["wiener", "nnls", "tv", "auto"])
 @pytest.mark.parametrize("refine", [2, 3])
 def test_a_finer_surface_is_restored_too(covered, pressed, method, refine):
     blur = covered(refine=refine)
@@ -50,12 +50,12 @@ def test_total_force_stays_within_the_noise(covered, pressed, method, layout, si
 
 def test_images_of_least_squares_lucy_and_auto_do_not_pull(covered, pressed):
     blur = covered()
-    for method in ("rl", "rl-fast", "nnls"):
+    for method in ("rl", "rl-fast", "nnls", "tv"):
         assert make(method, blur, SIGMA)(pressed(blur, SIGMA)[0]).image.min() >= 0
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("method", ["wiener", "rl", "nnls", "auto"])
+@pytest.mark.parametrize("method", ["wiener", "rl", "nnls", "tv", "auto"])
 @pytest.mark.parametrize("flag", [MISSING, BAD, DEAD])
 def test_unknown_taxels_are_inferred_whatever_they_say(covered, pressed, method, flag, layout):
     blur = covered((16, 16), layout=layout)

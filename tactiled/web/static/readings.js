@@ -12,7 +12,8 @@ import { byId, fixed, number, say } from "./paint.js";
 /** What each method is called. */
 const METHODS = {
   auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
-  "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)", idle: "idle",
+  "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)",
+  tv: "Non-negative, total variation", idle: "idle",
 };
 
 /** What is counted, by unit. */
