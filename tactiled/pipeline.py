@@ -42,7 +42,7 @@ class Pipeline:
         self._noise = _Noise(calibration)
         self._tare = _Tare(array.size)
         self.tared = 0  # times
-        self._doubt = Doubt(blur)
+        self._doubt = Doubt(blur, calibration.floor_kpa)
         self._method = ""
         self.set_method(method)
         self._restorer = self._make()
@@ -94,7 +94,7 @@ class Pipeline:
         if self._made != (self._method, self._noise.kpa):
             self._restorer = self._make()
         done = self._restorer(raw, flags)
-        said = self._doubt(raw, flags, done.image, self._noise.kpa)
+        said = self._doubt(raw, flags, done.image, self._noise.kpa, done.method)
         return Image(
             sensor=self.name,
             sequence=frame.sequence,

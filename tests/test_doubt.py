@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from tactiled.cover.kernel import solve
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
-from tactiled.doubt import EDGE, EVERY, IN_A_ROW, NEGATIVE, OUTLIER, PLATEAU, RESIDUAL, Doubt
-from tactiled.frames import SATURATED
+from tactiled.doubt import EDGE, EVERY, IN_A_ROW, LIFTED, NEGATIVE, OUTLIER, PLATEAU, RESIDUAL, UNLIKE, Doubt
+from tactiled.frames import DEAD, SATURATED
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
@@ -30,13 +31,13 @@ def blur(array):
 def felt():
     """What the taxels feel of a punch at (x, y) mm from the middle, blurred exactly and four times finer."""
 
-    def felt(x, y, thickness=1.5, pressure=100.0, radius=2.4):
+    def felt(x, y, thickness=1.5, pressure=100.0, radius=2.4, noise=NOISE):
         wide = grid(3 * SIDE, 3 * SIDE, 1.0, 0.8)  # a punch past the edge presses there too
         surface = Surface(solve(Stack((Layer(thickness, *RUBBER), Layer(1.0, 980.0, 0.3))), "layered"), wide)
         inside = np.clip(FINER * (radius - np.hypot(surface.x - x, surface.y - y)) + 0.5, 0, 1)
         all_ = surface.sense(pressure * inside).reshape(3 * SIDE, 3 * SIDE)
-        noise = np.random.default_rng(5).normal(0, NOISE, (SIDE, SIDE))
-        return (all_[SIDE : 2 * SIDE, SIDE : 2 * SIDE] + noise).astype(np.float32)
+        white = np.random.default_rng(5).normal(0, noise, (SIDE, SIDE))
+        return (all_[SIDE : 2 * SIDE, SIDE : 2 * SIDE] + white).astype(np.float32)
 
     return felt
 
@@ -66,6 +67,63 @@ def test_an_offset_below_zero(blur, felt):
     assert NEGATIVE in look(blur, felt(0, 0) - 12)
 
 
+@pytest.mark.parametrize("offset", [-0.8, -3])
+def test_a_faint_offset_below_zero_shows_in_what_is_not_pressed(blur, felt, offset):
+    assert NEGATIVE in look(blur, felt(0, 0) + np.float32(offset))
+
+
+def test_an_offset_above_zero_leaves_no_part_free(blur, felt):
+    assert look(blur, felt(0, 0) + np.float32(5)) == (LIFTED,)
+    idle = np.random.default_rng(0).normal(1.0, NOISE, (SIDE, SIDE)).astype(np.float32)
+    assert look(blur, idle) == (LIFTED,)
+
+
+def test_a_press_on_most_of_the_array_is_no_offset(blur, felt):
+    assert look(blur, felt(1.5, -2, radius=8)) == ()
+
+
+@pytest.mark.parametrize(("true", "said"), [(2.5, (NEGATIVE,)), (1.2, ()), (0.7, ()), (0.4, (UNLIKE,))])
+def test_noise_that_is_not_as_told(blur, felt, true, said):
+    assert look(blur, felt(0, 0), noise=NOISE / true) == said
+
+
+@pytest.mark.parametrize("shared", [lambda n: gaussian_filter(n, 1.5), lambda n: 0 * n + n[:, :1]])
+def test_noise_that_taxels_share(blur, felt, shared):
+    noise = shared(np.random.default_rng(3).normal(0, 1, (SIDE, SIDE)))
+    frame = felt(0, 0, noise=0.05) + (NOISE * noise / noise.std()).astype(np.float32)
+    assert UNLIKE in look(blur, frame)
+
+
+def test_rounding_to_counts_is_no_noise_that_is_missing(blur, felt):
+    step = np.float32(4)
+    frame = np.round(felt(0, 0, noise=0.01) / step) * step
+    image = make("nnls", blur, step / 12**0.5)(frame).image
+    flags = np.zeros(frame.shape, np.uint8)
+    assert UNLIKE in Doubt(blur).look(frame, flags, image, step / 12**0.5)
+    assert UNLIKE not in Doubt(blur, step / 12**0.5).look(frame, flags, image, step / 12**0.5)
+
+
+def test_flagged_taxels_raise_no_doubt_about_the_noise(blur, felt):
+    frame, flags = felt(0, 0), np.zeros((SIDE, SIDE), np.uint8)
+    flags[::2, ::3] = DEAD
+    frame[flags > 0] = np.nan
+    assert look(blur, frame, flags) == ()
+
+
+def test_noise_alone_hardly_ever_raises_a_doubt(blur):
+    random, doubt, flags = np.random.default_rng(8), Doubt(blur), np.zeros((SIDE, SIDE), np.uint8)
+    noise = random.normal(0, NOISE, (3000, SIDE, SIDE)).astype(np.float32)
+    assert sum(bool(doubt.look(each, flags, 0 * each, NOISE)) for each in noise) <= 3
+
+
+def test_points_are_not_held_against_the_cells_that_they_are_drawn_on(blur, felt):
+    frame, flags = felt(0.3, 0.2, radius=0.2, pressure=4e3), np.zeros((SIDE, SIDE), np.uint8)
+    done = make("points", blur, NOISE)(frame)
+    doubt = Doubt(blur)
+    assert doubt.look(frame, flags, done.image, NOISE, done.method) == ()
+    assert doubt.look(frame, flags, 2 * done.image, NOISE, "nnls") != ()
+
+
 def test_a_ceiling_that_nobody_told(blur, felt):
     frame = np.minimum(felt(0, 0), 55)
     assert PLATEAU in look(blur, frame)
@@ -73,7 +131,7 @@ def test_a_ceiling_that_nobody_told(blur, felt):
 
 
 def test_a_cover_that_is_another(blur, felt):
-    assert look(blur, felt(0, 0, thickness=0.4)) == (RESIDUAL,)
+    assert look(blur, felt(0, 0, thickness=0.25)) == (RESIDUAL,)
 
 
 @pytest.mark.parametrize("place", [(10.5, 0), (0, -10.5), (-11, 3)])

@@ -96,15 +96,16 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
             claimed=claimed,
             signs=signs(case.skin.blur, case.frame, image, case.noise, case.flags),
             flagged=flagged,
-            warned=_warned(case, image),
+            warned=_warned(case, image, ran),
         )
         for name, (ran, image, claimed) in told.items()
     ]
 
 
-def _warned(case: Case, image: Frames) -> tuple[str, ...]:
+def _warned(case: Case, image: Frames, ran: str) -> tuple[str, ...]:
     flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
-    return Doubt(case.skin.blur).look(case.frame, flags, np.asarray(image, np.float32), case.noise)
+    doubt = Doubt(case.skin.blur, case.floor)
+    return doubt.look(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
 
 
 def _rms(values: Any) -> float:

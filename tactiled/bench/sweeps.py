@@ -37,6 +37,7 @@ class Case:
     truth: Floats
     noise: float  # kPa, as told
     flags: Flags | None = None
+    floor: float = 0.0  # kPa, what rounding alone makes of the noise
 
 
 Make = Callable[[float, Setting], Iterator[Case]]
@@ -210,7 +211,9 @@ def bits(value: float, setting: Setting) -> Iterator[Case]:
     for case in _plain(setting.skin, setting, 0.001):
         step = 1.25 * case.noise / 0.001 / 2**value
         frame = (np.round(case.frame / step) * step).astype(np.float32)
-        yield Case(case.scene, case.skin, frame, case.truth, float(np.hypot(case.noise, step / 12**0.5)))
+        floor = step / 12**0.5
+        told = float(np.hypot(case.noise, floor))
+        yield Case(case.scene, case.skin, frame, case.truth, told, floor=floor)
 
 
 def jitter(value: float, setting: Setting) -> Iterator[Case]:
