@@ -62,6 +62,7 @@ class RawFrame:
     counts: Counts  # (N,)
     flags: NDArray[np.uint8]  # (N,) MISSING | BAD
     loss: Loss
+    shear: NDArray[np.float32] | None = None  # counts from rest, (2, N) along x and y; None where none is felt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,3 +84,6 @@ class Image:
     resolution_mm: float  # the finest half-period that the restored image carries above its noise
     loss: Loss = field(default_factory=Loss)
     warnings: tuple[str, ...] = ()
+    shear: NDArray[np.float32] | None = (
+        None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
+    )

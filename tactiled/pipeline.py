@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.doubt import Doubt
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts, Image, RawFrame
 from tactiled.geometry import Array
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make, require
@@ -40,7 +40,8 @@ class Pipeline:
         self._warnings, self._clock = warnings, clock
         self._calibrator = Calibrator(calibration, array.size)
         self._noise = _Noise(calibration)
-        self._tare = _Tare(array.size)
+        self._tare = _Tare((array.size,))
+        self._shear_tare, self._no_shear = _Tare((2, array.size)), np.zeros((2, array.size), np.float32)
         self.tared = 0  # times
         self._doubt = Doubt(blur, calibration.floor_kpa)
         self._method = ""
@@ -70,6 +71,7 @@ class Pipeline:
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""
         self._tare.ask()
+        self._shear_tare.ask()
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation (kPa) of every cell of `image.restored`, one of this pipeline's; any thread."""
@@ -84,7 +86,8 @@ class Pipeline:
     def process(self, frame: RawFrame) -> Image:
         """Image of one frame; never NaN in `restored`, and nothing known against it is left out."""
         began = self._clock()
-        if (mean := self._tare.add(frame)) is not None:
+        known = frame.flags & (MISSING | BAD) == 0
+        if (mean := self._tare.add(frame.counts, known)) is not None:
             self._calibrator.tare(mean)
             self._restorer.reset()
             self.tared += 1
@@ -111,7 +114,19 @@ class Pipeline:
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
             warnings=self._warnings + self._noise.warning + _doubts(flags) + said,
+            shear=self._sheared(frame.shear, flags),
         )
+
+    def _sheared(self, shear: NDArray[np.float32] | None, flags: NDArray[np.uint8]) -> NDArray[np.float32] | None:
+        """Shear in counts (2, ...), less the tare's; NaN where nothing is known, as in the raw image."""
+        if shear is None:
+            return None
+        unknown = flags.ravel() & (MISSING | BAD | DEAD) > 0
+        if (mean := self._shear_tare.add(shear, ~unknown)) is not None:
+            self._no_shear = np.where(np.isfinite(mean), mean, self._no_shear).astype(np.float32)
+        tared = shear - self._no_shear
+        tared[:, unknown] = np.nan
+        return tared.reshape((2, *self.array.frame_shape))
 
 
 def _doubts(flags: NDArray[np.uint8]) -> tuple[str, ...]:
@@ -160,24 +175,23 @@ class _Noise:
 class _Tare:
     """Averages counts over a few whole frames after it is asked to."""
 
-    def __init__(self, size: int) -> None:
-        self._sum = np.zeros(size)
-        self._seen = np.zeros(size)
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self._sum = np.zeros(shape)
+        self._seen = np.zeros(shape[-1])
         self._left = 0
         self._asked = False
 
     def ask(self) -> None:
         self._asked = True
 
-    def add(self, frame: RawFrame) -> NDArray[np.float64] | None:
-        """Mean counts (N,), NaN where a taxel never came, once enough frames are in; else None."""
+    def add(self, counts: Counts, known: NDArray[np.bool]) -> NDArray[np.float64] | None:
+        """Mean counts (..., N), NaN where a taxel was never `known` (N,), once enough frames are in; else None."""
         if self._asked:
             self._asked, self._left = False, TARE_FRAMES
             self._sum[:], self._seen[:] = 0, 0
         if not self._left:
             return None
-        known = frame.flags & (MISSING | BAD) == 0
-        self._sum[known] += frame.counts[known]
+        self._sum[..., known] += counts[..., known]
         self._seen += known
         self._left -= 1
         if self._left:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs import Codec
+from tactiled.bus.codecs import Codec, Shearing
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
 
@@ -164,11 +164,12 @@ class Assembler:
         skew = frame.ended - frame.began
         try:
             counts = self.codec.unpack(frame.payloads)
+            shear = self.codec.shear(frame.payloads) if isinstance(self.codec, Shearing) else None
         except CodecError:  # another package's codec: none of ours raises here
             self.count("malformed", self.codec.segments - frame.left)
             return ()
         self.count("incomplete", int(frame.left > 0))
-        return (RawFrame(self._sequence, frame.began, skew, counts, self._flags(frame), self.loss),)
+        return (RawFrame(self._sequence, frame.began, skew, counts, self._flags(frame), self.loss, shear),)
 
     def _flags(self, frame: _Open) -> NDArray[np.uint8]:
         flags = np.zeros(self.codec.size, np.uint8)

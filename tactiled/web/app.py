@@ -14,7 +14,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.service import Service
-from tactiled.web import asyncapi, film, log, problems, recordings, rest, settings, stream, window
+from tactiled.web import asyncapi, film, log, problems, recordings, rest, settings, shear, stream, window
 from tactiled.web.common import WRONG
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
@@ -52,7 +52,7 @@ def create(service: Service, server: Server) -> FastAPI:
     problems.install(app)
     app.state.service, app.state.server = service, server
     app.state.rates = Rates(server.control_per_minute)
-    for router in (rest.router, window.router, log.router, settings.router, film.router):
+    for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
         app.include_router(recordings.make(server.recordings, service.buses, service.events))

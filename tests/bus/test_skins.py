@@ -60,11 +60,37 @@ def test_genuine_xela_frames():
     assert axes[1, 4].tolist() == [0x4098, 0x3F0C, 0x9151]
     assert axes[0, 7].tolist() == [0x3DB8, 0x3FFA, 0x8E37]
     assert axes[0, 6].tolist() == [0x3F3D, 0x4040, 0x8CC3]
+    again = codec.axes(payloads(codec, "031#833DF6416690180F")).reshape(2, 8, 3)
+    assert again[0, 3].tolist() == [0x3DF6, 0x4166, 0x9018]
     z = np.array(counts(codec, *XELA_SENT)).reshape(2, 8)
     assert z.tolist() == [
         [0, 0, 0x8EDA, 0x901F, 0, 0x8B54, 0x8CC3, 0x8E37],
         [0, 0, 0, 0x8B23, 0x9151, 0, 0, 0],
     ]
+
+
+def test_genuine_xela_shear():
+    """Counts from 0x4000 along the skin's x and y; NaN where the taxel's message did not come."""
+    codec = Xela(rows=(0, 1), columns=tuple(range(8)))
+    shear = codec.shear(payloads(codec, *XELA_SENT)).reshape(2, 2, 8)
+    assert shear[:, 1, 4].tolist() == [0x4098 - 0x4000, 0x3F0C - 0x4000]
+    assert shear[:, 0, 7].tolist() == [0x3DB8 - 0x4000, 0x3FFA - 0x4000]
+    assert np.isnan(shear).sum() == 2 * (16 - len(XELA_SENT))
+
+
+def test_a_frame_carries_the_shear_of_its_own_messages_and_only_skins_that_feel_it_do():
+    codec = Xela(rows=(0, 1), columns=tuple(range(8)))
+    assembler = Assembler(codec)
+    for text in XELA_SENT:
+        assembler.push(codec.decode(message(text)))
+    (frame,) = assembler.flush(1.0)
+    np.testing.assert_array_equal(frame.shear, codec.shear(payloads(codec, *XELA_SENT)))
+    np.testing.assert_array_equal(np.isnan(frame.shear), [frame.flags == MISSING] * 2)
+    pad = Barrett(11)
+    frames = [
+        f for each in pad.encode(np.zeros(24, np.uint16), 0, 0.0) for f in Assembler(pad).push(pad.decode(each))
+    ]
+    assert [frame.shear for frame in frames] == [None] * len(frames)
 
 
 def test_xelas_module_of_4_x_6_has_its_first_sda_at_the_bottom_and_taxel_5_at_the_left():

@@ -193,7 +193,7 @@ def test_the_kernel_and_the_geometry(client):
 
 def test_every_error_of_every_resource_is_documented_as_a_problem_and_every_field_has_a_type(client):
     spec = client.get("/openapi.json").json()
-    assert len(spec["paths"]) == 15
+    assert len(spec["paths"]) == 16
     for path, operations in spec["paths"].items():
         for operation in operations.values():
             for status, answer in operation["responses"].items():

@@ -3,10 +3,13 @@
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled.bus.codecs.plain import Plain
 from tactiled.frames import Counts, Message, Reading
 
-__all__ = ["Codec", "Plain", "Poll", "Talk", "Talking", "talk_of"]
+__all__ = ["Codec", "Plain", "Poll", "Shearing", "Talk", "Talking", "talk_of"]
 
 
 class Codec(Protocol):
@@ -77,3 +80,11 @@ class Talking(Protocol):
 def talk_of(codec: Codec) -> Talk:
     """What has to be said to a codec's skin; nothing for most."""
     return codec.talk if isinstance(codec, Talking) else Talk()
+
+
+@runtime_checkable
+class Shearing(Protocol):
+    """What a codec offers besides, whose skin feels shear."""
+
+    def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
+        """Shear (2, N) of one frame along x and y, counts from the skin's nominal rest; NaN where missing."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs import Codec, Talk, talk_of
+from tactiled.bus.codecs import Codec, Shearing, Talk, talk_of
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
@@ -35,13 +35,13 @@ def make(name: str, options: dict[str, Any]) -> Codec:
     except Exception as error:  # what another package's import may raise
         raise ConfigError(f"{says}: fails to import: {_line(error)}") from error
     try:
-        codec = made(**options)
+        codec: Codec = made(**options)
     except ConfigError as error:
         raise ConfigError(f"{says}: {error}") from error
     except Exception as error:
         raise ConfigError(f"{says}: refuses its settings: {_line(error)}") from error
     try:
-        plugged = Plugged(name, codec)
+        plugged = PluggedShear(name, codec) if isinstance(codec, Shearing) else Plugged(name, codec)
         _try(plugged)
     except Exception as error:
         raise ConfigError(f"{says}: breaks the interface of a codec: {_line(error)}") from error
@@ -95,6 +95,20 @@ class Plugged:
         return self._codec.encode(counts, sequence, time)
 
 
+class PluggedShear(Plugged):
+    """The same of a skin that feels shear."""
+
+    def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
+        """Shear (2, N) of one frame, counts; NaN where it is missing."""
+        try:
+            shear = np.asarray(self._codec.shear(payloads), np.float32)  # type: ignore[attr-defined]
+        except Exception as error:
+            raise CodecError(f"codec {self.name}: {_line(error)}") from error
+        if shear.shape != (2, self.size):
+            raise CodecError(f"codec {self.name}: shear gave {shear.shape}, not {(2, self.size)}")
+        return shear
+
+
 def _try(codec: Plugged) -> None:
     """Refuse a codec whose `decode` and `unpack` do not give back what `encode` was given."""
     sent = (np.arange(codec.size) % (codec.full_scale + 1)).astype(np.uint16)
@@ -111,7 +125,10 @@ def _try(codec: Plugged) -> None:
     got = codec.unpack(payloads)
     if wrong := np.flatnonzero(got != sent).tolist():
         raise ValueError(f"taxel {wrong[0]} was encoded as {sent[wrong[0]]} and decoded as {got[wrong[0]]}")
-    codec.unpack([None] * codec.segments)
+    for some in (payloads, [None] * codec.segments):
+        codec.unpack(some)
+        if isinstance(codec, PluggedShear):
+            codec.shear(some)
 
 
 def _line(error: Exception) -> str:

@@ -16,7 +16,7 @@ from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
 STATUS = 0x83  # first byte of what `encode` makes
-REST = 0x4000  # counts of an axis that `encode` says nothing of
+REST = 0x4000  # counts near which X and Y of the modules that were heard rest; what `encode` says of them
 START = 0x200  # id, with the board's number, on which older boards are started and stopped
 OLDER = {
     "4x4-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(4)),
@@ -104,6 +104,12 @@ class Xela(Plain):
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of Z (N,), normal to the skin; 0 where a segment is None."""
         return self.axes(payloads)[:, 2]
+
+    def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
+        """Counts of X and Y (2, N) less `REST`; NaN where a segment is None."""
+        shear = self.axes(payloads)[:, :2].T.astype(np.float32) - REST
+        shear[:, [each is None for each in payloads]] = np.nan
+        return shear
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,) without shear; the sequence number has no place in them."""
