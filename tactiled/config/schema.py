@@ -211,7 +211,7 @@ class Plugin(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    name: Annotated[str, AfterValidator(_offered)]
+    name: Annotated[str, AfterValidator(_offered), Field(json_schema_extra={"not": {"enum": list(BUILT_IN)}})]
 
 
 def _kind(codec: Any) -> str:

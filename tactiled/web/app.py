@@ -16,8 +16,10 @@ from tactiled.config import Server
 from tactiled.service import Service
 from tactiled.web import asyncapi, film, log, problems, recordings, rest, settings, shear, stream, window
 from tactiled.web.common import WRONG
+from tactiled.web.description import complete
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
+from tactiled.web.keys import Keys
 from tactiled.web.rates import Rates
 
 STATIC = Path(__file__).parent / "static"
@@ -69,6 +71,7 @@ def create(service: Service, server: Server) -> FastAPI:
         GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
     )
     app.add_middleware(Guard, server=server, rates=app.state.rates)  # the last added is the first met
+    app.openapi = complete(app, Keys(server).needed)  # type: ignore[method-assign]
     return app
 
 

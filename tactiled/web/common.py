@@ -6,7 +6,6 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Depends, Request
 
 from tactiled.service import Sensor, Service
-from tactiled.web import forms
 from tactiled.web.problems import Problem
 
 Responses = dict[int | str, dict[str, Any]]
@@ -20,9 +19,8 @@ def problem(description: str, **headers: str) -> dict[str, Any]:
         for name, text in headers.items()
     }
     return {
-        "model": forms.Problem,
         "description": description,
-        "content": {"application/problem+json": {}},
+        "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
         "headers": told,
     }
 

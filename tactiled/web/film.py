@@ -43,7 +43,7 @@ BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "
 router = APIRouter(prefix="/api/v1")
 busy = asyncio.Lock()
 SIGMA = "a taxel's standard deviation; measured if left out"
-Noise = Annotated[float | None, Query(gt=0, allow_inf_nan=False, description=SIGMA)]
+Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
 
 
 class _Done(NamedTuple):

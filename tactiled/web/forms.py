@@ -1,7 +1,7 @@
 """What the API says, field by field: the models behind OpenAPI, and how they are made from images and sensors."""
 
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactiled.config.build import UNCALIBRATED
 from tactiled.cover.meaning import meaning
 from tactiled.frames import Image
+from tactiled.pipeline import TARE_FRAMES
 from tactiled.restore.methods import METHODS
 from tactiled.service import Sensor, Service, State, Status
 
@@ -30,6 +31,11 @@ Values = Annotated[
 MethodName = Annotated[str, Field(json_schema_extra={"enum": list(METHODS)})]
 
 
+T = TypeVar("T")
+Pair = Annotated[list[T], Field(min_length=2, max_length=2)]
+Color = Annotated[list[Annotated[int, Field(ge=0, le=255)]], Field(min_length=3, max_length=3)]
+
+
 class Form(BaseModel):
     """A JSON object of the API."""
 
@@ -37,9 +43,9 @@ class Form(BaseModel):
 
 
 class Asked(Form):
-    """A JSON object that a client sends: a key that there is not is refused."""
+    """A JSON object that a client sends: a key that there is not is refused, and so is 0 for false."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 class Loss(Form):
@@ -209,8 +215,8 @@ class ImageShape(Form):
 class Geometry(Form):
     """Where the taxels are: x to the right, y down, mm."""
 
-    shape: tuple[int, int] | None = Field(description="null where the layout is no grid", examples=[(32, 32)])
-    positions_mm: list[tuple[float, float]] = Field(examples=[[(0.0, 0.0), (1.0, 0.0)]])
+    shape: Pair[int] | None = Field(description="null where the layout is no grid", examples=[[32, 32]])
+    positions_mm: list[Pair[float]] = Field(examples=[[[0.0, 0.0], [1.0, 0.0]]])
     pitch_mm: float = Field(examples=[1.0])
     aperture: Literal["square", "round"]
     aperture_mm: float = Field(description="side, or diameter", examples=[0.8])
@@ -238,6 +244,12 @@ class Method(Form):
     )
 
 
+class Tare(Form):
+    """A tare that has begun."""
+
+    frames: int = Field(description="whose mean is taken as no load", examples=[TARE_FRAMES])
+
+
 class CalibrationForm(Form):
     """From counts to kPa: (counts - no_load) * kpa_per_count."""
 
@@ -254,7 +266,7 @@ class Colormap(Form):
     """The viewer's colours, dark for no pressure."""
 
     name: str = Field(examples=["magma"])
-    colors: list[tuple[int, int, int]] = Field(description="256 of red, green, blue", examples=[[(0, 0, 4)]])
+    colors: list[Color] = Field(description="256 of red, green, blue", examples=[[[0, 0, 4]]])
 
 
 class Problem(Form):
@@ -421,8 +433,8 @@ def geometry(sensor: Sensor) -> Geometry:
     cell_mm = sensor.plan.cell_mm
     refine = round(array.pitch / cell_mm) if array.shape else 1
     return Geometry(
-        shape=array.shape,
-        positions_mm=[(float(x), float(y)) for x, y in array.positions],
+        shape=list(array.shape) if array.shape else None,
+        positions_mm=array.positions.tolist(),
         pitch_mm=array.pitch,
         aperture=array.aperture,
         aperture_mm=array.width,

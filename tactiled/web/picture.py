@@ -19,10 +19,10 @@ UNKNOWN = "#8a8a8a"
 GROUND = "#dfe3e6"  # between the taxels of a layout that is no grid
 
 
-def colors() -> list[tuple[int, int, int]]:
+def colors() -> list[list[int]]:
     """The 256 colours (red, green, blue) from no pressure to the most."""
-    table = np.round(mpl.colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int)
-    return [(int(r), int(g), int(b)) for r, g, b in table]
+    table: list[list[int]] = np.round(mpl.colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int).tolist()
+    return table
 
 
 def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from tactiled.errors import StateError
 from tactiled.frames import Image
+from tactiled.pipeline import TARE_FRAMES
 from tactiled.service import Sensor
 from tactiled.web import forms, picture
 from tactiled.web.common import (
@@ -117,9 +118,10 @@ def calibration(sensor: Found) -> forms.CalibrationForm:
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | CONTROL)
-def tare(sensor: Found, service: Served) -> None:
-    """Take the mean of the next 16 frames as the unloaded array."""
+def tare(sensor: Found, service: Served) -> forms.Tare:
+    """Take the mean of the next 16 frames as the unloaded array; an event tells when it is done."""
     service.tare(sensor.name)
+    return forms.Tare(frames=TARE_FRAMES)
 
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | NO_FRAME)
@@ -131,7 +133,9 @@ def contacts(sensor: Found) -> forms.Contacts:
     return found
 
 
-Top = Annotated[float | None, Query(gt=0, allow_inf_nan=False, description="PNG: end of the colour scale")]
+Top = Annotated[
+    float | None, Query(ge=1e-6, le=1e9, allow_inf_nan=False, description="PNG: end of the colour scale")
+]
 Asked = Annotated[Format | None, Query(alias="format", description="over the Accept header")]
 
 

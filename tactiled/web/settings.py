@@ -6,13 +6,15 @@ from typing import Any, Literal
 from fastapi import APIRouter, Request
 from pydantic import Field
 
-from tactiled.config import Server, schema
+from tactiled.config import Server, parse, schema
+from tactiled.config.example import EXAMPLE
 from tactiled.service import Service
 from tactiled.web import forms
 from tactiled.web.common import Served
 
 HIDDEN = "hidden"
 SECRET = re.compile("token|password|secret|key|credential", re.IGNORECASE)  # in names of a bus's settings
+EXEMPLARY = parse(EXAMPLE.replace("# noise", "noise")).sensor["palm"]
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
 
@@ -48,19 +50,27 @@ class ConfigForm(forms.Form):
     server: ServerForm
     bus: dict[str, dict[str, Any]] = Field(
         description="python-can's settings; secrets are hidden",
-        examples=[{"can0": {"interface": "socketcan", "channel": "can0", "fd": True}}],
+        examples=[{"can0": {"interface": "socketcan", "channel": "can0"}}],
     )
-    sensor: dict[str, schema.Sensor] = Field(description="as in the file, units in the keys")
+    sensor: dict[str, schema.Sensor] = Field(
+        description="as in the file, units in the keys",
+        examples=[
+            {
+                name: each.model_dump(mode="json")
+                for name, each in parse(EXAMPLE.replace("# noise", "noise")).sensor.items()
+            }
+        ],
+    )
     overrides: tuple[Override, ...]
 
 
 @router.get("/config")
 def config(request: Request, service: Served) -> ConfigForm:
-    """The configuration as read, with every default; no token, no path of the machine."""
+    """The configuration as read, with every default, and what clients have changed; no secret."""
     return ConfigForm(
         server=_server(request.app.state.server, service),
         bus={name: _open(settings) for name, settings in service.buses.items()},
-        sensor=service.config.sensor,
+        sensor={name: _bare(sensor) for name, sensor in service.config.sensor.items()},
         overrides=tuple(_overrides(service)),
     )
 
@@ -82,6 +92,13 @@ def _server(server: Server, service: Service) -> ServerForm:
 
 def _open(settings: dict[str, Any]) -> dict[str, Any]:
     return {key: HIDDEN if SECRET.search(key) else value for key, value in settings.items()}
+
+
+def _bare(sensor: schema.Sensor) -> schema.Sensor:
+    """A sensor without what may be a secret in the settings of another package's codec."""
+    if not isinstance(sensor.codec, schema.Plugin):
+        return sensor
+    return sensor.model_copy(update={"codec": schema.Plugin.model_construct(**_open(sensor.codec.model_dump()))})
 
 
 def _overrides(service: Service) -> list[Override]:
