@@ -263,10 +263,10 @@ class Listener:
         while not self._stop.is_set():
             now = time.monotonic()
             reader.unsent += self._talker.say(reader.send, now)
-            message = reader.receive(min(POLL_S, self._talker.wait(now)))
-            if message is None:
+            messages = reader.batch(min(POLL_S, self._talker.wait(now)))
+            if not messages:
                 self._hand(self._router.flush(time.time() - POLL_S))
-            else:
+            for message in messages:
                 self._hand(self._router.push(message))
             if reader.off != self._told:
                 self._tell(reader.off)

@@ -93,13 +93,13 @@ class Bus:
         self.opened += 1
         return self
 
-    def receive(self, timeout):
+    def batch(self, timeout):
         if not self.there:
             raise BusError("bus adapter: no such device")
         if not self.messages:
             time.sleep(timeout / 10)
-            return None
-        return self.messages.pop(0)
+            return []
+        return [self.messages.pop(0)]
 
     def send(self, message):
         raise AssertionError(f"nothing is to be said to this skin: {message}")
