@@ -2,16 +2,19 @@
 
 import multiprocessing
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, islice
 from threading import Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bench.blast import Blast
 from tactiled.bus.codecs import Codec
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
@@ -43,14 +46,14 @@ class Offline:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """What a reader took from a bus."""
+    """What readers took from their buses."""
 
     label: str
     sent: int  # messages
     received: int
     lost: int  # as the frames' own counters have it
     rate: float  # messages a second that came in
-    cores: float  # busy with it, with the sender where it is a thread of this process
+    cores: float | None  # busy with reading and assembling; None where the kernel's clock is too coarse to tell
 
 
 def offline(seconds: float) -> Iterator[Offline]:
@@ -82,51 +85,92 @@ def _rate(work: Callable[[], object], seconds: float) -> float:
     return done / took
 
 
-def live(settings: dict[str, Any], rate: float, seconds: float) -> Live:
-    """Read what a sender puts on a bus at `rate` messages a second; a virtual bus has its sender in a thread."""
-    reader = open_bus(**settings)
-    codec, count = SKINS[LIVE], round(rate * seconds)
-    task = (settings, rate, count)
-    alone = settings["interface"] != "virtual"
+def live(buses: Sequence[dict[str, Any]], rate: float, seconds: float) -> Live:
+    """Read what a sender puts on buses, `rate` messages a second over all of them; each has a thread, as in `run`.
+
+    The sender is another process; a virtual bus, which no other process sees, has it in a thread.
+    """
+    readers = [open_bus(**each) for each in buses]
+    count = round(rate * seconds / len(buses))
+    alone = all(each["interface"] != "virtual" for each in buses)
     make = multiprocessing.get_context("spawn").Process if alone else Thread
-    sender = make(target=send, args=task, daemon=True)
+    sender = make(target=send, args=(buses, rate / len(buses), count), daemon=True)
     sender.start()
-    router = Router({"it": codec})
     try:
-        received, took, busy = _drain(reader, router)
+        with ThreadPoolExecutor(len(readers)) as pool:
+            taken = list(pool.map(_drain, readers))
     finally:
-        reader.close()
+        for reader in readers:
+            reader.close()
         sender.join()
-    return Live(reader.label, count, received, router.assemblers["it"].loss.lost, received / took, busy / took)
+    return Live(
+        " and ".join(each.label for each in readers),
+        count * len(buses),
+        sum(each.received for each in taken),
+        sum(each.lost for each in taken),
+        sum(each.received / each.took for each in taken),
+        sum(each.busy / each.took for each in taken) if _tick() < TICK_S else None,
+    )
 
 
-def _drain(reader: Reader, router: Router) -> tuple[int, float, float]:
-    """Take messages until the bus is quiet: how many, in what time (s), busy for how long (s of CPU)."""
-    message = reader.receive(OPEN_S)
-    if message is None:
+def _tick() -> float:
+    """The step (s) in which the kernel counts a thread's processor time: 10 ms in the test kernel."""
+    now = began = time.thread_time()
+    while now == began:
+        now = time.thread_time()
+    return now - began
+
+
+class Taken(NamedTuple):
+    """What came of one bus."""
+
+    received: int  # messages
+    lost: int
+    took: float  # s
+    busy: float  # s of processor time
+
+
+def _drain(reader: Reader) -> Taken:
+    """Take messages and make frames of them until the bus is quiet."""
+    router = Router({"it": SKINS[LIVE]})
+    if not (messages := reader.batch(OPEN_S)):
         raise BusError(
             f"bus {reader.label}: nothing came in within {OPEN_S:g} s: can its interface send to itself?"
         )
-    began, busy = time.perf_counter(), time.process_time()
+    began, busy = time.perf_counter(), time.thread_time()
     received, last, spent = 0, began, 0.0
-    while message is not None:
-        router.push(message)
-        received += 1
-        if received % 64 == 0:
-            last, spent = time.perf_counter(), time.process_time() - busy
-        message = reader.receive(QUIET_S)
-    return received, max(last - began, TICK_S), spent
+    while messages:
+        for message in messages:
+            router.push(message)
+        received += len(messages)
+        last, spent = time.perf_counter(), time.thread_time() - busy
+        messages = reader.batch(QUIET_S)
+    return Taken(received, router.assemblers["it"].loss.lost, max(last - began, TICK_S), spent)
 
 
-def send(settings: dict[str, Any], rate: float, count: int) -> None:
-    """Put `count` messages on a bus, paced in blocks."""
-    bus = open_bus(**settings)
+def send(buses: Sequence[dict[str, Any]], rate: float, count: int) -> None:
+    """Put `count` messages on each of some buses, `rate` a second on each, paced in blocks."""
     _, messages = _traffic(SKINS[LIVE])
-    source, block = islice(cycle(messages), count), max(1, round(rate * TICK_S))
-    due = time.perf_counter()
-    while batch := list(islice(source, block)):
-        time.sleep(max(0.0, due - time.perf_counter()))
-        for message in batch:
+    block = max(1, round(rate * TICK_S))
+    with ExitStack() as stack:
+        senders = [_sender(each, messages, stack) for each in buses]
+        due = time.perf_counter()
+        for left in range(count, 0, -block):
+            time.sleep(max(0.0, due - time.perf_counter()))
+            for put in senders:
+                put(min(block, left))
+            due += block / rate
+
+
+def _sender(settings: dict[str, Any], messages: list[Message], stack: ExitStack) -> Callable[[int], None]:
+    """What sends the next so many of `messages`, over and over."""
+    if settings["interface"] == "socketcan":
+        return stack.enter_context(Blast(settings["channel"], messages)).send
+    bus, source = open_bus(**settings), cycle(messages)
+    stack.callback(bus.close)
+
+    def put(count: int) -> None:
+        for message in islice(source, count):
             bus.send(message)
-        due += len(batch) / rate
-    bus.close()
+
+    return put
