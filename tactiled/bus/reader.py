@@ -33,8 +33,6 @@ OFF = (
     "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
     "restart-ms 100` brings it back by itself"
 )
-
-
 STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 
 
