@@ -1,0 +1,47 @@
+"""What fuzzing found worth keeping, replayed, and the same judge over Hypothesis's own bytes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactiled.bus.assemble import Assembler
+from tactiled.frames import MISSING
+from tests.fuzz import harness
+
+
+@pytest.mark.parametrize("name", harness.SKINS)
+def test_every_input_of_the_corpus_gives_only_what_its_messages_said(name):
+    judged = [harness.check(name, each) for each in harness.corpus(name)]
+    assert any(frames and not frames[0].flags.any() for frames, _ in judged)
+    assert any((frame.flags & MISSING).any() for frames, _ in judged for frame in frames)
+    assert any(loss.lost for _, loss in judged)
+
+
+@pytest.mark.parametrize("name", harness.SKINS)
+@settings(max_examples=200)
+@given(data=st.binary(max_size=80))
+def test_any_bytes_give_only_what_their_messages_said(name, data):
+    harness.check(name, data)
+
+
+def test_the_corpus_is_small():
+    assert sum(each.stat().st_size for each in (harness.HERE / "corpus").iterdir()) < 50_000
+
+
+FAULTS = {
+    "an unmarked gap": ("_flags", lambda self, _: np.zeros(self.codec.size, np.uint8)),
+    "a message of the next frame": ("_begins", lambda *_: False),
+    "a gap that is not counted": ("count", lambda *_: None),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_judge_sees_an_assembler_that_is_wrong(fault, monkeypatch):
+    name, instead = FAULTS[fault]
+    monkeypatch.setattr(Assembler, name, instead)
+    skins = [skin for skin, codec in harness.SKINS.items() if codec.modulus is None]
+    for skin in skins:
+        with pytest.raises(harness.WrongError):  # noqa: PT012
+            for each in harness.corpus(skin):
+                harness.check(skin, each)
