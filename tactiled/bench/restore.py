@@ -4,6 +4,7 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter, thread_time
 from typing import Any
 
@@ -150,7 +151,8 @@ def moving(size: int, frames: int) -> Moving:
     """Run `auto` over scenes that move at 100 Hz, and over an idle pad."""
     array = grid(size, size, 1.0, 0.8)
     surface = Surface(kernel(COVER, "layered"), array)
-    blur = Blur.grid(stencil(kernel(COVER, "fem"), array), (size, size))
+    finer = partial(stencil, kernel(COVER, "fem"), array)
+    blur = Blur.grid(finer(1), (size, size), finer=finer)
     random = np.random.default_rng(0)
     chosen: Counter[str] = Counter()
     times: list[NDArray[np.float64]] = []

@@ -1,12 +1,13 @@
 """From surface pressure to taxels and back: the blur, exact to rounding, for a grid or for any layout."""
 
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Collection
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.interpolate import make_interp_spline
 
 from tactiled.errors import PhysicsError
 from tactiled.restore.loads import Loads
@@ -51,18 +52,24 @@ class Blur:
     ) -> "Blur":
         """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)); a `clock` lets it time its forms.
 
-        Without a clock the form follows from the size. `finer` gives the stencil for any other k: loads
-        smaller than a cell are then known, and else taken to be as large as one. PhysicsError where stencil and
-        shape disagree.
+        Without a clock the form follows from the size. `finer` gives the stencil for any other k: pressure is
+        then smooth between the cells, whose means the image holds, and loads smaller than a cell are known;
+        without it, pressure steps from cell to cell. PhysicsError where stencil and shape disagree.
         """
         expected = tuple(refine * (2 * n - 1) for n in shape)
         if stencil.shape != expected or not np.isfinite(stencil).all():
             raise PhysicsError(f"stencil of shape {stencil.shape} for a grid of {shape}: give finite {expected}")
-        rows, columns = _terms(np.asarray(stencil, float), shape, refine)
-        forms = _forms(stencil, rows, columns, refine)
-        surface = (refine * shape[0], refine * shape[1])
-        pair = _fastest(forms, surface, clock) if clock else forms[_usual(shape, refine)]()
+        # A step's own modes in either case: what they are sorted by, its gain, falls with frequency.
         marginals = _slide(stencil.sum(1), shape[0], refine), _slide(stencil.sum(0), shape[1], refine)
+        surface = (refine * shape[0], refine * shape[1])
+        if finer is None:
+            rows, columns = _terms(np.asarray(stencil, float), shape, refine)
+            forms = _forms(stencil, rows, columns, refine)
+        else:
+            finer = cache(finer)
+            rows, columns = _smooth(finer, shape, refine)
+            forms = _forms(None, rows, columns, refine)
+        pair = _fastest(forms, surface, clock) if clock else forms[_usual(shape, refine, forms)]()
 
         def loads() -> Loads:
             return Loads(finer(FINE), shape, FINE) if finer else Loads(stencil, shape, refine)
@@ -115,20 +122,37 @@ def _terms(stencil: Floats, shape: tuple[int, int], refine: int) -> tuple[list[F
     return rows, [_slide(Vt[k], shape[1], refine) for k in parts]
 
 
-def _usual(shape: tuple[int, int], refine: int) -> str:
+def _smooth(
+    finer: Callable[[int], Floats], shape: tuple[int, int], refine: int
+) -> tuple[list[Floats], list[Floats]]:
+    """Give the separable parts of pressure that is smooth between cells."""
+    parts = max(FINE // refine, 2)
+    rows, columns = _terms(np.asarray(finer(refine * parts), float), shape, refine * parts)
+    down, across = (_between(refine * n, parts) for n in shape)
+    return [A @ down for A in rows], [B @ across for B in columns]
+
+
+def _between(n: int, parts: int) -> Floats:
+    """Give (parts n, n): means over each cell's `parts` of the parabolic spline that has the n cells' means."""
+    sums = np.vstack([np.zeros(n), np.cumsum(np.eye(n), axis=0)])
+    integral = make_interp_spline(np.arange(n + 1.0), sums, bc_type="natural")
+    return np.asarray(parts * np.diff(integral(np.arange(parts * n + 1) / parts), axis=0))
+
+
+def _usual(shape: tuple[int, int], refine: int, forms: Collection[str]) -> str:
     if (shape[0] * shape[1] * refine) ** 2 <= DENSE:
         return "dense"
-    return "separable" if max(shape) * refine <= SEPARABLE else "fourier"
+    return "fourier" if "fourier" in forms and max(shape) * refine > SEPARABLE else "separable"
 
 
 def _forms(
-    stencil: Floats, rows: list[Floats], columns: list[Floats], refine: int
+    stencil: Floats | None, rows: list[Floats], columns: list[Floats], refine: int
 ) -> dict[str, Callable[[], Pair]]:
+    """Give what makes each form; transforms need the stencil of pressure that steps."""
     shape, surface = (len(rows[0]), len(columns[0])), (rows[0].shape[1], columns[0].shape[1])
-    forms: dict[str, Callable[[], Pair]] = {
-        "separable": lambda: _separable(rows, columns),
-        "fourier": lambda: _fourier(stencil, shape, refine),
-    }
+    forms: dict[str, Callable[[], Pair]] = {"separable": lambda: _separable(rows, columns)}
+    if stencil is not None:
+        forms["fourier"] = lambda: _fourier(stencil, shape, refine)
     if shape[0] * shape[1] * surface[0] * surface[1] <= 16 * DENSE:
         A = sum(np.kron(a, b) for a, b in zip(rows, columns, strict=True))
         forms["dense"] = lambda: _dense(np.asarray(A), shape, surface)

@@ -42,6 +42,16 @@ class Loads:
         np.matmul(both[0], both[1].swapaxes(1, 2), out=view[3])
         view[3] *= np.float32(0.5)
 
+    def stir(self) -> float:
+        """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
+        middle = [(n - 1) // 2 for n in self.shape]
+        places = np.add.outer([-0.125, 0.125], middle)
+        out = np.empty((4, 2, self.shape[0] * self.shape[1]), np.float32)
+        self.jacobian(places, out)
+        here, there = out[0].astype(float)
+        across = there - here * (here @ there) / (here @ here)
+        return float(np.linalg.norm(across) / np.linalg.norm(there))
+
 
 class _Axis:
     """One axis' factors, their slopes and curvatures, tabulated against a load's offset."""

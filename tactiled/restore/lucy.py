@@ -24,7 +24,8 @@ class Lucy:
         self._wide, self._narrow = self._there.empty(), np.empty_like(scene.c)
         self._Hx, self._back = self._to_taxels.empty(), self._to_surface.empty()
         self._lift = np.float32(OFFSET * scene.noise)
-        self._weight = np.asarray(1 / np.maximum(scene.blur.reach, 1e-3), np.float32)
+        felt = self._adjoint(np.ones(scene.blur.frame_shape, np.float32))  # by the modes, as all that it weighs
+        self._weight = np.asarray(1 / np.maximum(felt, 1e-3), np.float32)
         self.image = np.empty_like(self._back)
 
     def _forward(self, x: Image) -> Image:

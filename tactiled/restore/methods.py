@@ -14,7 +14,7 @@ from tactiled.restore.linear import Wiener, deviation
 from tactiled.restore.lucy import Lucy
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import Nonneg
-from tactiled.restore.points import FEWEST, Point, Points
+from tactiled.restore.points import Point, Points
 from tactiled.restore.scene import Restored, Scene
 from tactiled.restore.variation import Variation
 
@@ -24,7 +24,6 @@ LUCY = 30  # iterations of Richardson-Lucy
 ASKED = "as asked"
 TOO_MANY = "no few points explain the frame down to its noise: non-negative instead"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
-NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 
 
 class Restorer:
@@ -149,8 +148,7 @@ def _points(scene: Scene) -> Method:
         steps = points(y, nonneg.image)
         if steps:
             return Restored(points.image, "points", POINTS, done + steps, gain, scene.resolution())
-        why = NO_GRID if len(scene.blur.frame_shape) == 1 or min(scene.blur.frame_shape) < FEWEST else TOO_MANY
-        return Restored(nonneg.image, "nnls", why, done, gain, scene.resolution())
+        return Restored(nonneg.image, "nnls", points.never or TOO_MANY, done, gain, scene.resolution())
 
     def forget() -> None:
         nonneg.reset()

@@ -7,7 +7,7 @@ from tactiled.restore.modes import Image
 from tactiled.restore.scene import Scene
 
 PENALTY = 0.3  # ADMM's: against a blur whose largest gain is 1
-SPARSE = 0.16  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
+SPARSE = 0.25  # weight of the sum of pressures, in noise standard deviations, on an image pressed all over
 FEWEST = 0.002  # of the cells pressed: fewer are not told apart
 FEW = 0.025  # of the cells pressed: a mean over all modes then says little about the few pressed ones
 LOOSE = 0.3  # of the Gaussian's weight is left to it there

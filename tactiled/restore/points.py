@@ -28,6 +28,7 @@ LEAP = 0.5  # pitches that one step may move a point
 STANDS = 4.0  # standard deviations that a point's force must stand out by
 SURE = 3.0  # standard deviations of the residual's square that noise may stray by
 MODEL = 0.01  # of the frame's norm: what a model of a cover may miss it by
+TELLING = 3.0  # times that must be what a quarter of a pitch changes of a load's frame, or no place is known
 LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 FEWEST = 3  # taxels a side that tell a place on it
 SMALL = 0.05  # of the image's pressure: no more peaks are looked for once less is left
@@ -39,7 +40,8 @@ SEEN = 2.0  # standard deviations beyond that: one so wide is two
 UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
-
+NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
+TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
 
 _Told = tuple[Floats, Floats, Floats]  # places (pitches), forces, deviations of the places
 
@@ -57,8 +59,10 @@ class Points:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        fits = min(scene.blur.frame_shape) >= FEWEST
-        self._loads: Loads | None = scene.blur.loads if fits else None
+        self._loads: Loads | None = scene.blur.loads if min(scene.blur.frame_shape) >= FEWEST else None
+        self.never = NO_GRID if self._loads is None else ""  # why none is ever told
+        if self._loads and self._loads.stir() < TELLING * MODEL:
+            self._loads, self.never = None, TOO_THIN
         size = scene.flat.size
         self._jacobian = np.empty((4 * MOST, size), np.float32)
         self._residual = np.empty(size, np.float32)

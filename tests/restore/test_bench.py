@@ -24,7 +24,8 @@ def test_presses_are_blurred_truth_with_the_noise_they_say(few):
         assert press.psf.shape[0] % 2 == 1
         assert np.unravel_index(press.psf.argmax(), press.psf.shape) == (press.psf.shape[0] // 2,) * 2
         predicted = press.blur.forward(press.truth)
-        assert nrmse(predicted, press.frame) < 0.35  # what lies between taxels is not in the truth's cells
+        within = 0.4 if press.scene == "points" else 0.08  # what lies between taxels is not in the truth's cells
+        assert nrmse(predicted, press.frame) < within
 
 
 def test_the_same_seed_draws_the_same_presses(few):

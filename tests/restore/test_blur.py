@@ -1,12 +1,17 @@
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactiled.cover.kernel import solve
+from tactiled.cover.operator import stencil
+from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
-from tactiled.restore.blur import Blur, _forms, _terms
+from tactiled.geometry import grid
+from tactiled.restore.blur import Blur, _between, _forms, _terms
 
 FORMS = ("dense", "separable", "fourier")
 
@@ -15,6 +20,10 @@ def symmetric(shape, refine, seed=0):
     """A stencil that is not separable, its middle where a taxel's own cells are."""
     random = np.random.default_rng(seed)
     return random.normal(size=[refine * (2 * n - 1) for n in shape])
+
+
+def cover(thickness):
+    return solve(Stack((Layer(thickness, 0.6, 0.48),)), "layered")
 
 
 def pair(form, response, shape, refine):
@@ -102,6 +111,32 @@ def test_a_clock_picks_the_form_that_is_soonest(covered):
 def test_what_is_no_blur_is_refused(make, said):
     with pytest.raises(PhysicsError, match=said):
         make()
+
+
+@pytest.mark.parametrize("refine", [1, 2, 3])
+@pytest.mark.parametrize("thickness", [0.2, 1.0])
+def test_with_finer_stencils_pressure_is_smooth_between_cells(thickness, refine):
+    """Steps leave three to ten times the error."""
+    shape, parts = (10, 12), 12
+    finer = partial(stencil, cover(thickness), grid(*shape, 1.0, 0.8))
+    y, x = np.mgrid[: shape[0] * parts, : shape[1] * parts] / parts
+    fine = np.exp(-((x - 6.3) ** 2 + (y - 4.1) ** 2) / (2 * 1.2**2)) + 0.5 * np.exp(-((x - 12) ** 2) / 6)
+    whole = Blur.grid(finer(parts), shape, parts).forward(fine)
+    each = parts // refine
+    cells = fine.reshape(shape[0] * refine, each, shape[1] * refine, each).mean(axis=(1, 3))
+    smooth = Blur.grid(finer(refine), shape, refine, finer=finer).forward(cells)
+    steps = Blur.grid(finer(refine), shape, refine).forward(cells)
+    missed = [np.linalg.norm(found - whole) / np.linalg.norm(whole) for found in (smooth, steps)]
+    assert missed[0] < 0.005
+    assert missed[1] > 3 * missed[0]
+
+
+@pytest.mark.parametrize("parts", [2, 4])
+@pytest.mark.parametrize("n", [1, 2, 3, 9])
+def test_smooth_pressure_has_the_cells_own_means(n, parts):
+    between = _between(n, parts)
+    np.testing.assert_allclose(between.reshape(n, parts, n).mean(axis=1), np.eye(n), atol=1e-12)
+    np.testing.assert_allclose(between.sum(axis=1), 1, atol=1e-12)
 
 
 @pytest.mark.parametrize("thickness", [0.5, 1.0, 3.0])

@@ -112,6 +112,16 @@ def test_points_of_the_frame_before_are_not_those_of_this_one(touched):
     assert restorer.points == ()
 
 
+@pytest.mark.parametrize("thickness", [0.05, 0.1, 0.2, 0.35])
+def test_no_places_are_told_under_a_cover_too_thin_for_them(touched, thickness):
+    frame, sigma = touched(thickness, share=0.002)
+    restorer = make("points", blur_of(thickness), sigma)
+    done = restorer(frame)
+    assert (done.method, restorer.points) == ("nnls", ())
+    assert "so thin a cover" in done.why
+    assert make("auto", blur_of(thickness), sigma)(frame).method != "points"
+
+
 def test_slopes_are_the_responses_own():
     array, kernel = exact(1.0)
     loads = Loads(stencil(kernel, array, 4), SHAPE, 4)
