@@ -1,4 +1,4 @@
-"""Images and messages in Foxglove's schemas; the only room that knows its SDK, which is an extra.
+"""Images and messages in Foxglove's schemas, and its server; the only room that knows its SDK, which is an extra.
 
 Grids are foxglove.Grid, layouts foxglove.PointCloud, true to scale in m: x along a row, y down a column, in the
 array's own frame of reference, which bears the sensor's name.
@@ -12,14 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.errors import ConfigError
+from tactiled.contacts import Contact
+from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Image, Message
 from tactiled.geometry import Array, Cells
 
 try:
+    import foxglove as sdk
     from foxglove import messages
 except ImportError:
-    messages = None  # type: ignore[assignment]
+    sdk = messages = None  # type: ignore[assignment]
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +53,27 @@ STATUS = {
         "warnings": {"type": "array", "items": {"type": "string"}},
     },
 }
+STATE = {
+    "title": "tactiled state",
+    "type": "object",
+    "properties": {
+        "state": {
+            "type": "string",
+            "description": "live; stale: no new frame; silent: none yet; down: the bus is gone",
+        },
+        "detail": {"type": "string", "description": "one line on the state"},
+        "age_s": {"type": "number", "description": "since the last frame came in; left out before the first"},
+        "rate_hz": {"type": "number", "description": "frames a second"},
+        "method": {"type": "string", "description": "asked for"},
+        "loss": {"type": "object", "description": "counts so far by kind"},
+    },
+}
+BACKLOG = 32  # messages that wait for one client of the server; the oldest is dropped
+LABEL_MM, DISC_MM, SPREADS = (
+    1.0,
+    0.05,
+    2.0,
+)  # of a contact: height of its text, of its disc; radius, std deviations
 
 
 class Topic(NamedTuple):
@@ -156,3 +179,81 @@ def bus_message(message: Message) -> bytes:
     data = base64.b64encode(message.data).decode()
     told = {"id": message.id, "extended": message.extended, "fd": message.fd, "data": data}
     return json.dumps(told).encode()
+
+
+def state_topic(name: str) -> Topic:
+    """How a sensor is doing: /NAME/state."""
+    return _json(f"/{name}/state", STATE)
+
+
+def contacts_topic(name: str) -> Topic:
+    """Where something touches: /NAME/contacts, for the scene that the images lie in."""
+    schema = messages.SceneUpdate.get_schema()
+    return Topic(f"/{name}/contacts", "protobuf", schema.name, schema.encoding, schema.data)
+
+
+def contacts_message(name: str, time: float, contacts: tuple[Contact, ...]) -> bytes:
+    """The contacts (mm, N) of a time (s), in place of those before: an ellipse each, its force beside it."""
+    at = stamp(time)
+    when = messages.Timestamp(sec=at // 10**9, nsec=at % 10**9)
+    gone = messages.SceneEntityDeletion(timestamp=when, type=messages.SceneEntityDeletionType.All)
+    entities = [
+        messages.SceneEntity(
+            timestamp=when, frame_id=name, id=str(each.id), cylinders=[_ellipse(each)], texts=[_label(each)]
+        )
+        for each in contacts
+    ]
+    return messages.SceneUpdate(deletions=[gone], entities=entities).encode()
+
+
+def _pose(contact: Contact, turned: float = 0.0) -> Any:
+    """At a contact's centre, turned by an angle (rad) from x to y."""
+    return messages.Pose(
+        position=messages.Vector3(x=MM * contact.x_mm, y=MM * contact.y_mm, z=0),
+        orientation=messages.Quaternion(x=0, y=0, z=float(np.sin(turned / 2)), w=float(np.cos(turned / 2))),
+    )
+
+
+def _ellipse(contact: Contact) -> Any:
+    across = (2 * SPREADS * MM * each for each in (contact.major_mm, contact.minor_mm))
+    return messages.CylinderPrimitive(
+        pose=_pose(contact, contact.angle_rad),
+        size=messages.Vector3(**dict(zip("xy", across, strict=True)), z=MM * DISC_MM),
+        bottom_scale=1,
+        top_scale=1,
+        color=messages.Color(r=1, g=1, b=1, a=0.4),
+    )
+
+
+def _label(contact: Contact) -> Any:
+    return messages.TextPrimitive(
+        pose=_pose(contact),
+        billboard=True,
+        font_size=MM * LABEL_MM,
+        color=messages.Color(r=1, g=1, b=1, a=1),
+        text=f"{contact.force_n:.2f} N",
+    )
+
+
+class Live:
+    """A server for Foxglove's apps on a port of loopback (0: any free one)."""
+
+    def __init__(self, port: int) -> None:
+        need("server.foxglove")
+        self._context = sdk.Context()
+        try:
+            self._server = sdk.start_server(
+                name="tactiled", host="127.0.0.1", port=port, context=self._context, message_backlog_size=BACKLOG
+            )
+        except RuntimeError as error:
+            raise TactileError(f"server.foxglove = {port}: {error}: choose another port, or 0 for any") from error
+        self.port: int = self._server.port
+
+    def channel(self, topic: Topic) -> "sdk.Channel":
+        """Offer a topic; its `log` sends a message, and `has_sinks` says whether anyone listens."""
+        schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
+        return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=self._context)
+
+    def stop(self) -> None:
+        """Close the port."""
+        self._server.stop()

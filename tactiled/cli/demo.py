@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli.app import app
+from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
 from tactiled.config.build import make_stack
 from tactiled.config.example import EXAMPLE, GRASP
@@ -40,6 +41,7 @@ def demo(
     rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 100.0,
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
+    foxglove: Foxglove = None,
 ) -> None:
     """Simulate an array under a cover, or play a real recording, and serve it live."""
     config = demo_config(record)
@@ -48,16 +50,16 @@ def demo(
         (sensor,) = service.sensors.values()
         source = _recorded(record) if record else _played(simulated(config, sensor, scene), rate_hz)
         with running(service, config, source):
-            serve(service, _server(host, port))
+            serve(service, _server(host, port, foxglove))
 
 
-def _server(host: str, port: int) -> Server:
+def _server(host: str, port: int, foxglove: int | None) -> Server:
     """Where to serve; beyond loopback with a token made for this run."""
     if host in LOOPBACK:
-        return Server(host=host, port=port)
+        return Server(host=host, port=port, foxglove=foxglove)
     token = token_urlsafe(12)
     print(f"tactiled: other machines open http://{host}:{port}/?token={token}")
-    return Server(host=host, port=port, control_token=SecretStr(token))
+    return Server(host=host, port=port, foxglove=foxglove, control_token=SecretStr(token))
 
 
 def demo_config(record: str | None = None) -> Config:

@@ -12,15 +12,26 @@ from tactiled.service import Service
 from tactiled.state import State, default
 from tactiled.web.server import serve
 
+Foxglove = Annotated[
+    int | None,
+    typer.Option(
+        metavar="PORT", help="Show it in Foxglove's apps, too, on this port of loopback.", min=0, max=65535
+    ),
+]
+
 
 @app.command()
-def run(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
+def run(
+    config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")],
+    foxglove: Foxglove = None,
+) -> None:
     """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
     settings = load(config)
+    server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = Service(settings, state=State(settings.server.state or default(config)))
         service.start()
         try:
-            serve(service, settings.server)
+            serve(service, server)
         finally:
             service.stop()

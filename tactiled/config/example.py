@@ -10,6 +10,7 @@ port = 8000
 # control_token = "…"       # and this one to change anything as well
 # tls_certificate = "/etc/tactiled/cert.pem"
 # tls_key = "/etc/tactiled/key.pem"
+# foxglove = 8765           # for Foxglove's apps on this machine; asks for no token
 # recordings = "/var/lib/tactiled"  # folder that clients may record the buses into
 # state = "/var/lib/tactiled/state.json"  # what clients want kept over a restart
 history_s = 5.0             # of images kept for clients that ask for a window

@@ -42,6 +42,7 @@ class Server(Section):
     control_token: Token | None = None  # to see them and to change methods and tare
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None  # PEM
+    foxglove: int | None = Field(None, ge=0, le=65535)  # port on loopback for Foxglove's apps; None: not served
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
     state: Path | None = None  # file of what clients want kept; None: in the user's state directory
     history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask

@@ -14,6 +14,7 @@ from tactiled.config import Server
 from tactiled.errors import TactileError
 from tactiled.service import Service
 from tactiled.web.app import create
+from tactiled.web.bridge import bridge
 from tactiled.web.flow import PacedWebSocket
 from tactiled.web.session import MOST
 
@@ -75,8 +76,13 @@ def serve(service: Service, at: Server) -> None:
     listener = _listen(at)
     try:
         server = _server(service, at)
-        print(f"tactiled: {', '.join(service.sensors)} live at {_url(listener, at)}/ (stop: Ctrl-C)", flush=True)
-        server.run(sockets=[listener])
+        with bridge(service, at.foxglove) as port:
+            also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
+            print(
+                f"tactiled: {', '.join(service.sensors)} live at {_url(listener, at)}/{also} (stop: Ctrl-C)",
+                flush=True,
+            )
+            server.run(sockets=[listener])
     except KeyboardInterrupt:
         return
     finally:

@@ -27,6 +27,7 @@ class ServerForm(forms.Form):
     read_token: bool = Field(description="whether one is needed", examples=[False])
     control_token: bool = Field(description="whether one is needed", examples=[False])
     tls: bool = Field(examples=[False])
+    foxglove: int | None = Field(description="port on loopback for Foxglove's apps", examples=[8765])
     recordings: bool = Field(description="whether clients may record", examples=[True])
     keeps_state: bool = Field(description="whether `keep` is possible", examples=[True])
     history_s: float = Field(examples=[5.0])
@@ -82,6 +83,7 @@ def _server(server: Server, service: Service) -> ServerForm:
         read_token=server.read_token is not None or server.control_token is not None,
         control_token=server.control_token is not None,
         tls=server.tls_certificate is not None,
+        foxglove=server.foxglove,
         recordings=server.recordings is not None,
         keeps_state=service.state is not None,
         history_s=server.history_s,
