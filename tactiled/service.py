@@ -4,8 +4,8 @@ import statistics
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, Protocol
 
@@ -46,6 +46,7 @@ class Status:
     loss: Loss
     jitter_s: float | None = None  # standard deviation of the last periods from frame to frame; None unless live
     skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
+    errors: Mapping[str, int] = field(default_factory=dict)  # what the bus's error frames told, by kind
 
 
 class Sensor:
@@ -65,6 +66,7 @@ class Sensor:
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape)
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
+        self.errors: Callable[[], Mapping[str, int]] = dict  # what its bus's error frames have told by now
         self.plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
         self._finder = Finder(plan.array, plan.cells)
@@ -194,7 +196,8 @@ class Sensor:
         rate = 1 / self._period if state == "live" and self._period else 0.0
         loss = replace(self.counts(), skipped=self._skipped) if self.counts else self._loss
         skew = self._newest.skew if self._newest else None
-        return Status(state, age, rate, detail, loss, self._jitter() if state == "live" else None, skew)
+        jitter = self._jitter() if state == "live" else None
+        return Status(state, age, rate, detail, loss, jitter, skew, self.errors())
 
     def _jitter(self) -> float | None:
         """Standard deviation (s) of the last periods, by the times that the bus gave; None of fewer than two."""
@@ -220,10 +223,11 @@ class Listener:
         self._router = Router({each.name: each.codec for each in sensors.values()})
         self._settings = only(settings, self._router.ids)
         self._past: Counter[str] = Counter()  # what readers before this one counted
+        self._errors: Counter[str] = Counter()  # what their error frames told
         self._swap = threading.Lock()
         self._told: str | None = None
         for sensor in sensors.values():
-            sensor.counts = partial(self._loss, sensor.name)
+            sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._kinds
         self._talker = Talker(talk_of(each.codec) for each in sensors.values())
         self._stop = threading.Event()
         self._reader: Reader | None = None
@@ -282,6 +286,11 @@ class Listener:
         with self._swap:
             return self._past + Counter(self._reader.counts() if self._reader else {})
 
+    def _kinds(self) -> Mapping[str, int]:
+        """What the bus's error frames told since the start, by kind; any thread."""
+        with self._swap:
+            return self._errors + Counter(self._reader.kinds if self._reader else {})
+
     def _loss(self, name: str) -> Loss:
         """What went wrong by now on a sensor's way in; any thread."""
         return replace(self._router.assemblers[name].loss, **self._counted())
@@ -296,6 +305,7 @@ class Listener:
             self._reader.close()
             with self._swap:
                 self._past += Counter(self._reader.counts())
+                self._errors += Counter(self._reader.kinds)
                 self._reader = None
 
 

@@ -82,6 +82,7 @@ class Bus:
         self.messages = []
         self.off = None
         self.counted = {}
+        self.kinds = {}
         self.unsent = 0
 
     def counts(self):
@@ -140,11 +141,13 @@ def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkey
     listener = Listener("can0", {}, {"palm": sensor})
     listener.start()
     bus.counted = {"dropped": 3, "errors": 2, "bus_off": 1}
+    bus.kinds = {"bus_off": 1, "no_ack": 2, "other": 0}
     bus.off = "bus adapter: bus-off"
     until(lambda: sensor.status().detail == "bus adapter: bus-off")
     assert sensor.status().state == "down"
     loss = sensor.status().loss
     assert (loss.dropped, loss.errors, loss.bus_off) == (3, 2, 1)
+    assert sensor.status().errors == {"bus_off": 1, "no_ack": 2}
     bus.off = None
     until(lambda: sensor.status().state == "silent")
     bus.messages.append(Message(1.0, 0x123, b""))
@@ -154,6 +157,7 @@ def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkey
     bus.there = True
     until(lambda: bus.opened == 2)
     assert sensor.status().loss.errors == 4  # the bus of this test begins with two
+    assert sensor.status().errors["no_ack"] == 4
     bus.messages += sensor.codec.encode(pressed().ravel().astype(np.uint16), 0, time.time())
     sensor.start()
     until(sensor.hub.latest)

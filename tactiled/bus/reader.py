@@ -12,6 +12,7 @@ from typing import Any
 import can
 from can.interfaces.socketcan import SocketcanBus
 
+from tactiled.bus import faults
 from tactiled.bus.burst import ERROR, EXTENDED, REMOTE, Burst
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -28,7 +29,6 @@ HINTS = {
 
 BUFFER = 8 << 20  # bytes that the kernel keeps for us: 0.6 s of two full 1 Mbit/s buses
 SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of SO_MEMINFO's nine numbers counts drops
-BUS_OFF, RESTARTED = 0x40, 0x100  # in the id of SocketCAN's error frames
 OFF = (
     "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
     "restart-ms 100` brings it back by itself"
@@ -48,7 +48,7 @@ class Reader:
         self.errors = 0  # error frames seen
         self.remote = 0  # remote frames seen, which carry no taxels
         self.unsent = 0  # messages to skins that the bus did not take
-        self.bus_off = 0  # times that the interface left the bus, where it tells (SocketCAN)
+        self.kinds = dict.fromkeys(faults.KINDS, 0)  # what the error frames told; never grows: threads read it
         self.off: str | None = None  # that it is off the bus now, and what to do
 
     def frame(self, timeout: float) -> can.Message | None:
@@ -78,7 +78,7 @@ class Reader:
         taken = []
         for time, id_, data, fd in frames:
             if id_ & (ERROR | REMOTE):
-                self._special(id_ & EXTENDED_ID, error=id_ & ERROR != 0)
+                self._special(id_ & EXTENDED_ID, data, error=id_ & ERROR != 0)
                 continue
             self.off = None
             extended = id_ & EXTENDED != 0
@@ -91,7 +91,7 @@ class Reader:
         if got is None:
             return []
         if got.is_error_frame or got.is_remote_frame:
-            self._special(got.arbitration_id, got.is_error_frame)
+            self._special(got.arbitration_id, bytes(got.data), got.is_error_frame)
             return []
         self.off = None
         return [Message(got.timestamp, got.arbitration_id, bytes(got.data), got.is_extended_id, got.is_fd)]
@@ -111,18 +111,19 @@ class Reader:
         except (can.CanError, OSError, ValueError) as error:
             raise _blame(error, self.label) from error
 
-    def _special(self, kinds: int, error: bool) -> None:
-        """Count an error frame, of which only SocketCAN's ids tell their kinds, or a remote frame."""
+    def _special(self, id_: int, data: bytes, error: bool) -> None:
+        """Count an error frame, of which only SocketCAN's tell their kinds, or a remote frame."""
         if not error:
             self.remote += 1
             return
         self.errors += 1
-        if isinstance(self._bus, SocketcanBus):
-            if kinds & BUS_OFF:
-                self.bus_off += 1
-                self.off = f"bus {self.label}: {OFF}"
-            elif kinds & RESTARTED:
-                self.off = None
+        told = faults.kinds(id_, data) if isinstance(self._bus, SocketcanBus) else (faults.OTHER,)
+        for kind in told:
+            self.kinds[kind] += 1
+        if faults.BUS_OFF in told:
+            self.off = f"bus {self.label}: {OFF}"
+        elif faults.RESTARTED in told:
+            self.off = None
 
     @property
     def dropped(self) -> int:
@@ -135,7 +136,12 @@ class Reader:
 
     def counts(self) -> dict[str, int]:
         """What went wrong on the bus itself, by the names of `Loss`."""
-        return {"dropped": self.dropped, "errors": self.errors, "bus_off": self.bus_off, "unsent": self.unsent}
+        return {
+            "dropped": self.dropped,
+            "errors": self.errors,
+            "bus_off": self.kinds[faults.BUS_OFF],
+            "unsent": self.unsent,
+        }
 
     def close(self) -> None:
         """Let go of the bus; one that is gone already is no error."""

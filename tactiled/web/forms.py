@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactiled.bus.faults import KINDS
 from tactiled.config.build import UNCALIBRATED
 from tactiled.cover.meaning import meaning
 from tactiled.frames import Image
@@ -89,6 +90,10 @@ class SensorState(Form):
     detail: str = Field(description="one line on the state", examples=[""])
     sequence: int | None = Field(description="of the newest image", examples=[5123])
     loss: Loss
+    error_kinds: dict[str, int] = Field(
+        description="what the bus's error frames told, by kind; one may tell of several",
+        examples=[dict.fromkeys(KINDS, 0)],
+    )
 
 
 class Sensors(Form):
@@ -139,6 +144,8 @@ class StreamStatus(Form):
     state: State
     age_s: float | None
     rate_hz: float
+    jitter_s: float | None
+    skew_s: float | None
     detail: str
     loss: Loss
     method: str
@@ -317,6 +324,7 @@ def sensor_state(sensor: Sensor) -> SensorState:
         detail=status.detail,
         sequence=image.sequence if image else None,
         loss=loss(status),
+        error_kinds={kind: status.errors.get(kind, 0) for kind in KINDS},
     )
 
 
@@ -402,6 +410,8 @@ def stream_status(sensor: Sensor, image: Image | None, status: Status) -> Stream
             "state": status.state,
             "age_s": status.age_s,
             "rate_hz": status.rate_hz,
+            "jitter_s": status.jitter_s,
+            "skew_s": status.skew_s,
             "detail": status.detail,
             "loss": loss(status),
             "method": sensor.method,

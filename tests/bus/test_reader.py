@@ -97,7 +97,7 @@ def test_bus_off_is_counted_and_told_until_the_bus_is_back(back):
         reader.receive(1.0)
         told.append(reader.off)
     assert told == [None, f"bus socketcan can0: {OFF}", f"bus socketcan can0: {OFF}", None]
-    assert (reader.errors, reader.bus_off) == (4 if back.is_error_frame else 3, 1)
+    assert (reader.errors, reader.kinds["bus_off"]) == (4 if back.is_error_frame else 3, 1)
 
 
 def test_only_socketcan_tells_the_kind_of_an_error_frame(request):
@@ -106,7 +106,7 @@ def test_only_socketcan_tells_the_kind_of_an_error_frame(request):
     with can.Bus(interface="virtual", channel=name) as raw:
         raw.send(error(0x40))
         assert reader.receive(1.0) is None
-    assert (reader.errors, reader.bus_off, reader.off) == (1, 0, None)
+    assert (reader.errors, reader.kinds["bus_off"], reader.kinds["other"], reader.off) == (1, 0, 1, None)
     reader.close()
 
 

@@ -200,7 +200,7 @@ def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(c
         off = None
 
         def __init__(self):
-            self.unsent, self.closed = 0, False
+            self.unsent, self.kinds, self.closed = 0, {}, False
 
         def counts(self):
             return {"unsent": self.unsent}

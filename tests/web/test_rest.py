@@ -1,10 +1,12 @@
 import io
 
+import can
 import httpx
 import matplotlib.image
 import numpy as np
 import pytest
 
+from tactiled.bus.faults import KINDS
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.conftest import GAIN, NO_LOAD, pressed, until
@@ -99,6 +101,13 @@ def test_what_the_bus_counts_and_how_evenly_frames_come_is_told(rig, client):
         "errors": 0,
         "bus_off": 0,
     }
+    assert told["error_kinds"] == dict.fromkeys(KINDS, 0)
+
+
+def test_error_frames_are_told_by_kind(rig, client):
+    rig.bus._bus.send(can.Message(is_error_frame=True))
+    until(lambda: client.get("/sensors/palm").json()["loss"]["errors"] == 1)
+    assert client.get("/sensors/palm").json()["error_kinds"] == dict.fromkeys(KINDS, 0) | {"other": 1}
 
 
 def test_a_stale_frame_says_how_stale(rig, client):

@@ -61,10 +61,14 @@ def test_from_can_messages_to_a_websocket_client(rig, url):
 
 
 def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
-    rig.show(pressed())
+    for _ in range(3):
+        rig.show(pressed())
     with stream(url) as client:
         first, *_, last = texts(client, 1.5)
     assert first["type"] == "status"
+    assert first["skew_s"] >= 0
+    assert first["jitter_s"] > 0
+    assert (last["skew_s"], last["jitter_s"]) == (first["skew_s"], None)
     assert (first["state"], first["method"], first["ran"]) == ("live", "wiener", "wiener")
     assert last["state"] == "stale"
     assert last["age_s"] > 0.3
