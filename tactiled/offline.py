@@ -50,7 +50,7 @@ def opened(path: Path, plan: SensorPlan) -> Frames:
         frames = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or 'no .npy file'}: give frames in kPa as .npy") from error
-    except (ValueError, EOFError) as error:
+    except Exception as error:  # numpy reads the header as Python's text, which goes wrong in many ways
         raise ConfigError(f"{path}: no .npy file of numbers: give frames in kPa as .npy") from error
     if not isinstance(frames, np.ndarray):
         frames.close()

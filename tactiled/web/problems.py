@@ -6,10 +6,12 @@ from http import HTTPStatus
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
-from starlette.routing import Match, Route
+from starlette.routing import Match
 
 from tactiled.errors import ConfigError, UnknownSensorError
 from tactiled.web import forms
+
+VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 
 
 class Problem(HTTPException):
@@ -32,7 +34,7 @@ def install(app: FastAPI) -> None:
     async def _http(request: Request, error: HTTPException) -> Response:
         detail, headers = str(error.detail), dict(error.headers or {})
         if error.status_code == 405:
-            headers["Allow"] = ", ".join(sorted(_methods(app, request)))
+            headers["Allow"] = ", ".join(_methods(app, request))
         if not isinstance(error, Problem) and detail == HTTPStatus(error.status_code).phrase:
             detail = f"{request.method} {request.url.path:.200}: {detail.lower()}"
         return response(error.status_code, detail, headers)
@@ -50,13 +52,16 @@ def install(app: FastAPI) -> None:
         return response(422, "; ".join(_say(each) for each in error.errors()))
 
 
-def _methods(app: FastAPI, request: Request) -> set[str]:
-    """Every method of the routes that have a request's path."""
-    found: set[str] = set()
-    for route in app.routes:
-        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE:
-            found |= route.methods or set()
-    return found
+def _methods(app: FastAPI, request: Request) -> list[str]:
+    """Every method that the path of a request has."""
+    if request.scope.get("root_path"):  # of a folder of files
+        return ["GET", "HEAD"]
+    scopes = {method: {**request.scope, "method": method} for method in VERBS}
+    return [
+        method
+        for method, scope in scopes.items()
+        if any(route.matches(scope)[0] is Match.FULL for route in app.routes)
+    ]
 
 
 def _say(error: Mapping[str, object]) -> str:

@@ -16,6 +16,7 @@ from tactiled.service import Service
 from tactiled.web.app import create
 from tactiled.web.bridge import bridge
 from tactiled.web.flow import PacedWebSocket
+from tactiled.web.patience import PatientHttp
 from tactiled.web.session import MOST
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
@@ -52,6 +53,7 @@ def _server(service: Service, at: Server) -> uvicorn.Server:
     return uvicorn.Server(
         uvicorn.Config(
             create(service, at),
+            http=PatientHttp,
             ws=PacedWebSocket,
             ws_max_size=MOST,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves

@@ -17,7 +17,7 @@ MOST_S = 10  # that a machine may be busy with other things
 
 @pytest.fixture
 def client(url):
-    with httpx.Client(base_url=url + "/api/v1", timeout=30) as made:
+    with httpx.Client(base_url=url + "/api/v1", timeout=60) as made:
         yield made
 
 

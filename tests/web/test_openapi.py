@@ -19,6 +19,7 @@ from tactiled.state import State
 from tactiled.web.server import running
 
 BUSY_S = 60  # that a machine may be busy with other things
+ELSEWHERE = {"/api/v1/sensors/{name}/shear"}  # of other skins than this one
 ORDER = ("post", "put", "get", "delete")
 
 
@@ -91,6 +92,9 @@ def test_every_example_has_the_shape_of_what_the_service_gives(whole, said):
             answer = client.request(method, place, json=body) if body else client.request(method, place)
             if path in ("/api/v1/restore", "/api/v1/recordings/{name}"):
                 continue  # bytes, or nothing
+            if path in ELSEWHERE:
+                assert answer.status_code == 404
+                continue
             assert answer.is_success, answer.text
             example = operation["responses"][str(answer.status_code)]["content"]["application/json"]["example"]
             compare(example, answer.json(), path)

@@ -14,7 +14,7 @@ from tests.conftest import GAIN, NO_LOAD, pressed, until
 
 @pytest.fixture
 def client(url):
-    with httpx.Client(base_url=url + "/api/v1") as made:
+    with httpx.Client(base_url=url + "/api/v1", timeout=60) as made:
         yield made
 
 

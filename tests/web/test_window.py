@@ -24,7 +24,7 @@ def images(rig):
 
 
 def get(url, **query):
-    return httpx.get(url + PATH, params=query)
+    return httpx.get(url + PATH, params=query, timeout=60)
 
 
 @pytest.mark.parametrize("kind", ["raw", "restored"])
@@ -117,7 +117,7 @@ def test_large_text_is_compressed_for_who_takes_it_and_numbers_are_not(rig, url)
     for _ in range(12):
         rig.show(pressed())
     headers = {"Accept-Encoding": "gzip"}
-    with httpx.Client(base_url=url, headers=headers) as client:
+    with httpx.Client(base_url=url, headers=headers, timeout=60) as client:
         packed = client.get(PATH, params={"last": "60s"})
         assert packed.headers["content-encoding"] == "gzip"
         assert int(packed.headers["content-length"]) < len(packed.content) / 3

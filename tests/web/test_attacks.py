@@ -1,0 +1,401 @@
+"""What a client may try: each attack on the whole service, and that it changes nothing."""
+
+import io
+import secrets
+import socket
+import tempfile
+import time
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from pydantic import SecretStr
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from tactiled.config import Server
+from tactiled.service import Sensor
+from tactiled.web import body, patience
+from tactiled.web.keys import Keys
+from tactiled.web.server import running
+from tests.conftest import pressed, until
+from tests.web.test_rest import problem
+
+TOUCHED = Path("/tmp/was-here-by-a-film")
+BUSY_S = 30  # that a machine may be busy with other things
+METHOD = "/api/v1/sensors/palm/method"
+RAW = {"method": "raw"}
+ask = partial(httpx.request, timeout=BUSY_S)
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder of recordings with a secret beside it."""
+    (tmp_path / "secret.log").write_text("hush")
+    return tmp_path
+
+
+@pytest.fixture
+def url(rig, place):
+    with running(rig.service, Server(port=0, recordings=place / "recordings", control_per_minute=0)) as address:
+        yield address
+
+
+def plug(url):
+    host, port = url.removeprefix("http://").split(":")
+    return socket.create_connection((host, int(port)), timeout=BUSY_S)
+
+
+def said(end):
+    """All that the service says until it closes."""
+    found = b""
+    try:
+        while data := end.recv(1 << 16):
+            found += data
+    except ConnectionResetError:
+        pass
+    return found
+
+
+def raw(url, line, *headers, data=b""):
+    """Send a request as it is, byte for byte; gives status and body."""
+    with plug(url) as end:
+        host = [] if any(each.lower().startswith("host:") for each in headers) else [f"Host: {url[7:]}"]
+        head = "\r\n".join([f"{line} HTTP/1.1", *host, *headers, "Connection: close", "", ""])
+        end.sendall(head.encode("latin-1") + data)
+        answer = said(end)
+    head, _, content = answer.partition(b"\r\n\r\n")
+    return int(head.split()[1]), content
+
+
+UP = ("..", "%2e%2e", "%2E.", ".%2e", "..%00", "....", "%252e%252e", "%c0%ae%c0%ae", "..\\", "..%5c")
+
+
+SLASHES = ("/", "%2f", "%5c", "//", "/./", "%252f")
+
+
+def test_no_path_leaves_its_folder(url, place):
+    targets = (
+        ("GET", "/api/v1/recordings", "secret.log"),
+        ("DELETE", "/api/v1/recordings", "secret.log"),
+        ("GET", "/static", "app.py"),
+        ("GET", "/static", "..%2fapp.py"),
+    )
+    for (verb, folder, name), up, slash in product(targets, UP, SLASHES):
+        path = f"{folder}{slash}{up}{slash}{name}"
+        status, content = raw(url, f"{verb} {path}")
+        assert status in (400, 404, 405, 422), (verb, path, status)
+        assert b"hush" not in content
+        assert b"import" not in content
+    assert (place / "secret.log").read_text() == "hush"
+
+
+STRANGERS = (
+    "elsewhere.example", "localhost.elsewhere.example", "127.0.0.1.elsewhere.example", "localhost@elsewhere",
+    "elsewhere@localhost", "localhost:80@elsewhere", "[::1", "[::1]x", "::1", "localhost:", "localhost:x", "",
+    "127.0.0.2", "0x7f000001", "2130706433", "localhost\tx", "localhost, elsewhere", "l\xf6calhost",
+)  # fmt: skip
+
+
+def test_a_name_that_a_stranger_may_own_is_no_loopback(rig, url):
+    for host in STRANGERS:
+        status, content = raw(url, "GET /api/v1/health", f"Host: {host}")
+        assert status in (400, 403), (host, content)
+        json_body = "Content-Type: application/json", "Content-Length: 17"
+        assert raw(url, f"PUT {METHOD}", f"Host: {host}", *json_body, data=b'{"method": "raw"}')[0] in (400, 403)
+    assert rig.sensor.method == "wiener"
+
+
+def test_two_hosts_are_none_and_our_own_names_are_let_in(url):
+    assert raw(url, "GET /api/v1/health", "Host: localhost", "Host: elsewhere.example")[0] == 403
+    for host in ("localhost", "LocalHost:1", "127.0.0.1", "[::1]", "[::1]:8000"):
+        assert raw(url, "GET /api/v1/health", f"Host: {host}")[0] == 200
+
+
+FOREIGN = (
+    {"Origin": "https://elsewhere.example"},
+    {"Origin": "null"},
+    {"Origin": ""},
+    {"Origin": "http://localhost:1"},
+    {"Origin": "file://"},
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
+)
+
+
+def test_no_page_of_another_site_controls_anything(rig, url):
+    with httpx.Client(base_url=url, timeout=BUSY_S) as client:
+        spec = client.get("/api/v1/openapi.json").json()
+        verbs = [(verb, path) for path, operations in spec["paths"].items() for verb in set(operations) - {"get"}]
+        assert len(verbs) >= 6
+        for headers, (verb, path) in product(FOREIGN, verbs):
+            problem(client.request(verb, path.format(name="palm"), headers=headers, json=RAW), 403)
+        for headers in FOREIGN:
+            problem(client.get("/api/v1/health", headers=headers), 403)
+    assert (rig.sensor.method, rig.service.events.newest) == ("wiener", 0)
+
+
+def test_a_link_from_another_site_opens_the_viewer(url):
+    headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert ask("GET", url, headers=headers).status_code == 200
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
+def test_what_a_form_can_send_is_no_json(rig, url, kind):
+    answer = ask("PUT", url + METHOD, content=b'{"method": "raw"}', headers={"Content-Type": kind})
+    problem(answer, 422)
+    assert rig.sensor.method == "wiener"
+
+
+@pytest.mark.parametrize("origin", ["https://elsewhere.example", "null", "http://localhost:1"])
+@pytest.mark.parametrize("path", ["sensors/palm/stream", "stream"])
+def test_no_page_of_another_site_gets_a_stream(url, path, origin):
+    with connect(f"{url.replace('http', 'ws', 1)}/api/v1/{path}", origin=origin) as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=BUSY_S)
+        assert caught.value.rcvd.code == 4403
+
+
+def test_a_message_that_is_too_long_ends_a_stream(url):
+    with connect(f"{url.replace('http', 'ws', 1)}/api/v1/sensors/palm/stream") as client:
+        client.send("x" * (65 << 10))
+        with pytest.raises(ConnectionClosed) as caught:
+            [client.recv(timeout=BUSY_S) for _ in range(1000)]
+        assert caught.value.rcvd.code == 1009
+
+
+def endless(url, path, verb, chunk=1 << 16, most=80 << 20):
+    """Send a chunked body for ever; gives the status, and the bytes that the service took."""
+    with plug(url) as end:
+        end.sendall(f"{verb} {path} HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Type: application/json\r\n".encode())
+        end.sendall(b"Transfer-Encoding: chunked\r\n\r\n")
+        sent, piece = 0, b"%x\r\n" % chunk + b" " * chunk + b"\r\n"
+        try:
+            while sent < most:
+                end.sendall(piece)
+                sent += chunk
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+        return said(end).split(b"\r\n")[0], sent
+
+
+@pytest.mark.parametrize(("path", "verb"), [(METHOD, "PUT"), ("/api/v1/recordings", "POST")])
+def test_a_body_that_is_too_large_is_refused_told_or_untold(rig, url, path, verb):
+    problem(ask(verb, url + path, content=b" " * (body.MOST + 1)), 413)
+    for length in (body.MOST + 1, 10**15):
+        assert raw(url, f"{verb} {path}", "Content-Type: application/json", f"Content-Length: {length}")[0] == 413
+    status, sent = endless(url, path, verb)
+    assert b"413" in status or not status  # or it was cut off while it sent
+    assert sent < 80 << 20
+    assert rig.sensor.method == "wiener"
+    assert ask("GET", url + "/api/v1/health").status_code == 200
+
+
+@pytest.fixture
+def films(tmp_path, monkeypatch):
+    """Where films are kept while they are restored."""
+    place = tmp_path / "films"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def test_an_endless_film_is_cut_off_and_leaves_nothing(url, films, monkeypatch):
+    monkeypatch.setattr(body, "MOST_FILM", 1 << 20)
+    status, sent = endless(url, "/api/v1/restore?sensor=palm", "POST")
+    assert b"413" in status or not status
+    assert sent < 80 << 20
+    until(lambda: not list(films.iterdir()))
+    assert ask("POST", url + "/api/v1/restore?sensor=palm", content=npy(np.zeros((1, 8, 8)))).status_code == 200
+
+
+def npy(array, **options):
+    out = io.BytesIO()
+    np.save(out, array, **options)
+    return out.getvalue()
+
+
+def header(text, length=None):
+    """An .npy file whose header says `text`, with 64 bytes of data."""
+    padded = text.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + (length or len(padded)).to_bytes(2, "little") + padded + bytes(64)
+
+
+class Evil:
+    def __reduce__(self):
+        return (Path.touch, (TOUCHED,))
+
+
+def zipped():
+    out = io.BytesIO()
+    np.savez_compressed(out, np.zeros((1 << 18, 8, 8)))
+    return out.getvalue()
+
+
+BOMBS = {
+    "1e12 frames": header("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 8, 8)}"),
+    "more than 64 bits count": header("{'descr': '<f8', 'fortran_order': False, 'shape': (2**70, 8, 8)}"),
+    "a number of 70 bits": header(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({2**70}, 8, 8)}}"),
+    "a negative number": header("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 8, 8)}"),
+    "empty items": header("{'descr': '|V0', 'fortran_order': False, 'shape': (1000000000000, 8, 8)}"),
+    "text": header("{'descr': '<U0', 'fortran_order': False, 'shape': (9, 8, 8)}"),
+    "a header longer than the file": header("{}", 65535),
+    "code": header("__import__('os').system('touch /tmp/was-here-by-a-film')"),
+    "a deep header": header("(" * 100),
+    "a header that breaks the parser": header("-" * 9000 + "1"),
+    "a pickle": npy(np.array([[[Evil()] * 8] * 8]), allow_pickle=True),
+    "objects": header("{'descr': '|O', 'fortran_order': False, 'shape': (1, 8, 8)}"),
+    "records": npy(np.zeros((2, 8, 8), [("a", "f4")])),
+    "a compressed archive": zipped(),
+}
+
+
+def test_a_film_that_is_a_bomb_is_refused(url, films):
+    for name, bomb in BOMBS.items():
+        answer = ask("POST", f"{url}/api/v1/restore?sensor=palm", content=bomb)
+        assert answer.status_code == 422, (name, answer.text)
+        assert "tactiled-" not in problem(answer, 422)
+    assert not TOUCHED.exists()
+    assert not list(films.iterdir())
+
+
+def closed_after(end):
+    began = time.monotonic()
+    answer = said(end)
+    return answer, time.monotonic() - began
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET", b"GET / HTTP/1.1\r\nHost: localhost\r\nX: "])
+def test_a_request_that_never_gets_anywhere_is_cut_off(rig, monkeypatch, begun):
+    monkeypatch.setattr(patience, "HEAD_S", 0.5)
+    with running(rig.service) as url, plug(url) as end:
+        end.sendall(begun)
+        answer, seconds = closed_after(end)
+    assert answer == b""
+    assert seconds < BUSY_S
+
+
+def test_a_second_request_on_a_connection_is_watched_as_well(rig, monkeypatch):
+    monkeypatch.setattr(patience, "HEAD_S", 1.0)
+    with running(rig.service) as url, plug(url) as end:
+        end.sendall(f"GET /api/v1/events HTTP/1.1\r\nHost: {url[7:]}\r\n\r\nGET /api".encode())
+        answer, _ = closed_after(end)
+    assert answer.count(b"HTTP/1.1 200") == 1
+
+
+def test_a_head_without_end_is_cut_off(url):
+    with plug(url) as end:
+        end.sendall(b"GET / HTTP/1.1\r\n")
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            [end.sendall(b"X-%d: " % n + b"x" * 8000 + b"\r\n") for n in range(10_000)]
+    assert ask("GET", url + "/api/v1/health").status_code == 200
+
+
+def test_a_body_that_never_comes_is_given_up_on_and_blocks_nobody(url, monkeypatch):
+    monkeypatch.setattr(body, "IN_TIME_S", 0.5)
+    for path, verb in ((METHOD, "PUT"), ("/api/v1/restore?sensor=palm", "POST")):
+        headers = "Content-Type: application/json", "Content-Length: 10"
+        status, content = raw(url, f"{verb} {path}", *headers, data=b"{")
+        assert status == 408, content
+    film = npy(np.zeros((1, 8, 8)))
+    assert ask("POST", url + "/api/v1/restore?sensor=palm", content=film).status_code == 200
+
+
+def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
+    rig.show(pressed())
+    with running(rig.service, Server(port=0, control_per_minute=6)) as url:
+        assert ask("PUT", url + METHOD, json=RAW).status_code == 200
+        answer = ask("PUT", url + METHOD, json={"method": "nnls"})
+        problem(answer, 429)
+        assert 1 <= int(answer.headers["retry-after"]) <= 10
+        for path in ("/raw?format=png", "/deviation", "?last=1s"):
+            problem(ask("GET", f"{url}/api/v1/sensors/palm/frames{path}"), 429)
+        assert {ask("GET", url + path).status_code for path in ("/api/v1/health", METHOD, "/") * 5} == {200}
+    assert rig.sensor.method == "raw"
+
+
+def test_every_token_is_compared_in_full_whatever_is_shown(monkeypatch):
+    """`compare_digest` takes a time that tells nothing; so all rests on its being what compares, every time."""
+    keys = Keys(Server(read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16)))
+    compared, compare = [], secrets.compare_digest
+
+    def spy(shown, token):
+        compared.append(token)
+        return compare(shown, token)
+
+    monkeypatch.setattr(secrets, "compare_digest", spy)
+    for shown in ("", "r", "r" * 16, "c" * 16, "x" * 1000, "ü"):
+        compared.clear()
+        keys.scopes(shown)
+        assert compared == [b"r" * 16, b"c" * 16]
+
+
+def test_no_answer_holds_a_secret(rig, place):
+    rig.show(pressed())
+    tokens = "hush-hush-reader", "hush-hush-master"
+    server = Server(
+        port=0, read_token=SecretStr(tokens[0]), control_token=SecretStr(tokens[1]), recordings=place / "r"
+    )
+    seen = 0
+    with running(rig.service, server) as url, httpx.Client(base_url=url, timeout=BUSY_S) as client:
+        client.headers["Authorization"] = f"Bearer {tokens[1]}"
+        for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
+            if "get" in operations:
+                address = path.format(name="palm", kind="raw")
+                for query in ("", f"?token={tokens[1]}", f"?limit={tokens[0][:4]}"):
+                    answer = client.get(address + query)
+                    assert not any(token in answer.text + str(answer.headers) for token in tokens), address
+                    seen += 1
+    assert seen >= 30
+
+
+def test_a_fault_of_our_own_is_a_problem_that_tells_nothing_and_carries_the_headers(rig, url, monkeypatch):
+    rig.show(pressed())
+    monkeypatch.setattr(Sensor, "contacts", lambda _: {}["hush"])
+    answer = ask("GET", url + "/api/v1/sensors/palm/contacts")
+    assert problem(answer, 500) == "the service failed at this: see its log"
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    assert "hush" not in answer.text
+    assert ask("GET", url + "/api/v1/health").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("verb", "path", "allowed"),
+    [
+        ("POST", METHOD, "GET, PUT"),
+        ("DELETE", "/api/v1/health", "GET"),
+        ("PATCH", "/api/v1/recordings", "GET, POST"),
+        ("PUT", "/api/v1/recordings/a.log", "DELETE, GET"),
+        ("TRACE", "/api/v1/config", "GET"),
+        ("POST", "/", "GET"),
+        ("POST", "/static/app.js", "GET, HEAD"),
+    ],
+)
+def test_a_method_that_is_not_there_is_a_problem_that_says_which_are(url, verb, path, allowed):
+    answer = ask(verb, url + path)
+    assert f"{verb} {path}" in problem(answer, 405)
+    assert answer.headers["allow"] == allowed
+
+
+@pytest.mark.parametrize(
+    "path", ["/nothing", "/api/v1/nothing", "/api/v2/health", "/static/nothing", "/API/v1/health"]
+)
+def test_a_path_that_is_not_there_is_a_problem_that_names_it(url, path):
+    assert problem(ask("GET", url + path), 404) == f"GET {path}: not found"
+
+
+def test_a_body_that_is_no_json_is_named(url):
+    for content in (
+        b"{",
+        b"\xff\xfe",
+        b"[" * 5000,
+        b'{"method": "raw", "x": 1}',
+        b"null",
+        b"1e999",
+    ):
+        answer = ask("PUT", url + METHOD, content=content, headers={"Content-Type": "application/json"})
+        assert answer.status_code in (400, 422)
+        problem(answer, answer.status_code)

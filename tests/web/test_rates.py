@@ -1,0 +1,67 @@
+import math
+
+import pytest
+
+from tactiled.web import rates
+from tactiled.web.problems import Problem
+from tactiled.web.rates import Rates, client
+
+
+@pytest.fixture
+def now():
+    return [0.0]
+
+
+def test_a_client_may_ask_as_often_as_it_may_and_no_more(now):
+    limit = Rates(60, lambda: now[0])
+    assert [limit.take("a") for _ in range(10)] == [0.0] * 10  # a sixth of a minute's worth at once
+    assert limit.take("a") == 1.0
+    assert limit.take("b") == 0.0  # another client has a bucket of its own
+    now[0] += 0.5
+    assert limit.take("a") == 0.5
+    now[0] += 0.5
+    assert limit.take("a") == 0.0
+    now[0] += 1e6
+    assert sum(limit.take("a") == 0 for _ in range(100)) == 10  # a bucket does not overflow
+
+
+def test_over_an_hour_it_is_what_is_configured(now):
+    limit, let = Rates(30, lambda: now[0]), 0
+    for _ in range(36000):
+        now[0] += 0.1
+        let += limit.take("a") == 0
+    assert abs(let - 1800) <= 6
+
+
+def test_what_is_refused_says_when_to_come_again(now):
+    limit = Rates(6, lambda: now[0])
+    limit.count({"client": ("1.2.3.4", 1)})
+    with pytest.raises(Problem) as caught:
+        limit.count({"client": ("1.2.3.4", 2)})
+    assert (caught.value.status_code, caught.value.headers) == (429, {"Retry-After": "10"})
+    now[0] += math.nextafter(10, 20)
+    limit.count({"client": ("1.2.3.4", 3)})
+
+
+def test_no_bound_where_none_is_wanted(now):
+    limit = Rates(0, lambda: now[0])
+    assert {limit.take("a") for _ in range(10_000)} == {0.0}
+
+
+def test_memory_is_bounded_whatever_the_number_of_clients(now, monkeypatch):
+    monkeypatch.setattr(rates, "CLIENTS", 10)
+    limit = Rates(6, lambda: now[0])
+    for n in range(1000):
+        limit.take(str(n))
+    assert len(limit._buckets) == 10
+    assert limit.take("999") > 0  # the newest are remembered
+
+
+def test_one_network_is_one_client():
+    def who(host):
+        return client({"client": (host, 1)})
+
+    assert who("2001:db8::1") == who("2001:db8::ffff:1") != who("2001:db8:0:1::1")
+    assert who("fe80::1%eth0") == who("fe80::2%eth1")
+    assert who("10.0.0.1") != who("10.0.0.2")
+    assert client({"client": None}) == client({}) == ""
