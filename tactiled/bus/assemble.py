@@ -53,7 +53,7 @@ class _Cycle:
 
     def wraps(self, last: int, segment: int) -> bool:
         """Whether a segment that comes behind `last` is so far back in the order that it begins a new frame."""
-        return bool(self._rank) and 2 * (self._rank[last] - self._rank[segment]) > len(self._rank)
+        return bool(self._rank) and 2 * (self._rank[last] - self._rank[segment]) >= len(self._rank)
 
     def learn(self, frame: _Open, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""

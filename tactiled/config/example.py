@@ -31,7 +31,8 @@ method = "auto"             # auto, or one method for every frame
 refine = 1                  # surface cells along each side of a taxel: 2 doubles the restored resolution
 stale_after_s = 0.5         # an image older than this is served as stale
 
-# What the array says on the bus: "packed" (this project's layout) or a skin's own ("icub").
+# What the array says on the bus: "packed" (this project's layout), a skin's own ("icub", ...), or "dbc": what a
+# DBC file describes (file = "skin.dbc", taxels = "Row{row}.T{row}_{column}").
 [sensor.palm.codec]
 name = "packed"
 array_id = 0                # CAN id = base_id + array_id

@@ -108,6 +108,21 @@ def test_a_message_that_comes_again_before_the_others_came_is_loss():
     assert assembler.loss == Loss(lost=1, incomplete=1)
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_skin_of_two_messages_is_not_paired_askew_after_a_loss(lost):
+    codec = CODECS["grid"]
+    messages = [
+        each._replace(time=n / 100 + at / 5000)
+        for n in range(12)
+        for at, each in enumerate(codec.encode(np.full(6, n, np.uint16), 0, 0.0))
+    ]
+    del messages[2 * 5 + lost]
+    assembler = Assembler(codec)
+    frames = [f for each in messages for f in assembler.push(codec.decode(each))]
+    assert [set(frame.counts[frame.flags == 0].tolist()) for frame in frames] == [{n} for n in range(12)]
+    assert [bool(frame.flags.any()) for frame in frames] == [n == 5 for n in range(12)]
+
+
 @pytest.mark.parametrize(
     "message",
     [

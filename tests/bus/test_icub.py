@@ -38,6 +38,19 @@ def test_no_load_of_a_board_and_its_triangle():
     assert values(codec, "4D5#40F0F0F0F0F0F0F0", "4D5#C0F0F0F0F0F00000") == [240] * 10
 
 
+def test_an_older_boards_class_is_the_same_skin():
+    codec = Icub(13, (5,))
+    assert codec.ids == {(0x4D5, False), (0x3D5, False)}
+    assert values(codec, "3D5#40F0F0F0F0F0F0F0", "3D5#C0F0F0F0F0F00000") == [240] * 10
+
+
+@pytest.mark.parametrize("text", ["3D5#40F0F0F0", "3D5#40F0"])
+def test_the_coarser_modes_of_older_boards_are_refused(text):
+    """Three values or one a triangle: no taxels."""
+    with pytest.raises(CodecError):
+        Icub(13, (5,)).decode(message(text))
+
+
 def test_thermal_pads_are_not_taxels():
     codec = Icub(0, (0,))
     assert values(codec, "400#4000010203040506", "400#C0070809" + "0A0B0000") == [0, 1, 2, 3, 4, 5, 7, 8, 9, 11]

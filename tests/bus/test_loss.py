@@ -1,12 +1,14 @@
 """A bus that loses, doubles, reorders and garbles: no frame is wrong and unmarked."""
 
 import random
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
+from tactiled.bus.codecs.dbc import Dbc
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
@@ -26,6 +28,10 @@ CODECS = {
     "cyskin": CySkin(),
     "linker": Linker("left", (1, 2)),
     "xela": Xela(),
+    "dbc": Dbc(
+        Path(__file__).parent / "skin.dbc",
+        ("Row0.T0_0", "Row0.T0_1", "Row1.T1_2", "Pages.P0", "Pages.P2", "Floats.F0", "Floats.Offset"),
+    ),
 }
 
 

@@ -193,8 +193,10 @@ def test_a_board_is_started_by_the_service_and_stopped_at_its_end(channel, there
     assert [*said, there.receive(5.0).data.hex()] == ["4d001ef0", "50000f00010022", "0700", "0701"]
 
 
-def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(channel, monkeypatch):
-    wire, there = Wire(), [True]
+@pytest.fixture
+def adapter(monkeypatch):
+    """A bus that is there or not, what was sent on it, and the times that it was opened."""
+    wire, there, opened = Wire(), [True], []
 
     class Bus:
         off = None
@@ -217,8 +219,6 @@ def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(c
         def close(self):
             self.closed = True
 
-    opened = []
-
     def reopen(**_):
         if not there[0]:
             raise BusError("gone")
@@ -226,6 +226,28 @@ def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(c
         return opened[-1]
 
     monkeypatch.setattr("tactiled.service.open_bus", reopen)
+    return wire, there, opened
+
+
+def test_a_board_is_started_again_when_the_bus_is_back(channel, adapter):
+    wire, there, opened = adapter
+    service = Service(config(channel, BOARD))
+    service.start()
+    try:
+        until(lambda: len(wire.sent) == 3)
+        there[0] = False
+        until(lambda: service.sensor("skin").status().state == "down")
+        there[0] = True
+        until(lambda: len(wire.sent) == 6)
+    finally:
+        service.stop()
+    assert len(opened) == 2
+    assert wire.sent[:3] == wire.sent[3:6]
+    assert wire.sent[6].data == b"\x07\x01"
+
+
+def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(channel, adapter):
+    wire, there, opened = adapter
     service = Service(config(channel, HAND))
     service.start()
     try:
