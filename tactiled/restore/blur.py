@@ -34,11 +34,12 @@ class Blur:
         pair: Pair,
         modes: Callable[[], Modes],
         loads: Callable[[], Loads] | None = None,
+        cut: Callable[[tuple[int, int]], "Blur"] | None = None,
     ) -> None:
         self.frame_shape, self.surface_shape = shapes
         self.cell_mm = cell_mm
         self._forward, self._adjoint = pair
-        self._modes, self._loads = modes, loads
+        self._modes, self._loads, self._cut = modes, loads, cut
 
     @classmethod
     def grid(
@@ -74,7 +75,11 @@ class Blur:
         def loads() -> Loads:
             return Loads(finer(FINE), shape, FINE) if finer else Loads(stencil, shape, refine)
 
-        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals), loads)
+        def cut(part: tuple[int, int]) -> Blur:
+            less = (lambda k: _middle(finer(k), part, k)) if finer else None
+            return cls.grid(_middle(stencil, part, refine), part, refine, cell_mm, clock, less)
+
+        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals), loads, cut)
 
     @classmethod
     def matrix(cls, A: Floats, cell_mm: float = 1.0) -> "Blur":
@@ -94,6 +99,12 @@ class Blur:
         """What a small load anywhere is to the taxels; None where there is no grid."""
         return self._loads() if self._loads else None
 
+    def cut(self, shape: tuple[int, int]) -> "Blur":
+        """Make the blur of fewer taxels, of `shape`, under the same cover; PhysicsError where this is no grid."""
+        if self._cut is None or any(n > m for n, m in zip(shape, self.frame_shape, strict=True)):
+            raise PhysicsError(f"no {shape} taxels to cut out of {self.frame_shape}: cut less out of a grid")
+        return self._cut(shape)
+
     def forward(self, x: Array) -> Array:
         """H x, in x's own precision."""
         return self._forward(x)
@@ -106,6 +117,14 @@ class Blur:
     def reach(self) -> Image:
         """H' 1: how much of each surface cell's pressure the taxels get to feel."""
         return np.asarray(self._adjoint(np.ones(self.frame_shape)), np.float32)
+
+
+def _middle(stencil: Floats, shape: tuple[int, int], refine: int) -> Floats:
+    """The middle of a stencil, as long as a grid of `shape` needs it."""
+    lengths = [refine * (2 * n - 1) for n in shape]
+    starts = [(length - n) // 2 for length, n in zip(stencil.shape, lengths, strict=True)]
+    rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
+    return stencil[rows, columns]
 
 
 def _slide(line: Floats, n: int, refine: int) -> Floats:

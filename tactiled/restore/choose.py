@@ -31,6 +31,11 @@ POINTS = "isolated indenters: a few points explain the frame down to its noise"
 NNLS = "sharp, sparse or touching zero: linear would ring below zero"
 
 
+def outstanding(scene: Scene) -> float:
+    """Pressure (kPa) that noise alone reaches on hardly any frame."""
+    return scene.noise * (sqrt(2 * log(scene.flat.size + 1)) + 1.5)
+
+
 class Idle:
     """Tests whether a frame is noise and nothing else."""
 
@@ -38,7 +43,7 @@ class Idle:
         size = scene.flat.size
         self._ones = np.ones(size, np.float32)
         self._scene = scene
-        self._peak = scene.noise * (sqrt(2 * log(size + 1)) + 1.5)
+        self._peak = outstanding(scene)
         self._sum = SURE * scene.noise * sqrt(size)
 
     def __call__(self, y: Image, reach: float) -> bool:
@@ -70,6 +75,13 @@ class Auto:
         self._wait, self._pause = 0, PAUSE
         self._nonneg.reset()
         self.points.reset()
+
+    def follow(self, other: "Auto") -> None:
+        """Go on from where another was, but from no image."""
+        self._nonneg.reset()
+        self.points.reset()
+        self._method, self._age = other._method, other._age
+        self._wait, self._pause = other._wait, other._pause
 
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0

@@ -17,6 +17,7 @@ from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import Point, Points
 from tactiled.restore.scene import Restored, Scene
 from tactiled.restore.variation import Variation
+from tactiled.restore.window import Windowed, fits
 
 Run = Callable[[Image], Restored]
 
@@ -32,7 +33,7 @@ class Restorer:
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
         self._gaps = Gaps(blur.modes)
-        self._run, self._forget, self._rests, self._points = METHODS[method](self._scene)
+        self._run, self._forget, self._rests, self._points, self._spread = METHODS[method](self._scene)
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
@@ -58,7 +59,7 @@ class Restorer:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
-        return deviation(self._scene)
+        return self._spread() if self._spread else deviation(self._scene)
 
 
 def require(name: str) -> None:
@@ -81,7 +82,8 @@ class Method(NamedTuple):
     run: Run
     forget: Callable[[], None] = lambda: None
     rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
-    points: Points | None = None  # what fits them
+    points: Points | Windowed | None = None  # what fits them
+    spread: Callable[[], Floats] | None = None  # deviation of an image that the scene has not seen
 
 
 def _raw(scene: Scene) -> Method:
@@ -159,7 +161,10 @@ def _points(scene: Scene) -> Method:
 
 def _auto(scene: Scene) -> Method:
     auto = Auto(scene)
-    return Method(auto, auto.reset, auto.rests, auto.points)
+    if not fits(scene.blur):
+        return Method(auto, auto.reset, auto.rests, auto.points)
+    windowed = Windowed(auto, scene)
+    return Method(windowed, windowed.reset, auto.rests, windowed, windowed.deviation)
 
 
 METHODS: dict[str, Callable[[Scene], Method]] = {

@@ -59,6 +59,7 @@ ARRAYS = {
     "t/pitch 0.3": {"shape": (10, 10), "thickness": 0.3},
     "t/pitch 3": {"shape": (10, 10), "thickness": 3.0},
     "t/pitch 10": {"shape": (20, 20), "thickness": 10.0},
+    "with windows": {"shape": (46, 46)},
 }
 
 
