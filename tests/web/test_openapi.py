@@ -19,7 +19,7 @@ from tactiled.state import State
 from tactiled.web.server import running
 
 BUSY_S = 60  # that a machine may be busy with other things
-ELSEWHERE = {"/api/v1/sensors/{name}/shear"}  # of other skins than this one
+ELSEWHERE = {"/api/v1/sensors/{name}/frames/shear"}  # of other skins than this one
 ORDER = ("post", "put", "get", "delete")
 
 
