@@ -1,0 +1,66 @@
+"""`GET /metrics`: every sensor's health and counts in Prometheus's text format, version 0.0.4."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from typing import get_args
+
+from fastapi import APIRouter, Response
+
+from tactiled.bus.faults import KINDS
+from tactiled.service import Sensor, Service, State, Status
+from tactiled.web.common import Served
+
+MEDIA = "text/plain; version=0.0.4; charset=utf-8"
+Sample = tuple[dict[str, str], float | None]  # labels; None where there is no value now
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/metrics")
+def metrics(service: Served) -> Response:
+    """Health and counts, for Prometheus to scrape."""
+    return Response(text(service), media_type=MEDIA)
+
+
+def text(service: Service) -> str:
+    """Every family of a service."""
+    told = [(each, each.status()) for each in service.sensors.values()]
+    return "".join(line + "\n" for family in _families(told) for line in family)
+
+
+def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
+    def by_sensor(field: str) -> list[Sample]:
+        return [({"sensor": sensor.name}, getattr(status, field)) for sensor, status in told]
+
+    states = [
+        ({"sensor": sensor.name, "state": state}, float(state == status.state))
+        for sensor, status in told
+        for state in get_args(State)
+    ]
+    yield _family("state", "gauge", "1 for the state that the sensor is in", states)
+    yield _family("age_seconds", "gauge", "since the last frame came in", by_sensor("age_s"))
+    yield _family("rate_hertz", "gauge", "frames a second", by_sensor("rate_hz"))
+    yield _family("jitter_seconds", "gauge", "standard deviation of the last periods", by_sensor("jitter_s"))
+    yield _family("skew_seconds", "gauge", "of the newest frame, first to last message", by_sensor("skew_s"))
+    lost = [
+        ({"sensor": sensor.name, "kind": kind}, count)
+        for sensor, status in told
+        for kind, count in asdict(status.loss).items()
+    ]
+    yield _family("loss_total", "counter", "what went wrong on the way in, by kind", lost)
+    buses = {sensor.bus_name: status.errors for sensor, status in told}
+    errors = [({"bus": bus, "kind": kind}, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
+    yield _family("error_frames_total", "counter", "what the bus's error frames told, by kind", errors)
+
+
+def _family(name: str, kind: str, says: str, samples: Iterable[Sample]) -> Iterator[str]:
+    yield f"# HELP tactiled_{name} {says}"
+    yield f"# TYPE tactiled_{name} {kind}"
+    for labels, value in samples:
+        if value is not None:
+            told = ",".join(f'{label}="{_escaped(each)}"' for label, each in labels.items())
+            yield f"tactiled_{name}{{{told}}} {value!r}"
+
+
+def _escaped(value: str) -> str:
+    return value.replace('"', r"\"").replace("\n", r"\n")
