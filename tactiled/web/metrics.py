@@ -63,4 +63,4 @@ def _family(name: str, kind: str, says: str, samples: Iterable[Sample]) -> Itera
 
 
 def _escaped(value: str) -> str:
-    return value.replace('"', r"\"").replace("\n", r"\n")
+    return value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
