@@ -91,6 +91,11 @@ class Sensor:
         """Name of the method asked for."""
         return self._pipeline.method
 
+    @property
+    def newest(self) -> RawFrame | None:
+        """The newest frame in counts, None before the first; its image may not be made yet."""
+        return self._newest
+
     def set_method(self, name: str) -> None:
         """Restore by `name` from the next frame on; ConfigError if there is no such method."""
         self._pipeline.set_method(name)

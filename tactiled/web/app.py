@@ -14,7 +14,20 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.service import Service
-from tactiled.web import asyncapi, film, log, metrics, problems, recordings, rest, settings, shear, stream, window
+from tactiled.web import (
+    asyncapi,
+    film,
+    log,
+    metrics,
+    problems,
+    recordings,
+    rest,
+    settings,
+    shear,
+    stream,
+    window,
+    xela,
+)
 from tactiled.web.common import WRONG
 from tactiled.web.description import complete
 from tactiled.web.feed import Feed
@@ -62,6 +75,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds))
     app.include_router(asyncapi.make())
+    app.include_router(xela.make(feeds))
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:
