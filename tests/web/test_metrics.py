@@ -61,6 +61,6 @@ def test_a_silent_sensor_has_a_state_and_no_age(scrape):
 
 
 def test_labels_are_escaped():
-    name = 'a "b"\\c\nd'
+    name = 'a "b"\\nc\nd'
     text = "\n".join(_family("x", "gauge", "says", [({"sensor": name}, 2.5)])) + "\n"
     assert samples(text) == {("tactiled_x", ("sensor", name)): 2.5}
