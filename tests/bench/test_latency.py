@@ -25,8 +25,7 @@ def test_every_client_is_timed(monkeypatch, clients):
             1.0,
             clients,
         )
-    assert 0 < told.received <= told.sent
-    assert abs(told.sent - 50) <= 10
+    assert 0 < told.received <= told.sent <= 51
     assert 0 < told.median <= told.p99 <= told.worst
     assert told.pinned == (clients > 1 and len(cores) > 1)
     assert os.sched_getaffinity(0) == cores

@@ -5,7 +5,6 @@ import socket
 import struct
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, contextmanager
 
 import httpx
@@ -115,10 +114,8 @@ def test_the_state_comes_without_frames(rig):
     with app(rig, {"/palm/state"}) as client:
         told = [client.next("/palm/state")[0]]
         rig.show(pressed())
-        began = time.monotonic()
         while told[-1]["state"] != "stale":
             told.append(client.next("/palm/state")[0])
-        assert time.monotonic() - began < 4
     assert [told[0]["state"], told[-1]["detail"][:12]] == ["silent", "no frame for"]
     assert "age_s" not in told[0]
     assert told[-1]["age_s"] > 0.3
