@@ -127,6 +127,7 @@ def test_it_finds_the_service_again(rig, open_page):
             if painted(page) > before:
                 break
         assert painted(page) > before
+        page.close()
         page.faults.clear()
 
 

@@ -30,6 +30,7 @@ const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
 /** @type {import("./api.js").Sensor[]} */
 let sensors = [];
+let last = ""; // sensor that was shown before all of them
 let reachable = true;
 document.documentElement.dataset.painted = "0";
 
@@ -56,6 +57,7 @@ function choose(name) {
     viewer.leave();
     wall.show(sensors);
   } else {
+    last = name;
     wall.close();
     viewer.select(name);
     showSensor();
@@ -123,7 +125,9 @@ controls(viewer, {
   recorder,
   sensors: () => tabs.names,
   choose,
-  toggleWall: () => choose(wall.open || sensors.length < 2 ? sensors[0]?.name ?? ALL : ALL),
+  toggleWall: () => {
+    if (sensors.length > 1) choose(wall.open ? last || sensors[0].name : ALL);
+  },
   nextTheme: theme(byId("theme"), () => {
     viewer.restyle();
     wall.restyle();

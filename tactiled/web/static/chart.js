@@ -54,12 +54,65 @@ function decade(power) {
   return `10${power < 0 ? "⁻" : ""}${SUPERSCRIPTS[Math.abs(power)]}`;
 }
 
+/** The ticks of an axis with their texts, made anew only where the axis has changed. */
+class Ticks {
+  constructor() {
+    /** @type {number[]} */
+    this.values = [];
+    /** @type {string[]} */
+    this.texts = [];
+    this._low = this._high = this._most = NaN;
+  }
+
+  /**
+   * @param {number} low
+   * @param {number} high
+   * @param {number} most
+   * @returns {boolean} they are as they were
+   */
+  _same(low, high, most) {
+    if (low === this._low && high === this._high && most === this._most) return true;
+    this._low = low;
+    this._high = high;
+    this._most = most;
+    return false;
+  }
+
+  /**
+   * @param {number} low
+   * @param {number} high
+   * @param {number} most how many at most, about
+   * @returns {this}
+   */
+  even(low, high, most) {
+    if (this._same(low, high, most)) return this;
+    this.values = ticks(low, high, most);
+    this.texts = this.values.map((each) => tickText(each, high - low));
+    return this;
+  }
+
+  /**
+   * @param {number} low power of ten
+   * @param {number} high
+   * @returns {this}
+   */
+  decades(low, high) {
+    if (this._same(low, high, Infinity)) return this;
+    this.values = Array.from({ length: Math.floor(high) - Math.ceil(low) + 1 }, (_, i) => Math.ceil(low) + i);
+    this.texts = this.values.map(decade);
+    return this;
+  }
+}
+
 export class Chart {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
     this._pen = pen(canvas);
     this._ink = inks();
+    this._font = `12px ${this._ink.font}`;
+    this._across = new Ticks();
+    this._up = new Ticks();
   }
 
   /** Take the colours of the theme as it is now. */
@@ -82,7 +135,7 @@ export class Chart {
     const ink = this._ink;
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
     draw.clearRect(0, 0, width, height);
-    draw.font = `12px ${ink.font}`;
+    draw.font = this._font;
     draw.lineWidth = 1;
     const w = width - SIDE - TAIL;
     const h = height - HEAD - FOOT;
@@ -129,23 +182,22 @@ export class Chart {
     draw.fillStyle = ink.muted;
     draw.textBaseline = "middle";
     draw.textAlign = "right";
-    const rows = axes.decades
-      ? Array.from({ length: Math.floor(axes.top) - Math.ceil(axes.bottom) + 1 }, (_, i) => Math.ceil(axes.bottom) + i)
-      : ticks(axes.bottom, axes.top, h / 28);
+    const up = axes.decades ? this._up.decades(axes.bottom, axes.top) : this._up.even(axes.bottom, axes.top, h / 28);
     draw.beginPath();
-    for (const value of rows) {
-      const y = Math.round(HEAD + h - (value - axes.bottom) * sy) + 0.5;
+    for (let i = 0; i < up.values.length; i += 1) {
+      const y = Math.round(HEAD + h - (up.values[i] - axes.bottom) * sy) + 0.5;
       draw.moveTo(SIDE, y);
       draw.lineTo(SIDE + w, y);
-      draw.fillText(axes.decades ? decade(value) : tickText(value, axes.top - axes.bottom), SIDE - 6, y);
+      draw.fillText(up.texts[i], SIDE - 6, y);
     }
     draw.textBaseline = "top";
     draw.textAlign = "center";
-    for (const value of ticks(axes.left, axes.right, w / 60)) {
-      const x = Math.round(SIDE + (value - axes.left) * sx) + 0.5;
+    const across = this._across.even(axes.left, axes.right, w / 60);
+    for (let i = 0; i < across.values.length; i += 1) {
+      const x = Math.round(SIDE + (across.values[i] - axes.left) * sx) + 0.5;
       draw.moveTo(x, HEAD + h);
       draw.lineTo(x, HEAD + h + 4);
-      draw.fillText(tickText(value, axes.right - axes.left), x, HEAD + h + 6);
+      draw.fillText(across.texts[i], x, HEAD + h + 6);
     }
     draw.stroke();
     draw.textAlign = "right";

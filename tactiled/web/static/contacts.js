@@ -31,7 +31,7 @@ import { fixed } from "./paint.js";
  */
 
 const KEPT = 256; // messages: more than ten seconds at twenty a second
-const HOLDS_S = 0.25; // that contacts of one frame may be drawn on the frames after it
+const HOLDS_S = 0.25; // between the frame that contacts are of and one that they are drawn on
 
 export class Contacts {
   constructor() {
@@ -55,13 +55,19 @@ export class Contacts {
 
   /**
    * @param {number} timestamp of a frame
-   * @returns {Contact[]|null} in it, or in one shortly before it; null where nothing is known
+   * @returns {Contact[]|null} in it, or in the one nearest in time; null where none is near
    */
   at(timestamp) {
+    let best = null;
+    let least = HOLDS_S;
     for (let i = 0; i < this._kept.length; i += 1) {
       const one = this._kept[(this._newest - i + this._kept.length) % this._kept.length];
-      if (one.timestamp <= timestamp) return timestamp - one.timestamp <= HOLDS_S ? one.contacts : null;
+      const away = Math.abs(one.timestamp - timestamp);
+      if (away <= least) {
+        least = away;
+        best = one.contacts;
+      } else if (one.timestamp < timestamp) break; // those before it are further away still
     }
-    return null;
+    return best;
   }
 }

@@ -39,11 +39,13 @@ export class Deviations {
   at(timestamp) {
     let best = null;
     let least = HOLDS_S;
-    for (const each of this._kept) {
+    for (let i = this._kept.length - 1; i >= 0; i -= 1) {
+      const each = this._kept[i];
       const away = Math.abs(each.timestamp - timestamp);
-      if (away > least) continue;
-      least = away;
-      best = each.kpa;
+      if (away <= least) {
+        least = away;
+        best = each.kpa;
+      } else if (each.timestamp < timestamp) break; // those before it are further away still
     }
     return best;
   }
@@ -53,9 +55,14 @@ export class Deviations {
    * @param {Frame} frame the newest
    * @param {number} now ms, on performance.now's clock
    */
-  async ask(frame, now) {
+  ask(frame, now) {
+    if (this._asking || now - this._asked < ASK_MS) return;
     const known = this._kept[this._kept.length - 1];
-    if (this._asking || now - this._asked < ASK_MS || (known && known.timestamp >= frame.timestamp)) return;
+    if (!known || known.timestamp < frame.timestamp) this._fetch(now);
+  }
+
+  /** @param {number} now ms */
+  async _fetch(now) {
     this._asking = true;
     this._asked = now;
     try {

@@ -68,7 +68,7 @@ export class Maps {
     this.restored.resize(zoom);
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
-    const length = roundDown((0.3 * box.clientWidth) / zoom);
+    const length = roundDown((0.22 * box.clientWidth) / zoom);
     byId("ruler-bar").style.width = `${length * zoom}px`;
     say(byId("ruler-text"), `${length} mm`);
     const apart = this.restored.frame.getBoundingClientRect().top - this.raw.frame.getBoundingClientRect().top;

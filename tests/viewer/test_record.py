@@ -1,0 +1,107 @@
+import re
+
+import httpx
+import pytest
+from pydantic import SecretStr
+
+from tactiled.bus.recording import read
+from tactiled.cli.replay import replaying
+from tactiled.config import Server
+from tactiled.web.server import running
+from tests.conftest import pressed, until
+from tests.viewer.conftest import wait
+from tests.viewer.test_viewer import painted, pixels, show
+
+LIST = "document.getElementById('recordings').innerText"
+READ, CONTROL = "r" * 16, "c" * 16
+
+
+@pytest.fixture
+def recording(rig, tmp_path):
+    """A service that may record, and the folder."""
+    with running(rig.service, Server(port=0, recordings=tmp_path)) as url:
+        yield url, tmp_path
+
+
+def test_what_was_recorded_from_the_page_is_what_was_sent_and_replays_as_it_was(recording, rig, open_page):
+    url, folder = recording
+    rig.show(pressed(0))
+    page = open_page(url)
+    page.get_by_role("button", name="Record", exact=True).click()
+    wait(page, f"{LIST}.includes('recording can0')")
+    (path,) = folder.iterdir()
+    for at in (1, 3):
+        show(rig, page, pressed(at))
+    shown = pixels(page, "raw")
+    page.locator("#record", has_text="Stop").click()
+    wait(page, f"/Delete/.test({LIST})")
+    sent = [
+        message.data
+        for sequence, at in ((1, 1), (2, 3))
+        for message in rig.sensor.codec.encode(pressed(at).ravel().astype("u2"), sequence, 0.0)
+    ]
+    assert [message.data for message in read(path)] == sent
+    with page.expect_download() as download:
+        page.get_by_role("link", name=path.name).click()
+    assert download.value.path().read_bytes() == path.read_bytes()
+    page.get_by_role("button", name="Delete").click()
+    assert path.exists()  # once is not enough
+    copy = folder / "kept" / path.name
+    copy.parent.mkdir()
+    copy.write_bytes(path.read_bytes())
+    page.get_by_role("button", name="Really delete").click()
+    until(lambda: not path.exists())
+    service = replaying(rig.config, copy, 1.0)
+    service.start()
+    try:
+        with running(service) as other:
+            replayed = open_page(other)
+            wait(replayed, "document.getElementById('sequence').innerText === '1'")
+            assert (pixels(replayed, "raw") == shown).all()
+            replayed.close()
+    finally:
+        service.stop()
+    assert painted(page) >= 3
+
+
+def test_without_a_folder_there_is_no_button_but_a_hint(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url)
+    assert not page.locator("#record").is_visible()
+    assert "server.recordings" in page.locator("#side").inner_text()
+
+
+def test_what_the_read_token_may_not_do_asks_for_the_control_token(rig, open_page):
+    rig.show(pressed())
+    at = Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))
+    with running(rig.service, at) as url:
+        page = open_page(f"{url}/?token={READ}")
+        page.get_by_label("Method").select_option("raw")
+        page.get_by_role("dialog").wait_for()
+        assert "control token" in page.locator("#token-why").inner_text()
+        page.get_by_label("Token", exact=True).fill("x" * 16)
+        page.keyboard.press("Enter")
+        page.locator("#token-why", has_text="does not know").wait_for()
+        assert rig.sensor.method == "wiener"
+        page.get_by_label("Token", exact=True).fill(CONTROL)
+        page.keyboard.press("Enter")
+        until(lambda: rig.sensor.method == "raw")
+        assert not page.get_by_role("dialog").is_visible()
+        page.close()
+        page.faults.clear()  # the browser itself reports every refusal
+
+
+def test_counts_events_and_times_of_the_bus_are_shown(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url)
+    rig.send(pressed(), drop=[0])
+    for _ in range(3):
+        rig.show(pressed())
+    state = httpx.get(f"{url}/api/v1/sensors/palm").json()
+    assert state["loss"]["lost"] == 1
+    wait(page, "/\\nlost\\s+1\\n/.test('\\n' + document.getElementById('loss').innerText)")
+    text = page.locator("#side").inner_text()
+    for count in ("dropped", "error frames", "bus-off", "incomplete"):
+        assert re.search(rf"{count}\s+\d", text), count
+    wait(page, "/skew\\s+[\\d.]+ (µs|ms)/.test(document.getElementById('side').innerText)")
+    wait(page, "/\\d+:\\d\\d:\\d\\d\\s+palm: sensor stale/.test(document.getElementById('events').innerText)")

@@ -1,0 +1,122 @@
+import re
+import time
+
+import numpy as np
+import pytest
+
+from tactiled.web.server import running
+from tests.conftest import Rig, pressed, until
+from tests.viewer.conftest import wait
+
+THUMB = """
+[sensor.thumb]
+bus = "can0"
+method = "raw"
+stale_after_s = 0.3
+codec = { name = "packed", bits = 12, fd = true, array_id = 1 }
+array = { positions_mm = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]], aperture_mm = 1.5, aperture = "round" }
+cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
+kernel = { model = "layered" }
+calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
+"""
+TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
+WALL_SEEN = f"{TILES}.length === 2 && {TILES}.every(text => text.includes(' N'))"
+
+
+class Pair(Rig):
+    """The palm, a grid, and the thumb, four taxels of no grid."""
+
+    def both(self, thumb=(500, 100, 100, 900)):
+        """A frame of each; waits for their images."""
+        self.show(pressed())
+        sensor = self.service.sensor("thumb")
+        for message in sensor.codec.encode(np.array(thumb, np.uint16), self.sequence % 256, time.time()):
+            self.bus.send(message)
+        until(lambda: (image := sensor.hub.latest()) and image.sequence == self.sequence)
+        return self.sensor.hub.latest(), sensor.hub.latest()
+
+
+@pytest.fixture
+def pair(request):
+    made = Pair(re.sub(r"\W", "-", request.node.name), THUMB)
+    made.service.start()
+    with running(made.service) as url:
+        made.both()
+        yield made, url
+    made.service.stop()
+    made.bus.close()
+
+
+def force(text):
+    return float(re.search(r"([\d.]+) N", text)[1])
+
+
+def keep_showing(rig, page, true):
+    """Send frames of both until something is true in the page."""
+    for _ in range(200):
+        rig.both()
+        if page.evaluate(true):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never: {true}")
+
+
+def test_the_wall_shows_every_sensor_with_its_force_and_a_click_opens_it(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    palm, thumb = page.evaluate(TILES)
+    image, other = rig.both()
+    assert palm.startswith("palm")
+    assert thumb.startswith("thumb")
+    assert force(palm) == pytest.approx(image.restored.sum() * 1e-3, abs=0.006)  # cells of 1 mm2
+    areas = rig.service.sensor("thumb").cells.areas
+    assert force(thumb) == pytest.approx((other.restored * areas).sum() * 1e-3, abs=0.006)
+    colors = page.evaluate(
+        "[...document.querySelector('.tile canvas').getContext('2d').getImageData(0, 0, 8, 8).data]"
+    )
+    seen = np.array(colors).reshape(8, 8, 4)[..., :3].sum(axis=-1)
+    assert seen[3:5, 3:5].min() > 3 * seen[:2].max()
+    page.get_by_role("button", name=re.compile("thumb")).first.click()
+    wait(page, "Number(document.documentElement.dataset.painted) > 0")
+    assert page.evaluate("location.hash") == "#thumb"
+    assert not page.locator("#wall").is_visible()
+
+
+def test_a_tile_whose_sensor_falls_silent_cannot_look_alive(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    wait(page, f"{TILES}.every(text => /stale/i.test(text) && / s ago/.test(text))")
+    assert "grayscale(1)" in page.evaluate("getComputedStyle(document.querySelector('.tile canvas')).filter")
+
+
+def test_tabs_and_keys_lead_to_the_wall_and_back(pair, open_page):
+    _rig, url = pair
+    page = open_page(url)
+    assert page.get_by_role("tab").all_inner_texts()[0] == "All"
+    page.keyboard.press("w")
+    page.locator("#wall").wait_for()
+    assert page.get_by_role("tab", selected=True).inner_text() == "All"
+    page.keyboard.press("2")
+    page.locator("#main").wait_for()
+    assert page.get_by_role("tab", selected=True).inner_text().startswith("thumb")
+
+
+def test_a_layout_that_is_no_grid_is_drawn_true_to_scale(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#thumb")
+    width, height = page.evaluate("[...['width', 'height']].map(side => document.getElementById('raw')[side])")
+    seen = page.evaluate(
+        f"[...document.getElementById('raw').getContext('2d').getImageData(0, 0, {width}, {height}).data]"
+    )
+    drawn = np.array(seen).reshape(height, width, 4)[..., 3] > 128
+    pitch = rig.service.sensor("thumb").array.pitch
+    zoom = width / (4.5 + 2 * pitch)
+    assert zoom == pytest.approx(height / (2.5 + 2 * pitch), rel=0.01)
+    assert drawn.sum() == pytest.approx(4 * np.pi * (0.75 * zoom) ** 2, rel=0.02)
+    for x, y in ((0, 0), (3, 0), (1.5, 2), (4.5, 2.5)):
+        column, row = round((x + pitch) * zoom), round((y + pitch) * zoom)
+        reach = round(0.7 * zoom)
+        assert drawn[row, column - reach : column + reach].all()
+        assert not drawn[row, column + round(0.8 * zoom)]
