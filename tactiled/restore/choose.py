@@ -83,6 +83,10 @@ class Auto:
         self._method, self._age = other._method, other._age
         self._wait, self._pause = other._wait, other._pause
 
+    def stay(self) -> None:
+        """Do not ask this time whether linear would do."""
+        self._age = min(self._age, 1)
+
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0
 

@@ -97,6 +97,7 @@ class Windowed:
     def _windowed(self, y: Image) -> Restored:
         self._crop[...] = y[self._taxels]
         self._part_scene.high, self._part_scene.low = self._scene.high, self._scene.low
+        self._part.stay()  # linear was refused on the whole, where more noise shows
         done = self._part(self._crop)
         self._image[self._cells] = done.image
         self._age += 1
