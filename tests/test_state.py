@@ -58,15 +58,16 @@ def test_a_file_that_is_no_state_is_refused_by_name(path, text):
         State(path)
 
 
-def test_what_cannot_be_written_changes_nothing(path, monkeypatch):
+@pytest.mark.parametrize("fails", ["os.fsync", "pathlib.Path.replace"])
+def test_what_cannot_be_written_changes_nothing(path, monkeypatch, fails):
     found = service(path)
     found.set_method("palm", "nnls", keep=True)
     before = path.read_bytes()
 
-    def full(_):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr(fails, full)
     with pytest.raises(StateError, match="No space left on device: nothing was kept"):
         found.set_method("palm", "raw", keep=True)
     assert found.sensor("palm").method == "nnls"
