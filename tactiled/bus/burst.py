@@ -45,7 +45,6 @@ class Burst:
             told = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.size, STAMP.size, 0, 0)
             HEADER.pack_into(self._headers, n * HEADER.size, *told)
         self._fresh = self._headers.raw
-        self._full = False
 
     @staticmethod
     def fits(found: socket.socket) -> bool:
@@ -55,11 +54,10 @@ class Burst:
 
     def take(self, timeout: float) -> list[Frame]:
         """What has come, in order, at most MOST; waits up to `timeout` (s) for the first of it; OSError."""
-        if not self._full and not self._poll.poll(1000 * timeout):
+        if not self._poll.poll(1000 * timeout):
             return []
         ctypes.memmove(self._headers, self._fresh, len(self._fresh))  # the kernel has written into them
         count = self._call(self._descriptor, self._headers, MOST, socket.MSG_DONTWAIT, None)
-        self._full = count == MOST
         if count < 0:
             code = ctypes.get_errno()
             if code == errno.EAGAIN:

@@ -5,6 +5,7 @@ import os
 import socket
 import struct
 import time
+from threading import Timer
 
 import pytest
 
@@ -73,6 +74,17 @@ def test_more_than_one_call_takes_is_there_at_the_next(ends, monkeypatch):
         theirs.send(classic(n, b""))
     assert [[each.id for each in burst.take(0.0)] for _ in range(3)] == [[0, 1, 2, 3], [4, 5, 6, 7], []]
     assert MOST >= 64
+
+
+def test_after_a_call_that_took_all_there_was_room_for_the_next_frame_is_waited_for(ends, monkeypatch):
+    monkeypatch.setattr("tactiled.bus.burst.MOST", 4)
+    ours, theirs = ends
+    burst = Burst(ours.fileno())
+    for n in range(4):
+        theirs.send(classic(n, b""))
+    assert len(burst.take(1.0)) == 4
+    Timer(0.1, theirs.send, (classic(9, b""),)).start()
+    assert [each.id for each in burst.take(30.0)] == [9]
 
 
 def test_nothing_comes_of_a_bus_that_falls_silent_and_it_is_waited_for(ends):
