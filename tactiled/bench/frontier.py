@@ -9,23 +9,19 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from skimage import restoration
 
 from tactiled.bench.machine import describe
-from tactiled.bench.restore import nrmse, richardson_lucy, wiener
-from tactiled.bench.skin import Film, Floats, Frames, Skin, films
+from tactiled.bench.peers import STOPS, Restore, absent, ours, peers
+from tactiled.bench.restore import nrmse
+from tactiled.bench.skin import Film, Frames, Skin, films
 from tactiled.restore.lucy import Lucy
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.scene import Scene
 
-Restore = Callable[[Frames], Any]
 Run = tuple[Restore, Callable[[], None]]  # a frame's restoration, and what forgets the frames so far
 
-unsupervised: Callable[..., tuple[Any, Any]] = restoration.unsupervised_wiener  # scikit-image has no types
-
-BALANCES = (0.1, 0.3, 1.0)  # of scikit-image's Wiener filter, times the noise over the peak: 0.3 suits most scenes
-STOPS = (10, 30, 100)  # iterations of scikit-image's Richardson-Lucy
 SHORT, LONG = 5, 200  # iterations of ours beside its own
+SAME = 0.01  # of an error: images that differ by less are called the same
 FLOOR = "best linear filter, told the truth's spectrum"
 
 
@@ -93,6 +89,37 @@ def beaten(panel: Panel, method: str = "auto") -> list[Mark]:
     ]
 
 
+def best_peer(panel: Panel) -> Mark | None:
+    """The most accurate mark that is none of ours."""
+    return min((mark for mark in panel.marks if not mark.ours), key=lambda mark: mark.nrmse, default=None)
+
+
+def rivals(panel: Panel) -> str:
+    """What beats `auto` in a panel, and by how much."""
+    mine = panel.mark("auto")
+    said = (
+        f"{each.method}, by {100 * (1 - each.nrmse / mine.nrmse):.1f} % of the error and"
+        f" {100 * (1 - each.median / mine.median):.0f} % of the time"
+        for each in beaten(panel)
+    )
+    return "; ".join(said) or "nothing"
+
+
+def verdict(found: Sequence[Panel]) -> Iterator[str]:
+    """Say where `auto` is on the Pareto front, where it is not, and why not."""
+    lost = [one for one in found if beaten(one)]
+    yield f"auto is on the Pareto front in {len(found) - len(lost)} of {len(found)} panels."
+    for one in lost:
+        mine = one.mark("auto")
+        better = [each for each in beaten(one) if each.nrmse < (1 - SAME) * mine.nrmse]
+        why = (
+            "it chose another method, and not the best"
+            if better
+            else "it comes to the same image, and the time is what it takes to choose"
+        )
+        yield f"Not at {one.skin}, {100 * one.noise:g} % noise: {rivals(one)}. Why: {why}."
+
+
 def panels(skins: Iterable[Skin], effort: Effort, seed: int) -> Iterator[Panel]:
     """Measure every skin at every noise."""
     for skin in skins:
@@ -108,12 +135,12 @@ def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
     for film in films(skin, noise, effort.frames, seed):
         floors.append(floor(skin, film))
         for name, (run, forget) in _runs(skin, film, noise, effort.stops).items():
-            rounds = effort.rounds if _ours(name) else effort.peers
+            rounds = effort.rounds if ours(name) else effort.peers
             played = [_play(run, forget, film) for _ in range(rounds)]
             errors.setdefault(name, []).append(played[0][0])
             for all_, (_, took) in zip(times.setdefault(name, [[] for _ in range(rounds)]), played, strict=True):
                 all_ += took
-    marks = [Mark(name, _ours(name), float(np.mean(errors[name])), *_least(times[name])) for name in errors]
+    marks = [Mark(name, ours(name), float(np.mean(errors[name])), *_least(times[name])) for name in errors]
     chosen = front([(mark.median, mark.nrmse) for mark in marks])
     told = tuple(Mark(**asdict(mark) | {"front": n in chosen}) for n, mark in enumerate(marks))
     return Panel(skin.name, skin.thickness, noise, float(np.mean(floors)), told)
@@ -132,10 +159,6 @@ def floor(skin: Skin, film: Film) -> float:
     gain[modes.head] = modes.gain
     left_over = power * film.sigma**2 / np.maximum(gain**2 * power + film.sigma**2, 1e-300)
     return float(np.sqrt(left_over.sum() / power.sum()))
-
-
-def _ours(name: str) -> bool:
-    return not name.startswith("skimage")
 
 
 def _least(rounds: list[list[float]]) -> tuple[float, float]:
@@ -160,7 +183,8 @@ def _runs(skin: Skin, film: Film, noise: float, stops: tuple[int, ...]) -> dict[
     for count in (SHORT, LONG):
         runs[f"rl {count}"] = _lucy(skin, film, count)
     if skin.psf is not None:
-        runs |= {name: (run, lambda: None) for name, run in _skimage(skin.psf, noise, stops).items()}
+        theirs = peers(skin.psf, film.frames.shape[1:], noise, stops)
+        runs |= {name: (run, lambda: None) for name, run in theirs.items()}
     return runs
 
 
@@ -182,23 +206,6 @@ def _lucy(skin: Skin, film: Film, iterations: int) -> Run:
     return run, lambda: None
 
 
-def _skimage(psf: Floats, noise: float, stops: tuple[int, ...]) -> dict[str, Restore]:
-    """scikit-image's methods at settings that need no truth."""
-    single = psf.astype(np.float32)
-
-    def filtered(balance: float) -> Restore:
-        return lambda frame: wiener(frame, single, balance, clip=False)
-
-    def lucy(count: int) -> Restore:
-        return lambda frame: richardson_lucy(
-            np.maximum(frame, 0), single, count, clip=False, filter_epsilon=1e-6 * float(frame.max())
-        )
-
-    runs: dict[str, Restore] = {f"skimage wiener {k:g}": filtered(k * noise) for k in BALANCES}
-    runs["skimage unsupervised"] = lambda frame: unsupervised(frame, psf, clip=False, rng=0)[0]
-    return runs | {f"skimage rl {count}": lucy(count) for count in stops}
-
-
 def write(folder: Path, found: list[Panel], seed: int) -> None:
     """Put the marks into frontier.csv, and into frontier.json what `auto` is worth beside them."""
     with (folder / "frontier.csv").open("w", newline="", encoding="utf-8") as file:
@@ -218,7 +225,8 @@ def summary(found: list[Panel], seed: int) -> dict[str, Any]:
         asdict(one) | {"beats auto": {each.method: _by(each, one.mark("auto")) for each in beaten(one)}}
         for one in found
     ]
-    return {"seed": seed, "machine": describe(), "threads": 1, "floor": FLOOR, "panels": told}
+    machine = {"machine": describe(), "threads": 1, "peers not installed": absent()}
+    return {"seed": seed} | machine | {"floor": FLOOR, "panels": told}
 
 
 def _by(better: Mark, than: Mark) -> dict[str, float]:

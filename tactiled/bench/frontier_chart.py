@@ -9,6 +9,7 @@ from matplotlib.lines import Line2D
 
 from tactiled.bench.charts import COLOURS, figure
 from tactiled.bench.frontier import FLOOR, Mark, Panel
+from tactiled.bench.peers import ours
 
 BLUE, RED, GREEN, PINK, BLACK, SKY = COLOURS
 GREY = "#777777"
@@ -27,6 +28,8 @@ STYLES = {  # name as it begins -> label, mark, colour; the longest that fits co
     "skimage wiener": ("scikit-image wiener, 3 weights", "o", BLUE),
     "skimage unsupervised": ("scikit-image unsupervised_wiener", "D", PINK),
     "skimage rl": ("scikit-image richardson_lucy: 10, 30, 100", "s", RED),
+    "opencv wiener": ("OpenCV, Wiener on its dft, 3 weights", "h", SKY),
+    "pyproximal nnls": ("pyproximal, NNLS by FISTA: 10, 30", "^", BLACK),
 }
 
 
@@ -92,7 +95,7 @@ def _mark(axes: Axes, mark: Mark, top: float) -> None:
 
 def _legend(drawn: Figure, panel: Panel) -> None:
     present = [STYLES[key] for key in STYLES if any(style(m.method) is STYLES[key] for m in panel.marks)]
-    hollow = {label for label, *_ in present if label.startswith("scikit") or label == "nnls"}
+    hollow = {STYLES[key][0] for key in STYLES if not ours(key) or key == "nnls"}
     handles = [
         Line2D(
             [],

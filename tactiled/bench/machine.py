@@ -2,15 +2,24 @@
 
 import os
 import platform
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+LIBRARIES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "pyproximal")  # the last two if installed
 
 
 def describe() -> str:
     """One line: processor, cores, system, Python and the libraries that set the pace."""
-    libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "scikit-image"))
+    libraries = ", ".join(f"{name} {told}" for name in LIBRARIES if (told := _version(name)))
     system = f"{platform.system()} {platform.release()}"
     return f"{_processor()}, {os.cpu_count()} cores, {system}, Python {platform.python_version()}, {libraries}"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
 
 
 def _processor() -> str:

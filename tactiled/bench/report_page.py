@@ -19,6 +19,7 @@ from tactiled.bench import (
 from tactiled.bench import stability_chart as charts
 from tactiled.bench.machine import describe
 from tactiled.bench.page import chart, page, table, text, tiles
+from tactiled.bench.peers import absent
 from tactiled.bench.report import Findings
 from tactiled.bench.signs import SIGNS
 
@@ -79,15 +80,15 @@ def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
         f"{min(times):.0f} to {max(times):.0f} µs a frame",
         "auto's median, from the easiest panel to the hardest",
     )
-    peers = [_best(one, "skimage") for one in found.panels]
+    peers = [frontier.best_peer(one) for one in found.panels]
     if all(peers):
         faster = [p.median / o.mark("auto").median for p, o in zip(peers, found.panels, strict=True) if p]
         better = sum(o.mark("auto").nrmse < p.nrmse for p, o in zip(peers, found.panels, strict=True) if p)
         yield (
             f"{np.median(faster):.0f} x as fast",
             (
-                f"as scikit-image's most accurate setting of each panel, and more accurate in {better} of"
-                f" {len(peers)}"
+                f"as the most accurate setting of others' methods in each panel, and more accurate in {better}"
+                f" of {len(peers)}"
             ),
         )
     broken = [one for one in stability.table(found.sweeps) if one.method == "auto" and one.breaks_at]
@@ -95,11 +96,6 @@ def _headlines(found: Findings) -> Iterator[tuple[str, str]]:
     if len(broken) > 3:
         names += f" and {len(broken) - 3} more"
     yield f"{len(broken)} of {len(found.sweeps)} faults", f"make auto worse than the raw image: {names or 'none'}"
-
-
-def _best(panel: frontier.Panel, begins: str) -> frontier.Mark | None:
-    same = [mark for mark in panel.marks if mark.method.startswith(begins)]
-    return min(same, key=lambda mark: mark.nrmse, default=None)
 
 
 def _speed(folder: Path, found: Findings) -> Iterator[str]:
@@ -111,8 +107,8 @@ def _speed(folder: Path, found: Findings) -> Iterator[str]:
     )
     yield chart(
         folder / "frontier.svg",
-        "Error against time: filled marks are ours, hollow ones scikit-image's at fixed settings (nnls, under"
-        " auto's star, is hollow to be seen). An arrow marks what lies above the scale.",
+        "Error against time: filled marks are ours, hollow ones others' at fixed settings (nnls, under auto's"
+        " star, is hollow to be seen). An arrow marks what lies above the scale.",
     )
     yield table(
         (
@@ -122,37 +118,32 @@ def _speed(folder: Path, found: Findings) -> Iterator[str]:
             "raw",
             "wiener",
             "rl-fast",
-            "scikit-image's best",
+            "others' best",
             "floor",
             "beats auto in both",
         ),
         (_panel_row(one) for one in found.panels),
         good="nothing",
     )
-    yield "<p class='soft'>NRMSE at the median time. scikit-image's best is picked with the truth at hand.</p>"
+    yield "<p class='soft'>NRMSE at the median time. Others' best is picked with the truth at hand.</p>"
+    yield text(*frontier.verdict(found.panels), *_missing())
+
+
+def _missing() -> Iterator[str]:
+    if names := absent():
+        yield f"Left out, as they are not installed (extra `peers`): {', '.join(names)}."
 
 
 def _panel_row(one: frontier.Panel) -> tuple[str, ...]:
-    cells = (
-        _cell(_best(one, name)) if name == "skimage" else _cell(one.mark(name))
-        for name in ("auto", "raw", "wiener", "rl-fast", "skimage")
-    )
-    return (one.skin.replace(" ", "\u00a0"), f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}", rivals(one))
+    cells = [_cell(one.mark(name)) for name in ("auto", "raw", "wiener", "rl-fast")]
+    peer = frontier.best_peer(one)
+    theirs = f"{_cell(peer)}, {peer.method}" if peer else "–"
+    skin = one.skin.replace(" ", "\u00a0")
+    return (skin, f"{100 * one.noise:g} %", *cells, theirs, f"{one.floor:.3f}", frontier.rivals(one))
 
 
-def _cell(mark: frontier.Mark | None) -> str:
-    return f"{mark.nrmse:.3f} at {mark.median:.0f}\u00a0µs" if mark else "–"
-
-
-def rivals(one: frontier.Panel) -> str:
-    """What beats auto in a panel, and by how much."""
-    mine = one.mark("auto")
-    said = (
-        f"{each.method}, by {100 * (1 - each.nrmse / mine.nrmse):.1f} % of the error and"
-        f" {100 * (1 - each.median / mine.median):.0f} % of the time"
-        for each in frontier.beaten(one)
-    )
-    return "; ".join(said) or "nothing"
+def _cell(mark: frontier.Mark) -> str:
+    return f"{mark.nrmse:.3f} at {mark.median:.0f}\u00a0µs"
 
 
 def _limits(folder: Path, found: Findings) -> Iterator[str]:

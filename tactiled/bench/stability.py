@@ -213,8 +213,8 @@ def sound(found: Found, method: str) -> list[Row]:
 
 
 def false_warnings(found: Found, method: str) -> list[str]:
-    """What the service would say of sound images."""
-    return sorted(said for row in sound(found, method) for said in row.warned)
+    """What the service would say of sound images that are no worse than raw."""
+    return sorted(said for row in sound(found, method) if row.over_raw <= WORSE for said in row.warned)
 
 
 def limits(found: Found, method: str) -> Limits:

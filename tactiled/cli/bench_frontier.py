@@ -25,10 +25,10 @@ def frontier(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer covers, noises and frames.")] = False,
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
-    """Chart error against time for every method of ours and for scikit-image's, in one run on one thread."""
+    """Chart error against time for every method of ours and for others', in one run on one thread."""
     from tactiled.bench import frontier as measure  # matplotlib and scikit-image take a second
     from tactiled.bench.frontier_chart import draw
-    from tactiled.bench.report_page import rivals
+    from tactiled.bench.peers import absent
     from tactiled.bench.skin import configured, rubber
 
     effort = measure.QUICK if quick else measure.Effort()
@@ -41,8 +41,10 @@ def frontier(
     draw(folder / "frontier.svg", found)
     console = Console(soft_wrap=True, highlight=False)
     console.print(_table(found))
-    for one in found:
-        console.print(f"{one.skin}, {100 * one.noise:g} %: auto is beaten in both by: {rivals(one)}")
+    for line in measure.verdict(found):
+        console.print(line)
+    if names := absent():
+        console.print(f"Left out, as they are not installed (extra peers): {', '.join(names)}.")
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/frontier.svg, frontier.csv, frontier.json")
 
@@ -57,16 +59,19 @@ def made(folder: Path) -> Path:
 
 
 def _table(found: "list[measure.Panel]") -> Table:
-    """One row a panel: error and time of ours, the better of scikit-image's settings."""
+    """One row a panel: error and time of ours, the best of others' settings."""
+    from tactiled.bench.peers import ours
+
     table = Table(title="NRMSE, and median µs a frame", title_justify="left")
-    names = ("auto", "raw", "wiener", "nnls", "tv", "rl", "rl-fast", "skimage wiener", "skimage rl")
+    names = ["auto", "raw", "wiener", "nnls", "tv", "rl", "rl-fast"]
+    names += ["skimage wiener", "skimage rl", "opencv wiener", "pyproximal nnls"]
     for name in ("cover", "noise", *names, "floor"):
         table.add_column(name.replace(" ", "\n"), no_wrap=True)
     for one in found:
         cells = []
         for name in names:
             same = [mark for mark in one.marks if mark.method == name or mark.method.startswith(f"{name} ")]
-            best = min(same if name.startswith("skimage") else same[:1], key=lambda mark: mark.nrmse, default=None)
+            best = min(same if not ours(name) else same[:1], key=lambda mark: mark.nrmse, default=None)
             cells.append(f"{best.nrmse:.3f}\n{best.median:.0f}" if best else "–")
         table.add_row(one.skin, f"{100 * one.noise:g} %", *cells, f"{one.floor:.3f}")
     return table

@@ -1,4 +1,5 @@
 import csv
+import importlib.util
 import json
 from itertools import pairwise
 
@@ -6,7 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tactiled.bench.frontier import QUICK, Effort, Mark, Panel, beaten, floor, front, panel
+from tactiled.bench import peers
+from tactiled.bench.frontier import QUICK, Effort, Mark, Panel, beaten, floor, front, panel, verdict
+from tactiled.bench.restore import nrmse
 from tactiled.bench.skin import configured, films, mistaken, rubber
 from tactiled.cli.app import app
 from tactiled.config.example import EXAMPLE, GRASP
@@ -55,7 +58,42 @@ def test_restoring_beats_the_raw_image_and_peers_are_there(skin):
         "skimage wiener 1",
         "skimage unsupervised",
         "skimage rl 3",
+        "opencv wiener 0.3",
+        "opencv wiener 1",
+        "opencv wiener 3",
+        "pyproximal nnls 3",
     }
+
+
+def test_peers_that_are_not_installed_are_left_out_and_named(skin, monkeypatch):
+    there = importlib.util.find_spec
+    monkeypatch.setattr(peers, "find_spec", lambda name: None if name in ("cv2", "pyproximal") else there(name))
+    assert peers.absent() == ["opencv", "pyproximal"]
+    assert {name.split()[0] for name in peers.peers(skin.psf, (12, 12), 0.01)} == {"skimage"}
+
+
+@pytest.mark.parametrize("name", ["opencv wiener 0.3", "pyproximal nnls 30"])
+def test_peers_put_a_press_back_where_it_was(skin, name):
+    x = np.zeros((12, 12), np.float32)
+    x[3, 7], x[8, 4] = 100, 50
+    frame = np.asarray(skin.blur.forward(x))
+    image = peers.peers(skin.psf, (12, 12), 0.001, (3, 30))[name](frame)
+    assert image.shape == x.shape
+    assert nrmse(image, x) < 0.5 * nrmse(frame, x)
+    assert image[3, 7] == pytest.approx(100, rel=0.1)
+    assert image[8, 4] == pytest.approx(50, rel=0.1)
+
+
+def test_a_verdict_says_where_auto_is_beaten_and_why():
+    def told(*others):
+        return Panel("a", 1.0, 0.01, 0.1, (Mark("auto", True, 0.2, 50, 60), *others))
+
+    same, best = Mark("nnls", True, 0.2, 40, 60), Mark("tv", True, 0.1, 40, 60)
+    said = list(verdict([told(), told(same), told(same, best)]))
+    assert said[0] == "auto is on the Pareto front in 1 of 3 panels."
+    assert "nnls, by 0.0 % of the error and 20 % of the time" in said[1]
+    assert "the same image" in said[1]
+    assert "not the best" in said[2]
 
 
 def test_no_linear_filter_passes_the_floor_in_the_mean(skin):
