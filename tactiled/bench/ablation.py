@@ -1,68 +1,148 @@
-"""What each rule of `auto` earns: its frames restored without it, in time and in error."""
+"""What each rule of `auto` earns: films restored with all rules, and with one of them off."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from time import perf_counter
+from itertools import pairwise
+from time import thread_time
 
 import numpy as np
 
-from tactiled.bench.skin import Film, Skin, films
-from tactiled.restore.methods import make
+from tactiled.bench.restore import nrmse
+from tactiled.bench.skin import Film, Frames, Skin, films
+from tactiled.restore.choose import REVIEW, Auto
+from tactiled.restore.linear import Filter
+from tactiled.restore.modes import Image
+from tactiled.restore.scene import Restored, Scene
 
-RULES = {
-    "idle": "a frame of noise is left empty",
-    "raw": "a cover that hardly matters is left alone",
-    "wiener": "a linear image that hardly falls below zero is kept",
-    "memory": "the frame before is started from, and its method kept on the border",
-}
 ROUNDS = 3  # over which the least time of a frame counts
+REST = 2  # idle frames before every scene
+FAINTEST = 0.4  # of a scene, to which one that rises from nothing comes: where rules give way to one another
+
+
+class _NoIdle(Auto):
+    def rests(self, y: Image) -> bool:
+        del y
+        return False
+
+
+class _NoRaw(Auto):
+    def _untouched(self, chosen: Filter) -> bool:
+        del chosen
+        return False
+
+
+class _NoLinear(Auto):
+    def _linear(self, image: Image) -> bool:
+        del image
+        return False
+
+
+class _NoPoints(Auto):
+    def _pointed(self, y: Image) -> int:
+        del y
+        return 0
+
+
+class _NoPause(Auto):
+    def _pointed(self, y: Image) -> int:
+        self._wait = 0
+        return super()._pointed(y)
+
+
+class _NoStay(Auto):
+    def _reach(self, method: str) -> float:
+        del method
+        return 1.0
+
+
+class _NoReview(Auto):
+    def _some(self, y: Image) -> Restored:
+        self._age = REVIEW
+        return super()._some(y)
+
+
+class _NoWarm(Auto):
+    def _iterated(self, y: Image) -> Restored:
+        self._nonneg.reset()
+        return super()._iterated(y)
+
+
+class _NoGoingOn(Auto):
+    def _pointed(self, y: Image) -> int:
+        self.points.reset()
+        return super()._pointed(y)
+
+
+RULES: dict[str, tuple[str, type[Auto]]] = {
+    "idle": ("a frame of noise is left empty", _NoIdle),
+    "raw": ("a cover that hardly matters is left alone", _NoRaw),
+    "wiener": ("a linear image that hardly falls below zero is kept", _NoLinear),
+    "points": ("a few points are fitted where they explain the frame", _NoPoints),
+    "pause": ("points are left alone for a while after a fit that did not stand", _NoPause),
+    "stay": ("the method of the frame before is kept on the border", _NoStay),
+    "review": ("linear is asked for again at every eighth frame only", _NoReview),
+    "warm start": ("iterations go on from the image before", _NoWarm),
+    "warm points": ("points go on from those before", _NoGoingOn),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Earned:
-    """One rule, on the frames that it decided: as it is, and without it."""
+    """One rule: all frames as they are, and without it."""
 
     rule: str
-    frames: int
+    frames: int  # that come out otherwise without it
     of: int
-    time: float  # microseconds a frame, median
+    time: float  # microseconds a frame, mean
     time_without: float
-    error: float  # root mean square over the noise of a taxel, mean
+    median: float  # of the same
+    median_without: float
+    error: float  # NRMSE of the pressed frames, mean
     error_without: float
+    worse: float  # the error without it over the error with it, on the pressed frames that come out otherwise
+    changes: int  # of the method from one frame to the next
+    changes_without: int
+
+
+@dataclass(slots=True)
+class _Played:
+    """One film through one `auto`."""
+
+    images: list[Frames]
+    methods: list[str]
+    times: list[float]  # microseconds of the thread's own clock, the least of the rounds
+    errors: list[float]  # NaN where nothing was pressed
 
 
 def measure(skins: list[Skin], noises: tuple[float, ...], frames: int, seed: int) -> list[Earned]:
-    """Play films, an idle one among them, to auto, to auto made to forget every frame, and to nnls.
-
-    Without its rule a frame would go down auto's line to nnls, so that is what the rule is held against;
-    without memory it is auto, reset before every frame.
-    """
-    told: dict[str, list[tuple[float, ...]]] = {rule: [] for rule in RULES}
-    total = 0
+    """Play films, each of a scene that moves after a rest, to `auto` with every rule off in turn."""
+    found: dict[str, list[_Played]] = {name: [] for name in ("auto", *RULES)}
     for film, skin in _films(skins, noises, frames, seed):
-        chosen, *auto = _play(skin, film, "auto")
-        _, *nnls = _play(skin, film, "nnls")
-        _, *forgetful = _play(skin, film, "auto", forget=True)
-        for n, method in enumerate(chosen):
-            total += 1
-            mine = auto[0][n], auto[1][n]
-            if method in told:
-                told[method].append((*mine, nnls[0][n], nnls[1][n]))
-            if n:
-                told["memory"].append((*mine, forgetful[0][n], forgetful[1][n]))
-    return [_earned(rule, rows, total) for rule, rows in told.items() if rows]
+        for name, played in found.items():
+            played.append(_play(skin, film, RULES[name][1] if name in RULES else Auto))
+    return [_earned(rule, found["auto"], found[rule]) for rule in RULES]
 
 
-def _earned(rule: str, rows: list[tuple[float, ...]], total: int) -> Earned:
-    time, error, time_without, error_without = np.array(rows).T
+def _earned(rule: str, with_: list[_Played], without: list[_Played]) -> Earned:
+    pairs = [pair for a, b in zip(with_, without, strict=True) for pair in zip(a.images, b.images, strict=True)]
+    other = np.array([not np.allclose(a, b, rtol=1e-3, atol=1e-3 * float(np.abs(a).max())) for a, b in pairs])
+    times = [np.array([time for each in played for time in each.times]) for played in (with_, without)]
+    errors = [np.array([error for each in played for error in each.errors]) for played in (with_, without)]
+    there = other & np.isfinite(errors[0])
+    changes = [sum(a != b for each in played for a, b in pairwise(each.methods)) for played in (with_, without)]
     return Earned(
         rule=rule,
-        frames=len(rows),
-        of=total,
-        time=float(np.median(time)),
-        time_without=float(np.median(time_without)),
-        error=float(error.mean()),
-        error_without=float(error_without.mean()),
+        frames=int(other.sum()),
+        of=other.size,
+        time=float(times[0].mean()),
+        time_without=float(times[1].mean()),
+        median=float(np.median(times[0])),
+        median_without=float(np.median(times[1])),
+        error=float(np.nanmean(errors[0])),
+        error_without=float(np.nanmean(errors[1])),
+        worse=float(errors[1][there].mean() / errors[0][there].mean()) if there.any() else 1.0,
+        changes=changes[0],
+        changes_without=changes[1],
     )
 
 
@@ -70,25 +150,33 @@ def _films(skins: list[Skin], noises: tuple[float, ...], frames: int, seed: int)
     for skin in skins:
         for noise in noises:
             for film in films(skin, noise, frames, seed):
-                yield film, skin
-        random = np.random.default_rng([seed, 9])
-        idle = random.normal(0, 1, (frames, *skin.array.frame_shape)).astype(np.float32)
-        yield Film("idle", 1.0, idle, np.zeros(idle.shape)), skin
+                random = np.random.default_rng([seed, 9])
+                idle = random.normal(0, film.sigma, (REST, *skin.array.frame_shape)).astype(np.float32)
+                moving = np.concatenate([idle, film.frames])
+                yield Film(film.scene, film.sigma, moving, np.concatenate([0 * idle, film.truths])), skin
+            yield _rising(next(films(skin, noise, 1, seed, ("blobs",))), frames, seed), skin
 
 
-def _play(skin: Skin, film: Film, name: str, forget: bool = False) -> tuple[list[str], list[float], list[float]]:
-    """The methods that ran, microseconds and error of every frame."""
-    restorer = make(name, skin.blur, film.sigma)
-    times = np.full(len(film.frames), np.inf)
+def _rising(still: Film, frames: int, seed: int) -> Film:
+    """A scene that rises from nothing, slowly, under the same noise."""
+    ramp = np.linspace(0, FAINTEST, frames + REST).reshape(-1, *[1] * (still.frames.ndim - 1))
+    white = np.random.default_rng([seed, 10]).normal(0, still.sigma, (len(ramp), *still.frames.shape[1:]))
+    return Film("rising", still.sigma, (ramp * still.frames + white).astype(np.float32), ramp * still.truths)
+
+
+def _play(skin: Skin, film: Film, kind: type[Auto]) -> _Played:
+    scene = Scene(skin.blur, film.sigma)
+    auto = kind(scene)
+    least = np.full(len(film.frames), np.inf)
     for _ in range(ROUNDS):
-        restorer.reset()
-        chosen, errors = [], []
+        auto.reset()
+        images, methods, errors = [], [], []
         for n, (frame, truth) in enumerate(zip(film.frames, film.truths, strict=True)):
-            if forget:
-                restorer.reset()
-            start = perf_counter()
-            done = restorer(frame)
-            times[n] = min(times[n], 1e6 * (perf_counter() - start))
-            chosen.append(done.method)
-            errors.append(float(np.sqrt(np.mean((done.image - truth) ** 2))) / film.sigma)
-    return chosen, times.tolist(), errors
+            start = thread_time()
+            scene.high, scene.low = frame.item(frame.argmax()), frame.item(frame.argmin())
+            done = auto(frame)
+            least[n] = min(least[n], 1e6 * (thread_time() - start))
+            images.append(done.image.copy())
+            methods.append(done.method)
+            errors.append(nrmse(done.image, truth) if truth.any() else np.nan)
+    return _Played(images, methods, least.tolist(), errors)

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from tactiled.bench import ablation, discriminate, frontier, iterations, picard, stability
+from tactiled.bench import ablation, alarms, discriminate, frontier, iterations, pairs, picard, stability
+from tactiled.bench.pairs import Pair
 from tactiled.bench.skin import Skin, rubber
 from tactiled.bench.sweeps import Setting, Sweep, sweeps
 
@@ -23,7 +24,8 @@ class Plan:
     values: slice
     iterations: int
     trials: int
-    frames: int  # of the ablation's films
+    places: int  # of sound frames
+    frames: int  # of each of the ablation's films
     seed: int
     quick: bool
 
@@ -35,7 +37,7 @@ class Plan:
     @property
     def steps(self) -> int:
         """How often `step` will be called."""
-        return len(self.skins) * len(self.effort.noises) + len(sweeps(self.setting)) + 3 + len(self.grids)
+        return len(self.skins) * len(self.effort.noises) + len(sweeps(self.setting)) + 5 + len(self.grids)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,8 @@ class Findings:
     modes: list[picard.Picard]
     pairs: list[discriminate.Told]
     rules: list[ablation.Earned]
+    together: list[Pair]
+    alarms: alarms.Alarms
 
 
 def plan(skins: tuple[Skin, ...], quick: bool, seed: int) -> Plan:
@@ -55,27 +59,31 @@ def plan(skins: tuple[Skin, ...], quick: bool, seed: int) -> Plan:
     effort = frontier.QUICK if quick else replace(frontier.Effort(), rounds=3)
     setting, values = stability.setting(quick, seed, skins[0] if skins else None)
     chosen = skins or tuple(rubber(t, effort.size) for t in (effort.covers if quick else COVERS))
-    most, trials, frames = (300, 4, 3) if quick else (10_000, 40, 6)
-    return Plan(chosen, effort, setting, values, most, trials, frames, seed, quick)
+    most, trials, places, frames = (300, 4, 4, 6) if quick else (10_000, 40, 120, 40)
+    return Plan(chosen, effort, setting, values, most, trials, places, frames, seed, quick)
 
 
 def measure(todo: Plan, step: Step) -> Findings:
     """Measure it all; `step` is told what was done, `todo.steps` times."""
-    panels, sweeps, pairs = [], [], []
+    panels, sweeps, told = [], [], []
     for panel in frontier.panels(todo.skins, todo.effort, todo.seed):
         panels.append(panel)
         step(f"speed against accuracy: {panel.skin}, {100 * panel.noise:g} %")
     for found in stability.measure(todo.setting, todo.values):
         sweeps.append(found)
         step(f"stability: {found[0].name}")
+    together = list(pairs.measure(todo.setting, todo.quick))
+    step("stability: two at once")
+    sound = alarms.measure(todo.skins, todo.effort.noises, todo.places, todo.seed)
+    step("frames with nothing wrong")
     few = replace(todo.setting, skin=rubber(stability.COVER, 16 if todo.quick else 24), scenes=ITERATED)
     counts = iterations.measure(few, todo.iterations)
     step("iterations")
     modes = [picard.measure(skin, NOISE, todo.seed) for skin in todo.skins]
     step("what can be known")
     for skin in todo.grids:
-        pairs.append(discriminate.measure(skin, NOISE, todo.trials, todo.seed))
+        told.append(discriminate.measure(skin, NOISE, todo.trials, todo.seed))
         step(f"two points: {skin.name}")
     rules = ablation.measure([rubber(0.1, 16), *todo.skins], (0.01, 0.05), todo.frames, todo.seed)
     step("rules of auto")
-    return Findings(panels, sweeps, counts, modes, pairs, rules)
+    return Findings(panels, sweeps, counts, modes, told, rules, together, sound)

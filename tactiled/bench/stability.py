@@ -77,6 +77,8 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
     told: dict[str, tuple[str, Frames, float]] = {}
     for name in ("raw", *OURS):
         restorer = make(name, case.skin.blur, case.noise)
+        for earlier in () if case.before is None else case.before:
+            restorer(earlier, case.flags)
         done = restorer(case.frame, case.flags)
         told[name] = (done.method, done.image.copy(), _rms(restorer.deviation()))
     told |= {name: ("", image, np.nan) for name, image in _theirs(case).items()}

@@ -3,11 +3,13 @@
 import csv
 import json
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tactiled.bench.machine import describe
+from tactiled.bench.pairs import Pair
 from tactiled.bench.stability import OURS, WORSE, Found, Row, alarms, false_warnings, limits, sound, table
 
 
@@ -27,6 +29,11 @@ def write(folder: Path, found: Found, seed: int) -> None:
         "table": failures,
     }
     (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+
+
+def write_pairs(folder: Path, found: Sequence[Pair]) -> None:
+    """Put every image of two faults at once into stability-pairs.csv."""
+    _csv(folder / "stability-pairs.csv", [_flat(row) for pair in found for row in pair.rows])
 
 
 def _flat(row: Row) -> dict[str, Any]:

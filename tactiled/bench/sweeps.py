@@ -14,6 +14,7 @@ from tactiled.simulate.array import FINER
 
 NOISE = 0.01  # of the frame's peak, where it is not what is swept
 CORRELATION = 1.5  # pitches, of correlated noise
+WANDER = 8  # frames, and a quarter of the array, over which a drift stays what it is
 MESSAGE = 5  # taxels: of 12 bits in a classic CAN message
 Flags = NDArray[np.uint8]
 
@@ -38,6 +39,7 @@ class Case:
     noise: float  # kPa, as told
     flags: Flags | None = None
     floor: float = 0.0  # kPa, what rounding alone makes of the noise
+    before: Frames | None = None  # frames (T, ...) that a method sees before it
 
 
 Make = Callable[[float, Setting], Iterator[Case]]
@@ -57,7 +59,7 @@ class Sweep:
     told: bool = True  # whether the model that restores knows of it, by its settings or by flags
 
 
-def _scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats, np.random.Generator]]:
+def scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats, np.random.Generator]]:
     """Every touching scene's clean frame and truth, and random numbers for what goes wrong."""
     for number, scene in enumerate(setting.scenes):
         fine = drawn(skin, scene, setting.seed)
@@ -67,14 +69,15 @@ def _scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats,
         yield scene, clean, truth, np.random.default_rng([setting.seed, number, 2])
 
 
-def _noisy(clean: Floats, noise: float, random: np.random.Generator) -> tuple[Frames, float]:
+def noisy(clean: Floats, noise: float, random: np.random.Generator) -> tuple[Frames, float]:
+    """A frame with white noise, over its peak, and that noise in kPa."""
     sigma = noise * float(clean.max())
     return (clean + random.normal(0, sigma, clean.shape)).astype(np.float32), sigma
 
 
 def _plain(skin: Skin, setting: Setting, noise: float = NOISE) -> Iterator[Case]:
-    for scene, clean, truth, random in _scenes(skin, setting):
-        frame, sigma = _noisy(clean, noise, random)
+    for scene, clean, truth, random in scenes(skin, setting):
+        frame, sigma = noisy(clean, noise, random)
         yield Case(scene, skin, frame, truth, sigma)
 
 
@@ -91,7 +94,7 @@ def white(value: float, setting: Setting) -> Iterator[Case]:
 def correlated(value: float, setting: Setting) -> Iterator[Case]:
     """Noise that neighbours share, % of the peak, its true strength told."""
     skin = setting.skin
-    for scene, clean, truth, random in _scenes(skin, setting):
+    for scene, clean, truth, random in scenes(skin, setting):
         smooth = gaussian_filter(random.normal(0, 1, clean.shape), CORRELATION, mode="wrap")
         sigma = value / 100 * float(clean.max())
         yield Case(scene, skin, (clean + sigma * smooth / smooth.std()).astype(np.float32), truth, sigma)
@@ -100,8 +103,8 @@ def correlated(value: float, setting: Setting) -> Iterator[Case]:
 def rowwise(value: float, setting: Setting) -> Iterator[Case]:
     """An error that all of a row share, % of the peak, over a little white noise; its true strength told."""
     skin = setting.skin
-    for scene, clean, truth, random in _scenes(skin, setting):
-        frame, sigma = _noisy(clean, 0.002, random)
+    for scene, clean, truth, random in scenes(skin, setting):
+        frame, sigma = noisy(clean, 0.002, random)
         rows = value / 100 * float(clean.max()) * random.normal(0, 1, (len(clean), 1))
         told = float(np.hypot(sigma, value / 100 * clean.max()))
         yield Case(scene, skin, (frame + rows).astype(np.float32), truth, told)
@@ -112,6 +115,18 @@ def drift(value: float, setting: Setting) -> Iterator[Case]:
     for case in _plain(setting.skin, setting):
         offset = value / 100 * case.noise / NOISE
         yield Case(case.scene, case.skin, case.frame + np.float32(offset), case.truth, case.noise)
+
+
+def wander(value: float, setting: Setting) -> Iterator[Case]:
+    """An offset that wanders over array and time, % of the peak; only the white noise is told."""
+    skin = setting.skin
+    for scene, clean, truth, random in scenes(skin, setting):
+        wide = (WANDER, *(n / 4 for n in clean.shape))
+        field = gaussian_filter(random.normal(0, 1, (3 * WANDER, *clean.shape)), wide, mode="wrap")
+        peak = float(clean.max())
+        white = random.normal(0, NOISE * peak, field.shape)
+        film = (clean + value / 100 * peak * field / field.std() + white).astype(np.float32)
+        yield Case(scene, skin, film[-1], truth, NOISE * peak, before=film[:-1])
 
 
 def misjudged(value: float, setting: Setting) -> Iterator[Case]:
@@ -222,9 +237,9 @@ def jitter(value: float, setting: Setting) -> Iterator[Case]:
     random = np.random.default_rng([setting.seed, 6])
     rows, columns = skin.array.frame_shape
     places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
-    for scene, _, truth, own in _scenes(skin, setting):
+    for scene, _, truth, own in scenes(skin, setting):
         between = _between(skin, scene, setting.seed)
-        frame, sigma = _noisy(map_coordinates(between, places * FINER, order=3, mode="nearest"), NOISE, own)
+        frame, sigma = noisy(map_coordinates(between, places * FINER, order=3, mode="nearest"), NOISE, own)
         yield Case(scene, skin, frame, truth, sigma)
 
 
@@ -261,6 +276,16 @@ SWEEPS: tuple[Sweep, ...] = (
         "row-wise noise", "% of the peak", (0.1, 0.3, 1, 2, 5, 10, 20), 0.1, rowwise, True, grid=True, told=False
     ),
     Sweep("offset", "% of the peak", (-10, -5, -2, -1, 0, 1, 2, 5, 10), 0, drift, told=False),
+    Sweep(
+        "drift",
+        "% of the peak",
+        (0.1, 0.3, 1, 2, 5, 10, 20),
+        0.1,
+        wander,
+        True,
+        grid=True,
+        told=False,
+    ),
     Sweep("noise misjudged", "true / told", (0.1, 0.2, 0.5, 1, 2, 3, 5, 10), 1, misjudged, True, told=False),
     Sweep("thickness wrong", "% thicker", (-30, -20, -10, -5, 0, 5, 10, 20, 30), 0, thickness, told=False),
     Sweep("modulus wrong", "% stiffer", (-30, -15, 0, 15, 30), 0, young, told=False),

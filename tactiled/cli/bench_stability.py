@@ -13,6 +13,8 @@ from tactiled.bench.machine import describe
 from tactiled.cli.app import bench
 from tactiled.cli.bench_frontier import made
 
+SHOWN = 5  # pairs
+
 
 @bench.command()
 def stability(
@@ -23,10 +25,11 @@ def stability(
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
+    from tactiled.bench import pairs
     from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
     from tactiled.bench.skin import configured
     from tactiled.bench.stability_chart import calibration, draw
-    from tactiled.bench.stability_files import write
+    from tactiled.bench.stability_files import write, write_pairs
     from tactiled.bench.sweeps import sweeps
 
     folder = made(out)
@@ -34,7 +37,9 @@ def stability(
         setting, values = measure.setting(quick, seed, configured(config, sensor) if config else None)
         steps = measure.measure(setting, values)
         found = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
+        together = list(track(pairs.measure(setting, quick), "Two at once", pairs.count(quick), transient=True))
     write(folder, found, seed)
+    write_pairs(folder, together)
     draw(folder / "stability.svg", found)
     draw(folder / "stability-wiener.svg", found, "wiener")
     calibration(folder / "calibration.svg", found)
@@ -53,8 +58,12 @@ def stability(
             console.print(
                 f"auto, {row[0]}: at its worst {row[-3]}; noticed: {row[-2]}; {row[-1] or 'nothing would show it'}"
             )
+    for pair in pairs.worst(together, SHOWN):
+        ratios = ", ".join(f"{method} {over:.2f}" for method, over in pair.over_raw.items() if method != "raw")
+        console.print(f"{pairs.name(pair.faults)}, error over the raw image's: {ratios}")
+    console.print(pairs.verdict(together))
     said, fine = measure.false_warnings(found, "auto"), measure.sound(found, "auto")
     console.print(f"Warnings on {len(fine)} sound images of auto: {len(said)}.")
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/stability.svg, stability-wiener.svg, calibration.svg, stability.csv,")
-    console.print("stability-table.csv, stability.json")
+    console.print("stability-pairs.csv, stability-table.csv, stability.json")

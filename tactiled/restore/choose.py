@@ -116,10 +116,7 @@ class Auto:
         if self._square and self._untouched(filter_):
             return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
         image = self._wiener()
-        np.minimum(image, ZERO, out=self._below)
-        flat, below = image.reshape(-1), self._below.reshape(-1)
-        limit = (self._reach("wiener") * NEGATIVE) ** 2
-        if float(np.dot(below, below)) <= limit * float(np.dot(flat, flat)):
+        if self._linear(image):
             return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
         if self._method not in ITERATED:
             self._nonneg.reset()
@@ -132,6 +129,13 @@ class Auto:
         if chosen.correction(scene.power) >= (reach * SEEN * scene.noise) ** 2:
             return False
         return float(scene.power.sum()) * reach**2 > (CLEAN * scene.noise) ** 2 * scene.power.size
+
+    def _linear(self, image: Image) -> bool:
+        """Whether hardly any of a linear image falls below zero."""
+        np.minimum(image, ZERO, out=self._below)
+        flat, below = image.reshape(-1), self._below.reshape(-1)
+        limit = (self._reach("wiener") * NEGATIVE) ** 2
+        return float(np.dot(below, below)) <= limit * float(np.dot(flat, flat))
 
     def _iterated(self, y: Image) -> Restored:
         done = self._nonneg(self._wiener)

@@ -25,7 +25,9 @@ def tiny(monkeypatch):
     monkeypatch.setattr("tactiled.bench.discriminate.GAPS", (2.0, 4.0))
     made = report.plan((rubber(1.0, 12),), True, 1)
     effort = replace(QUICK, noises=(0.02,), frames=1, rounds=1, stops=(3,))
-    return replace(made, effort=effort, setting=SMALL, values=slice(0, 1), iterations=3, trials=2, frames=2)
+    return replace(
+        made, effort=effort, setting=SMALL, values=slice(0, 1), iterations=3, trials=2, places=1, frames=2
+    )
 
 
 def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tiny, tmp_path):
@@ -61,12 +63,22 @@ def test_unstopped_richardson_lucy_ends_worse_than_stopped():
     assert last["rl"] < last["unstopped"]
 
 
-def test_rules_are_counted_on_the_frames_that_they_decide():
-    found = {one.rule: one for one in ablation.measure([rubber(1.0, 12)], (0.02,), 3, 1)}
-    assert found["idle"].frames == 3
-    assert found["memory"].frames == 2 * 8
-    assert {one.of for one in found.values()} == {3 * 8}
-    assert found["idle"].error <= found["idle"].error_without
+@pytest.fixture(scope="module")
+def earned():
+    return {one.rule: one for one in ablation.measure([rubber(0.1, 12), rubber(1.0, 12)], (0.02,), 10, 1)}
+
+
+def test_every_rule_is_put_out_in_turn(earned):
+    assert set(earned) == set(ablation.RULES)
+    assert {one.of for one in earned.values()} == {2 * 8 * (10 + ablation.REST)}
+    assert len({(one.time, one.error, one.changes) for one in earned.values()}) == 1
+    assert all(one.frames for rule, one in earned.items() if rule not in ("pause", "stay"))
+
+
+def test_what_a_rule_decides_changes_without_it(earned):
+    assert earned["points"].error_without > 1.02 * earned["points"].error
+    assert earned["points"].worse > 1.1
+    assert earned["pause"].error_without == pytest.approx(earned["pause"].error, rel=0.02)
 
 
 def sign_of(frame, case, flags=None):

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tactiled.bench import stability
+from tactiled.bench import pairs, stability
 from tactiled.bench.signs import Signs
 from tactiled.bench.skin import configured, rubber
 from tactiled.bench.stability import (
+    WORSE,
     Row,
     alarms,
     breaks,
@@ -24,6 +25,7 @@ from tactiled.bench.stability import (
 from tactiled.bench.sweeps import SWEEPS, Setting, sweeps
 from tactiled.cli.app import app
 from tactiled.config.example import GRASP
+from tactiled.restore.methods import Restorer
 
 SMALL = Setting(rubber(1.5, 12), 1, ("punches",))
 SWEEP = {sweep.name: sweep for sweep in SWEEPS}
@@ -132,11 +134,15 @@ def test_table_has_a_line_for_every_sweep_and_a_failure_for_every_method():
 def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     few = tuple(SWEEP[name] for name in ("cover", "offset"))
     monkeypatch.setattr("tactiled.bench.sweeps.SWEEPS", few)
+    monkeypatch.setattr(pairs, "FAULTS", {"noise": (3, 10), "offset": (-5, 5)})
     monkeypatch.setattr(stability, "setting", lambda quick, *_: (SMALL, slice(0, 1 + quick)))
     told = CliRunner().invoke(app, ["bench", "stability", "--quick", "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output
     for name in ("stability.svg", "stability-wiener.svg", "calibration.svg"):
         assert (tmp_path / name).read_text().startswith("<?xml")
+    together = list(csv.DictReader((tmp_path / "stability-pairs.csv").read_text().splitlines()))
+    assert {row["sweep"] for row in together} == {"noise 10 % with offset 5 %"}
+    assert "noise 10 % with offset 5 %, error over the raw image's: auto" in told.output
     written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
     expected = 2 * len(stability.OURS + stability.THEIRS)
     assert len(written) == expected
@@ -158,9 +164,54 @@ def test_a_configured_layout_is_swept_where_no_grid_is_needed(tmp_path):
     assert {sweep.name for sweep in SWEEPS} - {sweep.name for sweep in allowed} == {
         "correlated noise",
         "row-wise noise",
+        "drift",
         "over the edge",
         "taxels out of place",
     }
     for sweep in allowed:
         told = [r.method for r in rows(sweep, 0, next(sweep.make(sweep.values[-1], Setting(skin, 1, ("blobs",)))))]
         assert told == ["raw", *stability.OURS]
+
+
+@pytest.fixture(scope="module")
+def both():
+    return list(pairs.measure(Setting(rubber(1.5, 12), 1, ("punches",)), quick=True))
+
+
+def test_every_pair_of_faults_is_made_and_judged(both):
+    assert len(both) == pairs.count(quick=True) == len(pairs.FAULTS) * (len(pairs.FAULTS) - 1) // 2
+    assert {pair.scenes for pair in both} == {1}
+    assert all(pair.over_raw["raw"] == 1 for pair in both)
+    assert all(pair.failed == (pair.over_raw["auto"] > WORSE) for pair in both)
+    assert max(pair.over_raw["auto"] for pair in both) == pairs.worst(both, 3)[0].over_raw["auto"]
+    lines = pairs.lines(pairs.worst(both, 3))
+    assert [len(line) for line in lines] == [len(pairs.HEADINGS)] * 3
+
+
+def test_a_pair_holds_both_of_its_faults():
+    def frame(**faults):
+        (case,) = pairs.combined(SMALL, faults)
+        return case.frame, case.noise
+
+    (plain, sigma), peak = frame(), frame()[0].max()
+    assert np.array_equal(frame(offset=5)[0] > plain, np.ones((12, 12), bool))
+    assert np.count_nonzero(frame(dead=5, offset=5)[0] == 0) == 7
+    assert frame(ceiling=60, noise=10)[0].max() < 0.62 * peak
+    assert frame(noise=10)[1] == pytest.approx(10 * sigma)
+    assert frame(correlated=10)[1] == pytest.approx(np.hypot(10, 1) * sigma)
+    assert not np.allclose(frame(thickness=-20)[0], plain, atol=5 * sigma)
+
+
+def test_a_drift_comes_after_the_frames_that_it_grew_from():
+    (still,), (far,) = (list(SWEEP["drift"].make(value, SMALL)) for value in (0.1, 20))
+    assert still.before.shape == far.before.shape == (23, 12, 12)
+    moved = far.frame - still.frame
+    assert 5 < 100 * np.abs(moved).max() / still.frame.max() < 80
+    assert np.abs(far.before[-1] - far.frame).max() < np.abs(far.before[11] - far.frame).max()
+
+
+def test_what_came_before_is_seen_by_the_method(monkeypatch):
+    seen, restore = [], Restorer.__call__
+    monkeypatch.setattr(Restorer, "__call__", lambda *each: seen.append(1) or restore(*each))
+    rows(SWEEP["drift"], 1, next(SWEEP["drift"].make(1, SMALL)))
+    assert len(seen) == 24 * (1 + len(stability.OURS))
