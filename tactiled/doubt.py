@@ -29,7 +29,6 @@ BELOW = 7.0  # times the noise
 CLEAR = 10.0  # noise standard deviations from which the frame is pressed at all
 LEVEL = 3  # taxels that share the highest value
 RIM = 1.5  # times the highest pressure inside that stands at the rim
-THIN = 0.7  # of the finest pattern that a cover leaves: more, and a taxel hardly feels what is beside it
 
 RESIDUAL = "the image does not explain the frame: is the cover as configured, and every taxel sound?"
 OUTLIER = "single taxels disagree with all around them: dead or damaged? name them in calibration.dead"
@@ -37,7 +36,6 @@ NEGATIVE = "taxels are further below zero than the noise goes: tare, or is there
 LIFTED = "no part of the array is free of pressure: if nothing lies on all of it, tare"
 UNLIKE = "the finest patterns hold less than half the noise told: is it shared by taxels, or less than told?"
 PLATEAU = "several taxels share the highest value: saturated? set calibration.saturation"
-BETWEEN = "points under a cover this thin: what lies between taxels is hardly felt, and its force uncertain"
 EDGE = "a contact reaches over the edge: what presses outside the array is felt inside"
 
 Frames = NDArray[np.float32]
@@ -58,7 +56,6 @@ class Doubt:
         self._most_below = _most_below(int(np.prod(blur.frame_shape)))
         self._there = blur.modes.to_taxel_modes()
         self._weak = _weakest(blur.modes.gain)
-        self._thin = float(blur.modes.gain.min()) > THIN
         self._frames = 0
         self._seen: dict[str, int] = {}
         self._said: tuple[str, ...] = ()
@@ -99,8 +96,6 @@ class Doubt:
         # The image of points shows cells, and their fit, which stood, was of what lies between them.
         if method != "points":
             found += _unexplained(np.abs(predicted[sound] - pressure) / expected)
-        elif self._thin:
-            found.append(BETWEEN)
         if self._grid and self._over_the_edge(image):
             found.append(EDGE)
         return tuple(found)

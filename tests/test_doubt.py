@@ -6,7 +6,6 @@ from tactiled.cover.kernel import solve
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.doubt import (
-    BETWEEN,
     EDGE,
     EVERY,
     IN_A_ROW,
@@ -134,15 +133,6 @@ def test_points_are_not_held_against_the_cells_that_they_are_drawn_on(blur, felt
     doubt = Doubt(blur)
     assert doubt.look(frame, flags, done.image, NOISE, done.method) == ()
     assert doubt.look(frame, flags, 2 * done.image, NOISE, "nnls") != ()
-
-
-def test_points_under_a_cover_that_hides_nothing(blur, felt):
-    thin = Blur.grid(np.pad([[1.0]], SIDE - 1), (SIDE, SIDE))
-    frame = felt(0, 0)
-    flags = np.zeros(frame.shape, np.uint8)
-    assert BETWEEN in Doubt(thin).look(frame, flags, frame, NOISE, "points")
-    assert BETWEEN not in Doubt(thin).look(frame, flags, frame, NOISE, "nnls")
-    assert BETWEEN not in Doubt(blur).look(frame, flags, frame, NOISE, "points")
 
 
 def test_a_ceiling_that_nobody_told(blur, felt):

@@ -12,6 +12,7 @@ from tactiled.bench.signs import signs
 from tactiled.bench.skin import rubber
 from tactiled.bench.sweeps import SWEEPS, Setting, white
 from tactiled.cli.app import app
+from tactiled.restore.choose import Auto
 from tactiled.restore.methods import make
 
 SMALL = Setting(rubber(1.5, 12), 1, ("punches",))
@@ -23,6 +24,7 @@ def tiny(monkeypatch):
     few = tuple(sweep for sweep in SWEEPS if sweep.name in ("cover", "white noise", "offset"))
     monkeypatch.setattr("tactiled.bench.sweeps.SWEEPS", few)
     monkeypatch.setattr("tactiled.bench.discriminate.GAPS", (2.0, 4.0))
+    monkeypatch.setattr("tactiled.bench.pairs.FAULTS", {"noise": (3, 10), "offset": (-5, 5)})
     made = report.plan((rubber(1.0, 12),), True, 1)
     effort = replace(QUICK, noises=(0.02,), frames=1, rounds=1, stops=(3,))
     return replace(
@@ -37,6 +39,9 @@ def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tiny, tmp_p
     assert len(done) == tiny.steps
     assert html.count("<svg") == html.count("</svg>") == 7
     assert not re.search(r'(?:src|href)="(?!#)(?!http://www\.w3\.org)[^"]*//', html)
+    assert "noise 10 % with offset 5 %" in html
+    assert "auto is on the Pareto front in" in html
+    assert "Of 7 more sound frames" in html
     assert "<img" not in html
     assert "<script" not in html
     assert {p.name for p in tmp_path.iterdir()} >= {"frontier.csv", "stability-table.csv", "stability.json"}
@@ -72,7 +77,13 @@ def test_every_rule_is_put_out_in_turn(earned):
     assert set(earned) == set(ablation.RULES)
     assert {one.of for one in earned.values()} == {2 * 8 * (10 + ablation.REST)}
     assert len({(one.time, one.error, one.changes) for one in earned.values()}) == 1
-    assert all(one.frames for rule, one in earned.items() if rule not in ("pause", "stay"))
+    assert all(earned[rule].frames for rule in ("idle", "wiener", "points", "warm start"))
+
+
+def test_a_rule_that_is_out_stands_for_one_that_auto_has():
+    for _, kind in ablation.RULES.values():
+        (instead,) = [name for name in vars(kind) if not name.startswith("__")]
+        assert instead in vars(Auto)
 
 
 def test_what_a_rule_decides_changes_without_it(earned):
