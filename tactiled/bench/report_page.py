@@ -217,8 +217,7 @@ def _failures(folder: Path, found: Findings) -> Iterator[str]:
     )
     yield text(
         "Not to be seen in a frame: an offset or a drift that lifts the array unevenly, or by less than 2 % of the"
-        " highest pressure, while something is pressed, as it is what a wide, faint press would be. It shows once"
-        " the load is gone.",
+        " highest pressure restored, as it is what a wide, faint press would be.",
     )
     known = stability.limits(found.sweeps, "auto")
     worst = sorted(worse, key=lambda row: -row.over_raw)
