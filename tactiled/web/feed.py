@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from tactiled.frames import Image
 from tactiled.service import Sensor
-from tactiled.web import forms
+from tactiled.web import answers, forms
 from tactiled.web.wire import Kind, pack
 
 
@@ -55,19 +55,19 @@ class Feed:
     def text(self, kind: Kind) -> str:
         """The newest image as JSON; LookupError before the first."""
         if kind not in self._text:
-            self._text[kind] = forms.frame(self.sensor, self._newest(), kind).model_dump_json()
+            self._text[kind] = answers.frame(self.sensor, self._newest(), kind).model_dump_json()
         return self._text[kind]
 
     def status(self) -> forms.StreamStatus:
         """The sensor's state, as it was when the clients were last woken."""
         if self._status is None:
-            self._status = forms.stream_status(self.sensor, self.image, self.sensor.status())
+            self._status = answers.stream_status(self.sensor, self.image, self.sensor.status())
         return self._status
 
     async def contacts(self) -> forms.Contacts | None:
         """The contacts in the newest image, looked for once, on another thread; None before the first."""
         if self._contacts is None:
-            self._contacts = asyncio.create_task(asyncio.to_thread(forms.contacts, self.sensor))
+            self._contacts = asyncio.create_task(asyncio.to_thread(answers.contacts, self.sensor))
         return await asyncio.shield(self._contacts)
 
     def _newest(self) -> Image:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tactiled.frames import Image
 from tactiled.service import Sensor
-from tactiled.web import forms
+from tactiled.web import answers
 from tactiled.web.forms import Shown
 
 COLORS = "magma"  # even in lightness, and told apart by the colour-blind
@@ -27,7 +27,7 @@ def colors() -> list[list[int]]:
 
 def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:
     """Draw one image, from 0 to `top` kPa (default: its own peak)."""
-    values = forms.values(sensor, image, kind)
+    values = answers.values(sensor, image, kind)
     peak = top or max(float(np.nanmax(values, initial=0.0)), 1e-6)
     pitch = sensor.array.pitch
     low, high = sensor.array.positions.min(axis=0) - pitch / 2, sensor.array.positions.max(axis=0) + pitch / 2

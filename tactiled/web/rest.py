@@ -10,7 +10,7 @@ from tactiled.errors import StateError
 from tactiled.frames import Image
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.service import Sensor
-from tactiled.web import forms, picture
+from tactiled.web import answers, forms, picture
 from tactiled.web.common import (
     BODY,
     CONTROL,
@@ -57,7 +57,7 @@ router = APIRouter(prefix="/api/v1", responses=WRONG)
 @router.get("/health", tags=["service"])
 def health(service: Served) -> forms.Health:
     """Whether the service runs and every sensor is live; a stale one says since when."""
-    return forms.health(service)
+    return answers.health(service)
 
 
 @router.get("/colormap", tags=["service"])
@@ -69,31 +69,31 @@ def colormap() -> forms.Colormap:
 @router.get("/sensors", tags=["sensors"])
 def sensors(service: Served) -> forms.Sensors:
     """Every sensor and how it is doing."""
-    return forms.Sensors(sensors=tuple(forms.sensor_state(each) for each in service.sensors.values()))
+    return forms.Sensors(sensors=tuple(answers.sensor_state(each) for each in service.sensors.values()))
 
 
 @router.get("/sensors/{name}", tags=["sensors"], responses=NO_SENSOR)
 def sensor_state(sensor: Found) -> forms.SensorState:
     """One sensor and how it is doing."""
-    return forms.sensor_state(sensor)
+    return answers.sensor_state(sensor)
 
 
 @router.get("/sensors/{name}/geometry", tags=["sensors"], responses=NO_SENSOR)
 def geometry(sensor: Found) -> forms.Geometry:
     """Where the taxels and the surface cells are, mm."""
-    return forms.geometry(sensor)
+    return answers.geometry(sensor)
 
 
 @router.get("/sensors/{name}/kernel", tags=["sensors"], responses=NO_SENSOR)
 def kernel(sensor: Found) -> forms.KernelForm:
     """The cover: g(r), its gain G(q), and what they mean for this array."""
-    return forms.kernel(sensor)
+    return answers.kernel(sensor)
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
 def get_method(sensor: Found, service: Served) -> forms.Method:
     """The method asked for."""
-    return forms.method(service, sensor)
+    return answers.method(service, sensor)
 
 
 KEEP: Responses = {409: problem("this service keeps no state"), 503: problem("the state cannot be written")}
@@ -108,13 +108,13 @@ def put_method(sensor: Found, service: Served, asked: forms.MethodAsked) -> form
         service.set_method(sensor.name, asked.method, asked.keep)
     except StateError as error:
         raise Problem(503, str(error)) from error
-    return forms.method(service, sensor)
+    return answers.method(service, sensor)
 
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=NO_SENSOR)
 def calibration(sensor: Found) -> forms.CalibrationForm:
     """What turns counts into kPa now; the configuration sets it, a tare its no_load."""
-    return forms.calibration(sensor)
+    return answers.calibration(sensor)
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | CONTROL)
@@ -127,7 +127,7 @@ def tare(sensor: Found, service: Served) -> forms.Tare:
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | NO_FRAME)
 def contacts(sensor: Found) -> forms.Contacts:
     """Where something touches: centre, force, area, axes, tracked from request to request."""
-    found = forms.contacts(sensor)
+    found = answers.contacts(sensor)
     if found is None:
         raise no_frame(sensor)
     return found
@@ -180,10 +180,10 @@ def _answer(
         content = picture.png(sensor, image, kind, top_kpa)
     elif form == "npy":
         out = BytesIO()
-        np.save(out, forms.values(sensor, image, kind))
+        np.save(out, answers.values(sensor, image, kind))
         content = out.getvalue()
     else:
-        content = forms.frame(sensor, image, kind).model_dump_json().encode()
+        content = answers.frame(sensor, image, kind).model_dump_json().encode()
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 

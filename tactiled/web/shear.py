@@ -9,7 +9,7 @@ from pydantic import Field
 
 from tactiled.bus.codecs import Shearing
 from tactiled.service import State
-from tactiled.web import forms
+from tactiled.web import answers, forms
 from tactiled.web.common import NO_FRAME, NO_SENSOR, NOT_ACCEPTED, Found, Responses, accepted, no_frame
 from tactiled.web.problems import Problem
 
@@ -75,6 +75,6 @@ def shear(
         out = BytesIO()
         np.save(out, image.shear)
         return Response(out.getvalue(), media_type=MEDIA[form], headers=headers)
-    x, y = (forms.numbers(each) for each in image.shear)
+    x, y = (answers.numbers(each) for each in image.shear)
     told = Shear(sensor=sensor.name, sequence=image.sequence, timestamp=image.time, state=state, x=x, y=y)
     return Response(told.model_dump_json(), media_type=MEDIA[form], headers=headers)

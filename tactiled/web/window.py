@@ -11,7 +11,7 @@ from pydantic import Field
 
 from tactiled.history import Kept
 from tactiled.service import Sensor
-from tactiled.web import forms
+from tactiled.web import answers, forms
 from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly
 
 Format = Literal["json", "npy", "npz"]
@@ -117,7 +117,7 @@ def _json(sensor: Sensor, kind: forms.Streamed, kept: Kept) -> Iterator[bytes]:
             sequence=int(kept.sequence[n]),
             timestamp=float(kept.time[n]),
             method=method,
-            values=forms.numbers(kept.values[n]),
+            values=answers.numbers(kept.values[n]),
             flags=kept.flags[n].tolist() if kept.flags[n].any() else None,
         )
         yield (b"," if n else b"") + one.model_dump_json().encode()
