@@ -10,7 +10,9 @@ from tactiled.config import parse
 from tactiled.config.build import sensor_plan
 from tactiled.errors import BusError, ConfigError, UnknownSensorError
 from tactiled.frames import Loss, Message, RawFrame
-from tactiled.service import Listener, Sensor, Service
+from tactiled.listener import Listener
+from tactiled.sensor import Sensor
+from tactiled.service import Service
 from tests.conftest import CONFIG, NO_LOAD, pressed, until
 
 
@@ -111,7 +113,7 @@ class Bus:
 
 def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, monkeypatch):
     bus, sensor = Bus(), Sensor(plan)
-    monkeypatch.setattr("tactiled.service.open_bus", bus.open)
+    monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
     listener = Listener("can0", {}, {"palm": sensor})
     sensor.start()
     listener.start()
@@ -137,7 +139,7 @@ def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, mon
 
 def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkeypatch):
     bus, sensor = Bus(), Sensor(plan)
-    monkeypatch.setattr("tactiled.service.open_bus", bus.open)
+    monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
     listener = Listener("can0", {}, {"palm": sensor})
     listener.start()
     bus.counted = {"dropped": 3, "errors": 2, "bus_off": 1}

@@ -19,7 +19,8 @@ from tactiled.config.build import make_stack
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.config.schema import LOOPBACK
 from tactiled.cover.kernel import solve
-from tactiled.service import Sensor, Service
+from tactiled.sensor import Sensor
+from tactiled.service import Service
 from tactiled.simulate import Player, play, player
 from tactiled.web.server import serve
 

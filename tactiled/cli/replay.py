@@ -11,7 +11,8 @@ from tactiled.bus.replay import Replay
 from tactiled.cli.app import app, choose
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
-from tactiled.service import Sensor, Service
+from tactiled.sensor import Sensor
+from tactiled.service import Service
 from tactiled.web.server import serve
 
 

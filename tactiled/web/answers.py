@@ -10,7 +10,8 @@ from tactiled.config.build import UNCALIBRATED
 from tactiled.cover.meaning import meaning
 from tactiled.frames import Image
 from tactiled.restore.methods import METHODS
-from tactiled.service import Sensor, Service, Status
+from tactiled.sensor import Sensor, Status
+from tactiled.service import Service
 from tactiled.web.forms import (
     DECIMALS,
     CalibrationForm,

@@ -9,7 +9,8 @@ from dataclasses import asdict
 
 from tactiled import foxglove
 from tactiled.frames import Image
-from tactiled.service import Sensor, Service
+from tactiled.sensor import Sensor
+from tactiled.service import Service
 
 STATE_S = 1.0  # a client hears of a sensor's state at least this often
 CONTACTS_S = 0.05  # between two messages on contacts

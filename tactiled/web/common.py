@@ -5,7 +5,8 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
-from tactiled.service import Sensor, Service
+from tactiled.sensor import Sensor
+from tactiled.service import Service
 from tactiled.web.problems import Problem
 
 Responses = dict[int | str, dict[str, Any]]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tactiled.frames import Image
-from tactiled.service import Sensor
+from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
 from tactiled.web.wire import Kind, pack
 

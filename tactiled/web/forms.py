@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactiled.bus.faults import KINDS
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.restore.methods import METHODS
-from tactiled.service import State
+from tactiled.sensor import State
 
 Shown = Literal["raw", "restored", "deviation"]
 Streamed = Literal["raw", "restored"]

@@ -7,7 +7,8 @@ from typing import get_args
 from fastapi import APIRouter, Response
 
 from tactiled.bus.faults import KINDS
-from tactiled.service import Sensor, Service, State, Status
+from tactiled.sensor import Sensor, State, Status
+from tactiled.service import Service
 from tactiled.web.common import Served
 
 MEDIA = "text/plain; version=0.0.4; charset=utf-8"

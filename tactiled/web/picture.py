@@ -10,7 +10,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 from tactiled.frames import Image
-from tactiled.service import Sensor
+from tactiled.sensor import Sensor
 from tactiled.web import answers
 from tactiled.web.forms import Shown
 

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from tactiled.errors import StateError
 from tactiled.frames import Image
 from tactiled.pipeline import TARE_FRAMES
-from tactiled.service import Sensor
+from tactiled.sensor import Sensor
 from tactiled.web import answers, forms, picture
 from tactiled.web.common import (
     BODY,

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from tactiled.bus.codecs import Shearing
-from tactiled.service import State
+from tactiled.sensor import State
 from tactiled.web import answers, forms
 from tactiled.web.common import NO_FRAME, NO_SENSOR, NOT_ACCEPTED, Found, Responses, accepted, no_frame
 from tactiled.web.problems import Problem

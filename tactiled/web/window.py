@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.history import Kept
-from tactiled.service import Sensor
+from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
 from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly
 

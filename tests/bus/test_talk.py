@@ -225,7 +225,7 @@ def adapter(monkeypatch):
         opened.append(Bus())
         return opened[-1]
 
-    monkeypatch.setattr("tactiled.service.open_bus", reopen)
+    monkeypatch.setattr("tactiled.listener.open_bus", reopen)
     return wire, there, opened
 
 

@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
-from tactiled.service import Sensor
+from tactiled.sensor import Sensor
 from tactiled.web import body, patience
 from tactiled.web.keys import Keys
 from tactiled.web.server import running

@@ -1,0 +1,209 @@
+"""One array as it runs: its worker thread, its newest image, and its health."""
+
+import statistics
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.config.build import SensorPlan
+from tactiled.contacts import APART, Contact, Finder, Tracker
+from tactiled.frames import Image, Loss, RawFrame
+from tactiled.history import History
+from tactiled.hub import Hub
+from tactiled.pipeline import Pipeline
+from tactiled.restore.methods import METHODS
+from tactiled.watch import Heard
+
+State = Literal["live", "stale", "silent", "down"]
+PERIODS = 100  # from frame to frame, of which the jitter is told
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How a sensor is doing now."""
+
+    state: State
+    age_s: float | None  # s since the last frame came in; None before the first
+    rate_hz: float  # frames a second, over the last second or so; 0 unless live
+    detail: str  # one line for people
+    loss: Loss
+    jitter_s: float | None = None  # standard deviation of the last periods from frame to frame; None unless live
+    skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
+    errors: Mapping[str, int] = field(default_factory=dict)  # what the bus's error frames told, by kind
+
+
+class Sensor:
+    """One array: a worker thread that restores its newest frame, the newest image, and its health."""
+
+    def __init__(
+        self,
+        plan: SensorPlan,
+        clock: Callable[[], float] = time.monotonic,
+        history: tuple[float, int] = (0.0, 0),  # s and bytes of images that are kept
+    ) -> None:
+        self.name, self.bus_name, self.codec_name, self.codec = plan.name, plan.bus, plan.codec_name, plan.codec
+        self.array, self.kernel, self.cells = plan.array, plan.kernel, plan.cells
+        self.calibration = plan.calibration
+        self.methods = tuple(METHODS)
+        self.hub, self.heard = Hub(), Heard()
+        self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape)
+        self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
+        self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
+        self.errors: Callable[[], Mapping[str, int]] = dict  # what its bus's error frames have told by now
+        self.plan, self._clock = plan, clock
+        self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
+        self._finder = Finder(plan.array, plan.cells)
+        self._tracker = Tracker(APART * plan.array.pitch)
+        self._looking = threading.Lock()
+        self._looked_at: Image | None = None
+        self._contacts: tuple[Contact, ...] = ()
+        self._wake = threading.Condition()
+        self._waiting: RawFrame | None = None
+        self._stopping = False
+        self._skipped = 0
+        self._last: float | None = None
+        self._period = 0.0
+        self._loss = Loss()
+        self._newest: RawFrame | None = None
+        self._periods: deque[float] = deque(maxlen=PERIODS)
+        self._failed: str | None = None
+        self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
+
+    @property
+    def method(self) -> str:
+        """Name of the method asked for."""
+        return self._pipeline.method
+
+    @property
+    def newest(self) -> RawFrame | None:
+        """The newest frame in counts, None before the first; its image may not be made yet."""
+        return self._newest
+
+    def set_method(self, name: str) -> None:
+        """Restore by `name` from the next frame on; ConfigError if there is no such method."""
+        self._pipeline.set_method(name)
+
+    def deviation(self, image: Image) -> NDArray[np.float32]:
+        """Standard deviation (kPa) of every cell of `image.restored`, given its frame and the noise."""
+        return self._pipeline.deviation(image)
+
+    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+        """The newest image and the contacts in it, tracked from call to call; any thread."""
+        with self._looking:
+            image = self.hub.latest()
+            if image is not None and image is not self._looked_at:
+                found = self._finder(image.restored, image.noise_kpa * max(image.noise_gain, 1.0))
+                self._looked_at, self._contacts = image, tuple(self._tracker(found))
+            return image, self._contacts
+
+    def tare(self) -> None:
+        """Take the mean of the next frames as the unloaded array."""
+        self._pipeline.tare()
+
+    @property
+    def no_load(self) -> NDArray[np.float32]:
+        """Counts of each taxel (N,) without a load, as configured or last tared."""
+        return self._pipeline.no_load
+
+    @property
+    def noise_kpa(self) -> float:
+        """Standard deviation of a taxel, configured or measured."""
+        return self._pipeline.noise_kpa
+
+    @property
+    def tared(self) -> int:
+        """How often it was tared."""
+        return self._pipeline.tared
+
+    def start(self) -> None:
+        """Start restoring."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop restoring; returns when the thread has ended."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        self._thread.join()
+
+    def offer(self, frame: RawFrame) -> None:
+        """Take a new frame; one that still waits for its turn is skipped and counted."""
+        self._note_time(frame)
+        with self._wake:
+            self._skipped += self._waiting is not None
+            self._waiting = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
+            self._loss = self._waiting.loss
+            self._wake.notify()
+
+    def show(self, frame: RawFrame) -> None:
+        """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
+        self._note_time(frame)
+        self._loss = frame.loss
+        self._restore(frame)
+
+    def _note_time(self, frame: RawFrame) -> None:
+        """A frame comes now."""
+        last, self._newest = self._newest, frame
+        with self._wake:
+            if last is None or not 0 <= frame.time - last.time < self.plan.stale_after_s:
+                self._periods.clear()
+            elif frame.sequence == last.sequence + 1:
+                self._periods.append(frame.time - last.time)
+        now = self._clock()
+        if self._last is not None:
+            gap = now - self._last
+            self._period += (gap - self._period) * min(1.0, max(gap, 0.02)) if self._period else gap
+        self._last = now
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._stopping or self._waiting is not None)
+                if self._stopping:
+                    return
+                frame, self._waiting = self._waiting, None
+            if frame is not None:
+                self._restore(frame)
+
+    def _restore(self, frame: RawFrame) -> None:
+        """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
+        try:
+            image = self._pipeline.process(frame)
+            self.hub.publish(image)
+            self.history.add(image)
+            self.heard.add(image)
+            self._failed = None
+        except Exception as error:
+            self._failed = f"restoration failed: {type(error).__name__}: {error}"
+
+    def status(self, now: float | None = None) -> Status:
+        """Health at `now` (s on this sensor's clock; default: this moment)."""
+        last = self._last
+        age = None if last is None else max(0.0, (self._clock() if now is None else now) - last)
+        state, detail = self._judge(age)
+        rate = 1 / self._period if state == "live" and self._period else 0.0
+        loss = replace(self.counts(), skipped=self._skipped) if self.counts else self._loss
+        skew = self._newest.skew if self._newest else None
+        jitter = self._jitter() if state == "live" else None
+        return Status(state, age, rate, detail, loss, jitter, skew, self.errors())
+
+    def _jitter(self) -> float | None:
+        """Standard deviation (s) of the last periods, by the times that the bus gave; None of fewer than two."""
+        with self._wake:
+            periods = tuple(self._periods)
+        return statistics.stdev(periods) if len(periods) > 1 else None
+
+    def _judge(self, age: float | None) -> tuple[State, str]:
+        if self.down is not None:
+            return "down", self.down
+        if age is None:
+            return "silent", f"no frame yet on {self.bus_name}"
+        if age > self.plan.stale_after_s:
+            return "stale", f"no frame for {age:.1f} s"
+        return ("stale", self._failed) if self._failed else ("live", "")
