@@ -13,7 +13,7 @@ import { byId, fixed, number, say } from "./paint.js";
 const METHODS = {
   auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
   "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)",
-  tv: "Non-negative, total variation", idle: "idle",
+  tv: "Non-negative, total variation", points: "A few points", idle: "idle",
 };
 
 /** What is counted, by unit. */
