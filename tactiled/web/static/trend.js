@@ -12,7 +12,8 @@ import { roundUp } from "./scale.js";
 /**
  * @typedef {object} Series
  * @property {"raw"|"restored"|"accent"} ink
- * @property {(frame: Frame) => number} of what is drawn of a frame; NaN for nothing
+ * @property {(frame: Frame, into: Float64Array, at: number) => void} put what is drawn of a frame; NaN for nothing.
+ *   Written, not returned: a returned number would be an object for the collector, thousands of them a second
  */
 
 const SPAN_S = 10;
@@ -66,9 +67,10 @@ export class Trend {
       const age = frame ? frame.timestamp - newest.timestamp : NaN;
       if (!frame || !(age >= -SPAN_S && age <= 0)) continue;
       for (let k = 0; k < this._series.length; k += 1) {
-        const value = this._series[k].of(frame);
-        this._lines[k].x[n] = age;
-        this._lines[k].y[n] = value;
+        const { x, y } = this._lines[k];
+        x[n] = age;
+        this._series[k].put(frame, y, n);
+        const value = y[n];
         this._most = Math.max(this._most, value || 0);
         this._lowest = Math.min(this._lowest, value || 0);
       }

@@ -36,9 +36,12 @@ export class Viewer {
     this.maps = new Maps();
     this.section = new Section(byId("section"));
     this.forces = new Trend(byId("forces"), "N", 0.1, [
-      { ink: "raw", of: (frame) => frame.ofRaw.force }, { ink: "restored", of: (frame) => frame.ofRestored.force },
+      { ink: "raw", put: (frame, into, at) => { into[at] = frame.ofRaw.force; } },
+      { ink: "restored", put: (frame, into, at) => { into[at] = frame.ofRestored.force; } },
     ]);
-    this.latencies = new Trend(byId("latencies"), "ms", 5, [{ ink: "accent", of: (frame) => frame.latency }]);
+    this.latencies = new Trend(byId("latencies"), "ms", 5, [
+      { ink: "accent", put: (frame, into, at) => { into[at] = frame.latency; } },
+    ]);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new Pace();
     this.probe = new Probe([this.maps.raw, this.maps.restored], () => this.refresh());
