@@ -10,6 +10,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.interpolate import make_interp_spline
 
 from tactiled.errors import PhysicsError
+from tactiled.restore.aliases import Aliases
 from tactiled.restore.loads import Loads
 from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
 
@@ -35,11 +36,12 @@ class Blur:
         modes: Callable[[], Modes],
         loads: Callable[[], Loads] | None = None,
         cut: Callable[[tuple[int, int]], "Blur"] | None = None,
+        aliases: Callable[[], Aliases | None] | None = None,
     ) -> None:
         self.frame_shape, self.surface_shape = shapes
         self.cell_mm = cell_mm
         self._forward, self._adjoint = pair
-        self._modes, self._loads, self._cut = modes, loads, cut
+        self._modes, self._loads, self._cut, self._aliases = modes, loads, cut, aliases
 
     @classmethod
     def grid(
@@ -79,7 +81,13 @@ class Blur:
             less = (lambda k: _middle(finer(k), part, k)) if finer else None
             return cls.grid(_middle(stencil, part, refine), part, refine, cell_mm, clock, less)
 
-        return cls((shape, surface), cell_mm, pair, lambda: grid_modes(rows, columns, *marginals), loads, cut)
+        def modes() -> Modes:
+            return grid_modes(rows, columns, *marginals)
+
+        def aliases() -> Aliases | None:
+            return Aliases(finer(FINE), shape, FINE) if finer and refine == 1 else None
+
+        return cls((shape, surface), cell_mm, pair, modes, loads, cut, aliases)
 
     @classmethod
     def matrix(cls, A: Floats, cell_mm: float = 1.0) -> "Blur":
@@ -104,6 +112,11 @@ class Blur:
         if self._cut is None or any(n > m for n, m in zip(shape, self.frame_shape, strict=True)):
             raise PhysicsError(f"no {shape} taxels to cut out of {self.frame_shape}: cut less out of a grid")
         return self._cut(shape)
+
+    @cached_property
+    def aliases(self) -> Aliases | None:
+        """What pressure finer than the grid does to the taxels; None where cells are finer or no grid is known."""
+        return self._aliases() if self._aliases else None
 
     def forward(self, x: Array) -> Array:
         """H x, in x's own precision."""

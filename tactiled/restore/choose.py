@@ -8,8 +8,8 @@ from math import log, sqrt
 
 import numpy as np
 
-from tactiled.restore.linear import Filter, Wiener
-from tactiled.restore.modes import Image
+from tactiled.restore.linear import Filter, Wiener, deviation
+from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import ZERO, Nonneg
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Restored, Scene
@@ -90,6 +90,10 @@ class Auto:
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0
 
+    def deviation(self) -> Floats:
+        """Standard deviation (kPa) of every cell of the image last restored: of points the fit's."""
+        return self.points.drawing.deviation() if self.points.found else deviation(self._scene)
+
     def rests(self, y: Image) -> bool:
         """Whether there is nothing in a frame."""
         return self._idle(y, self._reach("idle"))
@@ -139,10 +143,11 @@ class Auto:
 
     def _iterated(self, y: Image) -> Restored:
         done = self._nonneg(self._wiener)
-        gain = self._wiener.filter.noise_gain
         steps = self._pointed(y)
         if steps:
-            return Restored(self.points.image, "points", POINTS, done + steps, gain, self._scene.resolution())
+            drawn, done = self.points.drawing, done + steps
+            return Restored(drawn.image, "points", POINTS, done, drawn.noise_gain, self._scene.resolution())
+        gain = self._nonneg.noise_gain(self._wiener.filter.noise_gain)
         return Restored(self._nonneg.image, "nnls", NNLS, done, gain, self._scene.resolution())
 
     def _pointed(self, y: Image) -> int:

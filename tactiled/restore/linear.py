@@ -5,6 +5,9 @@ import numpy as np
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 
+COVER = 0.03  # of a cover's thickness: better is hardly known
+TINY = 1e-12  # a gain is taken to be no less
+
 
 class Filter:
     """One spectrum's filter h S / (h^2 S + sigma^2), with the total force and the noise that it leaves."""
@@ -55,12 +58,20 @@ class Wiener:
 
 
 def deviation(scene: Scene) -> Floats:
-    """Standard deviation (kPa) of each surface cell, given the frame and the spectrum picked for its scene."""
+    """Standard deviation (kPa) of each surface cell of the linear image, given the spectrum picked for its scene.
+
+    Of the noise, of what the filter leaves out, and of the model: a cover known to COVER of its thickness, whose
+    gain falls by as many octaves for a wave, and pressure finer than the grid. Any other image's error is
+    about that or less: those that know more, that no pressure is negative, say, are not told here.
+    """
     modes = scene.modes
-    S = scene.prior.ratio(scene.number)
-    gain = np.zeros_like(S)
-    gain[modes.head] = modes.gain
-    variance = scene.noise**2 * S / (gain**2 * S + 1)
+    variance = scene.prior.ratio(scene.number).copy()
+    S, h = variance[modes.head], modes.gain
+    model = (COVER * h * np.log(np.maximum(h, TINY))) ** 2
+    if scene.blur.aliases:
+        model = model + scene.blur.aliases.missed(lambda q: scene.prior.fall(scene.number, q))
+    variance[modes.head] = S / (h**2 * S + 1) * (1 + h**2 * S / (h**2 * S + 1) * S * model)
+    variance *= scene.noise**2
     squares = [basis**2 for basis in modes.surface]
     spread = squares[0] @ variance
     return np.sqrt(spread if len(squares) == 1 else spread @ squares[1].T)

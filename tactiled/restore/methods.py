@@ -83,7 +83,7 @@ class Method(NamedTuple):
     forget: Callable[[], None] = lambda: None
     rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
     points: Points | Windowed | None = None  # what fits them
-    spread: Callable[[], Floats] | None = None  # deviation of an image that the scene has not seen
+    spread: Callable[[], Floats] | None = None  # deviation of an image that is not the linear one
 
 
 def _raw(scene: Scene) -> Method:
@@ -129,7 +129,8 @@ def _nonneg(scene: Scene, solver: Nonneg | None = None, name: str = "nnls", why:
     def run(y: Image) -> Restored:
         scene.look(y)
         done = nonneg(wiener)
-        return Restored(nonneg.image, name, why, done, wiener.filter.noise_gain, scene.resolution())
+        gain = nonneg.noise_gain(wiener.filter.noise_gain)
+        return Restored(nonneg.image, name, why, done, gain, scene.resolution())
 
     return Method(run, nonneg.reset)
 
@@ -146,23 +147,27 @@ def _points(scene: Scene) -> Method:
     def run(y: Image) -> Restored:
         scene.look(y)
         done = nonneg(wiener)
-        gain = wiener.filter.noise_gain
         steps = points(y, nonneg.image)
         if steps:
-            return Restored(points.image, "points", POINTS, done + steps, gain, scene.resolution())
+            drawn = points.drawing
+            return Restored(drawn.image, "points", POINTS, done + steps, drawn.noise_gain, scene.resolution())
+        gain = nonneg.noise_gain(wiener.filter.noise_gain)
         return Restored(nonneg.image, "nnls", points.never or TOO_MANY, done, gain, scene.resolution())
 
     def forget() -> None:
         nonneg.reset()
         points.reset()
 
-    return Method(run, forget, points=points)
+    def spread() -> Floats:
+        return points.drawing.deviation() if points.found else deviation(scene)
+
+    return Method(run, forget, points=points, spread=spread)
 
 
 def _auto(scene: Scene) -> Method:
     auto = Auto(scene)
     if not fits(scene.blur):
-        return Method(auto, auto.reset, auto.rests, auto.points)
+        return Method(auto, auto.reset, auto.rests, auto.points, auto.deviation)
     windowed = Windowed(auto, scene)
     return Method(windowed, windowed.reset, auto.rests, windowed, windowed.deviation)
 

@@ -54,11 +54,17 @@ class Nonneg:
         self.image = self._back.empty()
         self._reach = scene.blur.reach.reshape(-1)
         self._change = np.empty_like(self._pull)
+        self._pressed = np.empty(self._pull.shape, bool)
         self._warm = False
 
     def reset(self) -> None:
         """Forget the image before."""
         self._warm = False
+
+    def noise_gain(self, linear: float) -> float:
+        """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
+        np.greater(self.image, ZERO, out=self._pressed)
+        return linear * (np.count_nonzero(self._pressed) / self._pressed.size) ** 0.5
 
     def __call__(self, wiener: Wiener) -> int:
         """Iterate until an iteration changes hardly anything; gives how many were made."""

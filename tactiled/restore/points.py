@@ -4,11 +4,12 @@ Their places are read off the non-negative image and refined, with the forces, b
 loads anywhere between the taxels. The answer stands only if it leaves nothing but noise behind.
 """
 
-from math import erf, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from tactiled.restore.drawing import MODEL, NEAREST, Drawing, Told
 from tactiled.restore.loads import Loads
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
@@ -18,7 +19,6 @@ STEPS = 12  # for one number of points, at most
 GIVEN = 3  # steps, after which one that takes off less than
 PROMISE = 0.2  # of the residual's square, while that is
 FAR_OFF = 4.0  # times what noise leaves, is the last
-NEAREST = 0.05  # pitches: no place is known better than that
 SPLITS = 1  # times that a point which leaves too much behind is taken for two
 DAMPING = 0.03  # of a point's response, per square pitch, at first
 EASE = 0.3  # times the damping after a step that helped
@@ -27,7 +27,6 @@ SETTLED = 0.01  # pitches: a step that moves no point further is the last
 LEAP = 0.5  # pitches that one step may move a point
 STANDS = 4.0  # standard deviations that a point's force must stand out by
 SURE = 3.0  # standard deviations of the residual's square that noise may stray by
-MODEL = 0.01  # of the frame's norm: what a model of a cover may miss it by
 TELLING = 3.0  # times that must be what a quarter of a pitch changes of a load's frame, or no place is known
 LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 FEWEST = 3  # taxels a side that tell a place on it
@@ -42,8 +41,6 @@ RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only ve
 FAR = 0.5  # pitches: a place less certain is not told
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
-
-_Told = tuple[Floats, Floats, Floats]  # places (pitches), forces, deviations of the places
 
 
 class Point(NamedTuple):
@@ -68,9 +65,8 @@ class Points:
         self._residual = np.empty(size, np.float32)
         self._peeled = np.empty(scene.blur.surface_shape, np.float32)
         self._ones = np.ones(self._peeled.size, np.float32)
-        self.image = np.empty(scene.blur.surface_shape, np.float32)
-        self._cells = [np.arange(n + 1.0) for n in scene.blur.surface_shape]
         self._refine = scene.blur.surface_shape[0] // scene.blur.frame_shape[0]
+        self.drawing = Drawing(scene.blur.surface_shape, self._refine, scene.noise)
         self._play = self._loads.side**2 / 6 if self._loads else 0.0  # of a load's width: it is no point itself
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self._last: Floats | None = None  # places
@@ -94,13 +90,18 @@ class Points:
         if places:
             more, told = self._anew(y, np.array(places), image)
             done += more
-        self._last = told[0] if told else None
+        self._last = told.places if told else None
         if told is None:
             return 0
-        self._draw(*told)
+        self.drawing(told)
+        pitch = self._scene.blur.cell_mm * self._refine
+        self.found = tuple(
+            Point(column * pitch, row * pitch, 1e-3 * force * pitch**2)
+            for (row, column), force in zip(told.places.tolist(), told.force.tolist(), strict=True)
+        )
         return done
 
-    def _anew(self, y: Image, places: Floats, image: Image) -> tuple[int, _Told | None]:
+    def _anew(self, y: Image, places: Floats, image: Image) -> tuple[int, Told | None]:
         """Fit as many points as an image has peaks, or one more; gives the steps made and what is told."""
         done, fit = self._refined(y, places)
         told = self._told(fit)
@@ -204,7 +205,7 @@ class Points:
         rows, columns = self._scene.blur.frame_shape
         return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
 
-    def _told(self, fit: "_Fit | None") -> _Told | None:
+    def _told(self, fit: "_Fit | None") -> Told | None:
         """Places, forces and places' deviations, each load given a width of its own; None where unsure."""
         if fit is None:
             return None
@@ -222,7 +223,8 @@ class Points:
             return None
         variance = max(left / free, noise)
         unsure = np.sqrt(spread * variance)
-        if common + DOUBT * sqrt(variance / (1 / spread).sum()) > WIDTH:
+        doubt = variance / float((1 / spread).sum())
+        if common + DOUBT * sqrt(doubt) > WIDTH:
             return None
         if (width - SEEN * unsure).max() > common + SURPLUS:
             return None
@@ -231,7 +233,9 @@ class Points:
         if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
             return None
         places = self._within(fit.places + np.clip(np.stack(shift, axis=1), -LEAP, LEAP))
-        return places, np.maximum(fit.force + force, 0), np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
+        spread = np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
+        force = np.maximum(fit.force + force, 0)
+        return Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
 
     def _held(self, normal: Floats, right: Floats, common: float) -> Floats:
         """The last step of all unknowns, every width held near the common one."""
@@ -240,18 +244,6 @@ class Points:
         held.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += firm
         drawn[3 * n :] += firm * common
         return np.asarray(np.linalg.solve(held, drawn), float)
-
-    def _draw(self, places: Floats, forces: Floats, deviations: Floats) -> None:
-        """Spread each point's force over the cells that it may be on, in proportion to how likely it is there."""
-        k, pitch = self._refine, self._scene.blur.cell_mm * self._refine
-        self.image[...] = 0
-        points = []
-        for (row, column), F, sigma in zip(places.tolist(), forces.tolist(), deviations.tolist(), strict=True):
-            rows = _share(self._cells[0], (row + 0.5) * k, sigma[0] * k)
-            columns = _share(self._cells[1], (column + 0.5) * k, sigma[1] * k)
-            self.image += np.outer((F * k**2) * rows, columns)
-            points.append(Point(column * pitch, row * pitch, 1e-3 * F * pitch**2))
-        self.found = tuple(points)
 
 
 class _Fit(NamedTuple):
@@ -283,11 +275,3 @@ def _solve(gram: Floats, right: Floats) -> Floats:
     held = gram.copy()
     held.flat[:: len(gram) + 1] *= 1 + RIDGE
     return np.asarray(np.linalg.solve(held, right), float)
-
-
-def _share(edges: Floats, middle: float, deviation: float) -> Image:
-    """How likely a value of that mean and deviation lies in each interval; all of it is in one of them."""
-    scale = 1 / (sqrt(2) * max(deviation, 1e-6))
-    below = np.array([0.5 * (1 + erf((edge - middle) * scale)) for edge in edges.tolist()])
-    below[0], below[-1] = 0, 1
-    return np.asarray(np.diff(below), np.float32)

@@ -32,10 +32,10 @@ class Prior:
         count = self._pool(np.ones(modes.gain.shape))
         self._levels: list[float] = []  # of the spectra, rising
         self._shapes: list[Floats] = []
-        self._corners: list[float] = []
+        self._kinds: list[tuple[float, float]] = []  # q0, p
         costs: list[list[float]] = []
-        shapes = [(q0, _shape(modes, q0, p)) for q0, p in product(CORNERS, POWERS)]
-        for level, (q0, shape) in product(LEVELS, shapes):
+        shapes = [(kind, _shape(modes.frequency, *kind)) for kind in product(CORNERS, POWERS)]
+        for level, (kind, shape) in product(LEVELS, shapes):
             S = level * shape[modes.head]
             amplified = float((modes.gain * S / (modes.gain**2 * S + 1)).max())
             if amplified > MOST and costs:
@@ -45,7 +45,7 @@ class Prior:
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self._levels.append(level)
             self._shapes.append(shape)
-            self._corners.append(q0)
+            self._kinds.append(kind)
         self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
         self.squares = np.empty(modes.gain.shape, np.float32)
         self._blocks = np.ones(count.size + 1, np.float32)
@@ -76,11 +76,15 @@ class Prior:
 
     def corner(self, number: int) -> float:
         """Frequency (cycles a cell) beyond which a spectrum falls."""
-        return self._corners[number]
+        return self._kinds[number][0]
+
+    def fall(self, number: int, q: Floats) -> Floats:
+        """S at any frequency q (cycles a cell) over what it is at none."""
+        return _shape(q, *self._kinds[number])
 
 
-def _shape(modes: Modes, q0: float, p: float) -> Floats:
-    return np.asarray((1 + (modes.frequency / q0) ** 2) ** -p)
+def _shape(q: Floats, q0: float, p: float) -> Floats:
+    return np.asarray((1 + (q / q0) ** 2) ** -p)
 
 
 @cache

@@ -20,7 +20,7 @@ class Restored(NamedTuple):
     method: str  # what ran
     why: str  # why it was chosen
     iterations: int
-    noise_gain: float  # restored noise over raw noise
+    noise_gain: float  # restored noise over raw noise, root mean square over the cells
     resolution_mm: float  # the finest half-period that the image carries above its noise
 
 

@@ -67,10 +67,10 @@ class Windowed:
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
         if not self.shown:
-            return deviation(self._scene)
+            return self._whole.deviation()
         self._scene.empty()
         spread = deviation(self._scene)
-        spread[self._cells] = deviation(self._part_scene)
+        spread[self._cells] = self._part.deviation()
         return spread
 
     def __call__(self, y: Image) -> Restored:
