@@ -83,6 +83,12 @@ def test_a_faint_offset_below_zero_shows_in_what_is_not_pressed(blur, felt, offs
     assert NEGATIVE in look(blur, felt(0, 0) + np.float32(offset))
 
 
+def test_a_part_of_the_array_that_drifts_below_zero(blur, felt):
+    frame = felt(0, 0)
+    frame[:5, -5:] -= np.float32(0.7)
+    assert look(blur, frame) == (NEGATIVE,)
+
+
 def test_an_offset_above_zero_leaves_no_part_free(blur, felt):
     assert look(blur, felt(0, 0) + np.float32(5)) == (LIFTED,)
     idle = np.random.default_rng(0).normal(1.0, NOISE, (SIDE, SIDE)).astype(np.float32)
