@@ -80,20 +80,22 @@ class Finder:
 
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
-        weight = pressure[skirt]
-        areas, places = self._cells.areas[skirt], self._cells.positions[skirt]
-        weight = weight * areas
-        total = float(weight.sum())  # kPa mm^2 = 1e-3 N
-        centre = weight @ places / total
+        # kPa mm^2 are 1e-3 N
+        force, places = (
+            pressure[skirt] * self._cells.areas[skirt],
+            self._cells.positions[skirt],
+        )
+        weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
+        centre = weight @ places
         away = places - centre
-        spread = (weight[:, None] * away).T @ away / total
+        spread = (weight[:, None] * away).T @ away
         least, most = np.linalg.eigvalsh(spread)
         angle = 0.5 * np.arctan2(2 * spread[0, 1], spread[0, 0] - spread[1, 1])
         return Contact(
             id=0,
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
-            force_n=total * 1e-3,
+            force_n=float(force.sum()) * 1e-3,
             area_mm2=float(self._cells.areas[pressed].sum()),
             peak_kpa=float(pressure[pressed].max()),
             major_mm=float(np.sqrt(max(most, 0.0))),

@@ -71,7 +71,7 @@ class Watch:
         self._sensors, self._events = tuple(sensors), events
         self._states = {each.name: "silent" for each in self._sensors}
         self._down: dict[str, str | None] = {each.bus_name: None for each in self._sensors}
-        self._warned: dict[str, dict[str, float]] = {each.name: {} for each in self._sensors}
+        self._warned: dict[str, dict[str, tuple[str, float]]] = {each.name: {} for each in self._sensors}
         self._tared = {each.name: 0 for each in self._sensors}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -122,9 +122,9 @@ class Watch:
         for warning, text in sensor.heard.drain().items():
             if warning not in warned:
                 self._events.add("warning_raised", text, sensor.name)
-            warned[warning] = now
+            warned[warning] = text, now
         if self._states[sensor.name] != "live":
             return
-        for warning in [each for each, heard in warned.items() if now - heard > CLEAR_S]:
-            del warned[warning]
-            self._events.add("warning_cleared", warning, sensor.name)
+        for warning in [each for each, (_, heard) in warned.items() if now - heard > CLEAR_S]:
+            text, _ = warned.pop(warning)
+            self._events.add("warning_cleared", text, sensor.name)

@@ -78,6 +78,16 @@ def test_axes_and_refined_cells(array):
     assert found.force_n == pytest.approx(100 * 2 * np.pi * 3 * 1 * 1e-3, rel=0.11)  # less the skirt under a tenth
 
 
+def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(array):
+    image = np.zeros((24, 24), np.float32)
+    image[9:13, 9:13] = -6
+    image[10:12, 10:12] = 20
+    (found,) = Finder(array, tiling(array))(image, 0.1)
+    assert (found.x_mm, found.y_mm) == (10.5, 10.5)
+    assert found.major_mm == pytest.approx(0.5)
+    assert found.force_n == pytest.approx(1e-3 * (4 * 20 - 8 * 6))
+
+
 def test_a_layout_that_is_no_grid():
     ring = np.array([(3 * np.cos(t), 3 * np.sin(t)) for t in np.linspace(0, 2 * np.pi, 7)[:-1]])
     array = layout(np.concatenate([ring, ring + np.array([20, 0])]), 1.0)

@@ -111,7 +111,7 @@ def test_a_warning_is_raised_once_whatever_its_numbers_and_cleared_when_it_is_go
     palm.warn("4 taxels dead")
     assert told(0.9 * CLEAR_S) == []
     assert told(1.8 * CLEAR_S) == []
-    assert told(2.0 * CLEAR_S) == [("warning_cleared", "palm", "# taxels dead")]
+    assert told(2.0 * CLEAR_S) == [("warning_cleared", "palm", "4 taxels dead")]
     palm.warn("5 taxels dead")
     assert [kind for kind, *_ in told(3 * CLEAR_S)] == ["warning_raised"]
     palm.state = "stale"
