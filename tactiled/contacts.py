@@ -80,11 +80,8 @@ class Finder:
 
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
-        # kPa mm^2 are 1e-3 N
-        force, places = (
-            pressure[skirt] * self._cells.areas[skirt],
-            self._cells.positions[skirt],
-        )
+        force = pressure[skirt] * self._cells.areas[skirt]  # kPa mm^2, 1e-3 N
+        places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
         centre = weight @ places
         away = places - centre
