@@ -13,7 +13,8 @@ from tactiled.web import forms
 from tactiled.web.common import Served
 
 HIDDEN = "hidden"
-SECRET = re.compile("token|password|secret|key|credential", re.IGNORECASE)  # in names of a bus's settings
+SECRET = re.compile("token|pass|pwd|secret|key|credential|auth", re.IGNORECASE)  # in names of settings
+LOGIN = re.compile("(?<=://)[^/@]*(?=@)")  # in an address
 EXEMPLARY = parse(EXAMPLE.replace("# noise", "noise")).sensor["palm"]
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -92,8 +93,13 @@ def _server(server: Server, service: Service) -> ServerForm:
     )
 
 
-def _open(settings: dict[str, Any]) -> dict[str, Any]:
-    return {key: HIDDEN if SECRET.search(key) else value for key, value in settings.items()}
+def _open(setting: Any) -> Any:
+    """A setting, or a table or list of them, without its secrets."""
+    if isinstance(setting, dict):
+        return {key: HIDDEN if SECRET.search(str(key)) else _open(value) for key, value in setting.items()}
+    if isinstance(setting, list | tuple):
+        return [_open(each) for each in setting]
+    return LOGIN.sub(HIDDEN, setting) if isinstance(setting, str) else setting
 
 
 def _bare(sensor: schema.Sensor) -> schema.Sensor:

@@ -114,12 +114,19 @@ def test_a_method_is_kept_where_the_service_keeps_state(tmp_path, client):
 
 def test_the_configuration_is_told_without_its_secrets(rig):
     token = SecretStr("hush-hush-hush-1")
-    rig.service.buses["can0"] |= {"password": "hush-bus"}
+    rig.service.buses["can0"] |= {
+        "password": "hush-bus",
+        "login": {"user": "palm", "passphrase": "hush-deep"},
+        "nodes": [{"auth": "hush-listed"}, 5],
+        "host": "ws://palm:hush-in-address@elsewhere:1",
+    }
     with running(rig.service, Server(port=0, control_token=token)) as url:
         answer = httpx.get(url + "/api/v1/config", headers={"Authorization": f"Bearer {token.get_secret_value()}"})
     told = answer.json()
     assert "hush" not in answer.text
-    assert told["bus"]["can0"]["password"] == "hidden"
+    bus = told["bus"]["can0"]
+    assert (bus["password"], bus["login"]) == ("hidden", {"user": "palm", "passphrase": "hidden"})
+    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://hidden@elsewhere:1")
     assert (told["server"]["control_token"], told["server"]["tls"]) == (True, False)
     assert told["sensor"]["palm"]["codec"]["name"] == "packed"
     assert told["sensor"]["palm"]["cover"][0]["thickness_mm"] == 0.8
