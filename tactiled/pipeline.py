@@ -74,8 +74,8 @@ class Pipeline:
         self._shear_tare.ask()
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
-        """Standard deviation (kPa) of every cell of `image.restored`, one of this pipeline's; any thread."""
-        again = make(self._method, self.blur, image.noise_kpa)
+        """Standard deviation (kPa) of every cell of `image.restored`, this pipeline's newest; any thread."""
+        again = make(self._made[0], self.blur, image.noise_kpa)
         again(image.raw, image.flags)
         return again.deviation().astype(np.float32)
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.truth import presses
 from tactiled.calibrate import Calibration
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Loss, RawFrame
@@ -55,6 +56,18 @@ def test_images_do_not_change_when_the_next_frame_comes(make):
     kept = first.restored.copy()
     pipeline.process(frame(np.full(SHAPE, 100)))
     np.testing.assert_array_equal(first.restored, kept)
+
+
+def test_the_deviation_is_of_the_method_that_made_the_image():
+    press = next(each for each in presses(12, (1.0,), (0.002,), 1, seed=4) if each.scene == "points")
+    scale = 60_000 / press.frame.max()
+    told = Calibration(kpa_per_count=1 / scale, no_load=2000, noise_kpa=press.sigma)
+    pipeline = Pipeline("palm", grid(12, 12, 1.0), press.blur, told, "points")
+    image = pipeline.process(frame(2000 + scale * press.frame.clip(-2000 / scale)))
+    assert image.method == "points"
+    known = pipeline.deviation(image)
+    pipeline.set_method("wiener")  # which makes the next image, not this one
+    np.testing.assert_array_equal(pipeline.deviation(image), known)
 
 
 def test_a_method_takes_effect_with_the_next_frame_and_a_wrong_one_changes_nothing(make):

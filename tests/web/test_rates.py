@@ -65,3 +65,7 @@ def test_one_network_is_one_client():
     assert who("fe80::1%eth0") == who("fe80::2%eth1")
     assert who("10.0.0.1") != who("10.0.0.2")
     assert client({"client": None}) == client({}) == ""
+
+
+def test_what_is_no_address_takes_no_memory():
+    assert client({"client": ("x" * 60_000, 0)}) == ""  # as a header of a proxy may say
