@@ -47,10 +47,10 @@ class Rates:
 
 
 def client(scope: Scope) -> str:
-    """Whose request it is: an IPv4 address, or the 64 bits of an IPv6 address that one network has."""
+    """Whose request it is: an IPv4 address, the 64 bits of an IPv6 address that one network has, or ""."""
     host = scope["client"][0] if scope.get("client") else ""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return host
+    except ValueError:  # a socket without one, or what a proxy's header says
+        return ""
     return str(ipaddress.ip_network((address, 64), strict=False)) if address.version == 6 else host
