@@ -1,6 +1,7 @@
 """The running service: every sensor and every bus, started and stopped together; methods kept, events told."""
 
 from collections.abc import Callable
+from threading import Lock
 from typing import Any
 
 from tactiled.config import Config
@@ -24,6 +25,7 @@ class Service:
         state: Kept | None = None,
     ) -> None:
         self.config, self.state, self.events = config, state, Events()
+        self._setting = Lock()  # what is kept is what runs, whoever asks at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
         self.sensors = {plan.name: Sensor(plan, history=history) for plan in sensor_plans(config)}
@@ -51,12 +53,13 @@ class Service:
         """
         sensor = self.sensor(name)
         require(method)
-        if keep:
-            if self.state is None:
-                raise StateError("keep = true: this service keeps no state: `tactiled run` does")
-            self.state.keep(name, None if method == sensor.plan.method else method)
-        sensor.set_method(method)
-        self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
+        with self._setting:
+            if keep:
+                if self.state is None:
+                    raise StateError("keep = true: this service keeps no state: `tactiled run` does")
+                self.state.keep(name, None if method == sensor.plan.method else method)
+            sensor.set_method(method)
+            self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
 
     def tare(self, name: str) -> None:
         """Take the mean of a sensor's next frames as the unloaded array."""

@@ -1,4 +1,5 @@
 import json
+import threading
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,22 @@ def test_a_method_that_is_kept_outlives_a_restart_and_one_that_is_not_does_not(p
     again.set_method("palm", "wiener", keep=True)  # as configured: nothing is left to keep
     assert json.loads(path.read_text())["methods"] == {}
     assert service(path, "rl").sensor("palm").method == "rl"
+
+
+def test_what_is_kept_is_what_runs_whoever_asks_at_once(path, monkeypatch):
+    found, keep = service(path), State.keep
+    other = threading.Thread(target=found.set_method, args=("palm", "raw", True))
+
+    def slowly(state, sensor, method):
+        keep(state, sensor, method)
+        if method == "nnls":
+            other.start()
+            other.join(0.5)
+
+    monkeypatch.setattr(State, "keep", slowly)
+    found.set_method("palm", "nnls", keep=True)
+    other.join()
+    assert (found.sensor("palm").method, found.state.methods["palm"]) == ("raw", "raw")
 
 
 def test_what_no_longer_means_anything_is_told_and_not_applied(path):
