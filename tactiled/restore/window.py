@@ -1,6 +1,6 @@
 """A small contact on a large grid: only a window around it is solved, all the rest being noise."""
 
-from math import sqrt
+from math import prod, sqrt
 
 import numpy as np
 
@@ -34,17 +34,15 @@ class Windowed:
     """
 
     def __init__(self, whole: Auto, scene: Scene) -> None:
-        blur, noise = scene.blur, scene.noise
+        blur = scene.blur
         self._whole, self._scene = whole, scene
-        self._part_scene = Scene(blur.cut((SIDE, SIDE)), noise)
+        self._part_scene = Scene(blur.cut((SIDE, SIDE)), scene.noise)
         self._part = Auto(self._part_scene)
         self._refine = blur.surface_shape[0] // blur.frame_shape[0]
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
         self._flat, self._ones = self._around.reshape(-1), np.ones(self._around.size, np.float32)
         self._image = np.zeros(blur.surface_shape, np.float32)
-        size = self._around.size
-        self._peak, self._sum = outstanding(scene), SURE * noise * sqrt(size)
-        self._power = noise**2 * (size + SURE * sqrt(2 * size))
+        self._peak = outstanding(scene)
         self._open = self.shown = False  # whether there is a window, and whether the last image came from it
         self._taxels = self._inside = self._cells = (slice(0), slice(0))
         self._age = self._wait = 0
@@ -111,7 +109,10 @@ class Windowed:
         self._around[self._inside] = 0
         if flat[flat.argmax()] > self._peak or flat[flat.argmin()] < -self._peak:
             return False
-        return float(np.dot(flat, flat)) < self._power and abs(float(np.dot(flat, self._ones))) < self._sum
+        noise, left = self._scene.noise, flat.size - prod(each.stop - each.start for each in self._inside)
+        if float(np.dot(flat, flat)) > noise**2 * (left + SURE * sqrt(2 * left)):
+            return False
+        return abs(float(np.dot(flat, self._ones))) < SURE * noise * sqrt(left)
 
     def _put(self, y: Image) -> bool:
         """Put the window around the contact; False where that has no room in it, or more is pressed elsewhere."""
