@@ -143,7 +143,7 @@ class Recordings:
     def ended(self, name: str) -> Path:
         """Where one is that does not run; Problem where there is none, or it runs."""
         path = self.path(name)
-        if name in self._runs and self._runs[name].running:
+        if (run := self._runs.get(name)) and run.running:
             raise Problem(409, f"recording {name}: runs: stop it first")
         return path
 

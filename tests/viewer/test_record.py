@@ -64,6 +64,18 @@ def test_what_was_recorded_from_the_page_is_what_was_sent_and_replays_as_it_was(
     assert painted(page) >= 3
 
 
+def test_what_is_recorded_can_be_ended_however_many_there_are(recording, rig, open_page):
+    url, folder = recording
+    for number in range(1001):
+        (folder / f"a{number:04}.log").touch()
+    rig.show(pressed())
+    page = open_page(url)
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.locator("#record", has_text="Stop").click()
+    page.locator("#record", has_text="Record").wait_for()
+    assert "can0-" in page.locator("#recordings li").last.inner_text()
+
+
 def test_without_a_folder_there_is_no_button_but_a_hint(rig, url, open_page):
     rig.show(pressed())
     page = open_page(url)

@@ -221,8 +221,16 @@ export async function offered() {
  */
 export const events = (after) => request(`/events?after=${after}`);
 
-/** @returns {Promise<Recording[]>} */
-export const recordings = async () => (await request("/recordings")).recordings;
+/** @returns {Promise<Recording[]>} all of them, page by page */
+export async function recordings() {
+  const found = [];
+  for (let after = ""; after !== null;) {
+    const page = await request(`/recordings?limit=1000&after=${encodeURIComponent(after)}`);
+    found.push(...page.recordings);
+    after = page.after;
+  }
+  return found;
+}
 
 /**
  * @param {string} bus
