@@ -185,8 +185,8 @@ def test_after_the_service_ends_nothing_is_asked(channel, there):
 
 def test_a_board_is_started_by_the_service_and_stopped_at_its_end(channel, there):
     service = Service(config(channel, BOARD))
-    service.start()
     began = time.monotonic()
+    service.start()
     said = [there.receive(5.0).data.hex() for _ in range(3)]
     assert time.monotonic() - began > 0.4
     service.stop()
