@@ -8,10 +8,12 @@ from math import log, sqrt
 
 import numpy as np
 
+from tactiled.restore.drawing import MODEL
 from tactiled.restore.linear import Filter, Wiener, deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import ZERO, Nonneg
 from tactiled.restore.points import Points
+from tactiled.restore.prior import CORNERS
 from tactiled.restore.scene import Restored, Scene
 
 STAY = 1.5  # how much further a test reaches for the method of the frame before
@@ -22,12 +24,17 @@ CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where 
 PAUSE = 32  # frames that points are left alone for after a fit that did not stand: twice as many every time
 LONGEST = 2048  # of those
 ITERATED = ("nnls", "points")
+WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not worth restoring for
+SPOTS = 16.0  # taxels: a frame as rough as any whose pressure is on no more may be of points
+UNTOLD = 0.04  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
-RAW = "the cover hardly matters here: all it changes is under the noise, and that is faint"
+RAW = "the cover hardly matters here: all it changes is under a faint noise, or under what its model may miss"
 WIENER = "linear is enough: hardly any of the image falls below zero"
 POINTS = "isolated indenters: a few points explain the frame down to its noise"
+MIXED = "a few small spots, and nothing tells where on their taxels: non-negative and raw in part"
+LEFT = "a few small spots, and nothing tells where on their taxels: restoring may do as much harm as good"
 NNLS = "sharp, sparse or touching zero: linear would ring below zero"
 
 
@@ -117,8 +124,9 @@ class Auto:
             self._age += 1
             return self._iterated(y)
         filter_ = self._wiener.filter
-        if self._square and self._untouched(filter_):
-            return Restored(y, "raw", RAW, 0, 1.0, scene.resolution())
+        left = self._untouched(filter_) if self._square else ""
+        if left:
+            return Restored(y, "raw", left, 0, 1.0, scene.resolution())
         image = self._wiener()
         if self._linear(image):
             return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
@@ -127,12 +135,34 @@ class Auto:
         self._age = 1
         return self._iterated(y)
 
-    def _untouched(self, chosen: Filter) -> bool:
-        """Whether neither what the cover did nor the noise is worth taking out of the frame looked at."""
+    def _untouched(self, chosen: Filter) -> str:
+        """Why neither what the cover did nor the noise is worth taking out of this frame; empty if it is."""
         scene, reach = self._scene, self._reach("raw")
-        if chosen.correction(scene.power) >= (reach * SEEN * scene.noise) ** 2:
-            return False
-        return float(scene.power.sum()) * reach**2 > (CLEAN * scene.noise) ** 2 * scene.power.size
+        square, faint = float(np.dot(scene.flat, scene.flat)), (CLEAN * scene.noise) ** 2 * scene.flat.size
+        if square * reach**2 > faint and chosen.correction(scene.power) < (reach * SEEN * scene.noise) ** 2:
+            return RAW
+        if self._spared(chosen.noise_gain) < (reach * WORTH * MODEL) ** 2 * square:
+            return RAW
+        return LEFT if self.points.never and self._earned(chosen.noise_gain, reach) <= 0 else ""
+
+    def _spared(self, gain: float) -> float:
+        """Square error (kPa^2, summed over taxels) that restoring is to spare: the cover's, and the noise's."""
+        scene = self._scene
+        noise = max(1 - gain**2, 0.0) * scene.noise**2 * scene.flat.size
+        return self._wiener.filter.correction(scene.power) + noise
+
+    def _earned(self, gain: float, reach: float = 1.0) -> float:
+        """Share, 1 at most, of what restoring changed that is more good than harm; 0 or less is none.
+
+        Points that are not told mislead: what is spared must exceed that.
+        """
+        scene = self._scene
+        if not self._square or scene.prior.corner(scene.number) < CORNERS[-1]:
+            return 1.0
+        square = float(np.dot(scene.flat, scene.flat))
+        misled = reach**2 * UNTOLD * square if scene.force**2 < SPOTS * square else 0.0
+        spared = self._spared(gain)
+        return 1 - misled / spared if spared else 0.0
 
     def _linear(self, image: Image) -> bool:
         """Whether hardly any of a linear image falls below zero."""
@@ -148,7 +178,19 @@ class Auto:
             drawn, done = self.points.drawing, done + steps
             return Restored(drawn.image, "points", POINTS, done, drawn.noise_gain, self._scene.resolution())
         gain = self._nonneg.noise_gain(self._wiener.filter.noise_gain)
-        return Restored(self._nonneg.image, "nnls", NNLS, done, gain, self._scene.resolution())
+        earned, resolution = self._earned(gain), self._scene.resolution()
+        if earned <= 0:
+            return Restored(y, "raw", LEFT, done, 1.0, resolution)
+        if earned < 1:
+            return Restored(self._mixed(y, earned), "nnls", MIXED, done, 1 - earned * (1 - gain), resolution)
+        return Restored(self._nonneg.image, "nnls", NNLS, done, gain, resolution)
+
+    def _mixed(self, y: Image, earned: float) -> Image:
+        """Give the raw image and what was earned of the change to it, without negative values."""
+        mixed = np.subtract(self._nonneg.image, y, out=self._below)
+        np.multiply(mixed, np.float32(earned), out=mixed)
+        np.add(mixed, y, out=mixed)
+        return np.maximum(mixed, ZERO, out=mixed)
 
     def _pointed(self, y: Image) -> int:
         """Steps of a fit of points that stands; one that does not is not tried again before a while."""

@@ -36,6 +36,8 @@ WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.4
 DOUBT = 3.0  # standard deviations that the width found must stay below that by
 SURPLUS = 0.03  # square pitches of width by which points may differ
 SEEN = 2.0  # standard deviations beyond that: one so wide is two
+FIRM = 0.25  # pitches that the last step may move a point: it is linear, and holds no further
+STRETCH = 0.5  # of a force that it may change
 UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
@@ -229,10 +231,12 @@ class Points:
         if (width - SEEN * unsure).max() > common + SURPLUS:
             return None
         force, *shift = last[: 3 * n].reshape(3, n)
+        if np.abs(shift).max() > FIRM or (np.abs(force) > STRETCH * fit.force).any():
+            return None
         known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
         if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
             return None
-        places = self._within(fit.places + np.clip(np.stack(shift, axis=1), -LEAP, LEAP))
+        places = self._within(fit.places + np.stack(shift, axis=1))
         spread = np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
         force = np.maximum(fit.force + force, 0)
         return Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
+from tactiled.bench.truth import presses
 from tactiled.frames import DEAD
 from tactiled.restore.choose import PAUSE
 from tactiled.restore.methods import make
@@ -52,6 +53,39 @@ def test_raw_where_the_cover_hardly_matters(covered, sensed):
     assert done.method == "raw"
     np.testing.assert_array_equal(done.image, frame)
     assert make("auto", covered(SHAPE, 0.05), SIGMA)(sensed(bump(1, 10), 0.05)).method != "raw"
+
+
+@pytest.fixture
+def pricked():
+    """Points under so thin a cover that a frame does not tell where on their taxels they are."""
+
+    def make_press(noise):
+        return next(press for press in presses(16, (0.05,), (noise,)) if press.scene == "points")
+
+    return make_press
+
+
+def test_raw_where_nothing_tells_where_points_are(pricked):
+    press = pricked(0.01)
+    done = make("auto", press.blur, press.sigma)(press.frame)
+    assert (done.method, done.noise_gain) == ("raw", 1.0)
+    assert "nothing tells where" in done.why
+    np.testing.assert_array_equal(done.image, press.frame)
+
+
+def test_points_that_are_not_told_stay_near_the_raw_image(pricked):
+    """There is noise enough to take out, but restoring misplaces pressure too."""
+    press = pricked(0.05)
+    done = make("auto", press.blur, press.sigma)(press.frame)
+    alone = make("nnls", press.blur, press.sigma)(press.frame)
+    assert done.method == "nnls"
+    assert alone.noise_gain < done.noise_gain < 1
+    assert "raw in part" in done.why
+    assert done.image.min() >= 0
+    pressed = press.frame > 5 * press.sigma
+    share = (done.image - press.frame)[pressed] / (alone.image - press.frame)[pressed]
+    assert share.min() == pytest.approx(share.max(), rel=0.02)
+    assert 0.5 < share.mean() < 0.95
 
 
 def test_linear_where_it_hardly_rings(covered, sensed):

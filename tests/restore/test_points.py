@@ -153,6 +153,6 @@ def test_small_discs_fare_no_worse_for_points(touched, thickness, radius, share)
     np.add.at(truth, (rows, columns), 1e3 * forces / PITCH**2)
     error = {
         name: np.linalg.norm(make(name, blur_of(thickness), sigma)(frame).image - truth)
-        for name in ("auto", "nnls")
+        for name in ("points", "nnls")
     }
-    assert error["auto"] < 1.1 * error["nnls"]
+    assert error["points"] < 1.1 * error["nnls"]
