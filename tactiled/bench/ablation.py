@@ -26,9 +26,9 @@ class _NoIdle(Auto):
 
 
 class _NoRaw(Auto):
-    def _untouched(self, chosen: Filter) -> bool:
+    def _untouched(self, chosen: Filter) -> str:
         del chosen
-        return False
+        return ""
 
 
 class _NoLinear(Auto):
