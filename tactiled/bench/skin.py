@@ -12,7 +12,6 @@ from tactiled.bench.truth import APERTURE, DRAWN, PEAK, psf_of, stack
 from tactiled.config import load
 from tactiled.config.build import make_array, make_blur, make_stack
 from tactiled.cover.kernel import cached, solve
-from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, grid
@@ -105,8 +104,8 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
 
 def _skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
     solved = cached(believed)
-    psf = None if array.shape is None else psf_of(stencil(solved, array))
     surface, blur = Surface(solve(true, "layered"), array), make_blur(solved, array, 1)
+    psf = None if array.shape is None else psf_of(blur)
     return Skin(name, believed.depth / array.pitch, array, believed, surface, blur, psf)
 
 

@@ -47,10 +47,13 @@ def kernel(thickness: float, model: str, folder: Path | None = None) -> Kernel:
     return solve(stack(thickness), "layered") if model == "layered" else cached(stack(thickness), folder=folder)
 
 
-def psf_of(response: Floats) -> Floats:
-    """The middle of a stencil, odd and no larger than the array."""
-    rows, columns = (slice(n // 2 - n // 4, n // 2 + n // 4 + 1) for n in response.shape)
-    return response[rows, columns]
+def psf_of(blur: Blur) -> Floats:
+    """What one cell of pressure in the middle of a grid leaves: odd, and no larger than the array."""
+    middle = [n // 2 for n in blur.frame_shape]
+    cell = np.zeros(blur.surface_shape, np.float32)
+    cell[tuple(middle)] = 1
+    around = tuple(slice(max(2 * m - n + 1, 0), 2 * m + 1) for m, n in zip(middle, cell.shape, strict=True))
+    return np.asarray(blur.forward(cell), float)[around]
 
 
 def presses(
@@ -67,7 +70,7 @@ def presses(
             for noise in noises:
                 for repeat in range(repeats):
                     random = np.random.default_rng([seed, repeat, int(1e4 * noise)])
-                    yield _press(name, draw, (thickness, noise), surface, array, (blur, psf_of(response)), random)
+                    yield _press(name, draw, (thickness, noise), surface, array, (blur, psf_of(blur)), random)
 
 
 def _press(
