@@ -58,7 +58,7 @@ def test_the_deviation_of_a_restored_image_is_told_in_kpa(rig, client):
     known = np.array(client.get("/sensors/palm/frames/deviation").json()["values"])
     assert known.shape == (8, 8)
     assert known.min() > 0.5  # kPa, the noise of a taxel, which undoing the blur amplifies
-    assert known.max() < 5
+    assert known.max() < 20  # a tenth of what the taxels feel: a block so sharp says that finer ones may be there
 
 
 def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
