@@ -95,7 +95,8 @@ function settle() {
   const all = sensors.length > 1 && (wall.open || (!viewer.name && location.hash === WALL));
   const asked = decodeURIComponent(location.hash.slice(1));
   const known = sensors.find((each) => each.name === (viewer.name || asked)) ?? sensors[0];
-  if (all) choose(ALL);
+  if (all && wall.open) wall.show(sensors);
+  else if (all) choose(ALL);
   else if (known && (known.name !== viewer.name || wall.open)) choose(known.name);
   if (!sensors.length) notice("No sensor is configured.", true);
 }
