@@ -4,6 +4,7 @@ import time
 import numpy as np
 import pytest
 
+from tactiled.web import answers
 from tactiled.web.server import running
 from tests.conftest import Rig, pressed, until
 from tests.viewer.conftest import wait
@@ -20,6 +21,7 @@ kernel = { model = "layered" }
 calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
 """
 TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
+FORCES = f"{TILES}.map(text => parseFloat(text.match(/([\\d.]+) N/)?.[1]))"
 WALL_SEEN = f"{TILES}.length === 2 && {TILES}.every(text => text.includes(' N'))"
 
 
@@ -51,10 +53,10 @@ def force(text):
     return float(re.search(r"([\d.]+) N", text)[1])
 
 
-def keep_showing(rig, page, true):
+def keep_showing(rig, page, true, **what):
     """Send frames of both until something is true in the page."""
     for _ in range(200):
-        rig.both()
+        rig.both(**what)
         if page.evaluate(true):
             return
         page.wait_for_timeout(50)
@@ -89,6 +91,60 @@ def test_a_tile_whose_sensor_falls_silent_cannot_look_alive(pair, open_page):
     keep_showing(rig, page, WALL_SEEN)
     wait(page, f"{TILES}.every(text => /stale/i.test(text) && / s ago/.test(text))")
     assert "grayscale(1)" in page.evaluate("getComputedStyle(document.querySelector('.tile canvas')).filter")
+
+
+BRIGHTEST = """(() => {
+  const { data } = document.querySelector('.tile canvas').getContext('2d').getImageData(0, 0, 8, 8);
+  let most = 0;
+  for (let i = 0; i < data.length; i += 4) most = Math.max(most, data[i] + data[i + 1] + data[i + 2]);
+  return most;
+})()"""
+
+
+def test_the_range_holds_a_peak_over_looks_at_the_list_of_sensors(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, f"{FORCES}[1] < 0.01", thumb=(100, 100, 100, 100))
+    rig.show(pressed(force=3800))
+    wait(page, f"{FORCES}[0] > 5")
+    bright = page.evaluate(BRIGHTEST)
+    with page.expect_response(lambda answer: "/events" in answer.url):  # which it looks at next
+        pass
+    rig.show(pressed(force=100))
+    wait(page, f"{FORCES}[0] < 1")
+    assert page.evaluate(BRIGHTEST) < 0.5 * bright
+
+
+def test_a_tile_whose_shape_could_not_be_had_asks_again(pair, open_page, monkeypatch):
+    rig, url = pair
+    geometry, asked = answers.geometry, []
+
+    def once_not(sensor):
+        asked.append(sensor.name)
+        if asked.count(sensor.name) == 1:
+            raise RuntimeError("not yet")
+        return geometry(sensor)
+
+    monkeypatch.setattr(answers, "geometry", once_not)
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    page.close()
+    page.faults.clear()  # the browser itself reports every failure
+
+
+def test_a_tile_whose_sensor_has_another_shape_than_before_asks_again(pair, open_page, monkeypatch):
+    rig, url = pair
+    geometry, asked = answers.geometry, []
+
+    def before(sensor):
+        asked.append(sensor.name)
+        other = "palm" if sensor.name == "thumb" else "thumb"
+        return geometry(rig.service.sensor(other) if asked.count(sensor.name) == 1 else sensor)
+
+    monkeypatch.setattr(answers, "geometry", before)
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, f"{FORCES}[0] > 0 && {FORCES}[1] > 0")
+    assert sorted(asked) == ["palm", "palm", "thumb", "thumb"]
 
 
 def test_tabs_and_keys_lead_to_the_wall_and_back(pair, open_page):

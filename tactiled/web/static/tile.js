@@ -16,6 +16,7 @@ import { RESTORED } from "./wire.js";
 /** @typedef {import("./wire.js").Packet} Packet */
 
 const RATE_HZ = 15;
+const AGAIN_MS = 2000; // until a shape is asked for again that could not be had
 
 /**
  * @param {string} tag
@@ -69,10 +70,10 @@ export class Tile {
     this._stopped = false;
   }
 
-  /** @param {Promise<import("./api.js").Geometry>} geometry */
-  async start(geometry) {
+  /** Learn the sensor's shape, again and again until it is there, and watch it. */
+  async start() {
     try {
-      const plane = new Plane(await geometry);
+      const plane = new Plane(await api.geometry(this.name));
       if (this._stopped) return;
       this._plane = plane;
       this._kpa = new Float32Array(plane.restored.count).fill(NaN);
@@ -80,6 +81,7 @@ export class Tile {
       this.layout();
     } catch (error) {
       say(this._force, words(error));
+      if (!this._stopped) setTimeout(() => this._stopped || this.start(), AGAIN_MS);
       return;
     }
     this._stream = new Stream(api.tileUrl(this.name, RATE_HZ), [RESTORED], {
@@ -107,7 +109,12 @@ export class Tile {
   /** @param {Packet} image */
   _take(image) {
     const plane = this._plane;
-    if (!plane || image.kpa.length !== this._kpa.length) return;
+    if (!plane) return;
+    if (image.kpa.length !== this._kpa.length) {
+      this._stream?.stop();
+      this.start();
+      return;
+    }
     this._kpa.set(image.kpa);
     this._imageAt = performance.now();
     this.noise = (image.noiseKpa || 0) * Math.max(1, image.noiseGain || 1);

@@ -3,7 +3,6 @@
  * @module
  */
 
-import * as api from "./api.js";
 import { Colorbar } from "./colorbar.js";
 import { byId } from "./paint.js";
 import { Tile } from "./tile.js";
@@ -46,7 +45,7 @@ export class Wall {
     byId("main").hidden = true;
     this._tiles = names.map((name) => new Tile(name, () => this.refresh(), () => this._onChoose(name)));
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));
-    for (const tile of this._tiles) tile.start(api.geometry(tile.name));
+    for (const tile of this._tiles) tile.start();
     this._timer = setInterval(() => this._read(), READ_MS);
     this._colorbar.forget();
     this.refresh();
