@@ -60,8 +60,8 @@ export class Trend {
   _collect(history) {
     const newest = history.at(0);
     let n = 0;
-    this._most = this._least;
-    this._lowest = 0;
+    let most = this._least; // in variables of its own: a number in a field may be an object for every change
+    let lowest = 0;
     for (let i = newest ? history.length - 1 : -1; newest && i >= 0; i -= 1) {
       const frame = history.at(i);
       const age = frame ? frame.timestamp - newest.timestamp : NaN;
@@ -71,11 +71,13 @@ export class Trend {
         x[n] = age;
         this._series[k].put(frame, y, n);
         const value = y[n];
-        this._most = Math.max(this._most, value || 0);
-        this._lowest = Math.min(this._lowest, value || 0);
+        if (value > most) most = value;
+        if (value < lowest) lowest = value;
       }
       n += 1;
     }
+    this._most = most;
+    this._lowest = lowest;
     for (const each of this._lines) each.length = n;
   }
 }
