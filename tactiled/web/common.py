@@ -13,16 +13,17 @@ Responses = dict[int | str, dict[str, Any]]
 F = TypeVar("F", bound=str)
 
 
+def documented(headers: Mapping[str, str]) -> dict[str, Any]:
+    """How an answer's headers are documented, given their meaning by name."""
+    return {name: {"description": text, "schema": {"type": "string"}} for name, text in headers.items()}
+
+
 def problem(description: str, **headers: str) -> dict[str, Any]:
     """How an error is documented; `headers` by name with their meaning."""
-    told = {
-        name.replace("_", "-"): {"description": text, "schema": {"type": "string"}}
-        for name, text in headers.items()
-    }
     return {
         "description": description,
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
-        "headers": told,
+        "headers": documented({name.replace("_", "-"): text for name, text in headers.items()}),
     }
 
 

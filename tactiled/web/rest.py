@@ -24,6 +24,7 @@ from tactiled.web.common import (
     Served,
     accepted,
     costly,
+    documented,
     no_frame,
     problem,
 )
@@ -41,7 +42,7 @@ HEADERS = {
     "X-Tactiled-Age": "s since the last frame came in",
     "X-Tactiled-Unit": "kPa",
 }
-TOLD = {name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()}
+TOLD = documented(HEADERS)
 FRAME: Responses = {
     200: {
         "description": "the newest image",

@@ -10,7 +10,7 @@ from pydantic import Field
 from tactiled.bus.codecs import Shearing
 from tactiled.sensor import State
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_FRAME, NO_SENSOR, NOT_ACCEPTED, Found, Responses, accepted, no_frame
+from tactiled.web.common import NO_FRAME, NO_SENSOR, NOT_ACCEPTED, Found, Responses, accepted, documented, no_frame
 from tactiled.web.problems import Problem
 
 Format = Literal["json", "npy"]
@@ -25,7 +25,7 @@ SHEAR: Responses = {
     200: {
         "description": "the newest frame's shear; .npy: (2, rows, columns), or (2, taxels), float32",
         "content": {MEDIA["npy"]: {"schema": {"type": "string", "format": "binary"}}},
-        "headers": {name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()},
+        "headers": documented(HEADERS),
     }
 }
 

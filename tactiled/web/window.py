@@ -12,7 +12,7 @@ from pydantic import Field
 from tactiled.history import Kept
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly
+from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly, documented
 
 Format = Literal["json", "npy", "npz"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "npz": "application/x-npz"}
@@ -56,7 +56,7 @@ RESPONSES: Responses = {
     200: {
         "description": "images, oldest first: .npy (T, rows, columns); .npz with sequence, time, flags and values",
         "content": {MEDIA["npy"]: BINARY, MEDIA["npz"]: BINARY},
-        "headers": {name: {"description": text, "schema": {"type": "string"}} for name, text in HEADERS.items()},
+        "headers": documented(HEADERS),
     }
 }
 Last = Annotated[
