@@ -13,6 +13,7 @@ from tactiled.bus import recording
 from tactiled.events import Events
 from tactiled.web import problems
 from tactiled.web.recordings import make
+from tests.conftest import until
 
 ROOT = "/api/v1/recordings"
 
@@ -63,19 +64,25 @@ def send(bus, count):
         bus.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big")))
 
 
+def only(api):
+    """What is told of the one recording there is."""
+    (told,) = api.get(ROOT).json()["recordings"]
+    return told
+
+
 def test_one_recording_from_its_start_to_its_end(api, bus, folder):
     assert api.get(ROOT).json() == {"recordings": [], "after": None}
     began = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
     assert began.status_code == 201
     assert began.json()["running"] is True
     send(bus, 100)
-    time.sleep(0.8)
-    (seen,) = api.get(ROOT).json()["recordings"]
+    until(lambda: only(api)["messages"] == 100)
+    seen = only(api)
     assert (seen["name"], seen["running"], seen["bus"], seen["messages"]) == ("a.log", True, "can0", 100)
     for act in (api.get, api.delete):
         assert act(f"{ROOT}/a.log").status_code == 409
     send(bus, 20)
-    time.sleep(0.1)
+    until(lambda: only(api)["messages"] == 120)
     ended = api.post(f"{ROOT}/a.log/stop").json()
     assert (ended["running"], ended["messages"], ended["error"]) == (False, 120, None)
     assert api.post(f"{ROOT}/a.log/stop").status_code == 200
@@ -175,9 +182,8 @@ def test_a_full_disk_ends_it_and_says_so(api, bus, monkeypatch):
 
     monkeypatch.setattr(os, "pwrite", full)
     send(bus, 10)
-    time.sleep(0.8)
-    (seen,) = api.get(ROOT).json()["recordings"]
-    assert seen["running"] is False
+    until(lambda: not only(api)["running"])
+    seen = only(api)
     assert "No space left on device: the recording ends early, after 0 messages" in seen["error"]
     assert api.post(f"{ROOT}/{name}/stop").status_code == 200
 
@@ -188,5 +194,5 @@ def test_the_end_of_the_service_ends_a_recording_whole(folder, request):
     with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
         client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
         send(bus, 50)
-        time.sleep(0.1)
+        until(lambda: only(client)["messages"] == 50)
     assert len(list(recording.read(folder / "a.blf"))) == 50
