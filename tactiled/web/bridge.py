@@ -33,7 +33,8 @@ class _Line:
     def show(self, now: float) -> None:
         """Send what is new at `now` (s, monotonic) to whoever has subscribed."""
         image = self._sensor.hub.latest()
-        if image is not None and image is not self._shown:
+        seen = any(channel.has_sinks() for channel in (*self._images, self._contacts))
+        if seen and image is not None and image is not self._shown:
             self._shown = image
             if any(channel.has_sinks() for channel in self._images):
                 for channel, message in zip(self._images, self._topics.messages(image), strict=True):

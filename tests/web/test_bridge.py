@@ -121,6 +121,14 @@ def test_the_state_comes_without_frames(rig):
     assert told[-1]["age_s"] > 0.3
 
 
+def test_the_last_image_comes_though_its_sensor_had_fallen_silent(rig):
+    with bridge(rig.service, 0) as port:
+        image = rig.show(pressed())
+        until(lambda: rig.sensor.status().state == "stale")
+        with connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as late:
+            assert App(late, {"/palm/raw"}).next("/palm/raw")[1] == round(image.time * 1e9)
+
+
 def test_nothing_is_made_that_nobody_looks_at(rig, monkeypatch):
     made = []
     monkeypatch.setattr(foxglove.Topics, "messages", lambda _, image: made.append(image) or (b"", b"", b"{}"))
