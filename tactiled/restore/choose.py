@@ -19,6 +19,7 @@ from tactiled.restore.scene import Restored, Scene
 STAY = 1.5  # how much further a test reaches for the method of the frame before
 REVIEW = 8  # frames after which one that needed iterations is asked again whether linear would do
 SURE = 4.0  # standard deviations that count as more than noise
+AHEAD = 1024  # cells up to which there is room for what every spectrum needs
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
 PAUSE = 32  # frames that points are left alone for after a fit that did not stand: twice as many every time
@@ -74,7 +75,17 @@ class Auto:
         self._wait, self._pause = 0, PAUSE
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
+        if zeros.size <= AHEAD:
+            self._prepare()
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
+
+    def _prepare(self) -> None:
+        """Make what any spectrum needs now rather than in the frame that first shows it."""
+        for number in range(len(self._scene.prior)):
+            self._scene.number = number
+            self._wiener.prepare()
+            self._nonneg.prepare()
+        self._scene.empty()
 
     def reset(self) -> None:
         """Forget the frames so far."""

@@ -1,5 +1,7 @@
 """The linear answer: Wiener's filter in the blur's own modes, for the spectrum that the frame itself shows."""
 
+from math import prod, sqrt
+
 import numpy as np
 
 from tactiled.restore.modes import Floats, Image
@@ -19,9 +21,9 @@ class Filter:
         self.weight = np.asarray(weight, np.float32)
         self.missed = np.asarray(scene.ones * (1 - weight * modes.gain).ravel(), np.float32)
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
-        cells = np.prod(scene.blur.surface_shape)
+        cells = prod(scene.blur.surface_shape)
         self.resolution_mm = scene.resolution()
-        self.noise_gain = float(np.sqrt((weight**2).sum() / cells))
+        self.noise_gain = sqrt(float((weight**2).sum()) / cells)
 
     def correction(self, power: Image) -> float:
         """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
@@ -41,10 +43,13 @@ class Wiener:
     @property
     def filter(self) -> Filter:
         """The filter of the scene's spectrum, made when that spectrum is first met."""
-        number = self._scene.number
-        if number not in self._filters:
-            self._filters[number] = Filter(self._scene)
-        return self._filters[number]
+        self.prepare()
+        return self._filters[self._scene.number]
+
+    def prepare(self) -> None:
+        """Make the filter of the scene's spectrum if there is none."""
+        if self._scene.number not in self._filters:
+            self._filters[self._scene.number] = Filter(self._scene)
 
     def __call__(self) -> Image:
         """Give the surface pressure, total force kept; may be negative."""

@@ -14,7 +14,7 @@ LOOSE = 0.3  # of the Gaussian's weight is left to it there
 ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
 ITERATIONS = 30  # at most
 STEADY = 0.05  # noise standard deviations: from the start, an iteration that changes less has no more to give
-WARM = 0.3  # the same from the image before: it has been through many iterations already
+WARM = 0.33  # the same from the image before: it has been through many iterations already
 ANEW = 4  # iterations after which the share of pressed cells is counted again
 
 
@@ -108,16 +108,24 @@ class Nonneg:
         """Take from t, as `_change`, the multiplier: what of it is no image."""
         np.minimum(self._t, ZERO, out=self._change)
 
+    def _step(self, slack: float) -> Step:
+        key = self._scene.number, slack
+        if key not in self._steps:
+            self._steps[key] = Step(self._scene, slack)
+        return self._steps[key]
+
+    def prepare(self) -> None:
+        """Make what the spectrum picked for the scene needs."""
+        self._step(1.0)
+        self._step(LOOSE)
+
     def _load(self) -> Step:
         """Put in place what the modes owe to the data and to the share of pressed cells; gives the next step."""
         self._show()
         flat = self.image.reshape(-1)
         total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
         share = max(total**2 / (flat.size * squares), FEWEST) if squares else 1.0
-        key = self._scene.number, self._slack(share)
-        if key not in self._steps:
-            self._steps[key] = Step(self._scene, key[1])
-        step = self._steps[key]
+        step = self._step(self._slack(share))
         np.multiply(self._ones, step.sparse, out=self._data)
         np.multiply(self._data, np.float32(share**-0.5), out=self._data)
         np.multiply(self._scene.c, step.data, out=self._seen)

@@ -59,6 +59,9 @@ class Prior:
             values = np.add.reduceat(values, first, axis=axis)
         return np.asarray(values, float)
 
+    def __len__(self) -> int:
+        return len(self._levels)
+
     def pick(self, c: Image) -> int:
         """Number of the most likely spectrum for taxel modes' coefficients."""
         np.multiply(c, c, out=self.squares)

@@ -88,6 +88,14 @@ def test_points_that_are_not_told_stay_near_the_raw_image(pricked):
     assert 0.5 < share.mean() < 0.95
 
 
+def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch):
+    """A frame that was the first to show one took three times as long."""
+    auto = make("auto", covered(SHAPE), SIGMA)
+    monkeypatch.delattr("tactiled.restore.linear.Filter.__init__")
+    monkeypatch.delattr("tactiled.restore.nonneg.Step.__init__")
+    assert {auto(sensed(truth)).method for truth in (20 + bump(5), bump(1), bump(2, 5))} == {"wiener", "nnls"}
+
+
 def test_linear_where_it_hardly_rings(covered, sensed):
     assert make("auto", covered(SHAPE), SIGMA)(sensed(20 + bump(5))).method == "wiener"
 
