@@ -43,7 +43,7 @@ def test_contacts_are_outlined_on_both_maps_and_listed_with_their_force(rig, url
     assert float(listed[0][1]) > float(listed[1][1])
     for contact in told:
         centre, outline = at(page, marks, contact)
-        assert (centre == 255).all()
+        assert (centre > 240).all()  # white, but for the smoothing of its edge
         assert outline[3] > 0
 
 
