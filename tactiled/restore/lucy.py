@@ -32,6 +32,7 @@ class Lucy:
         self._there(x, self._wide)
         np.multiply(self._wide[self._scene.modes.head], self._gain, out=self._narrow)
         self._to_taxels(self._narrow, self._Hx)
+        np.maximum(self._Hx, 0, out=self._Hx)  # smooth pressure swings below it beside an edge
         return np.add(self._Hx, self._lift, out=self._Hx)
 
     def _adjoint(self, y: Image) -> Image:

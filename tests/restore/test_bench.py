@@ -6,7 +6,7 @@ import tactiled.cli
 from tactiled.bench.restore import OURS, accuracy, moving, nrmse, speed
 from tactiled.bench.truth import DRAWN, PEAK, presses
 from tactiled.cli.app import app
-from tactiled.restore.methods import make
+from tactiled.restore.methods import METHODS, make
 
 
 @pytest.fixture
@@ -27,6 +27,13 @@ def test_presses_are_blurred_truth_with_the_noise_they_say(few):
         predicted = press.blur.forward(press.truth)
         within = 0.4 if press.scene == "points" else 0.08  # what lies between taxels is not in the truth's cells
         assert nrmse(predicted, press.frame) < within
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_explodes_on_loads_far_smaller_than_its_cells(method):
+    for press in presses(16, (1.0,), (0.002,)):
+        image = make(method, press.blur, press.sigma)(press.frame).image
+        assert np.abs(image).max() < 3 * max(press.truth.max(), press.frame.max()), press.scene
 
 
 def test_the_same_seed_draws_the_same_presses(few):
