@@ -15,6 +15,12 @@ from tactiled.cli.app import bench
 SIZES = (16, 32, 64)
 THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
 NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
+TOLD = {
+    "skimage rl 30": "sk. rl, 30",
+    "skimage wiener": "sk. wiener, tuned",
+    "skimage rl": "sk. rl, tuned",
+    "best": "better of these",
+}
 WIENER_AIMS = {32: 8.0, 64: 4.0}
 MOVING_AIMS = {16: "median under 40 µs", 32: "median under skimage wiener, p99 under 1 ms", 64: "p99 under 2 ms"}
 
@@ -66,35 +72,35 @@ def _aims(found: list[Speed]) -> Table:
 
 
 def _moving(found: list[Moving], speeds: list[Speed]) -> Table:
-    columns = (
-        "size",
-        "median µs",
-        "p99 µs",
-        "worst µs",
-        "skimage wiener µs",
-        "idle pad µs (aim 5)",
-        "chosen",
-        "aim",
-    )
     table = _table(
-        "auto on scenes that move at 100 frames a second, each frame the least of three passes", *columns
+        "auto on scenes that move at 100 frames a second, each frame the least of three passes",
+        "µs",
+        *(f"{each.size} x {each.size}" for each in found),
     )
-    for each, fixed in zip(found, speeds, strict=True):
-        chosen = ", ".join(f"{name} {count}" for name, count in sorted(each.chosen.items()))
-        times = (each.median, each.p99, each.worst, fixed.times["skimage wiener"], each.idle)
-        table.add_row(f"{each.size}", *(f"{t:.1f}" for t in times), chosen, MOVING_AIMS[each.size])
+    for name, values in (
+        ("median", [each.median for each in found]),
+        ("99th percentile", [each.p99 for each in found]),
+        ("worst", [each.worst for each in found]),
+        ("skimage wiener", [each.times["skimage wiener"] for each in speeds]),
+        ("idle pad (aim: under 5)", [each.idle for each in found]),
+    ):
+        table.add_row(name, *(f"{value:.1f}" for value in values))
+    chosen = (sorted(each.chosen.items()) for each in found)
+    table.add_row("chosen", *(", ".join(f"{name} {count}" for name, count in each) for each in chosen))
+    table.add_row("aim", *(MOVING_AIMS[each.size] for each in found))
     return table
 
 
 def _accuracy(found: Accuracy, size: int, covers: tuple[float, ...]) -> Table:
-    title = f"NRMSE at {size} x {size}, {len(found.presses)} presses, t/pitch {covers}, noise 0.2, 1, 5 %"
-    names = ("raw", *OURS, "skimage rl 30", "skimage wiener", "skimage rl", "best")
-    titles = ("raw", *OURS, "skimage rl, 30", "skimage wiener, tuned", "skimage rl, tuned", "better of these")
-    table = _table(title, "scene", *titles)
-    for scene in DRAWN:
-        table.add_row(scene, *(f"{found.mean(name, scene):.3f}" for name in names))
-    table.add_section()
-    table.add_row("mean", *(f"{found.mean(name):.3f}" for name in names))
-    table.add_row("worst over raw", *(f"{found.worst(name):.2f}" for name in names))
-    table.add_row("worse than raw by over 2 %", *(f"{found.slips(name)}" for name in names))
+    title = (
+        f"NRMSE at {size} x {size}, {len(found.presses)} presses, t/pitch {covers}, noise 0.2, 1, 5 %; "
+        "over: at worst, over the raw image's; > 2 %: presses worse than raw by more"
+    )
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 0, 0, 1))
+    table.add_column()
+    for name in (*DRAWN, "mean", "over", "> 2 %"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for name in ("raw", *OURS, "skimage rl 30", "skimage wiener", "skimage rl", "best"):
+        errors = [f"{found.mean(name, scene):.3f}".lstrip("0") for scene in (*DRAWN, None)]
+        table.add_row(TOLD.get(name, name), *errors, f"{found.worst(name):.2f}", f"{found.slips(name)}")
     return table
