@@ -1,6 +1,7 @@
 import asyncio
 import re
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,8 @@ def test_the_same_for_asyncio(playing, url):
                 break
         return seen
 
-    images = asyncio.run(three())
+    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
+        images = other.submit(asyncio.run, three()).result()
     assert len({image.sequence for image in images}) == 3
     assert np.isfinite(images[-1].restored).all()
     assert playing.sensor.status().state == "live"
