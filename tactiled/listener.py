@@ -68,6 +68,8 @@ class Listener:
             try:
                 self._reader = self._reader or open_bus(**self._settings)
                 self._tell(None)
+                for sensor in self._sensors.values():
+                    sensor.clock = self._reader.clock
                 wait = BACK_OFF_S[0]
                 self._read(self._reader)
             except BusError as error:

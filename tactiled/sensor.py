@@ -53,6 +53,7 @@ class Sensor:
         self.methods = tuple(METHODS)
         self.hub, self.heard = Hub(), Heard()
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape)
+        self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.errors: Callable[[], Mapping[str, int]] = dict  # what its bus's error frames have told by now

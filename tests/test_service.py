@@ -86,6 +86,7 @@ class Bus:
         self.counted = {}
         self.kinds = {}
         self.unsent = 0
+        self.clock = "python-can adapter"
 
     def counts(self):
         return self.counted

@@ -51,6 +51,11 @@ class Reader:
         self.kinds = dict.fromkeys(faults.KINDS, 0)  # what the error frames told; never grows: threads read it
         self.off: str | None = None  # that it is off the bus now, and what to do
 
+    @property
+    def clock(self) -> str:
+        """Which clock gives the messages' times: the kernel's, or that of an interface's driver."""
+        return "kernel" if isinstance(self._bus, SocketcanBus) else f"python-can {self.label.split()[0]}"
+
     def frame(self, timeout: float) -> can.Message | None:
         """The next frame of any kind, or None after `timeout` (s); BusError where the bus is gone.
 

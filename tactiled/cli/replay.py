@@ -48,6 +48,8 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
             for each in sensors.values():
                 each.down = line
 
+        for each in sensors.values():
+            each.clock = "recording"
         codecs = {name: each.codec for name, each in sensors.items()}
         return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended)
 

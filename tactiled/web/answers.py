@@ -65,6 +65,7 @@ def sensor_state(sensor: Sensor) -> SensorState:
         age_s=status.age_s,
         rate_hz=status.rate_hz,
         jitter_s=status.jitter_s,
+        clock=sensor.clock,
         skew_s=status.skew_s,
         detail=status.detail,
         sequence=image.sequence if image else None,

@@ -78,6 +78,11 @@ class SensorState(Form):
         description="standard deviation of the last 100 periods from frame to frame, by the bus's clock",
         examples=[0.0002],
     )
+    clock: str | None = Field(
+        description="that gives the frames' times: kernel (Linux, Unix time), python-can INTERFACE (as its driver "
+        "tells), recording; null before the bus was first open",
+        examples=["kernel"],
+    )
     skew_s: float | None = Field(
         description="from the newest frame's first message to its last", examples=[0.0031]
     )

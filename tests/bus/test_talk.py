@@ -203,6 +203,7 @@ def adapter(monkeypatch):
 
         def __init__(self):
             self.unsent, self.kinds, self.closed = 0, {}, False
+            self.clock = "python-can fake"
 
         def counts(self):
             return {"unsent": self.unsent}

@@ -125,6 +125,7 @@ def test_images_are_bit_identical_from_run_to_run_at_any_speed(lossy, speeds):
     assert loss.foreign == FRAMES - 1  # one comes behind the last frame
     assert [each.sequence for each in first] == list(range(FRAMES))
     status = sensor.status()
+    assert sensor.clock == "recording"
     assert (status.state, status.detail) == ("down", f"a.log has ended after {3 * FRAMES - 3} messages")
 
 

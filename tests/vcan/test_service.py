@@ -142,6 +142,10 @@ def test_a_skin_that_falls_silent_is_stale_and_live_again_when_it_restarts(state
     until(lambda: (now := state("palm"))["state"] == "live" and now["sequence"] > stale["sequence"])
 
 
+def test_times_are_the_kernels(state, until):
+    until(lambda: state("palm")["clock"] == "kernel")
+
+
 def test_nothing_is_served_before_the_first_frame(url, state):
     assert state("hand")["state"] == "silent"
     with pytest.raises(urllib.error.HTTPError, match="503"):

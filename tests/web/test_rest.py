@@ -96,6 +96,7 @@ def test_what_the_bus_counts_and_how_evenly_frames_come_is_told(rig, client):
     rig.show(pressed())
     told = client.get("/sensors/palm").json()
     assert told["skew_s"] >= 0
+    assert told["clock"] == "python-can virtual"
     assert {kind: told["loss"][kind] for kind in ("dropped", "errors", "bus_off")} == {
         "dropped": 0,
         "errors": 0,
