@@ -3,6 +3,7 @@
  * @module
  */
 
+import { nearest } from "./nearest.js";
 import { fixed } from "./paint.js";
 
 /**
@@ -38,6 +39,8 @@ export class Contacts {
     /** @type {{timestamp: number, contacts: Contact[]}[]} */
     this._kept = [];
     this._newest = -1;
+    /** @param {number} back */
+    this._back = (back) => this._kept[(this._newest - back + this._kept.length) % this._kept.length];
   }
 
   /** Keep nothing. */
@@ -58,16 +61,6 @@ export class Contacts {
    * @returns {Contact[]|null} in it, or in the one nearest in time; null where none is near
    */
   at(timestamp) {
-    let best = null;
-    let least = HOLDS_S;
-    for (let i = 0; i < this._kept.length; i += 1) {
-      const one = this._kept[(this._newest - i + this._kept.length) % this._kept.length];
-      const away = Math.abs(one.timestamp - timestamp);
-      if (away <= least) {
-        least = away;
-        best = one.contacts;
-      } else if (one.timestamp < timestamp) break; // those before it are further away still
-    }
-    return best;
+    return nearest(this._kept.length, this._back, timestamp, HOLDS_S)?.contacts ?? null;
   }
 }

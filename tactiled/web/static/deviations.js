@@ -4,6 +4,7 @@
  */
 
 import * as api from "./api.js";
+import { nearest } from "./nearest.js";
 
 /** @typedef {import("./plane.js").Plane} Plane */
 /** @typedef {import("./history.js").Frame} Frame */
@@ -24,6 +25,8 @@ export class Deviations {
     this._kept = [];
     this._asked = -Infinity; // ms
     this._asking = false;
+    /** @param {number} back */
+    this._back = (back) => this._kept[this._kept.length - 1 - back];
   }
 
   /** Keep nothing. */
@@ -37,17 +40,7 @@ export class Deviations {
    * @returns {Float32Array|null} kPa, one a restored cell; null where none is near enough in time
    */
   at(timestamp) {
-    let best = null;
-    let least = HOLDS_S;
-    for (let i = this._kept.length - 1; i >= 0; i -= 1) {
-      const each = this._kept[i];
-      const away = Math.abs(each.timestamp - timestamp);
-      if (away <= least) {
-        least = away;
-        best = each.kpa;
-      } else if (each.timestamp < timestamp) break; // those before it are further away still
-    }
-    return best;
+    return nearest(this._kept.length, this._back, timestamp, HOLDS_S)?.kpa ?? null;
   }
 
   /**
