@@ -1,9 +1,11 @@
-"""What happened to the service, one line each, numbered; the last thousand of them."""
+"""What happened to the service, one line each, numbered, the last thousand of them; and what fails in it now."""
 
+import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from typing import Literal
@@ -11,9 +13,11 @@ from typing import Literal
 Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
-    "tare_asked", "tare_done", "recording_started", "recording_ended",
+    "tare_asked", "tare_done", "recording_started", "recording_ended", "fault_raised", "fault_cleared",
 ]  # fmt: skip
 MOST = 1000
+CLEAR_S = 1.0  # without a fault or a warning until it counts as cleared: one that flickers is told once
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,3 +67,46 @@ class Events:
                 self._listeners.remove(listener)
 
         return unsubscribe
+
+
+class Faults:
+    """Which parts of the service fail, though they go on, and why; any thread may call it."""
+
+    def __init__(self, events: Events, clock: Callable[[], float] = time.monotonic) -> None:
+        self._events, self._clock = events, clock
+        self._lock = threading.Lock()
+        self._now: dict[str, tuple[str, float]] = {}  # by part: why, and when it last failed
+
+    @property
+    def now(self) -> dict[str, str]:
+        """Why each part fails, of those that do."""
+        with self._lock:
+            return {part: why for part, (why, _) in self._now.items()}
+
+    @contextmanager
+    def turn(self, part: str) -> Iterator[None]:
+        """Do one turn of a part's work; if it fails that is told, in the log, too, and the next turn may come."""
+        try:
+            yield
+        except Exception as error:
+            self._raise(part, f"{type(error).__name__}: {error}")
+        else:
+            self._clear(part)
+
+    def _raise(self, part: str, why: str) -> None:
+        with self._lock:
+            known = part in self._now
+            self._now[part] = why, self._clock()
+        if not known:
+            LOG.exception("%s failed, and goes on", part)
+            self._events.add("fault_raised", f"{part}: {why}")
+
+    def _clear(self, part: str) -> None:
+        if part not in self._now:  # nearly always: without the lock
+            return
+        with self._lock:
+            why, failed = self._now[part]
+            if self._clock() - failed < CLEAR_S:
+                return
+            del self._now[part]
+        self._events.add("fault_cleared", f"{part}: {why}")

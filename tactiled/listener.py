@@ -1,5 +1,6 @@
 """What hands a bus's frames to its sensors: a thread that reads it and opens it again when it goes away."""
 
+import logging
 import threading
 import time
 from collections import Counter
@@ -18,6 +19,7 @@ from tactiled.sensor import Sensor
 
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
+LOG = logging.getLogger(__name__)
 
 
 class Listening(Protocol):
@@ -63,20 +65,29 @@ class Listener:
             self._reader.close()
 
     def _run(self) -> None:
-        wait = BACK_OFF_S[0]
+        wait, last = BACK_OFF_S[0], ""
         while not self._stop.is_set():
+            began = time.monotonic()
             try:
                 self._reader = self._reader or open_bus(**self._settings)
                 self._tell(None)
                 for sensor in self._sensors.values():
                     sensor.clock = self._reader.clock
-                wait = BACK_OFF_S[0]
                 self._read(self._reader)
             except BusError as error:
-                self._tell(str(error))
-                self._drop()
-                self._stop.wait(wait)
-                wait = min(2 * wait, BACK_OFF_S[1])
+                why = str(error)
+            except Exception as error:  # a codec's fault, or our own: no reason to go silent
+                why = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
+                if why != last:
+                    LOG.exception("bus %s failed, and is opened again", self.name)
+            else:
+                return
+            if time.monotonic() - began > BACK_OFF_S[1]:
+                wait = BACK_OFF_S[0]
+            self._tell(why)
+            self._drop()
+            self._stop.wait(wait)
+            wait, last = min(2 * wait, BACK_OFF_S[1]), why
 
     def _read(self, reader: Reader) -> None:
         """Take messages until the stop, or until a BusError."""

@@ -7,7 +7,7 @@ from typing import Any
 from tactiled.config import Config
 from tactiled.config.build import sensor_plans
 from tactiled.errors import StateError, TactileError, UnknownSensorError
-from tactiled.events import Events
+from tactiled.events import Events, Faults
 from tactiled.listener import Listener, Listening
 from tactiled.restore.methods import METHODS, require
 from tactiled.sensor import Sensor
@@ -25,11 +25,12 @@ class Service:
         state: Kept | None = None,
     ) -> None:
         self.config, self.state, self.events = config, state, Events()
+        self.faults = Faults(self.events)
         self._setting = Lock()  # what is kept is what runs, whoever asks at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
         self.sensors = {plan.name: Sensor(plan, history=history) for plan in sensor_plans(config)}
-        self._watch = Watch(self.sensors.values(), self.events)
+        self._watch = Watch(self.sensors.values(), self.events, self.faults)
         self._recall()
         self._listeners = [
             listen(

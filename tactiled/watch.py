@@ -6,11 +6,10 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
-from tactiled.events import Events, Kind
+from tactiled.events import CLEAR_S, Events, Faults, Kind
 from tactiled.frames import Image
 
 LOOK_S = 0.1
-CLEAR_S = 1.0  # without a warning until it counts as cleared: one that flickers is told once
 NUMBER = re.compile(r"\d[\d.]*(e[-+]?\d+)?")
 KINDS: Mapping[str, Kind] = {kind: kind for kind in get_args(Kind)}
 
@@ -67,8 +66,8 @@ class Watched(Protocol):
 class Watch:
     """Looks at every sensor ten times a second, on a thread of its own."""
 
-    def __init__(self, sensors: Iterable[Watched], events: Events) -> None:
-        self._sensors, self._events = tuple(sensors), events
+    def __init__(self, sensors: Iterable[Watched], events: Events, faults: Faults) -> None:
+        self._sensors, self._events, self._faults = tuple(sensors), events, faults
         self._states = {each.name: "silent" for each in self._sensors}
         self._down: dict[str, str | None] = {each.bus_name: None for each in self._sensors}
         self._warned: dict[str, dict[str, tuple[str, float]]] = {each.name: {} for each in self._sensors}
@@ -91,15 +90,19 @@ class Watch:
             self.look(time.monotonic())
 
     def look(self, now: float) -> None:
-        """Tell of every change since the last look; `now` in s."""
+        """Tell of every change since the last look; `now` in s; a sensor that cannot be looked at is a fault."""
         for bus in self._down:
             self._bus(bus)
         for sensor in self._sensors:
-            self._state(sensor)
-            self._warnings(sensor, now)
-            if sensor.tared != self._tared[sensor.name]:
-                self._tared[sensor.name] = sensor.tared
-                self._events.add("tare_done", "the load of the last frames is the new zero", sensor.name)
+            with self._faults.turn(f"watch of {sensor.name}"):
+                self._state(sensor)
+                self._warnings(sensor, now)
+                self._tare(sensor)
+
+    def _tare(self, sensor: Watched) -> None:
+        if sensor.tared != self._tared[sensor.name]:
+            self._tared[sensor.name] = sensor.tared
+            self._events.add("tare_done", "the load of the last frames is the new zero", sensor.name)
 
     def _bus(self, bus: str) -> None:
         down = next((each.down for each in self._sensors if each.bus_name == bus and each.down), None)

@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from tactiled.events import Events
-from tactiled.watch import CLEAR_S, Heard, Watch
+from tactiled.events import CLEAR_S, Events, Faults
+from tactiled.watch import Heard, Watch
+from tests.conftest import until
 
 
 def test_events_are_numbered_and_the_oldest_fall_out():
@@ -67,7 +68,7 @@ def palm():
 def told(palm):
     """Look, and give what is new."""
     events = Events()
-    watch = Watch([palm, Sensor("thumb")], events)
+    watch = Watch([palm, Sensor("thumb")], events, Faults(events))
 
     def look(now=0.0):
         last = events.newest
@@ -116,3 +117,42 @@ def test_a_warning_is_raised_once_whatever_its_numbers_and_cleared_when_it_is_go
     assert [kind for kind, *_ in told(3 * CLEAR_S)] == ["warning_raised"]
     palm.state = "stale"
     assert [kind for kind, *_ in told(9 * CLEAR_S)] == ["sensor_stale"]  # silence clears nothing
+
+
+def test_a_fault_is_told_once_and_cleared_when_it_is_gone_for_a_while(caplog):
+    now, events = [0.0], Events()
+    faults = Faults(events, lambda: now[0])
+
+    def turn(error=None):
+        last = events.newest
+        with faults.turn("part"):
+            if error:
+                raise error
+        return [(each.kind, each.text) for each in events.after(last)]
+
+    assert turn() == []
+    assert turn(KeyError("a")) == [("fault_raised", "part: KeyError: 'a'")]
+    assert turn(KeyError("b")) == turn() == []  # it flickers
+    assert faults.now == {"part": "KeyError: 'b'"}
+    assert [each.exc_info[0] for each in caplog.records] == [KeyError]
+    now[0] += CLEAR_S
+    assert turn() == [("fault_cleared", "part: KeyError: 'b'")]
+    assert faults.now == {}
+    assert turn(KeyError("a")) == [("fault_raised", "part: KeyError: 'a'")]
+
+
+def test_a_sensor_that_cannot_be_looked_at_is_told_and_the_others_are_watched_on(palm, caplog):
+    events, thumb = Events(), Sensor("thumb")
+    faults = Faults(events)
+    watch = Watch([palm, thumb], events, faults)
+    palm.status = lambda: 1 / 0
+    watch.start()
+    until(lambda: faults.now)
+    thumb.state = "live"
+    until(lambda: events.newest == 2)
+    watch.stop()
+    assert [(each.kind, each.text) for each in events.after(0)] == [
+        ("fault_raised", "watch of palm: ZeroDivisionError: division by zero"),
+        ("sensor_live", "frames come"),
+    ]
+    assert "ZeroDivisionError" in caplog.text

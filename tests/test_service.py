@@ -138,6 +138,32 @@ def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, mon
     sensor.stop()
 
 
+def test_a_fault_of_a_codec_is_told_and_ends_no_bus(plan, monkeypatch, caplog):
+    bus, sensor = Bus(), Sensor(plan)
+    monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
+    listener = Listener("can0", {}, {"palm": sensor})
+    push, failed = listener._router.push, []
+
+    def once_not(message):
+        if not failed:
+            failed.append(message)
+            raise KeyError("byte 7")
+        return push(message)
+
+    monkeypatch.setattr(listener._router, "push", once_not)
+    sensor.start()
+    listener.start()
+    bus.messages += sensor.codec.encode(pressed().ravel().astype(np.uint16), 0, time.time())
+    until(lambda: sensor.status().state == "down")
+    assert sensor.status().detail == "bus can0: the service failed at it: KeyError: 'byte 7'"
+    assert "KeyError" in caplog.text
+    until(lambda: sensor.down is None)
+    bus.messages += sensor.codec.encode(pressed().ravel().astype(np.uint16), 1, time.time())
+    until(lambda: (image := sensor.hub.latest()) and image.sequence == 1)
+    listener.stop()
+    sensor.stop()
+
+
 def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkeypatch):
     bus, sensor = Bus(), Sensor(plan)
     monkeypatch.setattr("tactiled.listener.open_bus", bus.open)

@@ -78,7 +78,8 @@ def health(service: Service) -> Health:
     """The service as it is now."""
     sensors = {name: sensor_state(sensor) for name, sensor in service.sensors.items()}
     live = all(each.state == "live" for each in sensors.values())
-    return Health(status="ok" if live else "degraded", sensors=sensors)
+    faults = service.faults.now
+    return Health(status="ok" if live and not faults else "degraded", sensors=sensors, faults=faults)
 
 
 def numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[float | None]:

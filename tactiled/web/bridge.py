@@ -75,15 +75,16 @@ def bridge(service: Service, port: int | None) -> Iterator[int | None]:
         yield None
         return
     live = foxglove.Live(port)
-    lines = [_Line(live, sensor) for sensor in service.sensors.values()]
+    lines = {name: _Line(live, sensor) for name, sensor in service.sensors.items()}
     new, ended = threading.Event(), threading.Event()
 
     def work() -> None:
         while not ended.is_set():
             new.wait(STATE_S / 2)
             new.clear()
-            for line in lines:
-                line.show(time.monotonic())
+            for name, line in lines.items():
+                with service.faults.turn(f"foxglove of {name}"):
+                    line.show(time.monotonic())
 
     thread = threading.Thread(target=work, name="foxglove", daemon=True)
     leave = [sensor.hub.subscribe(lambda _: new.set()) for sensor in service.sensors.values()]

@@ -104,8 +104,12 @@ class Sensors(Form):
 class Health(Form):
     """Whether the service runs, and whether its sensors do."""
 
-    status: Literal["ok", "degraded"] = Field(description="degraded: at least one sensor is not live")
+    status: Literal["ok", "degraded"] = Field(description="degraded: a sensor is not live, or a part has a fault")
     sensors: dict[str, SensorState]
+    faults: dict[str, str] = Field(
+        description="parts of the service that failed within the last second or so and go on, and why",
+        examples=[{}],
+    )
 
 
 class Frame(Form):

@@ -46,7 +46,7 @@ Wait = Annotated[
 
 @router.get("/events")
 async def events(service: Served, after: After = 0, limit: Limit = 100, wait: Wait = 0.0) -> EventsForm:
-    """What happened after an event: states, warnings, methods, tares, recordings; the last 1000 are kept.
+    """What happened after an event: states, warnings, methods, tares, recordings, faults; the last 1000 are kept.
 
     An `after` beyond the newest, of a service that has been started anew since, counts as 0.
     """

@@ -15,7 +15,7 @@ class PatientHttp(HttpToolsProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._late: asyncio.TimerHandle | None = None
-        self._head = 0  # bytes since the head began
+        self._head = 0  # bytes of it that came after those with which it began
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for the first head."""
@@ -29,8 +29,9 @@ class PatientHttp(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes in, and cut off a head that has grown too long."""
+        waited = self._late
         super().data_received(data)
-        if self._late is not None:
+        if self._late is not None and self._late is waited:  # else these bytes are of the request before, too
             self._head += len(data)
             if self._head > MOST_HEAD:
                 self.transport.abort()
@@ -48,7 +49,14 @@ class PatientHttp(HttpToolsProtocol):
 
     def _wait(self) -> None:
         self._head = 0
-        self._late = self.loop.call_later(HEAD_S, self.transport.abort)
+        self._late = self.loop.call_later(HEAD_S, self._end)
+
+    def _end(self) -> None:
+        """Cut a head off that is late; not where it is the service that reads nothing until it has answered."""
+        if self.flow.read_paused:
+            self._late = self.loop.call_later(HEAD_S, self._end)
+        else:
+            self.transport.abort()
 
     def _come(self) -> None:
         if self._late is not None:

@@ -144,6 +144,22 @@ def test_nothing_is_made_that_nobody_looks_at(rig, monkeypatch):
     assert not rig.sensor.hub._listeners
 
 
+def test_a_fault_is_told_and_the_next_image_comes(rig, url, monkeypatch, caplog):
+    with app(rig) as client:
+        client.next("/palm/state")
+        with monkeypatch.context() as broken:
+            broken.setattr(foxglove.Topics, "messages", lambda *_: 1 / 0)
+            rig.show(pressed())
+            until(lambda: rig.service.faults.now)
+        told = httpx.get(url + "/api/v1/health").json()
+        assert told["faults"] == {"foxglove of palm": "ZeroDivisionError: division by zero"}
+        assert told["status"] == "degraded"
+        assert "fault_raised" in {each.kind for each in rig.service.events.after(0)}
+        image = rig.show(pressed())
+        assert client.next("/palm/raw")[1] == round(image.time * 1e9)
+    assert "ZeroDivisionError" in caplog.text
+
+
 def test_a_port_in_use_and_an_sdk_that_is_not_there_are_told_in_one_line(rig, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -9,7 +9,7 @@ import { byId } from "./paint.js";
 /** @typedef {import("./api.js").Event} Event */
 
 const MOST = 100; // lines
-const BAD = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored"]);
+const BAD = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised"]);
 
 export class Log {
   constructor() {
