@@ -25,5 +25,9 @@ class UnknownSensorError(TactileError):
     """A sensor name that the configuration does not have."""
 
 
+class NoShearError(TactileError):
+    """Shear asked of a sensor whose skin feels none."""
+
+
 class StateError(TactileError):
     """What a client wants kept cannot be written."""

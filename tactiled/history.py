@@ -18,7 +18,7 @@ class Kept(NamedTuple):
     sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
     time: NDArray[np.float64]  # (T,) s, of the frame's first message
     method: tuple[str, ...]  # T, what restored each
-    values: NDArray[np.float32]  # (T, *image) kPa
+    values: NDArray[np.float32]  # (T, *image) kPa; of shear (T, 2, *raw image) counts
     flags: NDArray[np.uint8]  # (T, *raw image)
     older: bool  # whether there are more of them before these
 
@@ -26,15 +26,20 @@ class Kept(NamedTuple):
 class History:
     """A ring of images: one thread adds, any thread reads, and none waits for another."""
 
-    def __init__(self, seconds: float, most_bytes: int, raw: tuple[int, ...], restored: tuple[int, ...]) -> None:
-        each = 5 * prod(raw) + 4 * prod(restored) + BESIDE
+    def __init__(
+        self,
+        seconds: float,
+        most_bytes: int,
+        raw: tuple[int, ...],
+        restored: tuple[int, ...],
+        shear: bool = False,  # whether the images have it
+    ) -> None:
+        shapes = {"raw": raw, "restored": restored} | ({"shear": (2, *raw)} if shear else {})
+        each = 4 * sum(map(prod, shapes.values())) + prod(raw) + BESIDE
         slots = min(ceil(seconds * RATE_HZ), most_bytes // each)
         self.capacity = max(slots - 1, 0)  # frames; the slot that is being written is none of them
         slots = self.capacity and slots
-        self._images = {
-            "raw": np.zeros((slots, *raw), np.float32),
-            "restored": np.zeros((slots, *restored), np.float32),
-        }
+        self._images = {kind: np.zeros((slots, *shape), np.float32) for kind, shape in shapes.items()}
         self._flags = np.zeros((slots, *raw), np.uint8)
         self._sequence = np.zeros(slots, np.int64)
         self._time = np.zeros(slots)
@@ -46,8 +51,8 @@ class History:
         if not self.capacity:
             return
         slot = self._count % (self.capacity + 1)
-        self._images["raw"][slot] = image.raw
-        self._images["restored"][slot] = image.restored
+        for kind, kept in self._images.items():
+            kept[slot] = getattr(image, kind)
         self._flags[slot] = image.flags
         self._sequence[slot] = image.sequence
         self._time[slot] = image.time

@@ -11,8 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bus.codecs import Shearing
 from tactiled.config.build import SensorPlan
 from tactiled.contacts import APART, Contact, Finder, Tracker
+from tactiled.errors import NoShearError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.history import History
 from tactiled.hub import Hub
@@ -52,7 +54,8 @@ class Sensor:
         self.calibration = plan.calibration
         self.methods = tuple(METHODS)
         self.hub, self.heard = Hub(), Heard()
-        self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape)
+        self.shears = isinstance(plan.codec, Shearing)
+        self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, self.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
@@ -85,6 +88,11 @@ class Sensor:
     def newest(self) -> RawFrame | None:
         """The newest frame in counts, None before the first; its image may not be made yet."""
         return self._newest
+
+    def need_shear(self) -> None:
+        """NoShearError where its skin feels none."""
+        if not self.shears:
+            raise NoShearError(f"sensor {self.name!r}: its codec {self.codec_name} carries no shear")
 
     def set_method(self, name: str) -> None:
         """Restore by `name` from the next frame on; ConfigError if there is no such method."""

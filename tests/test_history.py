@@ -1,5 +1,6 @@
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,6 +26,10 @@ def ring(frames):
     return History(1e6, EACH * (frames + 1), RAW, RESTORED)
 
 
+def sheared(n):
+    return replace(image(n), shear=np.stack([np.full(RAW, n, np.float32), np.full(RAW, -n, np.float32)]))
+
+
 def test_memory_is_bounded_by_time_and_by_bytes():
     assert History(1.0, ALL, RAW, RESTORED).capacity == RATE_HZ - 1
     small = ring(20)
@@ -33,6 +38,24 @@ def test_memory_is_bounded_by_time_and_by_bytes():
     for nothing in (History(0, ALL, RAW, RESTORED), History(5, EACH, RAW, RESTORED)):
         nothing.add(image(0))
         assert len(nothing("raw", 10, None, 10, ALL).values) == 0
+
+
+def test_shear_counts_towards_the_bound_and_is_kept_beside_the_images():
+    each = EACH + 8 * 16
+    kept = History(1e6, each * 21, RAW, RESTORED, shear=True)
+    held = [one.nbytes for one in (*kept._images.values(), kept._flags, kept._sequence, kept._time)]
+    assert sum(held) + 8 * len(kept._method) == each * 21
+    for n in range(50):
+        kept.add(sheared(n))
+    assert sum(one.nbytes for one in (*kept._images.values(), kept._flags, kept._sequence, kept._time)) == sum(
+        held
+    )
+    found = kept("shear", 100, None, 100, ALL)
+    assert found.values.shape == (20, 2, 4, 4)
+    np.testing.assert_array_equal(found.values[:, 0, 0, 0], np.arange(30, 50))
+    np.testing.assert_array_equal(found.values[:, 1, 3, 3], -np.arange(30, 50))
+    np.testing.assert_array_equal(kept("raw", 100, None, 100, ALL).values[:, 0, 0], np.arange(30, 50))
+    assert kept("shear", 100, None, 100, 3 * 32).sequence.tolist() == [47, 48, 49]  # of 32 numbers each
 
 
 def test_the_last_images_come_in_order_with_all_that_is_known_of_them():

@@ -1,6 +1,7 @@
 """What the API says of images, sensors and the service: the forms, filled in."""
 
 from dataclasses import asdict
+from io import BytesIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,7 @@ def sensor_state(sensor: Sensor) -> SensorState:
         columns=shape[1] if shape else None,
         taxels=sensor.array.size,
         pitch_mm=sensor.array.pitch,
+        shear=sensor.shears,
         method=sensor.method,
         methods=sensor.methods,
         state=status.state,
@@ -88,6 +90,13 @@ def numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[floa
     rounded[~np.isfinite(values)] = None
     listed: list[list[float | None]] = rounded.tolist()
     return listed
+
+
+def npy(values: NDArray[np.float32]) -> bytes:
+    """Give an array as a .npy file."""
+    out = BytesIO()
+    np.save(out, values)
+    return out.getvalue()
 
 
 def values(sensor: Sensor, image: Image, kind: Shown) -> NDArray[np.float32]:

@@ -1,5 +1,6 @@
 """`/api/v1/asyncapi.json`: the WebSockets in AsyncAPI 3.0, from the models that their messages are made of."""
 
+from itertools import permutations
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -8,7 +9,8 @@ from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import forms, session
-from tactiled.web.wire import KINDS, LAYOUT
+from tactiled.web.shear import Shear
+from tactiled.web.wire import KINDS, LAYOUT, PRESSURES
 
 Json = dict[str, Any]
 
@@ -20,13 +22,14 @@ TOLD: dict[str, tuple[type[BaseModel], str]] = {
     "status": (forms.StreamStatus, "A sensor's state, at least once a second and on every change"),
     "contacts": (forms.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
     "frame": (forms.Frame, "With format=json: one image"),
+    "shear": (Shear, "With format=json and shear among the kinds: what a 3-axis skin feels along its surface"),
 }
 QUERY: Json = {
     "kinds": {
         "type": "string",
-        "enum": [*KINDS, ",".join(KINDS), ",".join(reversed(KINDS))],
-        "default": ",".join(KINDS),
-        "description": "images of every frame, in this order",
+        "enum": [",".join(some) for n in range(1, len(KINDS) + 1) for some in permutations(KINDS, n)],
+        "default": ",".join(PRESSURES),
+        "description": "images of every frame, in this order; shear only of sensors that feel it",
     },
     "rate_hz": {"type": "number", "minimum": 0, "maximum": 10000, "default": 0, "description": "0: every frame"},
     "format": {"type": "string", "enum": ["binary", "json"], "default": "binary", "description": "of images"},

@@ -29,6 +29,7 @@ def problem(description: str, **headers: str) -> dict[str, Any]:
 
 WAIT = "s until the next attempt"
 NO_SENSOR: Responses = {404: problem("no such sensor")}
+NO_SHEAR: Responses = {404: problem("no such sensor, or shear of one that feels none")}
 NO_FRAME: Responses = {503: problem("no frame yet", Retry_After=WAIT)}
 TOO_MANY: Responses = {429: problem("more than control_per_minute", Retry_After=WAIT)}
 CONTROL: Responses = TOO_MANY | {

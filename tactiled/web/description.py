@@ -67,6 +67,8 @@ def example(schema: Json, schemas: Json) -> Any:
             return schema[key][0]
     if "const" in schema:
         return schema["const"]
+    if "anyOf" in schema:
+        return example(schema["anyOf"][0], schemas)
     if schema.get("type") == "array":
         return [example(schema["items"], schemas)]
     if "additionalProperties" in schema and "properties" not in schema:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from tactiled.frames import Image
 from tactiled.sensor import Sensor
-from tactiled.web import answers, forms
+from tactiled.web import answers, forms, shear
 from tactiled.web.wire import Kind, pack
 
 
@@ -55,7 +55,12 @@ class Feed:
     def text(self, kind: Kind) -> str:
         """The newest image as JSON; LookupError before the first."""
         if kind not in self._text:
-            self._text[kind] = answers.frame(self.sensor, self._newest(), kind).model_dump_json()
+            image = self._newest()
+            if kind == "shear":
+                told: forms.Form = shear.told(self.sensor, image, self.sensor.status().state)
+            else:
+                told = answers.frame(self.sensor, image, kind)
+            self._text[kind] = told.model_dump_json()
         return self._text[kind]
 
     def status(self) -> forms.StreamStatus:

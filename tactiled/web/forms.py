@@ -10,7 +10,6 @@ from tactiled.restore.methods import METHODS
 from tactiled.sensor import State
 
 Shown = Literal["raw", "restored", "deviation"]
-Streamed = Literal["raw", "restored"]
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
 Name = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
@@ -69,6 +68,7 @@ class SensorState(Form):
     columns: int | None = Field(description="null where the layout is no grid", examples=[32])
     taxels: int = Field(examples=[1024])
     pitch_mm: float = Field(examples=[1.0])
+    shear: bool = Field(description="whether the skin feels it", examples=[False])
     method: str = Field(description="asked for", examples=["auto"])
     methods: tuple[str, ...] = Field(examples=[("auto", "raw", "wiener", "rl", "nnls")])
     state: State = Field(description="live; stale: no new frame; silent: none yet; down: the bus is gone")

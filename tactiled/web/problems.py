@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from tactiled.errors import ConfigError, UnknownSensorError
+from tactiled.errors import ConfigError, NoShearError, UnknownSensorError
 from tactiled.web import forms
 
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -40,7 +40,8 @@ def install(app: FastAPI) -> None:
         return response(error.status_code, detail, headers)
 
     @app.exception_handler(UnknownSensorError)
-    async def _unknown(_: Request, error: UnknownSensorError) -> Response:
+    @app.exception_handler(NoShearError)
+    async def _unknown(_: Request, error: UnknownSensorError | NoShearError) -> Response:
         return response(404, str(error))
 
     @app.exception_handler(ConfigError)

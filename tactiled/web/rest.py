@@ -1,9 +1,7 @@
 """The REST resources under /api/v1."""
 
-from io import BytesIO
 from typing import Annotated, Literal
 
-import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
 from tactiled.errors import StateError
@@ -180,9 +178,7 @@ def _answer(
     if form == "png":
         content = picture.png(sensor, image, kind, top_kpa)
     elif form == "npy":
-        out = BytesIO()
-        np.save(out, answers.values(sensor, image, kind))
-        content = out.getvalue()
+        content = answers.npy(answers.values(sensor, image, kind))
     else:
         content = answers.frame(sensor, image, kind).model_dump_json().encode()
     return Response(content, media_type=MEDIA[form], headers=headers)

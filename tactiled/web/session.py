@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import WebSocket, WebSocketDisconnect
 
-from tactiled.errors import UnknownSensorError
+from tactiled.errors import NoShearError, UnknownSensorError
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND = 4400, 4401, 4403, 4404
 TOO_BIG, FAILED, RESTART = 1009, 1011, 1012
@@ -17,7 +17,7 @@ CLOSES = {
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "no token, or one that is not known",
     FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",
-    NOT_FOUND: "no such sensor; the reason names it and those that there are",
+    NOT_FOUND: "no such sensor, or shear asked of one that feels none; the reason names it",
 }
 MOST = 64 * 1024  # bytes of a client's message
 MOST_REASON = 123  # bytes of a close frame's reason
@@ -30,7 +30,7 @@ def fitting(reason: str) -> str:
 
 async def refuse(socket: WebSocket, error: Exception) -> None:
     """Close, since the client is wrong, with the reason."""
-    code = NOT_FOUND if isinstance(error, UnknownSensorError) else BAD_REQUEST
+    code = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
     await socket.close(code, fitting(str(error)))
 
 

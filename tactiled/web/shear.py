@@ -1,17 +1,15 @@
 """`GET /api/v1/sensors/{name}/frames/shear`: what a 3-axis skin feels along its surface."""
 
-from io import BytesIO
 from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
-from tactiled.bus.codecs import Shearing
-from tactiled.sensor import State
+from tactiled.frames import Image
+from tactiled.sensor import Sensor, State
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_FRAME, NO_SENSOR, NOT_ACCEPTED, Found, Responses, accepted, documented, no_frame
-from tactiled.web.problems import Problem
+from tactiled.web.common import NO_FRAME, NO_SHEAR, NOT_ACCEPTED, Found, Responses, accepted, documented, no_frame
 
 Format = Literal["json", "npy"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy"}
@@ -45,10 +43,16 @@ class Shear(forms.Form):
     y: forms.Values
 
 
+def told(sensor: Sensor, image: Image, state: State) -> Shear:
+    """Shear of an image, which has it."""
+    x, y = (answers.numbers(each) for each in np.asarray(image.shear))
+    return Shear(sensor=sensor.name, sequence=image.sequence, timestamp=image.time, state=state, x=x, y=y)
+
+
 @router.get(
     "/sensors/{name}/frames/shear",
     response_model=Shear,
-    responses=NO_SENSOR | NO_FRAME | NOT_ACCEPTED | SHEAR,
+    responses=NO_SHEAR | NO_FRAME | NOT_ACCEPTED | SHEAR,
 )
 def shear(
     sensor: Found,
@@ -56,8 +60,7 @@ def shear(
     form: Annotated[Format | None, Query(alias="format", description="over the Accept header")] = None,
 ) -> Response:
     """Shear of the newest frame along the skin's own x and y, counts from rest; 404 where the skin feels none."""
-    if not isinstance(sensor.codec, Shearing):
-        raise Problem(404, f"sensor {sensor.name!r}: its codec {sensor.codec_name} carries no shear")
+    sensor.need_shear()
     form = form or accepted(request, MEDIA)
     image = sensor.hub.latest()
     if image is None or image.shear is None:
@@ -72,9 +75,5 @@ def shear(
         "X-Tactiled-Unit": "counts",
     }
     if form == "npy":
-        out = BytesIO()
-        np.save(out, image.shear)
-        return Response(out.getvalue(), media_type=MEDIA[form], headers=headers)
-    x, y = (answers.numbers(each) for each in image.shear)
-    told = Shear(sensor=sensor.name, sequence=image.sequence, timestamp=image.time, state=state, x=x, y=y)
-    return Response(told.model_dump_json(), media_type=MEDIA[form], headers=headers)
+        return Response(answers.npy(image.shear), media_type=MEDIA[form], headers=headers)
+    return Response(told(sensor, image, state).model_dump_json(), media_type=MEDIA[form], headers=headers)

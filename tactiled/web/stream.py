@@ -6,7 +6,7 @@ from contextlib import ExitStack
 
 from fastapi import APIRouter, WebSocket
 
-from tactiled.errors import UnknownSensorError
+from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.frames import Image
 from tactiled.web.feed import Feed
 from tactiled.web.flow import room
@@ -27,8 +27,8 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
         await socket.accept()
         try:
             asked = wish(socket.query_params)
-            stream = Stream(socket, _found(feeds, [name]), asked, named=False)
-        except (UnknownSensorError, ValueError) as error:
+            stream = Stream(socket, _found(feeds, [name], asked), asked, named=False)
+        except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
             await stream.run()
@@ -39,8 +39,8 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
         try:
             asked = wish(socket.query_params, ["sensors"])
             names = asked_for(socket.query_params, list(feeds))
-            stream = Stream(socket, _found(feeds, names), asked, named=True)
-        except (UnknownSensorError, ValueError) as error:
+            stream = Stream(socket, _found(feeds, names, asked), asked, named=True)
+        except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
             await stream.run()
@@ -48,11 +48,13 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
     return router
 
 
-def _found(feeds: dict[str, Feed], names: Sequence[str]) -> list[Feed]:
-    """The feeds of these sensors; UnknownSensorError names one that is not there."""
+def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish) -> list[Feed]:
+    """The feeds of these sensors; UnknownSensorError, NoShearError name one that has not what is asked."""
     for name in names:
         if name not in feeds:
             raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {', '.join(feeds)}")
+        if "shear" in asked.kinds:
+            feeds[name].sensor.need_shear()
     return [feeds[name] for name in names]
 
 

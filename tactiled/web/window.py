@@ -12,13 +12,22 @@ from pydantic import Field
 from tactiled.history import Kept
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_SENSOR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly, documented
+from tactiled.web.common import NO_SHEAR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly, documented
+from tactiled.web.wire import UNITS, Kind, Unit
 
 Format = Literal["json", "npy", "npz"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "npz": "application/x-npz"}
 MOST = 1000  # images an answer
 MOST_VALUES: dict[Format, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
 BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+Flags = Annotated[
+    list[list[int]] | list[int] | None,
+    Field(
+        description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; null where all are 0", examples=[None]
+    ),
+]
 
 
 class KeptFrame(forms.Form):
@@ -28,9 +37,17 @@ class KeptFrame(forms.Form):
     timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
     method: str = Field(description="that restored it", examples=["nnls"])
     values: forms.Values
-    flags: list[list[int]] | list[int] | None = Field(
-        description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; null where all are 0", examples=[None]
-    )
+    flags: Flags
+
+
+class KeptShear(forms.Form):
+    """What was felt along the surface in one frame of the last seconds, counts."""
+
+    sequence: int = Field(description="lost frames leave gaps", examples=[5123])
+    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
+    x: forms.Values
+    y: forms.Values
+    flags: Flags
 
 
 class Frames(forms.Form):
@@ -38,23 +55,24 @@ class Frames(forms.Form):
 
     type: Literal["frames"] = "frames"
     sensor: forms.Name
-    kind: forms.Streamed = Field(examples=["restored"])
-    unit: Literal["kPa"] = "kPa"
+    kind: Kind = Field(examples=["restored"])
+    unit: Unit = Field(description="counts of shear", examples=["kPa"])
     before: int | None = Field(
         description="ask for these next: older images of the same time; null: there are none", examples=[None]
     )
-    frames: list[KeptFrame]
+    frames: list[KeptFrame] | list[KeptShear]
 
 
 HEADERS = {
-    "X-Tactiled-Unit": "kPa",
+    "X-Tactiled-Unit": "kPa; of shear counts",
     "X-Tactiled-Sequence": "numbers of the images, as ranges: 5-9,12 where 10 and 11 were lost",
     "X-Tactiled-Timestamp": "s, of the first image and of the last",
     "X-Tactiled-Before": "ask for these next; absent: there are none",
 }
 RESPONSES: Responses = {
     200: {
-        "description": "images, oldest first: .npy (T, rows, columns); .npz with sequence, time, flags and values",
+        "description": "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
+        ".npz with sequence, time, flags and values",
         "content": {MEDIA["npy"]: BINARY, MEDIA["npz"]: BINARY},
         "headers": documented(HEADERS),
     }
@@ -71,25 +89,27 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
 @router.get(
     "/sensors/{name}/frames",
     response_model=Frames,
-    responses=NO_SENSOR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
+    responses=NO_SHEAR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
     dependencies=[Depends(costly)],
 )
 def frames(
     sensor: Found,
     request: Request,
-    kind: forms.Streamed = "restored",
+    kind: Kind = "restored",
     last: Last = "1s",
     before: Before = None,
     limit: Limit = 100,
     form: Annotated[Format | None, Query(alias="format", description="over the Accept header")] = None,
 ) -> Response:
-    """The images of the last seconds, kPa, from as far back as `history_s` of the configuration.
+    """The images of the last seconds, kPa, or their shear, counts, from as far back as the configured `history_s`.
 
     The newest come first, page by page; within a page they are in order.
     """
     form = form or accepted(request, MEDIA)
+    if kind == "shear":
+        sensor.need_shear()
     kept = sensor.history(kind, float(last[:-1]), before, limit, MOST_VALUES[form])
-    headers = {"X-Tactiled-Unit": "kPa", "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
+    headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
     if len(kept.time):
         headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"
     if kept.older:
@@ -97,31 +117,40 @@ def frames(
     return Response(_content(sensor, kind, kept, form), media_type=MEDIA[form], headers=headers)
 
 
-def _content(sensor: Sensor, kind: forms.Streamed, kept: Kept, form: Format) -> bytes:
+def _content(sensor: Sensor, kind: Kind, kept: Kept, form: Format) -> bytes:
     if form == "json":
         return b"".join(_json(sensor, kind, kept))
-    out = BytesIO()
     if form == "npy":
-        np.save(out, kept.values)
-    else:
-        np.savez(out, sequence=kept.sequence, time=kept.time, flags=kept.flags, values=kept.values)
+        return answers.npy(kept.values)
+    out = BytesIO()
+    np.savez(out, sequence=kept.sequence, time=kept.time, flags=kept.flags, values=kept.values)
     return out.getvalue()
 
 
-def _json(sensor: Sensor, kind: forms.Streamed, kept: Kept) -> Iterator[bytes]:
+def _json(sensor: Sensor, kind: Kind, kept: Kept) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
-    head = Frames(sensor=sensor.name, kind=kind, before=int(kept.sequence[0]) if kept.older else None, frames=[])
+    before = int(kept.sequence[0]) if kept.older else None
+    head = Frames(sensor=sensor.name, kind=kind, unit=UNITS[kind], before=before, frames=[])
     yield head.model_dump_json().encode().removesuffix(b"]}")
-    for n, method in enumerate(kept.method):
-        one = KeptFrame(
-            sequence=int(kept.sequence[n]),
-            timestamp=float(kept.time[n]),
-            method=method,
-            values=answers.numbers(kept.values[n]),
-            flags=kept.flags[n].tolist() if kept.flags[n].any() else None,
-        )
-        yield (b"," if n else b"") + one.model_dump_json().encode()
+    for n in range(len(kept.time)):
+        yield (b"," if n else b"") + _one(kind, kept, n).model_dump_json().encode()
     yield b"]}"
+
+
+def _one(kind: Kind, kept: Kept, n: int) -> KeptFrame | KeptShear:
+    """Fill in the form of image `n`."""
+    sequence, timestamp = int(kept.sequence[n]), float(kept.time[n])
+    flags = kept.flags[n].tolist() if kept.flags[n].any() else None
+    if kind == "shear":
+        x, y = (answers.numbers(each) for each in kept.values[n])
+        return KeptShear(sequence=sequence, timestamp=timestamp, x=x, y=y, flags=flags)
+    return KeptFrame(
+        sequence=sequence,
+        timestamp=timestamp,
+        method=kept.method[n],
+        values=answers.numbers(kept.values[n]),
+        flags=flags,
+    )
 
 
 def _ranges(numbers: NDArray[np.int64]) -> str:

@@ -1,5 +1,6 @@
 """Images as bytes: the binary messages of the stream; the README describes them byte by byte."""
 
+from math import prod
 from struct import Struct
 from typing import Literal, NamedTuple
 
@@ -8,14 +9,17 @@ from numpy.typing import NDArray
 
 from tactiled.frames import Image
 
-Kind = Literal["raw", "restored"]
-KINDS: tuple[Kind, ...] = ("raw", "restored")
+Kind = Literal["raw", "restored", "shear"]
+KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
+PRESSURES = KINDS[:2]  # what every sensor has
+Unit = Literal["kPa", "counts"]
+UNITS: dict[Kind, Unit] = {"raw": "kPa", "restored": "kPa", "shear": "counts"}
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
 LAYOUT = (  # offset, type, meaning
     (0, "4 bytes", "TCTL"),
     (4, "u8", f"version, {VERSION}"),
-    (5, "u8", "kind: 0 raw, 1 restored"),
+    (5, "u8", "kind: 0 raw, 1 restored, 2 shear"),
     (6, "u16", "rows; 1 of a layout that is no grid"),
     (8, "u16", "columns"),
     (10, "u16", "F, bytes of flags: one a taxel after a raw image, else 0"),
@@ -30,7 +34,8 @@ LAYOUT = (  # offset, type, meaning
     (52, "f32", "microseconds from counts to restored image"),
     (56, "u32", "iterations"),
     (60, "u32", "0"),
-    (64, "f32 x rows x columns", "pressure, kPa, row by row; NaN: unknown"),
+    (64, "f32 x rows x columns", "pressure, kPa, row by row; NaN: unknown; of shear: counts along x"),
+    (None, "f32 x rows x columns", "only of shear: counts along y"),
     (None, "u8 x F", "flags: 1 missing, 2 called faulty by the sensor, 4 dead, 8 saturated"),
     (None, "u8 x N", "the sensor's name"),
 )
@@ -43,8 +48,10 @@ class Unpacked(NamedTuple):
     sequence: int
     timestamp: float  # s, of the frame's first CAN message
     sent: float  # s, when the message was made
-    values: NDArray[np.float32]  # kPa, (rows, columns); one row where the layout is no grid
-    flags: NDArray[np.uint8]  # (taxels,) for a raw image, empty for a restored one
+    values: NDArray[
+        np.float32
+    ]  # kPa, (rows, columns), one row where the layout is no grid; shear (2, ...), counts
+    flags: NDArray[np.uint8]  # (taxels,) for a raw image, else empty
     noise_kpa: float
     noise_gain: float
     resolution_mm: float
@@ -53,11 +60,19 @@ class Unpacked(NamedTuple):
     sensor: str  # "" on a stream of one sensor
 
 
+def _values(image: Image, kind: Kind) -> NDArray[np.float32]:
+    """What an image has of a kind; ValueError where it has no shear."""
+    values = {"raw": image.raw, "restored": image.restored, "shear": image.shear}[kind]
+    if values is None:
+        raise ValueError(f"image {image.sequence} of {image.sensor}: no {kind}")
+    return values
+
+
 def pack(image: Image, kind: Kind, sent: float, sensor: str = "") -> bytes:
     """Give the message of one image; `sent` is the time (s, Unix) it is made at, `sensor` the name to put in."""
-    values = image.raw if kind == "raw" else image.restored
+    values = _values(image, kind)
     flags = image.flags.tobytes() if kind == "raw" else b""
-    rows, columns = values.shape if values.ndim == 2 else (1, values.size)
+    rows, columns = values.shape[-2:] if image.raw.ndim == 2 else (1, values.shape[-1])
     name = sensor.encode()
     head = HEADER.pack(
         MAGIC,
@@ -87,10 +102,11 @@ def unpack(data: bytes) -> Unpacked:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
     _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)
     sequence, timestamp, sent, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, _ = rest
-    end = HEADER.size + 4 * rows * columns
+    shape = (rows, columns) if kind < len(PRESSURES) else (2, rows, columns)
+    end = HEADER.size + 4 * prod(shape)
     if len(data) != end + flagged + named or kind >= len(KINDS):
-        raise ValueError(f"{len(data)} bytes of kind {kind}: expected {end + flagged + named} of kind 0 or 1")
-    values = np.frombuffer(data, "<f4", rows * columns, HEADER.size).reshape(rows, columns)
+        raise ValueError(f"{len(data)} bytes of kind {kind}: expected {end + flagged + named} of kind 0, 1 or 2")
+    values = np.frombuffer(data, "<f4", prod(shape), HEADER.size).reshape(shape)
     flags = np.frombuffer(data, np.uint8, flagged, end)
     return Unpacked(
         KINDS[kind], sequence, timestamp, sent, values, flags,

@@ -7,7 +7,7 @@ from typing import Literal, cast
 from pydantic import ValidationError
 
 from tactiled.web.forms import Next
-from tactiled.web.wire import KINDS, Kind
+from tactiled.web.wire import KINDS, PRESSURES, Kind
 
 PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts")
 NEXT = '{"type": "next"}, or with "sensor": its name'
@@ -17,7 +17,7 @@ NEXT = '{"type": "next"}, or with "sensor": its name'
 class Wish:
     """What a client asked for in the address."""
 
-    kinds: tuple[Kind, ...] = KINDS
+    kinds: tuple[Kind, ...] = PRESSURES
     rate_hz: float = 0.0  # 0: every frame
     form: Literal["binary", "json"] = "binary"
     contacts: bool = False  # as text messages
@@ -29,9 +29,9 @@ def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
     there = (*PARAMETERS, *more)
     if unknown := set(query) - {*there, "token"}:
         raise ValueError(f"{min(unknown)}: no such parameter: there are {', '.join(there)}")
-    kinds = tuple(query.get("kinds", "raw,restored").split(","))
+    kinds = tuple(query.get("kinds", ",".join(PRESSURES)).split(","))
     if not set(kinds) <= set(KINDS) or len(set(kinds)) < len(kinds):
-        raise ValueError(f"kinds={query['kinds']}: give raw, restored or raw,restored")
+        raise ValueError(f"kinds={query['kinds']}: give some of {','.join(KINDS)}, each once")
     try:
         rate_hz = float(query.get("rate_hz", "0"))
     except ValueError:

@@ -1,58 +1,48 @@
 """Shear of a 3-axis skin, from its messages on the bus to the API."""
 
 import io
-import time
+import json
+from contextlib import ExitStack
 
 import httpx
+import jsonschema
 import numpy as np
 import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
-from tactiled.bus.codecs.xela import REST
-from tactiled.bus.reader import open_bus
-from tactiled.config import parse
 from tactiled.pipeline import TARE_FRAMES
-from tactiled.service import Service
+from tactiled.web import window
 from tactiled.web.server import running
-from tests.conftest import until
+from tactiled.web.shear import Shear
+from tactiled.web.wire import unpack
+from tests.skin import PALM, X, Y, rigged
 
-CONFIG = """
-[bus.can0]
-interface = "virtual"
-channel = "{channel}"
-[sensor.skin]
-bus = "can0"
-method = "raw"
-stale_after_s = 600
-codec = {{ name = "xela", rows = [0, 1], columns = [0, 1, 2] }}
-array = {{ rows = 2, columns = 3, pitch_mm = 4.0 }}
-cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
-kernel = {{ model = "layered" }}
-calibration = {{ kpa_per_count = 0.001, dead = [5] }}
-"""
-X, Y = np.array([100, -200, 0, 1388, -1388, 7]), np.array([1, 2, 3, 4, 5, 6])
+LACKS = "sensor 'palm': its codec packed carries no shear"
 
 
 @pytest.fixture
 def skin(request):
-    channel = request.node.name
-    service = Service(parse(CONFIG.format(channel=channel)))
-    bus = open_bus(interface="virtual", channel=channel)
-    codec, sensor = service.sensor("skin").codec, service.sensor("skin")
+    with ExitStack() as stack:
+        rig = stack.enter_context(rigged(request.node.name))
+        url = stack.enter_context(running(rig.service))
+        yield rig.show, stack.enter_context(httpx.Client(base_url=url + "/api/v1/sensors"))
 
-    def show(x, y, drop=()):
-        """Send frames until one of them is whole, or as whole as it can be, and served."""
-        before = sensor.hub.latest().sequence if sensor.hub.latest() else -1
-        for at, each in enumerate(codec.encode(np.full(6, 0x9000, np.uint16), 0, time.time())):
-            axes = np.array([REST + x[at], REST + y[at]], ">u2").tobytes()
-            if at not in drop:
-                bus.send(each._replace(data=each.data[:1] + axes + each.data[5:]))
-        until(lambda: (image := sensor.hub.latest()) and image.sequence > before)
 
-    service.start()
-    with running(service) as url, httpx.Client(base_url=url + "/api/v1/sensors") as client:
-        yield show, client
-    service.stop()
-    bus.close()
+def stream(client, query=""):
+    """A stream of the skin, or of what the query names."""
+    address = str(client.base_url).replace("http", "ws", 1)
+    return connect(f"{address}skin/stream{query}", compression=None)
+
+
+def heard(socket, count, timeout=5.0):
+    """The next messages that are no status."""
+    got = []
+    while len(got) < count:
+        data = socket.recv(timeout=timeout)
+        if isinstance(data, bytes) or json.loads(data)["type"] != "status":
+            got.append(data)
+    return got
 
 
 def npy(client):
@@ -107,4 +97,103 @@ def test_what_cannot_be_served_is_said(skin):
 def test_a_skin_without_shear_says_so(url):
     answer = httpx.get(url + "/api/v1/sensors/palm/frames/shear")
     assert answer.status_code == 404
-    assert answer.json()["detail"] == "sensor 'palm': its codec packed carries no shear"
+    assert answer.json()["detail"] == LACKS
+
+
+@pytest.mark.parametrize("kinds", [("shear",), ("raw", "shear", "restored")])
+def test_a_stream_has_shear_among_its_kinds_in_the_order_asked(skin, kinds):
+    show, client = skin
+    with stream(client, f"?kinds={','.join(kinds)}") as socket:
+        image = show(X, Y)
+        got = [unpack(each) for each in heard(socket, len(kinds))]
+    assert tuple(each.kind for each in got) == kinds
+    assert {(each.sequence, each.timestamp) for each in got} == {(image.sequence, image.time)}
+    shear = got[kinds.index("shear")]
+    np.testing.assert_array_equal(shear.values, image.shear)
+    assert shear.values[:, 0].tolist() == [[100.0, -200.0, 0.0], [1.0, 2.0, 3.0]]
+    assert shear.flags.size == 0
+
+
+def test_a_stream_sends_no_shear_unasked(skin):
+    show, client = skin
+    with stream(client) as socket:
+        for _ in range(2):
+            show(X, Y)
+            assert [unpack(each).kind for each in heard(socket, 2)] == ["raw", "restored"]
+
+
+def test_a_stream_in_json_says_of_shear_what_rest_says_as_it_is_described(skin):
+    show, client = skin
+    with stream(client, "?kinds=raw,shear&format=json") as socket:
+        show(X, Y)
+        frame, told = (json.loads(each) for each in heard(socket, 2))
+    assert told == client.get("/skin/frames/shear").json()
+    assert (frame["type"], told["type"], told["unit"]) == ("frame", "shear", "counts")
+    assert frame["sequence"] == told["sequence"]
+    document = httpx.get(f"{client.base_url.join('/')}api/v1/asyncapi.json").json()
+    schema = document["components"]["messages"]["shear"]["payload"] | {"components": document["components"]}
+    jsonschema.validate(told, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({key: value for key, value in told.items() if key != "state"}, schema)
+
+
+@pytest.mark.parametrize(
+    "path", ["sensors/palm/stream?kinds=shear", "stream?kinds=raw,shear", "stream?sensors=skin,palm&kinds=shear"]
+)
+def test_a_stream_of_shear_of_a_skin_without_is_refused_in_the_words_of_rest(request, path):
+    with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
+        assert httpx.get(url + "/api/v1/sensors/palm/frames/shear").json()["detail"] == LACKS
+        address = f"{url.replace('http', 'ws', 1)}/api/v1/{path}"
+        with connect(address) as socket, pytest.raises(ConnectionClosed) as caught:
+            socket.recv(timeout=5)
+        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (4404, LACKS)
+
+
+def test_one_socket_has_the_shear_of_those_that_feel_it(request):
+    with ExitStack() as stack:
+        rig = stack.enter_context(rigged(request.node.name, PALM))
+        url = stack.enter_context(running(rig.service)).replace("http", "ws", 1)
+        socket = stack.enter_context(connect(f"{url}/api/v1/stream?sensors=skin&kinds=shear"))
+        image = rig.show(X, Y)
+        got = unpack(heard(socket, 1)[0])
+    assert (got.sensor, got.kind) == ("skin", "shear")
+    np.testing.assert_array_equal(got.values, image.shear)
+
+
+def test_the_last_seconds_of_shear_are_the_same_in_every_format(skin):
+    show, client = skin
+    images = [show(X + n, Y - n) for n in range(4)]
+    images.append(show(X, Y, drop=(1,)))
+    expected = np.stack([image.shear for image in images])
+    query = {"kind": "shear", "last": "60s"}
+    told = client.get("/skin/frames", params=query).json()
+    window.Frames.model_validate(told)
+    assert (told["kind"], told["unit"], told["before"]) == ("shear", "counts", None)
+    assert [each["sequence"] for each in told["frames"]] == [image.sequence for image in images]
+    xy = np.array([[each["x"], each["y"]] for each in told["frames"]], np.float32)
+    np.testing.assert_array_equal(xy, expected)
+    assert told["frames"][-1]["flags"] == images[-1].flags.tolist()
+    npy = client.get("/skin/frames", params=query | {"format": "npy"})
+    assert npy.headers["x-tactiled-unit"] == "counts"
+    np.testing.assert_array_equal(np.load(io.BytesIO(npy.content)), expected)
+    npz = np.load(io.BytesIO(client.get("/skin/frames", params=query | {"format": "npz"}).content))
+    np.testing.assert_array_equal(npz["values"], expected)
+    np.testing.assert_array_equal(npz["flags"], [image.flags for image in images])
+
+
+def test_the_last_seconds_of_shear_of_a_skin_without_are_refused(url):
+    answer = httpx.get(url + "/api/v1/sensors/palm/frames?kind=shear")
+    assert (answer.status_code, answer.json()["detail"]) == (404, LACKS)
+
+
+def test_the_list_of_sensors_says_which_feel_shear(request):
+    with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
+        told = httpx.get(url + "/api/v1/sensors").json()["sensors"]
+    assert {each["name"]: each["shear"] for each in told} == {"skin": True, "palm": False}
+
+
+@pytest.mark.parametrize("path", ["/api/v1/sensors/{name}/frames", "/api/v1/sensors/{name}/frames/shear"])
+def test_the_examples_of_the_description_are_what_they_are_examples_of(url, path):
+    said = httpx.get(url + "/api/v1/openapi.json").json()["paths"][path]["get"]["responses"]["200"]
+    form = Shear if path.endswith("shear") else window.Frames
+    form.model_validate(said["content"]["application/json"]["example"])

@@ -146,7 +146,7 @@ def test_credit_may_be_given_to_one_sensor_or_to_all(rig, url):
             4400,
             "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts, sensors",
         ),
-        ("?kinds=raw,raw", 4400, "kinds=raw,raw: give raw, restored or raw,restored"),
+        ("?kinds=raw,raw", 4400, "kinds=raw,raw: give some of raw,restored,shear, each once"),
     ],
 )
 def test_a_wrong_address_is_refused_with_the_reason(url, query, code, reason):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -47,9 +49,33 @@ def test_what_is_packed_is_unpacked(grid):
     )  # fmt: skip
 
 
+def test_shear_is_x_and_then_y_behind_the_same_header(grid):
+    shear = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
+    data, raw = (pack(replace(grid, shear=shear), kind, 3.0) for kind in ("shear", "raw"))
+    assert data[:12] == b"TCTL\x01\x02" + bytes((2, 0, 3, 0, 0, 0))
+    assert data[12:64] == raw[12:64]
+    assert np.frombuffer(data, "<f4", 12, 64).tolist() == list(range(12))
+    assert len(data) == 64 + 4 * 12
+    got = unpack(data)
+    assert (got.kind, got.flags.size) == ("shear", 0)
+    np.testing.assert_array_equal(got.values, shear)
+    with pytest.raises(ValueError, match="of palm: no shear"):
+        pack(grid, "shear", 3.0)
+
+
+def test_what_has_no_shear_is_the_same_bytes_beside_one_that_has(grid):
+    with_it = replace(grid, shear=np.ones((2, 2, 3), np.float32))
+    for kind in ("raw", "restored"):
+        assert pack(with_it, kind, 3.0) == pack(grid, kind, 3.0)
+
+
 def test_a_layout_that_is_no_grid_is_one_row():
     values = np.arange(5, dtype=np.float32)
     assert unpack(pack(image(values, values), "restored", 0.0)).values.shape == (1, 5)
+    sheared = replace(image(values, values), shear=np.stack([values, -values]))
+    got = unpack(pack(sheared, "shear", 0.0)).values
+    assert got.shape == (2, 1, 5)
+    np.testing.assert_array_equal(got[:, 0], sheared.shear)
 
 
 @given(st.binary(max_size=200))
