@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.sync.client import connect as connect_sync
 
 from tactiled.errors import ConfigError, TactileError
-from tactiled.web.wire import Unpacked, unpack
+from tactiled.web.wire import KINDS, PRESSURES, Kind, Unpacked, unpack
 
 ANSWER_S = 10.0  # that the service may take to answer
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
@@ -33,7 +33,7 @@ REFUSED = range(4400, 4500)  # close codes that another attempt will meet again
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """One frame, raw and restored."""
+    """One frame, raw and restored, and its shear if that was asked for."""
 
     raw: NDArray[np.float32]  # kPa, (rows, columns); one row where the layout is no grid; NaN: unknown
     restored: NDArray[np.float32]  # kPa
@@ -44,6 +44,7 @@ class Image:
     resolution_mm: float
     status: dict[str, Any] = field(default_factory=dict)  # what the stream said last: state, loss, warnings, ...
     sensor: str = ""
+    shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
 
 
 def connect(url: str, token: str | None = None) -> "Client":
@@ -53,12 +54,13 @@ def connect(url: str, token: str | None = None) -> "Client":
     return Client(url.rstrip("/"), token)
 
 
-class _Pairs:
-    """Puts a stream's messages together: one image when both of its kinds are in."""
+class _Parts:
+    """Puts a stream's messages together: one image when all of its kinds are in."""
 
-    def __init__(self, sensor: str) -> None:
+    def __init__(self, sensor: str, kinds: Sequence[Kind]) -> None:
         self._sensor = sensor  # of messages that name none
-        self._raw: dict[str, Unpacked] = {}
+        self._kinds = kinds
+        self._parts: dict[str, dict[Kind, Unpacked]] = {}
         self._status: dict[str, dict[str, Any]] = {}
 
     def take(self, data: str | bytes) -> Image | None:
@@ -68,25 +70,27 @@ class _Pairs:
             return None
         part = unpack(data)
         name = part.sensor or self._sensor
-        if part.kind == "raw":
-            self._raw[name] = part
+        parts = self._parts.setdefault(name, {})
+        parts[part.kind] = part
+        if {each.sequence for each in parts.values()} != {part.sequence} or len(parts) < len(self._kinds):
             return None
-        raw = self._raw.get(name)
-        if raw is None or raw.sequence != part.sequence:
-            return None
+        raw, restored, shear = parts["raw"], parts["restored"], parts.get("shear")
         return Image(
-            raw.values, part.values, raw.flags, raw.sequence, raw.timestamp, raw.noise_kpa, raw.resolution_mm,
-            self._status.get(name, {}), name,
+            raw.values, restored.values, raw.flags, raw.sequence, raw.timestamp, raw.noise_kpa, raw.resolution_mm,
+            self._status.get(name, {}), name, shear.values if shear else None,
         )  # fmt: skip
 
 
 class _Attempts:
     """What a stream knows from one connection to the next: when the last image came, and how long to wait."""
 
-    def __init__(self, client: "Client", sensor: str | Sequence[str], rate_hz: float, patience_s: float | None):
+    def __init__(
+        self, client: "Client", sensor: str | Sequence[str], rate_hz: float, patience_s: float | None, shear: bool
+    ) -> None:
         self._url, self._patience_s = client.url, patience_s
         self._one = sensor if isinstance(sensor, str) else ""
-        query: dict[str, object] = {"kinds": "raw,restored", "rate_hz": rate_hz}
+        self._kinds = KINDS if shear else PRESSURES
+        query: dict[str, object] = {"kinds": ",".join(self._kinds), "rate_hz": rate_hz}
         if isinstance(sensor, str):
             self._named, path = f"sensor {sensor!r}", f"/sensors/{quote(sensor, safe='')}/stream"
         else:
@@ -103,7 +107,7 @@ class _Attempts:
 
     def connected(self) -> None:
         """A connection begins, whose messages have no past."""
-        self._pairs = _Pairs(self._one)
+        self._parts = _Parts(self._one, self._kinds)
 
     def left(self) -> float | None:
         """How long (s) the next message may take; None: for ever."""
@@ -111,7 +115,7 @@ class _Attempts:
 
     def take(self, data: str | bytes) -> Image | None:
         """The image that a message completes."""
-        image = self._pairs.take(data)
+        image = self._parts.take(data)
         if image is not None:
             self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
         return image
@@ -149,14 +153,18 @@ class Client:
         self._ask("POST", f"/sensors/{quote(sensor, safe='')}/tare")
 
     def stream(
-        self, sensor: str | Sequence[str], rate_hz: float = 0.0, patience_s: float | None = None
+        self,
+        sensor: str | Sequence[str],
+        rate_hz: float = 0.0,
+        patience_s: float | None = None,
+        shear: bool = False,
     ) -> Iterator[Image]:
         """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
 
-        At most `rate_hz` a second (0: every frame) of each. TactileError if no image comes for `patience_s`
-        (None: it waits), or if the service refuses.
+        At most `rate_hz` a second (0: every frame) of each; with `shear`, which the skin must feel. TactileError
+        if no image comes for `patience_s` (None: it waits), or if the service refuses.
         """
-        attempts = _Attempts(self, sensor, rate_hz, patience_s)
+        attempts = _Attempts(self, sensor, rate_hz, patience_s, shear)
         while True:
             try:
                 with connect_sync(attempts.address, **attempts.options) as socket:
@@ -169,10 +177,14 @@ class Client:
                 time.sleep(attempts.failed(error))
 
     async def astream(
-        self, sensor: str | Sequence[str], rate_hz: float = 0.0, patience_s: float | None = None
+        self,
+        sensor: str | Sequence[str],
+        rate_hz: float = 0.0,
+        patience_s: float | None = None,
+        shear: bool = False,
     ) -> AsyncIterator[Image]:
         """The same as `stream`, for asyncio."""
-        attempts = _Attempts(self, sensor, rate_hz, patience_s)
+        attempts = _Attempts(self, sensor, rate_hz, patience_s, shear)
         while True:
             try:
                 async with connect_async(attempts.address, **attempts.options) as socket:

@@ -68,6 +68,8 @@ STATE = {
         "loss": {"type": "object", "description": "counts so far by kind"},
     },
 }
+PRESSURE, FLAGS = ("pressure_kpa", "<f4"), ("flags", "u1")  # fields of a cell
+SHEAR = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
 BACKLOG = 32  # messages that wait for one client of the server; the oldest is dropped
 LABEL_MM, DISC_MM, SPREADS = (
     1.0,
@@ -102,15 +104,15 @@ def _json(name: str, schema: dict[str, Any]) -> Topic:
 
 
 class Surface:
-    """One kind of image, its cells at `positions` (N, 2) and, on a grid, of a `side` (mm)."""
+    """Images with the fields `form` a cell; cells are at `positions` (N, 2) and, on a grid, of a `side` (mm)."""
 
     def __init__(
-        self, name: str, shape: tuple[int, ...], positions: Floats, side: float, flagged: bool = False
+        self, name: str, shape: tuple[int, ...], positions: Floats, side: float, *form: tuple[str, str]
     ) -> None:
         self._frame, self._columns = name.split("/")[1], shape[-1]
         self._grid, self._side = len(shape) == 2, MM * side
-        form = [("pressure_kpa", "<f4"), ("flags", "u1")][: 1 + flagged]
-        self._data = np.zeros(shape, form if self._grid else [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *form])
+        place = () if self._grid else (("x", "<f4"), ("y", "<f4"), ("z", "<f4"))
+        self._data = np.zeros(shape, [*place, *form])
         x, y = (MM * (positions[0] - side / 2)).tolist() if self._grid else (0.0, 0.0)
         if not self._grid:
             self._data["x"], self._data["y"] = MM * positions.T
@@ -121,11 +123,10 @@ class Surface:
         schema = (messages.Grid if self._grid else messages.PointCloud).get_schema()
         self.topic = Topic(name, "protobuf", schema.name, schema.encoding, schema.data)
 
-    def message(self, time: float, pressure: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> bytes:
-        """One image (kPa) of a time (s)."""
-        self._data["pressure_kpa"] = pressure
-        if flags is not None:
-            self._data["flags"] = flags
+    def message(self, time: float, **values: NDArray[np.float32] | NDArray[np.uint8]) -> bytes:
+        """One image of a time (s), its values by field."""
+        for name, each in values.items():
+            self._data[name] = each
         stride, at = self._data.itemsize, stamp(time)
         told: dict[str, Any] = {
             "timestamp": messages.Timestamp(sec=at // 10**9, nsec=at % 10**9),
@@ -150,23 +151,33 @@ def _field(form: np.dtype[Any], name: str) -> Any:
 
 
 class Topics:
-    """One sensor's topics: /NAME/raw, /NAME/restored and /NAME/status."""
+    """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear."""
 
-    def __init__(self, name: str, array: Array, cells: Cells, surface_shape: tuple[int, ...]) -> None:
+    def __init__(self, name: str, array: Array, cells: Cells, surface_shape: tuple[int, ...], shear: bool) -> None:
         side = array.pitch * array.frame_shape[0] / surface_shape[0]
-        self._raw = Surface(f"/{name}/raw", array.frame_shape, array.positions, array.pitch, True)
-        self._restored = Surface(f"/{name}/restored", surface_shape, cells.positions, side)
+        self._raw = Surface(f"/{name}/raw", array.frame_shape, array.positions, array.pitch, PRESSURE, FLAGS)
+        self._restored = Surface(f"/{name}/restored", surface_shape, cells.positions, side, PRESSURE)
+        taxels = array.frame_shape, array.positions, array.pitch
+        self._shear = Surface(f"/{name}/shear", *taxels, *SHEAR) if shear else None
         self._areas = 1e-3 * cells.areas.astype(np.float32)  # kPa mm^2 are mN
-        self.topics = self._raw.topic, self._restored.topic, _json(f"/{name}/status", STATUS)
+        self.topics = [self._raw.topic, self._restored.topic, _json(f"/{name}/status", STATUS)]
+        self.topics += [self._shear.topic] if self._shear else []
 
-    def messages(self, image: Image) -> tuple[bytes, bytes, bytes]:
+    def messages(self, image: Image) -> list[bytes]:
         """One image with all that is known of it: a message for each of the topics."""
         told = {key: getattr(image, key) for key in STATUS["properties"] if hasattr(image, key)}
         told["force_n"] = float(np.dot(self._areas, image.restored.reshape(-1)))
         told["peak_kpa"] = float(image.restored.max(initial=0))
         told["loss"], told["warnings"] = asdict(image.loss), list(image.warnings)
-        raw = self._raw.message(image.time, image.raw, image.flags)
-        return raw, self._restored.message(image.time, image.restored), json.dumps(told).encode()
+        made = [
+            self._raw.message(image.time, pressure_kpa=image.raw, flags=image.flags),
+            self._restored.message(image.time, pressure_kpa=image.restored),
+            json.dumps(told).encode(),
+        ]
+        if self._shear and image.shear is not None:
+            x, y = image.shear
+            made.append(self._shear.message(image.time, shear_x_counts=x, shear_y_counts=y))
+        return made
 
 
 def bus_topic(name: str) -> Topic:

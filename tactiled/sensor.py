@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs import Shearing
 from tactiled.config.build import SensorPlan
 from tactiled.contacts import APART, Contact, Finder, Tracker
 from tactiled.errors import NoShearError
@@ -54,7 +53,7 @@ class Sensor:
         self.calibration = plan.calibration
         self.methods = tuple(METHODS)
         self.hub, self.heard = Hub(), Heard()
-        self.shears = isinstance(plan.codec, Shearing)
+        self.shears = plan.shears
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, self.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it

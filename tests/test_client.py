@@ -13,6 +13,7 @@ from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.server import running
 from tests.conftest import pressed, until
+from tests.skin import X, Y, rigged
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -69,6 +70,25 @@ def test_the_same_for_asyncio(playing, url):
     assert len({image.sequence for image in images}) == 3
     assert np.isfinite(images[-1].restored).all()
     assert playing.sensor.status().state == "live"
+
+
+@pytest.mark.parametrize("sensor", ["skin", ["skin"]])
+def test_shear_comes_with_the_images_where_it_is_asked_for(request, sensor):
+    with rigged(request.node.name) as rig, running(rig.service) as url:
+        shown = rig.show(X, Y)
+        image = next(connect(url).stream(sensor, patience_s=5, shear=True))
+        np.testing.assert_array_equal(image.shear, shown.shear)
+        assert image.shear[:, 0, :2].tolist() == [[100.0, -200.0], [1.0, 2.0]]
+        np.testing.assert_array_equal(image.restored, shown.restored)
+        np.testing.assert_array_equal(image.raw, shown.raw)
+        assert (image.sequence, image.sensor) == (shown.sequence, "skin")
+        assert next(connect(url).stream(sensor, patience_s=5)).shear is None
+
+
+@pytest.mark.usefixtures("playing")
+def test_shear_of_a_skin_without_is_refused_in_the_services_own_words(url):
+    with pytest.raises(TactileError, match="sensor 'palm': its codec packed carries no shear"):
+        next(connect(url).stream("palm", patience_s=5, shear=True))
 
 
 def test_a_stream_goes_on_when_the_service_is_back(playing):

@@ -27,6 +27,7 @@ from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Loss, Message
 from tactiled.pipeline import Pipeline
 
 FLAGS = {"MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED}
+SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
 LOSS = tuple(each.name for each in fields(Loss))
 SECRET = re.compile(
     r"""(?s)((?:read_token|control_token)["']?\s*=\s*)(""{2}.*?""{2}|'''.*?'''|"(?:\\.|[^"\\])*"|'[^']*')"""
@@ -117,7 +118,8 @@ def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]
         "sensor": {"name": plan.name, "bus": plan.bus, "codec": plan.codec_name, "method": plan.method},
         "cover": {"model": plan.kernel.model, "gain_error": plan.kernel.error_estimate},
         "cell_mm": plan.cell_mm,
-        "units": {
+        "units": ({"shear": SHEAR} if plan.shears else {})
+        | {
             "raw": "kPa",
             "restored": "kPa",
             "noise_kpa": "kPa, standard deviation of one raw taxel",

@@ -98,7 +98,7 @@ class McapSink(Sink):
         self._file = (self._room / "whole").open("wb")
         self._writer: Any = Writer(self._file)  # partly untyped
         self._writer.start(library=f"tactiled {__version__}")
-        self._topics = foxglove.Topics(plan.name, plan.array, plan.cells, plan.blur.surface_shape)
+        self._topics = foxglove.Topics(plan.name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
         self._bus = self._channel(foxglove.bus_topic(plan.bus))
         self._channels = [self._channel(each) for each in self._topics.topics]
         return self
@@ -136,7 +136,8 @@ FORMATS: dict[str, type[Sink]] = {".npz": NpzSink, ".h5": Hdf5Sink, ".mcap": Mca
 
 def row(image: Image) -> Arrays:
     """What is kept of one frame."""
-    return {
+    shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
+    return shear | {
         "raw": image.raw.astype("<f4", copy=False),
         "restored": image.restored.astype("<f4", copy=False),
         "flags": image.flags,

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from tactiled.bus.codecs import Codec, plugins
+from tactiled.bus.codecs import Codec, Shearing, plugins
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc, expand
@@ -60,6 +60,11 @@ class SensorPlan:
     def cell_mm(self) -> float:
         """Side of a surface cell, or of a square of their mean area."""
         return float(np.sqrt(self.cells.areas.mean()))
+
+    @property
+    def shears(self) -> bool:
+        """Whether the skin feels shear."""
+        return isinstance(self.codec, Shearing)
 
 
 def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:

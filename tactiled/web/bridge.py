@@ -22,7 +22,7 @@ class _Line:
     def __init__(self, live: foxglove.Live, sensor: Sensor) -> None:
         plan, name = sensor.plan, sensor.name
         self._sensor = sensor
-        self._topics = foxglove.Topics(name, plan.array, plan.cells, plan.blur.surface_shape)
+        self._topics = foxglove.Topics(name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
         self._images = [live.channel(topic) for topic in self._topics.topics]
         self._state = live.channel(foxglove.state_topic(name))
         self._contacts = live.channel(foxglove.contacts_topic(name))

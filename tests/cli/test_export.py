@@ -18,11 +18,13 @@ from tactiled.cli.columns import Columns, save_hdf5, save_npz
 from tactiled.cli.export import SECRET
 from tactiled.cli.sinks import METHOD
 from tactiled.config import load
-from tactiled.config.build import sensor_plan
+from tactiled.config.build import make_codec, sensor_plan
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import MISSING
 from tactiled.restore.methods import METHODS
+from tests.skin import CONFIG as SKIN
+from tests.skin import X, Y, Z, messages
 
 _spec = importlib.util.spec_from_file_location("replay_tests", Path(__file__).with_name("test_replay.py"))
 beside = importlib.util.module_from_spec(_spec)
@@ -125,8 +127,8 @@ def json_decoder(encoding, _):
 json_decoder.decoder_for = json_decoder
 
 
-def pressures(grid):
-    offset = {each.name: each.offset for each in grid.fields}["pressure_kpa"]
+def pressures(grid, field="pressure_kpa"):
+    offset = {each.name: each.offset for each in grid.fields}[field]
     cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.cell_stride)
     return cells[:, offset : offset + 4].copy().view("<f4").reshape(-1, grid.column_count)
 
@@ -146,6 +148,68 @@ def test_a_layout_is_a_cloud_of_points_in_mcap(tmp_path):
     assert (len(points), clouds[0].point_stride) == (60, 17)
     places = sensor_plan("hand", load(path).sensor["hand"]).array.positions
     np.testing.assert_allclose(np.column_stack([points["f0"], points["f1"]]), 1e-3 * places, atol=1e-7)
+
+
+@pytest.fixture
+def sheared(tmp_path):
+    """Ten frames of a 3-axis skin, and what they were felt as."""
+    path, log = tmp_path / "skin.toml", tmp_path / "skin.log"
+    path.write_text(SKIN.format(channel="skin"))
+    codec = make_codec(load(path).sensor["skin"])
+    beside.write(
+        log, (each for n in range(10) for each in messages(codec, X + n, Y - n, Z + 10 * n, 1.6e9 + n / 100))
+    )
+    felt = np.stack([[X + n, Y - n] for n in range(10)]).astype(np.float32).reshape(10, 2, 2, 3)
+    felt[:, :, 1, 2] = np.nan  # dead
+    return path, log, felt
+
+
+@pytest.mark.parametrize("ending", ["npz", "h5"])
+def test_arrays_have_shear_with_its_unit_where_the_skin_feels_it(tmp_path, sheared, ending):
+    path, log, felt = sheared
+    out = tmp_path / f"a.{ending}"
+    assert run(log, "--config", path, "-o", out).exit_code == 0
+    with np.load(out) if ending == "npz" else h5py.File(out) as got:
+        np.testing.assert_array_equal(got["shear"][()], felt)
+        assert got["shear"].dtype == np.float32
+        about = json.loads(got["provenance"].item() if ending == "npz" else got.attrs["provenance"])
+        if ending == "h5":
+            assert got["shear"].attrs["units"] == about["units"]["shear"]
+    assert about["units"]["shear"].startswith("counts")
+
+
+def test_an_export_of_a_skin_without_shear_has_none(tmp_path, config, lossy):
+    assert run(lossy, "--config", config, "-o", tmp_path / "a.npz").exit_code == 0
+    with np.load(tmp_path / "a.npz") as got:
+        assert "shear" not in got
+        assert "shear" not in json.loads(got["provenance"].item())["units"]
+
+
+def test_shear_changes_nothing_in_the_images(tmp_path, sheared):
+    """The normal axis alone, without the other two, gives the same ones bit for bit."""
+    path, log, _ = sheared
+    codec = make_codec(load(path).sensor["skin"])
+    plain = [
+        each for n in range(10) for each in codec.encode(np.asarray(Z + 10 * n, np.uint16), 0, 1.6e9 + n / 100)
+    ]
+    for recorded, out in ((log, "a.npz"), (beside.write(tmp_path / "b.log", plain), "b.npz")):
+        assert run(recorded, "--config", path, "-o", tmp_path / out).exit_code == 0
+    with np.load(tmp_path / "a.npz") as one, np.load(tmp_path / "b.npz") as other:
+        for name in ("raw", "restored", "flags"):
+            assert one[name].tobytes() == other[name].tobytes()
+        assert np.nanmax(np.abs(other["shear"])) == 0
+
+
+def test_mcap_has_a_topic_of_shear_where_the_skin_feels_it(tmp_path, sheared):
+    path, log, felt = sheared
+    assert run(log, "--config", path, "-o", tmp_path / "a.mcap").exit_code == 0
+    with (tmp_path / "a.mcap").open("rb") as file:
+        got = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages("/skin/shear"))
+    grids = [each.decoded_message for each in got]
+    assert {each.schema.name for each in got} == {"foxglove.Grid"}
+    told = [[pressures(grid, f"shear_{axis}_counts") for axis in "xy"] for grid in grids]
+    np.testing.assert_array_equal(told, felt)
+    assert (grids[0].cell_size.x, grids[0].pose.position.x, grids[0].frame_id) == (0.004, -0.002, "skin")
 
 
 def test_mcap_without_its_library_is_told_before_any_work(tmp_path, config, lossy, monkeypatch):

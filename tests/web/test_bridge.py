@@ -20,6 +20,7 @@ from tactiled.cli import app as door
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.bridge import bridge
 from tests.conftest import CONFIG, pressed, until
+from tests.skin import X, Y, rigged
 
 TOPICS = {f"/palm/{name}" for name in ("raw", "restored", "status", "state", "contacts")}
 
@@ -27,12 +28,12 @@ TOPICS = {f"/palm/{name}" for name in ("raw", "restored", "status", "state", "co
 class App:
     """What Foxglove's app does: subscribes to topics, decodes what comes by the schemas that it was sent."""
 
-    def __init__(self, socket, topics):
+    def __init__(self, socket, topics, offered=TOPICS):
         self.socket = socket
         assert socket.subprotocol == "foxglove.sdk.v1"
         assert json.loads(socket.recv(timeout=2))["op"] == "serverInfo"
         self.channels = {}
-        while len(self.channels) < 5:
+        while len(self.channels) < len(offered):
             told = json.loads(socket.recv(timeout=2))
             assert told["op"] == "advertise"
             self.channels |= {each["topic"]: each for each in told["channels"]}
@@ -59,10 +60,14 @@ class App:
 
 
 @contextmanager
-def app(rig, topics=TOPICS):
+def app(rig, topics=TOPICS, offered=TOPICS):
     with ExitStack() as stack:
         port = stack.enter_context(bridge(rig.service, 0))
-        yield App(stack.enter_context(connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])), topics)
+        yield App(
+            stack.enter_context(connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])),
+            topics,
+            offered,
+        )
 
 
 def pressures(grid, name="pressure_kpa"):
@@ -86,6 +91,18 @@ def test_the_images_are_those_of_rest_and_to_scale(rig, url):
             assert (grid.pose.position.x, grid.pose.position.y) == (-0.0005, -0.0005)
         status, _ = client.next("/palm/status")
         assert (status["sequence"], status["method"]) == (image.sequence, "wiener")
+
+
+def test_a_skin_that_feels_shear_has_a_topic_of_it(request):
+    offered = {f"/skin/{name}" for name in ("raw", "restored", "status", "shear", "state", "contacts")}
+    with rigged(request.node.name) as rig, app(rig, {"/skin/shear", "/skin/state"}, offered) as client:
+        assert set(client.channels) == offered
+        client.next("/skin/state")  # subscribed
+        image = rig.show(X, Y)
+        grid, at = client.next("/skin/shear")
+        for axis, felt in zip("xy", image.shear, strict=True):
+            np.testing.assert_array_equal(pressures(grid, f"shear_{axis}_counts"), felt)
+    assert at == round(image.time * 1e9)
 
 
 def test_contacts_lie_where_they_are(rig):
