@@ -16,9 +16,10 @@ from tactiled.cli.app import app
 from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
 from tactiled.config.build import make_stack
-from tactiled.config.example import EXAMPLE, GRASP
+from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.cover.kernel import solve
+from tactiled.errors import ConfigError
 from tactiled.sensor import Sensor
 from tactiled.service import Service
 from tactiled.simulate import Player, play, player
@@ -39,13 +40,16 @@ def demo(
         str | None,
         typer.Option("--recording", help="Play a real recording instead: " + ", ".join(recording.names())),
     ] = None,
+    shear: Annotated[
+        bool, typer.Option("--shear", help="Simulate a 3-axis skin instead, 4 x 6 taxels; its shear is made up.")
+    ] = False,
     rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 100.0,
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
     foxglove: Foxglove = None,
 ) -> None:
     """Simulate an array under a cover, or play a real recording, and serve it live."""
-    config = demo_config(record)
+    config = demo_config(record, shear)
     with threadpool_limits(1):
         service = Service(config)
         (sensor,) = service.sensors.values()
@@ -63,9 +67,11 @@ def _server(host: str, port: int, foxglove: int | None) -> Server:
     return Server(host=host, port=port, foxglove=foxglove, control_token=SecretStr(token))
 
 
-def demo_config(record: str | None = None) -> Config:
-    """The configuration that `tactiled init` writes, or that of a recorded grasp, on a virtual bus."""
-    text = GRASP if record else EXAMPLE
+def demo_config(record: str | None = None, shear: bool = False) -> Config:
+    """The configuration that `tactiled init` writes, of a recorded grasp or of a 3-axis skin, on a virtual bus."""
+    if record and shear:
+        raise ConfigError(f"--shear: recording {record} has none: leave one of the two out")
+    text = GRASP if record else SHEAR if shear else EXAMPLE
     return parse(text.replace(REAL_BUS, VIRTUAL_BUS), "demo")
 
 

@@ -72,6 +72,35 @@ saturation = 4095           # counts from which a taxel is at its ceiling
 # dead = [17, 301]          # taxels that do not work, by index: row * columns + column
 """
 
+SHEAR = """\
+# A 3-axis skin: one XELA uSkin module of 4 x 6 taxels. The calibration is made up: tare, and measure your own.
+
+[bus.can0]
+interface = "socketcan"
+channel = "can0"
+
+[sensor.skin]
+bus = "can0"
+method = "auto"
+
+[sensor.skin.codec]
+name = "xela"
+
+[sensor.skin.array]
+rows = 4
+columns = 6
+pitch_mm = 4.0
+
+[sensor.skin.cover]
+thickness_mm = 2.0
+young_mpa = 0.3
+poisson = 0.45
+
+[sensor.skin.calibration]
+kpa_per_count = 0.02
+no_load = 36000
+"""
+
 GRASP = """\
 # Five fingertips of an iCub hand, as the recordings in tactiled/recordings/icub have them: every finger is one
 # triangle of twelve taxels. Pressure was never calibrated, so one count is shown as one kPa.

@@ -64,3 +64,8 @@ class Taxels:
         noisy = pressure + self._random.normal(0, self._noise, pressure.shape)
         counts = np.round(noisy / self._calibration.kpa_per_count + self._calibration.no_load)
         return np.clip(counts, 0, self._full_scale).astype(np.uint16)
+
+    def shear(self, traction: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Counts (2, N) from rest of taxels under `traction` (2, N) in kPa, as many to a kPa as of pressure."""
+        noisy = traction + self._random.normal(0, self._noise, traction.shape)
+        return (noisy / abs(self._calibration.kpa_per_count)).astype(np.float32)

@@ -5,13 +5,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 
-from tactiled.bus.codecs import Codec, talk_of
+import numpy as np
+
+from tactiled.bus.codecs import Codec, ShearEncoding, talk_of
 from tactiled.calibrate import Calibration
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.geometry import Array
 from tactiled.simulate.array import Surface, Taxels
+from tactiled.simulate.drag import traction
 from tactiled.simulate.scenes import SCENES
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
@@ -34,7 +37,11 @@ class Player:
         scene = SCENES[self.scenes[int(t / STAY_S) % len(self.scenes)]]
         surface = self.surface
         pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
-        return self.codec.encode(self.taxels.count(surface.sense(pressure)), sequence, now)
+        counts = self.taxels.count(surface.sense(pressure))
+        if not isinstance(self.codec, ShearEncoding):
+            return self.codec.encode(counts, sequence, now)
+        felt = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
+        return self.codec.encode_sheared(counts, self.taxels.shear(felt), sequence, now)
 
 
 def player(

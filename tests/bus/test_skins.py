@@ -78,6 +78,16 @@ def test_genuine_xela_shear():
     assert np.isnan(shear).sum() == 2 * (16 - len(XELA_SENT))
 
 
+def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
+    codec, rng = Xela(), np.random.default_rng(1)
+    counts, shear = rng.integers(0, 0x10000, 24), rng.integers(-0x4000, 0xC000, (2, 24)).astype(np.float32)
+    shear[:, 0] = -1e6, 1e6
+    sent = [codec.decode(each).payload for each in codec.encode_sheared(counts.astype(np.uint16), shear, 0, 0.0)]
+    np.testing.assert_array_equal(codec.unpack(sent), counts)
+    np.testing.assert_array_equal(codec.shear(sent)[:, 1:], shear[:, 1:])
+    assert codec.shear(sent)[:, 0].tolist() == [-0x4000, 0xFFFF - 0x4000]
+
+
 def test_a_frame_carries_the_shear_of_its_own_messages_and_only_skins_that_feel_it_do():
     codec = Xela(rows=(0, 1), columns=tuple(range(8)))
     assembler = Assembler(codec)

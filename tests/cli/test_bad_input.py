@@ -82,6 +82,7 @@ def test_a_port_in_use():
 def test_a_scene_and_a_recording_that_are_not_there():
     refused(tactiled("demo", "--scene", "flood"), "scene = 'flood': no such scene: choose tour or one of ring")
     refused(tactiled("demo", "--recording", "flood"), "flood")
+    refused(tactiled("demo", "--recording", "book_1", "--shear"), "--shear: recording book_1 has none")
 
 
 def test_init_writes_what_check_finds_right_and_never_overwrites(tmp_path):

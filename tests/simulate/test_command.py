@@ -10,12 +10,16 @@ from typer.testing import CliRunner
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
 from tactiled.cli.app import app
+from tactiled.cli.demo import demo_config, running, simulated
 from tactiled.cli.simulate import simulate
 from tactiled.config import parse
 from tactiled.config.build import make_codec
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
+from tactiled.service import Service
+from tactiled.simulate import play
+from tests.conftest import until
 
 __all__ = ["simulate"]  # importing it gives the command line its verb
 
@@ -178,3 +182,15 @@ def test_a_hand_that_is_polled_answers_as_often_as_it_is_asked_and_no_more(liste
     assert frames
     assert f"answered {len(frames)} requests" in result.output
     assert loss.lost == 0
+
+
+def test_the_demo_with_shear_shows_a_skin_that_feels_it():
+    config = demo_config(shear=True)
+    service = Service(config)
+    (sensor,) = service.sensors.values()
+    source = simulated(config, sensor, "sphere")
+    with running(service, config, lambda sender, stop: play(source.messages, sender.send, 100.0, stop)):
+        until(lambda: (image := sensor.hub.latest()) and image.sequence > 20, 20)
+    image = sensor.hub.latest()
+    assert (sensor.name, sensor.shears, image.shear.shape) == ("skin", True, (2, 4, 6))
+    assert np.abs(image.shear).max() > 100

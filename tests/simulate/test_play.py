@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.xela import Xela
 from tactiled.calibrate import Calibration
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack
@@ -90,6 +91,42 @@ def test_a_player_encodes_its_scene(make):
     sensed = source.surface.sense(np.full_like(source.surface.x, 60.0))  # kPa, the scene's peak
     np.testing.assert_allclose((counts - 80.0) * 0.05, sensed, atol=0.0251)
     assert 50 < sensed.max() < 60
+
+
+@pytest.fixture(scope="module")
+def skin():
+    kernel = solve(Stack((Layer(1.2, 0.6, 0.48),)), "layered")
+    codec = Xela(rows=tuple(range(8)), columns=tuple(range(8)))
+    return lambda scene: player(grid(8, 8, 1.0), kernel, codec, Calibration(0.02, 36_000), scene, 0.0)
+
+
+def shear_of(source, t):
+    """(2, 8, 8) counts, and the image beside it."""
+    payloads = [source.codec.decode(each).payload for each in source.messages(0, t, 0.0)]
+    return source.codec.shear(payloads).reshape(2, 8, 8), source.codec.unpack(payloads).reshape(8, 8)
+
+
+@pytest.mark.parametrize(("t", "axis", "sign"), [(0.0, 1, 1), (np.pi / 2, 0, -1), (np.pi, 1, -1)])
+def test_what_moves_drags_a_skin_that_feels_it_along(skin, t, axis, sign):
+    """The sphere rolls from x to y."""
+    shear, image = shear_of(skin("sphere"), t)
+    total = shear.sum(axis=(1, 2))
+    assert sign * total[axis] > 5 * abs(total[1 - axis])
+    assert 0.05 < sign * total[axis] / (image - 36_000.0).sum() < 0.25
+    assert shear.dtype == np.float32
+
+
+def test_what_presses_without_moving_squeezes_the_rubber_aside(skin):
+    """Two punches, left and right of the middle, at the turn of their way."""
+    shear, image = shear_of(skin("indenters"), np.pi / 0.8)
+    assert np.abs(shear.sum(axis=(1, 2))).max() < 0.01 * np.abs(shear).sum()
+    row, column = np.unravel_index(image.argmax(), image.shape)
+    assert shear[1, row - 1, column] < 0 < shear[1, row + 2, column]
+
+
+def test_nothing_and_even_pressure_at_rest_give_no_shear(skin):
+    assert not shear_of(skin("empty"), 1.0)[0].any()
+    assert not shear_of(skin("uniform"), 1.0)[0].any()
 
 
 def test_a_tour_goes_round_its_scenes(make):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tactiled.bus.codecs.plain import Plain
 from tactiled.frames import Counts, Message, Reading
 
-__all__ = ["Codec", "Plain", "Poll", "Shearing", "Talk", "Talking", "talk_of"]
+__all__ = ["Codec", "Plain", "Poll", "ShearEncoding", "Shearing", "Talk", "Talking", "talk_of"]
 
 
 class Codec(Protocol):
@@ -88,3 +88,13 @@ class Shearing(Protocol):
 
     def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
         """Shear (2, N) of one frame along x and y, counts from the skin's nominal rest; NaN where missing."""
+
+
+@runtime_checkable
+class ShearEncoding(Protocol):
+    """What such a codec offers besides, to be simulated with shear."""
+
+    def encode_sheared(
+        self, counts: Counts, shear: NDArray[np.float32], sequence: int, time: float
+    ) -> list[Message]:
+        """The messages of one frame (N,) and its shear (2, N), the inverse of `decode`, `unpack` and `shear`."""

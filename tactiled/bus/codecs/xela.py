@@ -113,8 +113,15 @@ class Xela(Plain):
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,) without shear; the sequence number has no place in them."""
+        return self.encode_sheared(counts, np.zeros((2, self.size), np.float32), sequence, time)
+
+    def encode_sheared(
+        self, counts: Counts, shear: NDArray[np.float32], sequence: int, time: float
+    ) -> list[Message]:
+        """The messages of one frame (N,) and its shear (2, N), which ends where an axis does."""
         del sequence
-        axes = np.full((self.size, 3), REST, ">u2")
+        axes = np.empty((self.size, 3), ">u2")
+        axes[:, :2] = np.clip(np.round(shear.T) + REST, 0, self.full_scale)
         axes[:, 2] = self.checked(counts)
         return [
             Message(time, id_, bytes((STATUS, *one.tobytes(), 0)))
