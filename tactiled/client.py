@@ -28,7 +28,8 @@ from tactiled.web.wire import KINDS, PRESSURES, Kind, Unpacked, unpack
 ANSWER_S = 10.0  # that the service may take to answer
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 LOST = OSError, ConnectionClosed, InvalidHandshake, InvalidURI  # TimeoutError is an OSError
-REFUSED = range(4400, 4500)  # close codes that another attempt will meet again
+FULL = 4429  # no place now
+REFUSED = set(range(4400, 4500)) - {FULL}  # close codes that another attempt will meet again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +105,7 @@ class _Attempts:
             "close_timeout": 1,
         }
         self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
+        self._why = ""  # the service gave no reason to close yet
 
     def connected(self) -> None:
         """A connection begins, whose messages have no past."""
@@ -117,17 +119,20 @@ class _Attempts:
         """The image that a message completes."""
         image = self._parts.take(data)
         if image is not None:
-            self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
+            self._heard, self._wait, self._why = time.monotonic(), BACK_OFF_S[0], ""
         return image
 
     def failed(self, error: Exception) -> float:
         """How long to wait (s) for the next attempt after an error; TactileError where there is to be none."""
-        if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in REFUSED:
-            raise TactileError(f"{self._url}: {error.rcvd.reason}") from error
+        if isinstance(error, ConnectionClosed) and error.rcvd is not None:
+            self._why = error.rcvd.reason
+            if error.rcvd.code in REFUSED:
+                raise TactileError(f"{self._url}: {self._why}") from error
         if isinstance(error, InvalidURI):
             raise TactileError(f"{self._url}: {error}") from error
         if self.left() == 0:
-            raise TactileError(f"{self._named} at {self._url}: no image for {self._patience_s} s") from error
+            why = f": {self._why}" if self._why else ""
+            raise TactileError(f"{self._named} at {self._url}: no image for {self._patience_s} s{why}") from error
         wait, self._wait = self._wait, min(2 * self._wait, BACK_OFF_S[1])
         return wait
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from websockets.asyncio.client import connect
 
 from tactiled.bus.reader import Reader, open_bus
-from tactiled.config import Config
+from tactiled.config import Config, Server
 from tactiled.frames import Message
 from tactiled.service import Service
 from tactiled.simulate import play
@@ -73,7 +73,7 @@ def measure(
     receive, give = context.Pipe(duplex=False)
     with _pinned(clients > 1) as spare:
         service.start()
-        with running(service) as url:
+        with running(service, Server(port=0, streams_per_client=0, streams=0)) as url:
             name = next(iter(service.sensors))
             stream = f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{name}/stream?kinds=restored"
             listeners = context.Process(

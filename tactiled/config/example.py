@@ -16,6 +16,8 @@ port = 8000
 history_s = 5.0             # of images kept for clients that ask for a window
 history_mb = 64             # and no more memory than this for all sensors
 control_per_minute = 600    # changes and costly answers that one client may ask for; 0: no bound
+streams_per_client = 64     # live streams that one client may have open; 0: no bound
+streams = 256               # and all clients together
 
 # One table a CAN bus. `interface` and `channel` are python-can's, and so is any further key:
 #   socketcan (can0), slcan (/dev/ttyUSB0), pcan (PCAN_USBBUS1), kvaser (0), udp_multicast, virtual, ...

@@ -48,6 +48,8 @@ class Server(Section):
     history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
     history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
     control_per_minute: int = Field(600, ge=0, le=1_000_000)  # changes, and costly answers, a client; 0: no bound
+    streams_per_client: int = Field(64, ge=0, le=65535)  # WebSockets that a client may have open; 0: no bound
+    streams: int = Field(256, ge=0, le=65535)  # and all clients together; 0: no bound
 
     @property
     def loopback(self) -> bool:

@@ -33,7 +33,7 @@ from tactiled.web.description import complete
 from tactiled.web.feed import Feed
 from tactiled.web.guard import Guard
 from tactiled.web.keys import Keys
-from tactiled.web.rates import Rates
+from tactiled.web.rates import Rates, Streams
 
 STATIC = Path(__file__).parent / "static"
 SMALL = 2048  # bytes that are sent as they are
@@ -67,6 +67,7 @@ def create(service: Service, server: Server) -> FastAPI:
     problems.install(app)
     app.state.service, app.state.server = service, server
     app.state.rates = Rates(server.control_per_minute)
+    app.state.streams = Streams(server.streams_per_client, server.streams)
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
@@ -85,7 +86,8 @@ def create(service: Service, server: Server) -> FastAPI:
     app.add_middleware(
         GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
     )
-    app.add_middleware(Guard, server=server, rates=app.state.rates)  # the last added is the first met
+    bounds = {"rates": app.state.rates, "streams": app.state.streams}
+    app.add_middleware(Guard, server=server, **bounds)  # the last added is the first met
     app.openapi = complete(app, Keys(server).needed)  # type: ignore[method-assign]
     return app
 

@@ -2,6 +2,7 @@
 
 import logging
 import re
+from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import Response
@@ -12,7 +13,7 @@ from tactiled.config.schema import LOOPBACK
 from tactiled.web import problems, session
 from tactiled.web.body import bounded
 from tactiled.web.keys import COOKIE, Keys
-from tactiled.web.rates import Rates
+from tactiled.web.rates import Rates, Streams
 
 Refusal = tuple[int, str]
 LOG = logging.getLogger(__name__)
@@ -38,8 +39,9 @@ ALONE = "; HttpOnly; SameSite=Strict; Path=/"
 class Guard:
     """Refuses pages of another origin, a foreign host name on loopback (DNS rebinding), and a missing token."""
 
-    def __init__(self, app: ASGIApp, server: Server, rates: Rates) -> None:
-        self._app, self._server, self._keys, self._rates = app, server, Keys(server), rates
+    def __init__(self, app: ASGIApp, server: Server, rates: Rates, streams: Streams) -> None:
+        self._app, self._server, self._keys = app, server, Keys(server)
+        self._rates, self._streams = rates, streams
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -49,7 +51,7 @@ class Guard:
         headers, query = Headers(scope=scope), QueryParams(scope["query_string"])
         refusal = self._stranger(headers) or self._keyless(scope, headers, query)
         if scope["type"] == "websocket":
-            await (_close(refusal, receive, send) if refusal else self._app(scope, receive, send))
+            await (_close(refusal, receive, send) if refusal else self._stream(scope, receive, send))
             return
 
         started = False
@@ -71,6 +73,16 @@ class Guard:
             if started:
                 raise
             await problems.response(500, "the service failed at this: see its log")(scope, receive, guarded)
+
+    async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a WebSocket, if it is not one too many."""
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(self._streams.one(scope))
+            except problems.Problem as error:
+                await _close((error.status_code, error.detail), receive, send)
+            else:
+                await self._app(scope, receive, send)
 
     def _answer(self, refusal: Refusal | None, scope: Scope, query: QueryParams) -> ASGIApp:
         """Who answers a request."""
@@ -120,5 +132,4 @@ async def _close(refusal: Refusal, receive: Receive, send: Send) -> None:
     status, reason = refusal
     await receive()
     await send({"type": "websocket.accept"})
-    code = session.UNAUTHORIZED if status == 401 else session.FORBIDDEN
-    await send({"type": "websocket.close", "code": code, "reason": session.fitting(reason)})
+    await send({"type": "websocket.close", "code": session.code(status), "reason": session.fitting(reason)})

@@ -4,12 +4,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from typing import get_args
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from tactiled.bus.faults import KINDS
 from tactiled.sensor import Sensor, State, Status
 from tactiled.service import Service
 from tactiled.web.common import Served
+from tactiled.web.rates import Streams
 
 MEDIA = "text/plain; version=0.0.4; charset=utf-8"
 Sample = tuple[dict[str, str], float | None]  # labels; None where there is no value now
@@ -18,15 +19,15 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/metrics")
-def metrics(service: Served) -> Response:
+def metrics(request: Request, service: Served) -> Response:
     """Health and counts, for Prometheus to scrape."""
-    return Response(text(service), media_type=MEDIA)
+    return Response(text(service, request.app.state.streams), media_type=MEDIA)
 
 
-def text(service: Service) -> str:
-    """Every family of a service."""
+def text(service: Service, streams: Streams) -> str:
+    """Every family of a service and its streams."""
     told = [(each, each.status()) for each in service.sensors.values()]
-    return "".join(line + "\n" for family in _families(told) for line in family)
+    return "".join(line + "\n" for family in (*_families(told), *_clients(streams)) for line in family)
 
 
 def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
@@ -54,13 +55,19 @@ def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
     yield _family("error_frames_total", "counter", "what the bus's error frames told, by kind", errors)
 
 
+def _clients(streams: Streams) -> Iterator[Iterator[str]]:
+    yield _family("streams", "gauge", "WebSockets that are open", [({}, streams.open)])
+    refused: list[Sample] = [({"bound": bound}, count) for bound, count in streams.refused.items()]
+    yield _family("streams_refused_total", "counter", "WebSockets that were one too many, by bound", refused)
+
+
 def _family(name: str, kind: str, says: str, samples: Iterable[Sample]) -> Iterator[str]:
     yield f"# HELP tactiled_{name} {says}"
     yield f"# TYPE tactiled_{name} {kind}"
     for labels, value in samples:
         if value is not None:
             told = ",".join(f'{label}="{_escaped(each)}"' for label, each in labels.items())
-            yield f"tactiled_{name}{{{told}}} {value!r}"
+            yield f"tactiled_{name}{f'{{{told}}}' if told else ''} {value!r}"
 
 
 def _escaped(value: str) -> str:

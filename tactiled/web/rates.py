@@ -1,11 +1,12 @@
-"""How often a client may ask for what changes the service or costs it much: a bucket of tokens for each."""
+"""What one client may take of the service: how often what changes it or costs it much, and how many streams."""
 
 import ipaddress
 import math
 import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from starlette.types import Scope
 
@@ -44,6 +45,38 @@ class Rates:
                 self._buckets.popitem(last=False)
             self._buckets[who] = (tokens - 1 if tokens >= 1 else tokens), now
         return 0.0 if tokens >= 1 else (1 - tokens) / self._rate
+
+
+class Streams:
+    """Lets a client have `each` WebSockets open at a time, and all clients together `most` (0: no bound)."""
+
+    def __init__(self, each: int, most: int) -> None:
+        self._each, self._most = each, most
+        self._open: Counter[str] = Counter()
+        self.refused = {"streams_per_client": 0, "streams": 0}  # so far, by the bound
+
+    @property
+    def open(self) -> int:
+        """How many there are now."""
+        return self._open.total()
+
+    @contextmanager
+    def one(self, scope: Scope) -> Iterator[None]:
+        """Count one while it is open; Problem 429 or 503 where it is one too many."""
+        who = client(scope)
+        if self._each and self._open[who] >= self._each:
+            self.refused["streams_per_client"] += 1
+            raise Problem(
+                429, f"streams_per_client = {self._each}: {who or 'this client'} has as many open: close one"
+            )
+        if self._most and self.open >= self._most:
+            self.refused["streams"] += 1
+            raise Problem(503, f"streams = {self._most}: as many are open: come again later")
+        self._open[who] += 1
+        try:
+            yield
+        finally:
+            self._open -= Counter((who,))  # which forgets who has none
 
 
 def client(scope: Scope) -> str:

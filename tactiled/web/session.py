@@ -8,7 +8,7 @@ from fastapi import WebSocket, WebSocketDisconnect
 
 from tactiled.errors import NoShearError, UnknownSensorError
 
-BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND = 4400, 4401, 4403, 4404
+BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
 TOO_BIG, FAILED, RESTART = 1009, 1011, 1012
 CLOSES = {
     TOO_BIG: "a message of more than 64 KiB",
@@ -18,9 +18,16 @@ CLOSES = {
     UNAUTHORIZED: "no token, or one that is not known",
     FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",
     NOT_FOUND: "no such sensor, or shear asked of one that feels none; the reason names it",
+    TOO_MANY: "one stream too many of this client (`streams_per_client`)",
+    FULL: "one stream too many of all clients together (`streams`)",
 }
 MOST = 64 * 1024  # bytes of a client's message
 MOST_REASON = 123  # bytes of a close frame's reason
+
+
+def code(status: int) -> int:
+    """The close code of an HTTP status."""
+    return 4000 + status
 
 
 def fitting(reason: str) -> str:

@@ -34,6 +34,8 @@ class ServerForm(forms.Form):
     history_s: float = Field(examples=[5.0])
     history_mb: float = Field(examples=[64.0])
     control_per_minute: int = Field(examples=[600])
+    streams_per_client: int = Field(examples=[64])
+    streams: int = Field(examples=[256])
 
 
 class Override(forms.Form):
@@ -90,6 +92,8 @@ def _server(server: Server, service: Service) -> ServerForm:
         history_s=server.history_s,
         history_mb=server.history_mb,
         control_per_minute=server.control_per_minute,
+        streams_per_client=server.streams_per_client,
+        streams=server.streams,
     )
 
 

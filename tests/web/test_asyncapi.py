@@ -170,6 +170,11 @@ def test_every_close_code_described_is_the_one_used(rig, document, monkeypatch):
             ending = stack.enter_context(connect(address))
             ending.recv(timeout=2)
         seen["1012"] = closed(ending)
+    for bound, name in (("streams_per_client", "4429"), ("streams", "4503")):
+        with ExitStack() as stack:
+            url = stack.enter_context(running(rig.service, Server(port=0).model_copy(update={bound: 1})))
+            _, second = (stack.enter_context(websocket(url, "/api/v1/stream")) for _ in range(2))
+            seen[name] = closed(second)
     guarded = Server(port=0, control_token=SecretStr("c" * 16))
     with running(rig.service, guarded) as url, websocket(url, "/api/v1/stream") as client:
         seen["4401"] = closed(client)

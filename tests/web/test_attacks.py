@@ -5,6 +5,7 @@ import secrets
 import socket
 import tempfile
 import time
+from contextlib import ExitStack
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,7 +17,9 @@ from pydantic import SecretStr
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+import tactiled
 from tactiled.config import Server
+from tactiled.errors import TactileError
 from tactiled.sensor import Sensor
 from tactiled.web import body, patience
 from tactiled.web.keys import Keys
@@ -316,6 +319,65 @@ def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
             problem(ask("GET", f"{url}/api/v1/sensors/palm/frames{path}"), 429)
         assert {ask("GET", url + path).status_code for path in ("/api/v1/health", METHOD, "/") * 5} == {200}
     assert rig.sensor.method == "raw"
+
+
+def ended(client):
+    """Code and reason that a stream is closed with."""
+    with pytest.raises(ConnectionClosed) as caught:
+        [client.recv(timeout=BUSY_S) for _ in range(1000)]
+    return caught.value.rcvd.code, caught.value.rcvd.reason
+
+
+@pytest.mark.parametrize("path", ["api/v1/stream", "api/v1/sensors/palm/stream", "xela", ""])
+def test_streams_are_bounded_for_each_client_and_for_all_and_counted(rig, path):
+    bounds = Server(port=0, streams_per_client=2, streams=3)
+    with running(rig.service, bounds) as url, ExitStack() as stack:
+
+        def stream(who, path="api/v1/stream"):
+            address = f"{url.replace('http', 'ws', 1)}/{path}"
+            return stack.enter_context(connect(address, additional_headers={"X-Forwarded-For": who}))
+
+        streams = [stream(who) for who in ("10.0.0.1", "10.0.0.2", "10.0.0.1")]
+        for each in streams:
+            assert "status" in each.recv(timeout=BUSY_S)
+        assert ended(stream("10.0.0.1", path)) == (
+            4429,
+            "streams_per_client = 2: 10.0.0.1 has as many open: close one",
+        )
+        assert ended(stream("10.0.0.2", path)) == (4503, "streams = 3: as many are open: come again later")
+        told = ask("GET", url + "/metrics").text.splitlines()
+        assert "tactiled_streams 3" in told
+        assert 'tactiled_streams_refused_total{bound="streams_per_client"} 1' in told
+        assert 'tactiled_streams_refused_total{bound="streams"} 1' in told
+        streams[0].close()
+        until(lambda: "tactiled_streams 2" in ask("GET", url + "/metrics").text)
+        assert "status" in stream("10.0.0.1").recv(timeout=BUSY_S)
+
+
+def test_a_proxy_on_this_machine_says_whose_request_it_is(rig):
+    """The address that the proxy has added is the last one; the client itself may have claimed others before."""
+    with running(rig.service, Server(port=0, control_per_minute=6, streams_per_client=1)) as url:
+        hosts = "10.0.0.1", "10.0.0.2", "9.9.9.9, 10.0.0.1", "10.0.0.1, 10.0.0.3"
+        asked = [ask("PUT", url + METHOD, json=RAW, headers={"X-Forwarded-For": each}) for each in hosts]
+        assert [each.status_code for each in asked] == [200, 200, 429, 200]
+        address = url.replace("http", "ws", 1) + "/api/v1/stream"
+        with connect(address, additional_headers={"X-Forwarded-For": hosts[0]}) as first:
+            for host in hosts[1:]:
+                with connect(address, additional_headers={"X-Forwarded-For": host}) as other:
+                    if host.endswith("10.0.0.1"):
+                        assert ended(other)[0] == 4429
+                    else:
+                        assert "status" in other.recv(timeout=BUSY_S)
+            assert "status" in first.recv(timeout=BUSY_S)
+
+
+def test_a_program_waits_for_a_place_and_says_why_it_has_none(rig):
+    with running(rig.service, Server(port=0, streams_per_client=1)) as url:
+        why = r"no image for 0\.5 s: streams_per_client = 1: 127\.0\.0\.1 has as many open"
+        with connect(url.replace("http", "ws", 1) + "/api/v1/stream"), pytest.raises(TactileError, match=why):
+            next(tactiled.connect(url).stream("palm", patience_s=0.5))
+        rig.show(pressed())
+        assert next(tactiled.connect(url).stream("palm", patience_s=BUSY_S)).sequence == 0
 
 
 def test_every_token_is_compared_in_full_whatever_is_shown(monkeypatch):

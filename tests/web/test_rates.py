@@ -1,10 +1,11 @@
 import math
+from contextlib import ExitStack
 
 import pytest
 
 from tactiled.web import rates
 from tactiled.web.problems import Problem
-from tactiled.web.rates import Rates, client
+from tactiled.web.rates import Rates, Streams, client
 
 
 @pytest.fixture
@@ -69,3 +70,39 @@ def test_one_network_is_one_client():
 
 def test_what_is_no_address_takes_no_memory():
     assert client({"client": ("x" * 60_000, 0)}) == ""  # as a header of a proxy may say
+
+
+def one(host):
+    return {"client": (host, 1)}
+
+
+def test_a_client_has_as_many_streams_as_it_may_until_one_ends():
+    streams = Streams(2, 3)
+    with streams.one(one("a::1")), streams.one(one("10.0.0.1")):
+        with streams.one(one("a::2")):
+            assert streams.open == 3
+            for host, status in (("a::3", 429), ("10.0.0.1", 503), ("10.0.0.2", 503)):
+                with pytest.raises(Problem) as caught, streams.one(one(host)):
+                    pass
+                assert caught.value.status_code == status
+        with streams.one(one("a::3")):
+            assert streams.open == 3
+    assert streams.open == 0
+    assert len(streams._open) == 0  # who has none is forgotten
+    assert streams.refused == {"streams_per_client": 1, "streams": 2}
+
+
+def test_a_stream_that_fails_gives_its_place_back():
+    streams = Streams(1, 1)
+    with pytest.raises(ZeroDivisionError), streams.one(one("10.0.0.1")):
+        raise ZeroDivisionError
+    with streams.one(one("10.0.0.1")):
+        pass
+
+
+def test_no_bound_on_streams_where_none_is_wanted():
+    streams = Streams(0, 0)
+    with ExitStack() as stack:
+        for _ in range(1000):
+            stack.enter_context(streams.one(one("10.0.0.1")))
+        assert streams.open == 1000
