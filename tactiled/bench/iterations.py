@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from tactiled.bench.charts import COLOURS, figure
+from tactiled.bench.faults import Case, Setting, white
 from tactiled.bench.restore import nrmse, richardson_lucy
 from tactiled.bench.skin import Frames
-from tactiled.bench.sweeps import Case, Setting, white
 from tactiled.restore import solvers
 from tactiled.restore.lucy import OFFSET, Lucy
 from tactiled.restore.scene import Scene

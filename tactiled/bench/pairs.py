@@ -7,9 +7,10 @@ from itertools import combinations, product
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from tactiled.bench.faults import CORRELATION, Case, Setting, noisy, scenes
 from tactiled.bench.skin import mistaken
 from tactiled.bench.stability import WORSE, Row, curve, noticed, rows
-from tactiled.bench.sweeps import CORRELATION, Case, Setting, Sweep, noisy, scenes
+from tactiled.bench.sweeps import Sweep
 
 NOISE = 1.0  # % of the peak, where it is no fault
 FAULTS: dict[str, tuple[float, float]] = {  # those that hurt alone, mild and bad

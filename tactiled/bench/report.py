@@ -4,9 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from tactiled.bench import ablation, alarms, discriminate, frontier, iterations, pairs, picard, stability
+from tactiled.bench.faults import Setting
 from tactiled.bench.pairs import Pair
 from tactiled.bench.skin import Skin, rubber
-from tactiled.bench.sweeps import Setting, Sweep, sweeps
+from tactiled.bench.sweeps import Sweep, sweeps
 
 Step = Callable[[str], None]
 COVERS = (0.5, 1.0, 2.0, 3.0)

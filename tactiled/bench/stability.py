@@ -1,15 +1,17 @@
 """Where methods fail: what goes wrong swept from harmless to hopeless, and whether anyone would notice."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from tactiled.bench.faults import Case, Setting
+from tactiled.bench.lawful import lawful
 from tactiled.bench.restore import nrmse, richardson_lucy, wiener
 from tactiled.bench.signs import SIGNS, Signs, signs
 from tactiled.bench.skin import Frames, Skin, rubber
-from tactiled.bench.sweeps import Case, Setting, Sweep, sweeps
+from tactiled.bench.sweeps import Sweep, sweeps
 from tactiled.bench.truth import DRAWN
 from tactiled.doubt import Doubt
 from tactiled.restore.methods import METHODS, make
@@ -40,6 +42,7 @@ class Row:
     signs: Signs
     flagged: bool  # some taxels carry flags, which the image's warnings name
     warned: tuple[str, ...] = ()  # what the service would say of such frames
+    lawful: bool | None = None  # of an image of auto that fails silently: whether some press explains its frame
 
 
 Limits = dict[str, float]  # of each sign
@@ -84,7 +87,7 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
     told |= {name: ("", image, np.nan) for name, image in _theirs(case).items()}
     errors = {name: nrmse(image, case.truth) for name, (_, image, _) in told.items()}
     flagged = case.flags is not None and bool(case.flags.any())
-    return [
+    found = [
         Row(
             sweep=sweep.name,
             value=value,
@@ -101,6 +104,10 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
             warned=_warned(case, image, ran),
         )
         for name, (ran, image, claimed) in told.items()
+    ]
+    return [
+        replace(row, lawful=lawful(case.skin.blur, case.frame, case.noise)) if fails_silently(row) else row
+        for row in found
     ]
 
 
@@ -188,6 +195,11 @@ def _place(sweep: Sweep, value: float) -> float:
 def noticed(row: Row) -> bool:
     """Whether the image itself says that it may be wrong: by a warning, or by the deviation it claims."""
     return row.flagged or bool(row.warned) or row.claimed >= HONEST * row.error
+
+
+def fails_silently(row: Row) -> bool:
+    """Whether an image of `auto` is worse than raw, and nothing tells of it."""
+    return row.method == "auto" and row.over_raw > WORSE and not noticed(row)
 
 
 def _noticed(failed: list[Row], limits: Limits) -> tuple[str, str]:

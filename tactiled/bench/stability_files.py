@@ -10,12 +10,17 @@ from typing import Any
 
 from tactiled.bench.machine import describe
 from tactiled.bench.pairs import Pair
+from tactiled.bench.silence import HEADINGS, lines, listed
 from tactiled.bench.stability import OURS, WORSE, Found, Row, alarms, false_warnings, limits, sound, table
 
 
-def write(folder: Path, found: Found, seed: int) -> None:
-    """Put every image into stability.csv, the table into stability-table.csv and stability.json."""
+def write(folder: Path, found: Found, together: Sequence[Pair], seed: int) -> None:
+    """Put every image into stability.csv and stability-pairs.csv, the table into stability-table.csv.
+
+    The table, what failed in silence and why, and the false alarms go into stability.json.
+    """
     _csv(folder / "stability.csv", [_flat(row) for _, all_ in found for row in all_])
+    _csv(folder / "stability-pairs.csv", [_flat(row) for pair in together for row in pair.rows])
     failures = [asdict(one) for one in table(found)]
     _csv(folder / "stability-table.csv", failures)
     told = {
@@ -26,14 +31,10 @@ def write(folder: Path, found: Found, seed: int) -> None:
         "false warnings on auto": dict(Counter(false_warnings(found, "auto"))),
         "limits of the signs": {method: limits(found, method) for method in OURS},
         "false alarms on auto": dict(Counter(alarms(found, "auto"))),
+        "silent on auto": [dict(zip(HEADINGS, line, strict=True)) for line in lines(listed(found, together))],
         "table": failures,
     }
     (folder / "stability.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-
-
-def write_pairs(folder: Path, found: Sequence[Pair]) -> None:
-    """Put every image of two faults at once into stability-pairs.csv."""
-    _csv(folder / "stability-pairs.csv", [_flat(row) for pair in found for row in pair.rows])
 
 
 def _flat(row: Row) -> dict[str, Any]:

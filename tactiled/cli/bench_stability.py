@@ -1,7 +1,8 @@
 """`tactiled bench stability`: where methods fail, and whether anyone would notice."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -12,6 +13,10 @@ from threadpoolctl import threadpool_limits
 from tactiled.bench.machine import describe
 from tactiled.cli.app import bench
 from tactiled.cli.bench_frontier import made
+
+if TYPE_CHECKING:
+    from tactiled.bench.pairs import Pair
+    from tactiled.bench.stability import Found
 
 SHOWN = 5  # pairs
 
@@ -29,7 +34,7 @@ def stability(
     from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
     from tactiled.bench.skin import configured
     from tactiled.bench.stability_chart import calibration, draw
-    from tactiled.bench.stability_files import write, write_pairs
+    from tactiled.bench.stability_files import write
     from tactiled.bench.sweeps import sweeps
 
     folder = made(out)
@@ -38,32 +43,56 @@ def stability(
         steps = measure.measure(setting, values)
         found = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
         together = list(track(pairs.measure(setting, quick), "Two at once", pairs.count(quick), transient=True))
-    write(folder, found, seed)
-    write_pairs(folder, together)
+    write(folder, found, together, seed)
     draw(folder / "stability.svg", found)
     draw(folder / "stability-wiener.svg", found, "wiener")
     calibration(folder / "calibration.svg", found)
-    table = Table(
-        title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
-    )
-    for name in (*measure.HEADINGS[:-3], "noticed"):
-        table.add_column(name.replace("skimage ", "skimage\n"))
     console = Console(soft_wrap=True, highlight=False)
-    rows = measure.lines(measure.table(found))
-    for row in rows:
-        table.add_row(*row[:-3], row[-2])
-    console.print(table)
-    for row in rows:
-        if row[-1] or row[-2].startswith("no ("):
-            console.print(
-                f"auto, {row[0]}: at its worst {row[-3]}; noticed: {row[-2]}; {row[-1] or 'nothing would show it'}"
-            )
-    for pair in pairs.worst(together, SHOWN):
-        ratios = ", ".join(f"{method} {over:.2f}" for method, over in pair.over_raw.items() if method != "raw")
-        console.print(f"{pairs.name(pair.faults)}, error over the raw image's: {ratios}")
-    console.print(pairs.verdict(together))
+    console.print(_table(measure.lines(measure.table(found))))
+    for line in (*_unnoticed(found), *_pairs(together), *_silent(found, together)):
+        console.print(line)
     said, fine = measure.false_warnings(found, "auto"), measure.sound(found, "auto")
     console.print(f"Warnings on {len(fine)} sound images of auto: {len(said)}.")
     console.print(f"Seed {seed}. One thread. {describe()}")
     console.print(f"Written: {folder}/stability.svg, stability-wiener.svg, calibration.svg, stability.csv,")
     console.print("stability-pairs.csv, stability-table.csv, stability.json")
+
+
+def _table(rows: list[tuple[str, ...]]) -> Table:
+    from tactiled.bench.stability import HEADINGS
+
+    table = Table(
+        title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
+    )
+    for name in (*HEADINGS[:-3], "noticed"):
+        table.add_column(name.replace("skimage ", "skimage\n"))
+    for row in rows:
+        table.add_row(*row[:-3], row[-2])
+    return table
+
+
+def _unnoticed(found: "Found") -> Iterator[str]:
+    """Faults of which not all is noticed by a warning, and what shows them."""
+    from tactiled.bench import stability as measure
+
+    for *row, worst, noticed, by in measure.lines(measure.table(found)):
+        if by or noticed.startswith("no ("):
+            yield f"auto, {row[0]}: at its worst {worst}; noticed: {noticed}; {by or 'nothing would show it'}"
+
+
+def _pairs(together: "Sequence[Pair]") -> Iterator[str]:
+    from tactiled.bench import pairs
+
+    for pair in pairs.worst(together, SHOWN):
+        ratios = ", ".join(f"{method} {over:.2f}" for method, over in pair.over_raw.items() if method != "raw")
+        yield f"{pairs.name(pair.faults)}, error over the raw image's: {ratios}"
+    yield pairs.verdict(together)
+
+
+def _silent(found: "Found", together: "Sequence[Pair]") -> Iterator[str]:
+    from tactiled.bench import silence
+
+    listed = silence.listed(found, together)
+    yield silence.verdict(listed)
+    for line in silence.lines(listed):
+        yield "; ".join(f"{name}: {cell}" for name, cell in zip(silence.HEADINGS, line, strict=True) if cell)

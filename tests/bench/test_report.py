@@ -6,11 +6,12 @@ import pytest
 from typer.testing import CliRunner
 
 from tactiled.bench import ablation, iterations, page, report
+from tactiled.bench.faults import Setting, white
 from tactiled.bench.frontier import QUICK
 from tactiled.bench.report_page import write
 from tactiled.bench.signs import signs
 from tactiled.bench.skin import rubber
-from tactiled.bench.sweeps import SWEEPS, Setting, white
+from tactiled.bench.sweeps import SWEEPS
 from tactiled.cli.app import app
 from tactiled.restore.choose import Auto
 from tactiled.restore.methods import make

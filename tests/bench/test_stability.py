@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tactiled.bench import pairs, stability
+from tactiled.bench.faults import Setting
 from tactiled.bench.signs import Signs
 from tactiled.bench.skin import configured, rubber
 from tactiled.bench.stability import (
@@ -22,7 +23,7 @@ from tactiled.bench.stability import (
     shown,
     table,
 )
-from tactiled.bench.sweeps import SWEEPS, Setting, sweeps
+from tactiled.bench.sweeps import SWEEPS, sweeps
 from tactiled.cli.app import app
 from tactiled.config.example import GRASP
 from tactiled.restore.methods import Restorer
