@@ -17,6 +17,7 @@ EVERY = 4  # messages a ping
 WINDOW = 2  # pings that may be unanswered: at most EVERY * WINDOW messages are on their way, and the next few
 MARK = b"tactiled"
 ROOM = "tactiled.room"
+CLOSE_S = 5.0  # that a client has left to read what is on its way when it is closed for answering no ping
 
 
 def room(socket: WebSocket) -> asyncio.Event:
@@ -64,6 +65,11 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
         self._answered = max(self._answered, min(int.from_bytes(data[len(MARK) :], "big"), self._pinged))
         if self._pinged - self._answered < WINDOW:
             self._room.set()
+
+    def keepalive_timeout(self) -> None:
+        """Close, and wait CLOSE_S at most for a client that reads nothing: uvicorn itself waits for ever."""
+        super().keepalive_timeout()
+        self.loop.call_later(CLOSE_S, self.transport.abort)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Let an application that waits see that there is nobody left."""

@@ -13,11 +13,11 @@ import uvicorn
 from tactiled.config import Server
 from tactiled.errors import TactileError
 from tactiled.service import Service
+from tactiled.web import session
 from tactiled.web.app import create
 from tactiled.web.bridge import bridge
 from tactiled.web.flow import PacedWebSocket
 from tactiled.web.patience import PatientHttp
-from tactiled.web.session import MOST
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
@@ -55,7 +55,9 @@ def _server(service: Service, at: Server) -> uvicorn.Server:
             create(service, at),
             http=PatientHttp,
             ws=PacedWebSocket,
-            ws_max_size=MOST,
+            ws_max_size=session.MOST,
+            ws_ping_interval=session.PING_S,
+            ws_ping_timeout=session.PING_S,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
             log_level="warning",
             access_log=False,

@@ -10,9 +10,11 @@ from tactiled.errors import NoShearError, UnknownSensorError
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
 TOO_BIG, FAILED, RESTART = 1009, 1011, 1012
+PING_S = 20.0  # between two pings of the service, and until one must be answered
 CLOSES = {
     TOO_BIG: "a message of more than 64 KiB",
-    FAILED: "the service failed, which its log explains; or the client has answered no ping for 20 s",
+    FAILED: "the service failed, which its log explains; or the client has answered no ping for "
+    f"{PING_S:g} s (`keepalive ping timeout`)",
     RESTART: "the service ends",
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "no token, or one that is not known",

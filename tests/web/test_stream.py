@@ -6,9 +6,12 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from websockets.client import ClientProtocol
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.uri import parse_uri
 
+from tactiled.web import flow, session
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
 from tactiled.web.wire import unpack
@@ -225,6 +228,41 @@ def test_a_message_without_end_is_refused_unread(url):
         with pytest.raises(ConnectionClosed) as caught:
             images(client, 1)
         assert caught.value.rcvd.code == 1009
+
+
+def deaf(url):
+    """A client that reads all that comes and answers nothing; gives how it is closed."""
+    client = ClientProtocol(parse_uri(url.replace("http", "ws", 1) + "/api/v1/sensors/palm/stream"))
+    client.send_request(client.connect())
+    with socket.create_connection((client.uri.host, client.uri.port), timeout=30) as plug:
+        plug.sendall(b"".join(client.data_to_send()))
+        while client.close_rcvd is None:
+            client.receive_data(plug.recv(1 << 16))
+            client.data_to_send()  # pongs, which are thrown away
+    return client.close_rcvd
+
+
+def test_a_client_that_answers_no_ping_is_closed_and_told_why_and_one_that_does_is_not(rig, monkeypatch):
+    assert f"answered no ping for {session.PING_S:g} s" in session.CLOSES[1011]
+    monkeypatch.setattr(session, "PING_S", 0.3)
+    with running(rig.service) as url, stream(url) as client:
+        closed = deaf(url)
+        assert (closed.code, closed.reason) == (1011, "keepalive ping timeout")
+        assert closed.reason in session.CLOSES[1011]
+        rig.show(pressed())
+        assert images(client, 1)[0].sequence == 0
+        client.close()
+        until(lambda: not rig.sensor.hub._listeners)
+
+
+def test_a_client_that_reads_nothing_of_a_lot_is_gone_when_it_answers_no_ping(rig, monkeypatch):
+    monkeypatch.setattr(session, "PING_S", 0.3)
+    monkeypatch.setattr(flow, "CLOSE_S", 0.3)
+    monkeypatch.setattr(Feed, "binary", lambda *_: bytes(16 << 20))  # more than any buffer between the two
+    rig.show(pressed())
+    with running(rig.service) as url, handshake(url, ""):
+        until(lambda: rig.sensor.hub._listeners)
+        until(lambda: not rig.sensor.hub._listeners)
 
 
 def test_a_service_that_ends_says_so(rig):
