@@ -69,11 +69,14 @@ class Feed:
             self._status = answers.stream_status(self.sensor, self.image, self.sensor.status())
         return self._status
 
-    async def contacts(self) -> forms.Contacts | None:
-        """The contacts in the newest image, looked for once, on another thread; None before the first."""
+    def contacts(self) -> asyncio.Task[forms.Contacts | None]:
+        """The contacts in the newest image, looked for once, on another thread; None before the first.
+
+        It belongs to all who ask: wait for it in a shield, or look whether it is done.
+        """
         if self._contacts is None:
             self._contacts = asyncio.create_task(asyncio.to_thread(answers.contacts, self.sensor))
-        return await asyncio.shield(self._contacts)
+        return self._contacts
 
     def _newest(self) -> Image:
         if self.image is None:

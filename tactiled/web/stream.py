@@ -10,6 +10,7 @@ from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.frames import Image
 from tactiled.web.feed import Feed
 from tactiled.web.flow import room
+from tactiled.web.forms import Contacts
 from tactiled.web.session import heard, refuse, serve
 from tactiled.web.wish import Wish, asked_for, next_of, wish
 
@@ -69,6 +70,7 @@ class _Line:
         self.told_at = 0.0
         self.touched = -1
         self.touched_at = 0.0
+        self.looking: asyncio.Task[Contacts | None] | None = None
 
 
 class Stream:
@@ -137,7 +139,12 @@ class Stream:
         now = asyncio.get_running_loop().time()
         if now - line.touched_at < CONTACTS_S:
             return
-        found = await line.feed.contacts()
+        if line.looking is None:  # for longer than an image may wait
+            line.looking = line.feed.contacts()
+            line.looking.add_done_callback(lambda _: self._wake.set())
+        if not line.looking.done():
+            return
+        found, line.looking = line.looking.result(), None
         if found is not None and found.sequence != line.touched:
             line.touched, line.touched_at = found.sequence, now
             await self._socket.send_text(found.model_dump_json())

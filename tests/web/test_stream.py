@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
-from tactiled.web import flow, session
+from tactiled.web import answers, flow, session
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
 from tactiled.web.wire import unpack
@@ -101,6 +101,18 @@ def test_contacts_on_request(rig, url):
         told = [text for text in texts(client, 0.5) if text["type"] == "contacts"]
     assert [len(each["contacts"]) for each in told] == [1]
     assert told[0]["sequence"] == 0
+
+
+def test_images_do_not_wait_for_contacts(rig, url, monkeypatch):
+    found, find = threading.Event(), answers.contacts
+    monkeypatch.setattr(answers, "contacts", lambda sensor: find(sensor) if found.wait(10) else None)
+    with stream(url, "?contacts=1") as client:
+        for at in range(3):
+            rig.show(pressed(at))
+            assert [each.sequence for each in images(client, 2, timeout=2)] == [at, at]
+        found.set()
+        while json.loads(client.recv(timeout=2))["type"] != "contacts":
+            pass
 
 
 def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
