@@ -18,6 +18,7 @@ from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.config import schema
+from tactiled.config.soonest import soonest
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.meaning import Meaning, meaning
 from tactiled.cover.operator import stencil, tiled
@@ -169,7 +170,7 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
     if array.shape is not None:
         finer = partial(stencil, kernel, array)
-        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, finer=finer)
+        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, soonest, finer)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     cells = tiling(array)

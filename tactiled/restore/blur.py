@@ -1,28 +1,19 @@
 """From surface pressure to taxels and back: the blur, exact to rounding, for a grid or for any layout."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.interpolate import make_interp_spline
 
 from tactiled.errors import PhysicsError
 from tactiled.restore.aliases import Aliases
+from tactiled.restore.forms import Array, Forms, Pair, dense
 from tactiled.restore.loads import Loads
 from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
 
-DENSE = 1 << 16  # entries up to which one matrix product beats several smaller ones
-SEPARABLE = 128  # taxels along a side up to which products of small matrices beat a transform
 ROUNDING = 1e-7  # of the largest: a separable part below this is lost in float32 anyway
 FINE = 4  # cells along each side of a taxel, of which one is the load of a point
-TRIALS = 20  # runs that an operator is timed over
-
-Array = NDArray[Any]  # float32 or float64: the result has the argument's kind
-Apply = Callable[[Array], Array]
-Pair = tuple[Apply, Apply]
 
 
 class Blur:
@@ -50,12 +41,12 @@ class Blur:
         shape: tuple[int, int],
         refine: int = 1,
         cell_mm: float = 1.0,
-        clock: Callable[[], float] | None = None,
+        pick: Callable[[Forms], str] | None = None,
         finer: Callable[[int], Floats] | None = None,
     ) -> "Blur":
-        """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)); a `clock` lets it time its forms.
+        """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)) in the form that `pick` names.
 
-        Without a clock the form follows from the size. `finer` gives the stencil for any other k: pressure is
+        Without it the form follows from the size. `finer` gives the stencil for any other k: pressure is
         then smooth between the cells, whose means the image holds, and loads smaller than a cell are known;
         without it, pressure steps from cell to cell. PhysicsError where stencil and shape disagree.
         """
@@ -67,19 +58,19 @@ class Blur:
         surface = (refine * shape[0], refine * shape[1])
         if finer is None:
             rows, columns = _terms(np.asarray(stencil, float), shape, refine)
-            forms = _forms(stencil, rows, columns, refine)
+            forms = Forms(rows, columns, stencil)
         else:
             finer = cache(finer)
             rows, columns = _smooth(finer, shape, refine)
-            forms = _forms(None, rows, columns, refine)
-        pair = _fastest(forms, surface, clock) if clock else forms[_usual(shape, refine, forms)]()
+            forms = Forms(rows, columns)
+        pair = forms.make(pick(forms) if pick else forms.usual)
 
         def loads() -> Loads:
             return Loads(finer(FINE), shape, FINE) if finer else Loads(stencil, shape, refine)
 
         def cut(part: tuple[int, int]) -> Blur:
             less = (lambda k: _middle(finer(k), part, k)) if finer else None
-            return cls.grid(_middle(stencil, part, refine), part, refine, cell_mm, clock, less)
+            return cls.grid(_middle(stencil, part, refine), part, refine, cell_mm, pick, less)
 
         def modes() -> Modes:
             return grid_modes(rows, columns, *marginals)
@@ -95,7 +86,7 @@ class Blur:
         if A.ndim != 2 or not A.size or not np.isfinite(A).all():
             raise PhysicsError(f"blur matrix of shape {A.shape}: give finite (taxels, cells)")
         shapes = (len(A),), (A.shape[1],)
-        return cls(shapes, cell_mm, _dense(A, *shapes), lambda: matrix_modes(A))
+        return cls(shapes, cell_mm, dense(A, *shapes), lambda: matrix_modes(A))
 
     @cached_property
     def modes(self) -> Modes:
@@ -169,99 +160,3 @@ def _between(n: int, parts: int) -> Floats:
     sums = np.vstack([np.zeros(n), np.cumsum(np.eye(n), axis=0)])
     integral = make_interp_spline(np.arange(n + 1.0), sums, bc_type="natural")
     return np.asarray(parts * np.diff(integral(np.arange(parts * n + 1) / parts), axis=0))
-
-
-def _usual(shape: tuple[int, int], refine: int, forms: Collection[str]) -> str:
-    if (shape[0] * shape[1] * refine) ** 2 <= DENSE:
-        return "dense"
-    return "fourier" if "fourier" in forms and max(shape) * refine > SEPARABLE else "separable"
-
-
-def _forms(
-    stencil: Floats | None, rows: list[Floats], columns: list[Floats], refine: int
-) -> dict[str, Callable[[], Pair]]:
-    """Give what makes each form; transforms need the stencil of pressure that steps."""
-    shape, surface = (len(rows[0]), len(columns[0])), (rows[0].shape[1], columns[0].shape[1])
-    forms: dict[str, Callable[[], Pair]] = {"separable": lambda: _separable(rows, columns)}
-    if stencil is not None:
-        forms["fourier"] = lambda: _fourier(stencil, shape, refine)
-    if shape[0] * shape[1] * surface[0] * surface[1] <= 16 * DENSE:
-        A = sum(np.kron(a, b) for a, b in zip(rows, columns, strict=True))
-        forms["dense"] = lambda: _dense(np.asarray(A), shape, surface)
-    return forms
-
-
-def _fastest(forms: dict[str, Callable[[], Pair]], surface: tuple[int, int], clock: Callable[[], float]) -> Pair:
-    """Give the form that blurs and unblurs one frame soonest on this machine."""
-    x = np.ones(surface, np.float32)
-
-    def seconds(pair: Pair) -> float:
-        times = []
-        for _ in range(TRIALS):
-            start = clock()
-            pair[1](pair[0](x))
-            times.append(clock() - start)
-        return min(times)
-
-    return min((make() for make in forms.values()), key=seconds)
-
-
-def _twice(matrix: Floats) -> dict[np.dtype[Any], Array]:
-    return {np.dtype(kind): np.ascontiguousarray(matrix, kind) for kind in (np.float32, np.float64)}
-
-
-def _dense(A: Floats, shape: tuple[int, ...], surface: tuple[int, ...]) -> Pair:
-    """One matrix for all."""
-
-    def apply(matrix: Floats, before: tuple[int, ...], after: tuple[int, ...]) -> Apply:
-        transposed = _twice(matrix.T)
-
-        def multiply(x: Array) -> Array:
-            batch = x.shape[: x.ndim - len(before)]
-            flat = x.reshape(*batch, matrix.shape[1]) @ transposed[x.dtype]
-            return np.asarray(flat.reshape(*batch, *after))
-
-        return multiply
-
-    return apply(A, surface, shape), apply(A.T, shape, surface)
-
-
-def _separable(rows: list[Floats], columns: list[Floats]) -> Pair:
-    """A few products of small matrices: sum rows[k] x columns[k]'."""
-
-    def apply(lefts: list[Floats], rights: list[Floats]) -> Apply:
-        left, right = _twice(np.concatenate(lefts, axis=1)), _twice(np.stack(rights))
-
-        def multiply(x: Array) -> Array:
-            across = x[..., None, :, :] @ right[x.dtype]
-            stacked = across.reshape(*x.shape[:-2], -1, across.shape[-1])
-            return np.asarray(left[x.dtype] @ stacked)
-
-        return multiply
-
-    return apply(rows, [B.T for B in columns]), apply([A.T for A in rows], columns)
-
-
-def _fourier(stencil: Floats, shape: tuple[int, int], refine: int) -> Pair:
-    """Padded transforms, their spectrum planned once."""
-    surface = (refine * shape[0], refine * shape[1])
-    size = [next_fast_len(n + length - 1, real=True) for n, length in zip(surface, stencil.shape, strict=True)]
-    there = rfft2(stencil[::-1, ::-1], size)
-    back = rfft2(stencil, size)
-    spectra = {np.dtype(np.float32): np.complex64, np.dtype(np.float64): np.complex128}
-    seen = tuple(slice(n - 1, n - 1 + n, refine) for n in surface)
-    # The adjoint starts from taxels spread out to cells, and its stencil is not turned.
-    first = tuple(refine * (n - 1) for n in shape)
-    cells = tuple(slice(start, start + n) for start, n in zip(first, surface, strict=True))
-
-    def forward(x: Array) -> Array:
-        full = irfft2(rfft2(x, size) * there.astype(spectra[x.dtype]), size)
-        return np.ascontiguousarray(full[..., seen[0], seen[1]])
-
-    def adjoint(y: Array) -> Array:
-        spread = np.zeros((*y.shape[:-2], *surface), y.dtype)
-        spread[..., ::refine, ::refine] = y
-        full = irfft2(rfft2(spread, size) * back.astype(spectra[y.dtype]), size)
-        return np.ascontiguousarray(full[..., cells[0], cells[1]])
-
-    return forward, adjoint

@@ -11,7 +11,8 @@ from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
 from tactiled.geometry import grid
-from tactiled.restore.blur import Blur, _between, _forms, _terms
+from tactiled.restore.blur import Blur, _between, _terms
+from tactiled.restore.forms import Forms
 
 FORMS = ("dense", "separable", "fourier")
 
@@ -27,7 +28,7 @@ def cover(thickness):
 
 
 def pair(form, response, shape, refine):
-    return _forms(response, *_terms(response, shape, refine), refine)[form]()
+    return Forms(*_terms(response, shape, refine), response).make(form)
 
 
 def by_hand(response, shape, refine):
@@ -91,12 +92,36 @@ def test_single_precision_stays_single_and_close(covered, refine):
     np.testing.assert_allclose(single, blur.forward(x), rtol=1e-5)
 
 
-def test_a_clock_picks_the_form_that_is_soonest(covered):
-    del covered
-    ticks = iter(range(10**6))
-    blur = Blur.grid(symmetric((4, 4), 1), (4, 4), clock=lambda: float(next(ticks)))
-    x = np.ones((4, 4))
-    np.testing.assert_allclose(blur.forward(x).ravel(), by_hand(symmetric((4, 4), 1), (4, 4), 1) @ x.ravel())
+def test_a_blur_takes_the_form_that_is_picked():
+    response, made = symmetric((4, 4), 1), []
+
+    def pick(forms):
+        made.append(forms.names)
+        return "fourier"
+
+    blur = Blur.grid(response, (4, 4), pick=pick)
+    x = np.random.default_rng(0).random((4, 4))
+    np.testing.assert_array_equal(blur.forward(x), pair("fourier", response, (4, 4), 1)[0](x))
+    assert set(made[0]) == set(FORMS)
+
+
+@pytest.mark.parametrize("soonest", FORMS)
+def test_the_fastest_is_the_one_that_took_least_time(soonest):
+    """A clock that runs on by a second a multiplication, but for one form."""
+    forms = Forms(*_terms(symmetric((4, 4), 1), (4, 4), 1), symmetric((4, 4), 1))
+    now, make = [0.0], forms.make
+
+    def slow(name):
+        forward, adjoint = make(name)
+
+        def wait(x):
+            now[0] += name != soonest
+            return adjoint(x)
+
+        return forward, wait
+
+    forms.make = slow
+    assert forms.fastest(lambda: now[0]) == soonest
 
 
 @pytest.mark.parametrize(

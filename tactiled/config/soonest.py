@@ -1,0 +1,41 @@
+"""Which form of a blur is soonest on this machine: timed once, and remembered beside the solved covers.
+
+Remembered, because forms agree to rounding only: a replay is to give the same bits every time.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from time import perf_counter
+
+import numpy as np
+
+from tactiled.cover.kernel import cache_folder
+from tactiled.restore.forms import Forms
+
+
+def soonest(forms: Forms, folder: Path | None = None, clock: Callable[[], float] = perf_counter) -> str:
+    """Name of the form that was timed to be soonest, now or before; the usual one where none can be remembered."""
+    if len(forms.names) == 1:
+        return forms.usual
+    size = (forms.shape, forms.surface, forms.parts, forms.names, np.__version__)
+    path = (folder or cache_folder()) / f"{sha256(repr(size).encode()).hexdigest()}.form"
+    with suppress(OSError):
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _keep(path, forms.fastest(clock))
+        found = path.read_text()
+        if found in forms.names:
+            return found
+    return forms.usual
+
+
+def _keep(path: Path, name: str) -> None:
+    """Write it whole or not at all; of several that do so at once the first stays."""
+    with NamedTemporaryFile("w", dir=path.parent, suffix=".part") as part:
+        part.write(name)
+        part.flush()
+        with suppress(FileExistsError):
+            path.hardlink_to(part.name)
