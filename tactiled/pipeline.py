@@ -1,6 +1,7 @@
 """One sensor's way from counts to the restored image: calibrate, choose, restore."""
 
 from collections.abc import Callable
+from threading import Lock
 from time import perf_counter
 
 import numpy as np
@@ -47,6 +48,8 @@ class Pipeline:
         self._method = ""
         self.set_method(method)
         self._restorer = self._make()
+        self._again: tuple[tuple[str, float], Restorer] | None = None  # kept for deviations
+        self._one_by_one = Lock()
 
     @property
     def method(self) -> str:
@@ -75,13 +78,20 @@ class Pipeline:
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation (kPa) of every cell of `image.restored`, this pipeline's newest; any thread."""
-        again = make(self._made[0], self.blur, image.noise_kpa)
-        again(image.raw, image.flags)
-        return again.deviation().astype(np.float32)
+        asked = self._made[0], image.noise_kpa
+        with self._one_by_one:
+            if self._again is None or self._again[0] != asked:
+                self._again = asked, make(asked[0], self.blur, asked[1])
+            again = self._again[1]
+            again.reset()
+            again(image.raw, image.flags)
+            return again.deviation().astype(np.float32)
 
     def _make(self) -> Restorer:
         self._made = (self._method, self._noise.kpa)
-        return make(self._made[0], self.blur, self._noise.kpa)
+        restorer = make(self._made[0], self.blur, self._noise.kpa)
+        restorer.prepare()
+        return restorer
 
     def process(self, frame: RawFrame) -> Image:
         """Image of one frame; never NaN in `restored`, and nothing known against it is left out."""

@@ -176,6 +176,7 @@ def moving(size: int, frames: int) -> Moving:
 def _film(restorer: Restorer, film: NDArray[np.float32]) -> tuple[list[float], list[str]]:
     """Microseconds and method of every frame of a film."""
     took, chosen = [], []
+    restorer.prepare()
     for frame in film:
         start = perf_counter()
         done = restorer(frame)

@@ -33,7 +33,8 @@ class Restorer:
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
         self._gaps = Gaps(blur.modes)
-        self._run, self._forget, self._rests, self._points, self._spread = METHODS[method](self._scene)
+        self._method = METHODS[method](self._scene)
+        self._run = self._method.run
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
@@ -43,23 +44,27 @@ class Restorer:
         if not (scene.high < HUGE and scene.low > -HUGE) or (flags is not None and flags.any()):
             y = self._gaps.mask(y, flags)
             scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
-            if not self._rests(y):
+            if not self._method.rests(y):
                 y = self._gaps.fill()
                 scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
         return self._run(y)
 
+    def prepare(self) -> None:
+        """Make now what any frame may need, so that none has to wait for it."""
+        self._method.prepare()
+
     def reset(self) -> None:
         """Forget the frames so far."""
-        self._forget()
+        self._method.forget()
 
     @property
     def points(self) -> tuple[Point, ...]:
         """Loads (mm from the first taxel, N) that make up the image last restored; none if it is no few points."""
-        return self._points.found if self._points else ()
+        return self._method.points.found if self._method.points else ()
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
-        return self._spread() if self._spread else deviation(self._scene)
+        return self._method.spread() if self._method.spread else deviation(self._scene)
 
 
 def require(name: str) -> None:
@@ -81,6 +86,7 @@ class Method(NamedTuple):
 
     run: Run
     forget: Callable[[], None] = lambda: None
+    prepare: Callable[[], None] = lambda: None
     rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
     points: Points | Windowed | None = None  # what fits them
     spread: Callable[[], Floats] | None = None  # deviation of an image that is not the linear one
@@ -167,9 +173,9 @@ def _points(scene: Scene) -> Method:
 def _auto(scene: Scene) -> Method:
     auto = Auto(scene)
     if not fits(scene.blur):
-        return Method(auto, auto.reset, auto.rests, auto.points, auto.deviation)
+        return Method(auto, auto.reset, auto.prepare, auto.rests, auto.points, auto.deviation)
     windowed = Windowed(auto, scene)
-    return Method(windowed, windowed.reset, auto.rests, windowed, windowed.deviation)
+    return Method(windowed, windowed.reset, windowed.prepare, auto.rests, windowed, windowed.deviation)
 
 
 METHODS: dict[str, Callable[[Scene], Method]] = {

@@ -47,6 +47,11 @@ class Windowed:
         self._taxels = self._inside = self._cells = (slice(0), slice(0))
         self._age = self._wait = 0
 
+    def prepare(self) -> None:
+        """Make now what any frame may need."""
+        self._whole.prepare()
+        self._part.prepare()
+
     def reset(self) -> None:
         """Forget the frames so far."""
         self._open, self._wait = False, 0
