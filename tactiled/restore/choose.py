@@ -26,8 +26,9 @@ PAUSE = 32  # frames that points are left alone for after a fit that did not sta
 LONGEST = 2048  # of those
 ITERATED = ("nnls", "points")
 WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not worth restoring for
-SPOTS = 16.0  # taxels: a frame as rough as any whose pressure is on no more may be of points
-UNTOLD = 0.04  # of its square: what points mislead by if nothing tells where on their taxels they are
+ROUGH = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
+SPOTS = 16.0  # taxels: a frame as rough whose pressure is on no more may be of points
+UNTOLD = 0.08  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
@@ -75,12 +76,12 @@ class Auto:
         self._wait, self._pause = 0, PAUSE
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
-        if zeros.size <= AHEAD:
-            self._prepare()
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
 
-    def _prepare(self) -> None:
-        """Make what any spectrum needs now rather than in the frame that first shows it."""
+    def prepare(self) -> None:
+        """Make what any spectrum needs now rather than in the frame that first shows it, where there is room."""
+        if self._below.size > AHEAD:
+            return
         for number in range(len(self._scene.prior)):
             self._scene.number = number
             self._wiener.prepare()
@@ -168,7 +169,7 @@ class Auto:
         Points that are not told mislead: what is spared must exceed that.
         """
         scene = self._scene
-        if not self._square or scene.prior.corner(scene.number) < CORNERS[-1]:
+        if not self._square or scene.prior.corner(scene.number) < ROUGH:
             return 1.0
         square = float(np.dot(scene.flat, scene.flat))
         misled = reach**2 * UNTOLD * square if scene.force**2 < SPOTS * square else 0.0

@@ -1,5 +1,7 @@
 """Non-negative least squares in the blur's own modes: pressure pushes, it never pulls."""
 
+from math import pi
+
 import numpy as np
 
 from tactiled.restore.linear import Wiener
@@ -36,7 +38,8 @@ class Nonneg:
 
     ADMM on min |H x - y|^2 / 2 + sigma^2 x' S^-1 x / 2 + s sigma sum(x), x >= 0: with t = x + u - s sigma / P,
     the image is max(t, 0); the next x depends on |t| and min(t, 0). The fewer cells are pressed, the surer
-    is each that it is not: s = SPARSE / sqrt(share), the share being (sum x)^2 / (M sum x^2) of the image so far.
+    is each that it is not: s = SPARSE / sqrt(share), the share being (sum x)^2 / (M sum x^2) of the image so far,
+    but no smaller than what the noise lets a frame resolve: pressure on less would be made up.
     """
 
     _steady = WARM
@@ -124,13 +127,19 @@ class Nonneg:
         self._show()
         flat = self.image.reshape(-1)
         total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
-        share = max(total**2 / (flat.size * squares), FEWEST) if squares else 1.0
+        share = total**2 / (flat.size * squares) if squares else 1.0
+        share = min(max(share, FEWEST, self._resolved()), 1.0)
         step = self._step(self._slack(share))
         np.multiply(self._ones, step.sparse, out=self._data)
         np.multiply(self._data, np.float32(share**-0.5), out=self._data)
         np.multiply(self._scene.c, step.data, out=self._seen)
         np.add(self._head, self._seen, out=self._head)
         return step
+
+    def _resolved(self) -> float:
+        """Share of the cells on a disc of the resolution's radius: fewer pressed are only made up."""
+        scene = self._scene
+        return pi * (scene.resolution() / scene.blur.cell_mm) ** 2 / self._t.size
 
     def _iterate(self, step: Step) -> float:
         """Move t one iteration on; gives the squared change of the multiplier."""
