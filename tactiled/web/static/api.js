@@ -23,6 +23,7 @@ const TIMEOUT_MS = 8000;
  * @property {number|null} columns
  * @property {number} taxels
  * @property {number} pitch_mm
+ * @property {boolean} shear whether the skin feels it
  * @property {string} method
  * @property {string[]} methods
  * @property {State} state
@@ -160,6 +161,12 @@ export const sensors = async () => (await request("/sensors")).sensors;
 
 /**
  * @param {string} name
+ * @returns {Promise<Sensor>}
+ */
+export const sensor = (name) => request(at(name));
+
+/**
+ * @param {string} name
  * @returns {Promise<Geometry>}
  */
 export const geometry = (name) => request(`${at(name)}/geometry`);
@@ -279,11 +286,12 @@ function stream(name, query) {
 /**
  * @param {string} name
  * @param {boolean} contacts whether they are to come, too
+ * @param {boolean} shear whether it is to come, too
  * @returns {string} the address of both images, one pair at a time
  */
-export const streamUrl = (name, contacts) =>
+export const streamUrl = (name, contacts, shear) =>
   // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
-  stream(name, `kinds=raw,restored&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
+  stream(name, `kinds=raw,restored${shear ? ",shear" : ""}&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
 
 /**
  * @param {string} name

@@ -74,6 +74,7 @@ function choose(name) {
 function showSensor() {
   const sensor = sensors.find((each) => each.name === viewer.name);
   if (!sensor) return;
+  if (viewer.session && viewer.session.feels !== sensor.shear) viewer.again(sensor.name);
   screen.readings.about(sensor);
   recorder.read();
   const names = sensor.methods.includes(sensor.method) ? sensor.methods : [sensor.method, ...sensor.methods];

@@ -46,6 +46,7 @@ export function controls(viewer, rooms) {
 function buttons(viewer, rooms) {
   const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
   const contacts = /** @type {HTMLInputElement} */ (byId("contacts-on"));
+  const shear = /** @type {HTMLInputElement} */ (byId("shear-on"));
   const press = (/** @type {string} */ id, /** @type {() => void} */ action) => byId(id).addEventListener("click", action);
   press("pause", () => viewer.pause(!viewer.session?.paused));
   press("back", () => viewer.step(-1));
@@ -58,6 +59,7 @@ function buttons(viewer, rooms) {
   press("banner-action", () => viewer.session?.stream.retry());
   scrub.addEventListener("input", () => viewer.show(Number(scrub.max) - Number(scrub.value)));
   contacts.addEventListener("change", () => viewer.showContacts(contacts.checked));
+  shear.addEventListener("change", () => viewer.showShear(shear.checked));
 }
 
 /**
@@ -121,7 +123,10 @@ function save(kind, viewer, rooms) {
     return;
   }
   if (kind === "csv") saveCsv(session, session.frame);
-  else savePng(session, session.frame, viewer.maps, viewer.scale, palette, session.paused ? "paused" : rooms.screen.level);
+  else {
+    const state = session.paused ? "paused" : rooms.screen.level;
+    savePng(session, session.frame, viewer.maps, viewer.scale, palette, state, viewer.shear && session.frame.sheared);
+  }
 }
 
 /**
@@ -151,6 +156,7 @@ function pin(viewer) {
  */
 function keyboard(viewer, rooms) {
   const contacts = byId("contacts-on");
+  const shear = byId("shear-on");
   keys({
     " ": () => viewer.pause(!viewer.session?.paused),
     ArrowLeft: (event) => arrow(viewer, -1, 0, event),
@@ -158,6 +164,7 @@ function keyboard(viewer, rooms) {
     l: () => viewer.pause(false),
     a: () => setAuto(!viewer.scale.auto, viewer, rooms),
     o: () => contacts.click(),
+    v: () => viewer.session?.feels && shear.click(),
     t: () => tare(viewer),
     r: () => rooms.recorder.toggle(),
     s: () => save("png", viewer, rooms),

@@ -29,19 +29,26 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} iterations
  * @property {number} latency ms until it was painted; NaN where it never was
  * @property {boolean} saturated any taxel is
+ * @property {Float32Array} shear counts along x of all taxels, then along y; empty where the skin feels none
+ * @property {boolean} sheared its shear is known
  * @property {Measures} ofRaw
  * @property {Measures} ofRestored
  */
 
 export class History {
-  /** @param {Plane} plane */
-  constructor(plane) {
+  /**
+   * @param {Plane} plane
+   * @param {boolean} feels shear
+   */
+  constructor(plane, feels) {
     this._plane = plane;
     const { raw: { count: n }, restored: { count: m } } = plane;
-    this.capacity = Math.max(2, Math.min(FRAMES, Math.floor(BYTES / (5 * n + 4 * m))));
+    const s = feels ? 2 * n : 0;
+    this.capacity = Math.max(2, Math.min(FRAMES, Math.floor(BYTES / (5 * n + 4 * m + 4 * s))));
     const raw = new Float32Array(this.capacity * n);
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
+    const shear = new Float32Array(this.capacity * s);
     /** @type {Frame[]} */
     this._frames = Array.from({ length: this.capacity }, (_, i) => ({
       raw: raw.subarray(i * n, (i + 1) * n),
@@ -49,6 +56,7 @@ export class History {
       flags: flags.subarray(i * n, (i + 1) * n),
       sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0, resolutionMm: 0, microseconds: 0,
       iterations: 0, latency: NaN, saturated: false, ofRaw: measures(), ofRestored: measures(),
+      shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
     this._head = 0;
     /** How many frames are kept. */
@@ -61,27 +69,32 @@ export class History {
   }
 
   /**
-   * Does a pair fit this sensor's geometry?
+   * Does a frame fit this sensor's geometry?
    * @param {Packet} raw
    * @param {Packet} restored
+   * @param {Packet|null} shear null where it was not asked for
    * @returns {boolean}
    */
-  fits(raw, restored) {
-    return raw.kpa.length === this._plane.raw.count && restored.kpa.length === this._plane.restored.count;
+  fits(raw, restored, shear) {
+    const { raw: { count }, restored: { count: cells } } = this._plane;
+    return raw.kpa.length === count && restored.kpa.length === cells && (!shear || shear.shear.length === 2 * count);
   }
 
   /**
-   * Keep a pair, over the oldest where there is no more room.
+   * Keep a frame, over the oldest where there is no more room.
    * @param {Packet} raw
    * @param {Packet} restored
+   * @param {Packet|null} shear null where it was not asked for
    * @returns {Frame}
    */
-  push(raw, restored) {
+  push(raw, restored, shear) {
     const frame = this._frames[this._head];
     this._head = (this._head + 1) % this.capacity;
     this.length = Math.min(this.capacity, this.length + 1);
     frame.raw.set(raw.kpa);
     frame.restored.set(restored.kpa);
+    frame.sheared = shear !== null;
+    if (shear) frame.shear.set(shear.shear);
     const flags = raw.flags ?? NO_FLAGS;
     frame.saturated = false;
     for (let i = 0; i < frame.flags.length; i += 1) {

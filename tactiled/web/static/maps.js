@@ -7,6 +7,7 @@ import { Colorbar } from "./colorbar.js";
 import { Heatmap } from "./heatmap.js";
 import { Overlay } from "./overlay.js";
 import { byId, say } from "./paint.js";
+import { Arrows } from "./shear.js";
 
 /** @typedef {import("./plane.js").Plane} Plane */
 /** @typedef {import("./heatmap.js").Palette} Palette */
@@ -22,6 +23,7 @@ export class Maps {
     this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
     this.rawMarks = new Overlay(byId("raw-marks"));
     this.restoredMarks = new Overlay(byId("restored-marks"));
+    this.arrows = new Arrows(byId("raw-shear"), byId("shear-key"));
     this.colorbar = new Colorbar(byId("colorbar"));
     this._boxes = byId("boxes");
     /** @type {Plane|null} */
@@ -40,6 +42,7 @@ export class Maps {
   clear() {
     this._plane = null;
     for (const each of [this.raw, this.restored, this.rawMarks, this.restoredMarks]) each.clear();
+    this.arrows.reset();
   }
 
   /**
@@ -47,13 +50,16 @@ export class Maps {
    * @param {Scale} scale
    * @param {Palette} palette
    * @param {import("./overlay.js").Marks} marks
+   * @param {boolean} shear whether it is shown
    */
-  paint(frame, scale, palette, marks) {
+  paint(frame, scale, palette, marks, shear) {
     this.raw.paint(frame.raw, scale, palette);
     this.restored.paint(frame.restored, scale, palette);
     const flags = frame.saturated ? frame.flags : null;
     this.rawMarks.draw(marks, frame.ofRaw, flags);
     this.restoredMarks.draw(marks, frame.ofRestored, flags);
+    if (shear && frame.sheared) this.arrows.draw(frame.shear, frame.timestamp);
+    else this.arrows.clear();
   }
 
   /** Make both maps as large as their boxes allow, true to scale. */
@@ -68,6 +74,7 @@ export class Maps {
     this.restored.resize(zoom);
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
+    this.arrows.resize(plane, zoom);
     const length = roundDown((0.22 * box.clientWidth) / zoom);
     byId("ruler-bar").style.width = `${length * zoom}px`;
     say(byId("ruler-text"), `${length} mm`);

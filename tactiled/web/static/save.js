@@ -18,6 +18,7 @@ const EDGE = 32;
 const HEAD = 84;
 const FOOT = 84;
 const LEGEND = 96;
+const NONE = new Float32Array(0);
 
 /**
  * @param {string} name
@@ -54,10 +55,10 @@ export function saveCsv({ name, plane, status }, frame) {
   const lines = [
     `# sensor ${name}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${status?.ran ?? ""}`,
     "# kpa is empty where nothing is known; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
-    "image,row,column,x_mm,y_mm,kpa,flags",
+    `image,row,column,x_mm,y_mm,kpa,flags${frame.sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
-  rows("raw", plane.raw, frame.raw, frame.flags, lines);
-  rows("restored", plane.restored, frame.restored, null, lines);
+  rows("raw", plane.raw, frame.raw, frame.flags, frame.sheared ? frame.shear : null, lines);
+  rows("restored", plane.restored, frame.restored, null, frame.sheared ? NONE : null, lines);
   download(`${stem(name, frame)}.csv`, new Blob([lines.join("\n"), "\n"], { type: "text/csv" }));
 }
 
@@ -66,16 +67,23 @@ export function saveCsv({ name, plane, status }, frame) {
  * @param {Cells} cells
  * @param {Float32Array} kpa
  * @param {Uint8Array|null} flags
+ * @param {Float32Array|null} shear counts along x of all, then along y; empty where it is of another image
  * @param {string[]} into
  */
-function rows(image, cells, kpa, flags, into) {
+function rows(image, cells, kpa, flags, shear, into) {
   for (let i = 0; i < cells.count; i += 1) {
     const row = Math.floor(i / cells.columns);
     const place = `${+cells.x[i].toFixed(4)},${+cells.y[i].toFixed(4)}`;
-    const value = Number.isNaN(kpa[i]) ? "" : +kpa[i].toFixed(4);
-    into.push(`${image},${row},${i % cells.columns},${place},${value},${flags ? flags[i] : ""}`);
+    const along = !shear ? "" : shear.length ? `,${plain(shear[i])},${plain(shear[cells.count + i])}` : ",,";
+    into.push(`${image},${row},${i % cells.columns},${place},${plain(kpa[i])},${flags ? flags[i] : ""}${along}`);
   }
 }
+
+/**
+ * @param {number} value
+ * @returns {string} empty where nothing is known
+ */
+const plain = (value) => (Number.isNaN(value) ? "" : String(+value.toFixed(4)));
 
 /**
  * Save both maps with their legend and readings.
@@ -85,8 +93,9 @@ function rows(image, cells, kpa, flags, into) {
  * @param {Scale} scale
  * @param {Palette} palette
  * @param {string} state what the page says of the frame: live, stale, ...
+ * @param {boolean} shear whether it is shown
  */
-export function savePng({ name, plane }, frame, maps, scale, palette, state) {
+export function savePng({ name, plane }, frame, maps, scale, palette, state, shear) {
   const zoom = MAP / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
@@ -96,8 +105,10 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state) {
   const sheet = new Sheet(canvas);
   sheet.write(`${name}, frame ${frame.sequence}`, EDGE, 32, 19);
   sheet.write(`${moment(frame.timestamp)}, ${state}`, EDGE + 320, 32, 15, sheet.ink.muted);
-  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, maps.rawMarks.canvas, plane.isGrid, frame.ofRaw);
-  sheet.map("Restored", w + 2 * EDGE, w, h, maps.restored.canvas, maps.restoredMarks.canvas, plane.isGrid, frame.ofRestored);
+  const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
+  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, raw, plane.isGrid, frame.ofRaw);
+  sheet.map("Restored", w + 2 * EDGE, w, h, maps.restored.canvas, restored, plane.isGrid, frame.ofRestored);
+  if (shear) sheet.arrow(maps.arrows, w + 2 * EDGE, HEAD + h + 56, w);
   const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
   sheet.write(size, EDGE, HEAD + h + 56, 15, sheet.ink.muted);
   sheet.legend(2 * w + 3 * EDGE, h, scale, palette);
@@ -133,7 +144,7 @@ class Sheet {
    * @param {number} w
    * @param {number} h
    * @param {HTMLCanvasElement} cells
-   * @param {HTMLCanvasElement} marks
+   * @param {HTMLCanvasElement[]} marks
    * @param {boolean} grid
    * @param {import("./measures.js").Measures} of
    */
@@ -145,9 +156,22 @@ class Sheet {
     draw.imageSmoothingEnabled = !grid;
     draw.drawImage(cells, x, HEAD, w, h);
     draw.imageSmoothingEnabled = true;
-    draw.drawImage(marks, x, HEAD, w, h);
+    for (const each of marks) draw.drawImage(each, x, HEAD, w, h);
     const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
     this.write(`force ${number(of.force)} N   peak ${number(of.peak)} kPa   ${centre}`, x, HEAD + h + 28);
+  }
+
+  /**
+   * Tell how long an arrow is.
+   * @param {import("./shear.js").Arrows} arrows
+   * @param {number} x
+   * @param {number} y
+   * @param {number} w of the map
+   */
+  arrow(arrows, x, y, w) {
+    const length = arrows.share * w;
+    arrows.drawKey(this._pen, x + length / 2, y - 5, length, 1);
+    this.write(`shear of ${arrows.full} counts`, x + length + 10, y, 15, this.ink.muted);
   }
 
   /**

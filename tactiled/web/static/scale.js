@@ -19,9 +19,11 @@ export function roundUp(value) {
 }
 
 export class Scale {
-  constructor() {
+  /** @param {number} [least] that the range reaches up to where it follows the data */
+  constructor(least = LEAST_KPA) {
     this.auto = true;
-    /** Bottom and top of the range, kPa. */
+    this._least = least;
+    /** Bottom and top of the range, kPa, or what else is shown on it. */
     this.low = 0;
     this.high = 10;
     this._peak = 0;
@@ -44,7 +46,7 @@ export class Scale {
   follow(peak, noise, time) {
     const gone = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
-    this._peak = Math.max(peak, LEAST_KPA, 15 * noise, this._peak * Math.exp(-gone / DECAY_S));
+    this._peak = Math.max(peak, this._least, 15 * noise, this._peak * Math.exp(-gone / DECAY_S));
     if (!this.auto) return;
     const wanted = roundUp(this._peak);
     if (wanted > this.high || roundUp(this._peak / HYSTERESIS) < this.high) this.high = wanted;
@@ -68,7 +70,7 @@ export class Scale {
   release() {
     this.auto = true;
     this.low = 0;
-    this.high = roundUp(Math.max(this._peak, LEAST_KPA));
+    this.high = roundUp(Math.max(this._peak, this._least));
   }
 }
 

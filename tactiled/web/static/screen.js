@@ -26,6 +26,7 @@ export class Screen {
     this.contacts = new ContactList(byId("contact-list"));
     this._level = "";
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
+    this._shear = byId("shear-choice");
     this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
     this._high = /** @type {HTMLInputElement} */ (byId("range-high"));
     this._pause = byId("pause");
@@ -48,6 +49,7 @@ export class Screen {
     const paused = session?.paused ?? false;
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
     const frame = session?.frame ?? null;
+    this._shear.hidden = !session?.feels;
     const live = health.level === "live";
     this.readings.frame(frame);
     this.readings.status(session?.status ?? null, live);
@@ -137,7 +139,9 @@ function reading(plane, frame, x, y) {
   const raw = Number.isNaN(frame.raw[r]) ? "unknown" : `${fixed(frame.raw[r], 1)} kPa`;
   const flags = FLAGS.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
-  return `${place}: raw ${raw}, restored ${fixed(frame.restored[s], 1)} kPa (${taxel}${flags})`;
+  const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
+  const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${fixed(frame.shear[plane.raw.count + r], 0)} counts` : "";
+  return `${place}: raw ${raw}, restored ${fixed(frame.restored[s], 1)} kPa${shear} (${taxel}${flags})`;
 }
 
 /**

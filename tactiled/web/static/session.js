@@ -9,7 +9,7 @@ import { Deviations } from "./deviations.js";
 import { judge } from "./health.js";
 import { History } from "./history.js";
 import { Stream } from "./stream.js";
-import { RAW, RESTORED } from "./wire.js";
+import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 /** @typedef {import("./history.js").Frame} Frame */
 /** @typedef {import("./stream.js").Status} Status */
@@ -24,19 +24,24 @@ import { RAW, RESTORED } from "./wire.js";
  * @property {() => void} onOther the sensor has another shape than was believed
  */
 
+const PRESSURES = [RAW, RESTORED];
+const ALL = [RAW, RESTORED, SHEAR];
 const FAR_S = 60; // between a frame and the next, from which they are not of one play
 
 export class Session {
   /**
    * @param {string} name
    * @param {Plane} plane
+   * @param {boolean} feels shear
    * @param {boolean} contacts whether they are asked for, too
+   * @param {boolean} shear whether it is asked for, too, where the skin feels it
    * @param {Listener} listener
    */
-  constructor(name, plane, contacts, listener) {
+  constructor(name, plane, feels, contacts, shear, listener) {
     this.name = name;
     this.plane = plane;
-    this.history = new History(plane);
+    this.feels = feels;
+    this.history = new History(plane, feels);
     this.contacts = new Contacts();
     this.deviations = new Deviations(name, plane);
     this.paused = false;
@@ -47,7 +52,8 @@ export class Session {
     this._toldAt = 0;
     this._frameAt = 0;
     this._listener = listener;
-    this.stream = new Stream(api.streamUrl(name, contacts), [RAW, RESTORED], {
+    this._shear = feels && shear;
+    this.stream = new Stream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL : PRESSURES, {
       onImages: (images) => this._take(images),
       onStatus: (status) => this._hear(status),
       onLink: () => this._linked(),
@@ -74,10 +80,14 @@ export class Session {
     this.stream.stop();
   }
 
-  /** @param {boolean} contacts whether they are asked for from now on */
-  ask(contacts) {
+  /**
+   * @param {boolean} contacts whether they are asked for from now on
+   * @param {boolean} shear whether it is, where the skin feels it
+   */
+  ask(contacts, shear) {
     if (!contacts) this.contacts.clear();
-    this.stream.move(api.streamUrl(this.name, contacts));
+    this._shear = this.feels && shear;
+    this.stream.move(api.streamUrl(this.name, contacts, this._shear), this._shear ? ALL : PRESSURES);
   }
 
   /** @param {boolean} to */
@@ -108,7 +118,8 @@ export class Session {
     if (this.paused) return;
     const raw = images[RAW];
     const restored = images[RESTORED];
-    if (!this.history.fits(raw, restored)) {
+    const shear = this._shear ? images[SHEAR] : null;
+    if (!this.history.fits(raw, restored, shear)) {
       this._listener.onOther();
       return;
     }
@@ -119,7 +130,7 @@ export class Session {
       this.deviations.clear();
     }
     this._frameAt = performance.now();
-    this._listener.onFrame(this.history.push(raw, restored));
+    this._listener.onFrame(this.history.push(raw, restored, shear));
   }
 
   /** @param {Status} status */

@@ -63,7 +63,7 @@ export class Stream {
     this._url = url;
     this._listener = listener;
     this._kinds = kinds;
-    this._images = [packet(), packet()];
+    this._images = [packet(), packet(), packet()];
     this._scratch = packet();
     this._stopped = false;
     this._timer = 0;
@@ -83,9 +83,11 @@ export class Stream {
   /**
    * Go on with another address.
    * @param {string} url
+   * @param {number[]} kinds of image that it asks for
    */
-  move(url) {
+  move(url, kinds) {
     this._url = url;
+    this._kinds = kinds;
     if (this.link === "closed" || this._stopped) return;
     this._drop();
     this._connect();

@@ -53,6 +53,8 @@ export class Viewer {
     this.name = "";
     /** Whether contacts are shown. */
     this.contacts = true;
+    /** Whether shear is shown, where the skin feels it. */
+    this.shear = true;
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {import("./overlay.js").Marks} */
@@ -79,7 +81,7 @@ export class Viewer {
     const { frame } = session;
     this.maps.colorbar.draw(this.scale, palette);
     if (frame) this._mark(frame, session);
-    if (frame) this.maps.paint(frame, this.scale, palette, this.marks);
+    if (frame) this.maps.paint(frame, this.scale, palette, this.marks, this.shear);
     this.section.draw(frame, this.marks.lineY, this.probe.x, this.scale, frame && this._deviation(frame, session, now));
     if (!this._fresh || now - this._trendsAt >= TRENDS_MS) {
       this._trendsAt = now;
@@ -143,7 +145,14 @@ export class Viewer {
   /** @param {boolean} shown */
   showContacts(shown) {
     this.contacts = shown;
-    this.session?.ask(shown);
+    this.session?.ask(shown, this.shear);
+    this.refresh();
+  }
+
+  /** @param {boolean} shown */
+  showShear(shown) {
+    this.shear = shown;
+    this.session?.ask(this.contacts, shown);
     this.refresh();
   }
 
@@ -173,8 +182,8 @@ export class Viewer {
     this._listener.onChange();
     const mine = this._selection;
     try {
-      const plane = new Plane(await api.geometry(name));
-      if (mine === this._selection) this._open(name, plane);
+      const [geometry, sensor] = await Promise.all([api.geometry(name), api.sensor(name)]);
+      if (mine === this._selection) this._open(name, new Plane(geometry), sensor.shear);
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
@@ -190,13 +199,23 @@ export class Viewer {
   }
 
   /**
+   * Watch a sensor anew, which is another than it was.
+   * @param {string} name
+   */
+  again(name) {
+    this.leave();
+    this.select(name);
+  }
+
+  /**
    * @param {string} name
    * @param {Plane} plane
+   * @param {boolean} feels shear
    */
-  _open(name, plane) {
+  _open(name, plane, feels) {
     this.maps.use(plane);
     this.section.use(plane);
-    this.session = new Session(name, plane, this.contacts, {
+    this.session = new Session(name, plane, feels, this.contacts, this.shear, {
       onFrame: (frame) => this._take(frame),
       onStatus: (status, changed) => {
         this._listener.onStatus(status);
@@ -204,10 +223,7 @@ export class Viewer {
       },
       onLink: () => this._listener.onChange(),
       onContacts: () => this.refresh(),
-      onOther: () => {
-        this.leave();
-        this.select(name);
-      },
+      onOther: () => this.again(name),
     });
     this.forces.use(this.session.history);
     this.latencies.use(this.session.history);

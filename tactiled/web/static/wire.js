@@ -5,6 +5,7 @@
 
 export const RAW = 0;
 export const RESTORED = 1;
+export const SHEAR = 2;
 export const HEADER_BYTES = 64;
 
 /** Flags of a raw taxel. */
@@ -15,11 +16,12 @@ export const SATURATED = 8;
 
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;
+const NONE = new Float32Array(0);
 
 /**
  * One message, taken apart. The arrays are views into the message, not copies.
  * @typedef {object} Packet
- * @property {number} kind RAW or RESTORED
+ * @property {number} kind RAW, RESTORED or SHEAR
  * @property {number} rows 1 for a layout that is no grid
  * @property {number} columns
  * @property {number} sequence
@@ -30,7 +32,8 @@ const VERSION = 1;
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
- * @property {Float32Array} kpa rows * columns; NaN where nothing is known
+ * @property {Float32Array} kpa rows * columns; NaN where nothing is known; of SHEAR empty
+ * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
  */
 
@@ -38,7 +41,7 @@ const VERSION = 1;
 export function packet() {
   return {
     kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0,
-    resolutionMm: 0, microseconds: 0, iterations: 0, kpa: new Float32Array(0), flags: null,
+    resolutionMm: 0, microseconds: 0, iterations: 0, kpa: NONE, shear: NONE, flags: null,
   };
 }
 
@@ -67,11 +70,13 @@ export function parse(buffer, into) {
   into.resolutionMm = view.getFloat32(48, true);
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
-  const count = into.rows * into.columns;
+  const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
   if (buffer.byteLength < HEADER_BYTES + 4 * count + flagsBytes) {
     throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${buffer.byteLength} bytes`);
   }
-  into.kpa = new Float32Array(buffer, HEADER_BYTES, count);
+  const values = new Float32Array(buffer, HEADER_BYTES, count);
+  into.kpa = into.kind === SHEAR ? NONE : values;
+  into.shear = into.kind === SHEAR ? values : NONE;
   into.flags = flagsBytes ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagsBytes) : null;
   return into;
 }

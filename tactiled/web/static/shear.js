@@ -1,0 +1,188 @@
+/**
+ * Shear as arrows over a map: one a taxel, about its middle, in the direction that it is pulled, on a scale of counts.
+ * Light on dark, as every mark on a map, and of a colour that neither the map nor the other marks have.
+ * @module
+ */
+
+import { fit, pen, say } from "./paint.js";
+import { Scale } from "./scale.js";
+
+/** @typedef {import("./plane.js").Plane} Plane */
+
+const LEAST = 50; // counts, the least that the longest arrow stands for: noise alone is not drawn large
+const REACH = 0.9; // of the pitch, the longest arrow's length
+const WIDE = 0.16; // of the map's width, at most: the key stands above it
+const BOUNDS = /** @type {const} */ ([14, 56]); // CSS px, within which it is; where taxels are near, arrows overlap
+const SHORTEST = 5; // CSS px, what is drawn at all
+const HEAD = 0.45; // of an arrow's length
+const BARB = 8; // CSS px, the longest side of a head
+const SPREAD = 0.5; // half of a head's width over its length
+const UNDER = "rgb(0 0 0 / 80%)";
+const OVER = "#7df3ff";
+
+/**
+ * Add an arrow to a path.
+ * @param {CanvasRenderingContext2D} draw
+ * @param {number} x of its middle, device px
+ * @param {number} y
+ * @param {number} dx
+ * @param {number} dy
+ * @param {number} barb the longest side of its head, device px
+ */
+function arrow(draw, x, y, dx, dy, barb) {
+  const share = Math.min(HEAD, barb / Math.hypot(dx, dy));
+  const tipX = x + dx / 2;
+  const tipY = y + dy / 2;
+  const backX = tipX - share * dx;
+  const backY = tipY - share * dy;
+  const acrossX = -SPREAD * share * dy;
+  const acrossY = SPREAD * share * dx;
+  draw.moveTo(x - dx / 2, y - dy / 2);
+  draw.lineTo(tipX, tipY);
+  draw.moveTo(backX + acrossX, backY + acrossY);
+  draw.lineTo(tipX, tipY);
+  draw.lineTo(backX - acrossX, backY - acrossY);
+}
+
+/**
+ * Stroke the path of arrows.
+ * @param {CanvasRenderingContext2D} draw
+ * @param {number} ratio device px per CSS px
+ */
+function ink(draw, ratio) {
+  draw.lineCap = draw.lineJoin = "round";
+  draw.lineWidth = 4.5 * ratio;
+  draw.strokeStyle = UNDER;
+  draw.stroke();
+  draw.lineWidth = 2 * ratio;
+  draw.strokeStyle = OVER;
+  draw.stroke();
+}
+
+export class Arrows {
+  /**
+   * @param {HTMLCanvasElement} canvas over the map
+   * @param {HTMLElement} key that tells how long an arrow is: a canvas and a text
+   */
+  constructor(canvas, key) {
+    this.canvas = canvas;
+    this.scale = new Scale(LEAST);
+    this._pen = pen(canvas);
+    this._key = key;
+    this._keyCanvas = /** @type {HTMLCanvasElement} */ (key.querySelector("canvas"));
+    this._keyPen = pen(this._keyCanvas);
+    this._keyText = /** @type {HTMLElement} */ (key.querySelector("span"));
+    /** @type {Plane|null} */
+    this._plane = null;
+    this._ratio = 1;
+    /** Device px per mm. */
+    this._px = 1;
+    /** Length of the longest arrow, device px. */
+    this._long = 0;
+    /** Counts that the key tells of; 0: it is to be made anew. */
+    this._told = 0;
+    this._empty = true;
+  }
+
+  /** @returns {number} counts that the longest arrow stands for */
+  get full() {
+    return this.scale.high;
+  }
+
+  /** @returns {number} its length, as a share of the map's width */
+  get share() {
+    return this._long / this.canvas.width;
+  }
+
+  /**
+   * @param {Plane} plane
+   * @param {number} zoom CSS px per mm
+   */
+  resize(plane, zoom) {
+    this._plane = plane;
+    this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
+    this._px = zoom * this._ratio;
+    const long = Math.min(REACH * plane.pitch, WIDE * plane.width) * zoom;
+    this._long = Math.max(BOUNDS[0], Math.min(BOUNDS[1], long)) * this._ratio;
+    this._told = 0;
+  }
+
+  /** Show nothing, and forget what was seen. */
+  reset() {
+    this.scale.reset();
+    this.clear();
+  }
+
+  /** Show nothing. */
+  clear() {
+    this._key.hidden = true;
+    if (!this._empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._empty = true;
+  }
+
+  /**
+   * @param {Float32Array} shear counts along x of all taxels, then along y; NaN where nothing is known
+   * @param {number} timestamp of its frame, Unix s
+   */
+  draw(shear, timestamp) {
+    const plane = this._plane;
+    if (!plane) return;
+    this._follow(shear, timestamp);
+    const draw = this._pen;
+    const { count, x, y } = plane.raw;
+    const slope = this._long / this.scale.high;
+    const least = (SHORTEST * this._ratio) ** 2;
+    draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    draw.beginPath();
+    for (let i = 0; i < count; i += 1) {
+      const dx = slope * shear[i];
+      const dy = slope * shear[count + i];
+      if (!(dx * dx + dy * dy >= least)) continue; // NaN too
+      arrow(draw, (x[i] - plane.left) * this._px, (y[i] - plane.top) * this._px, dx, dy, BARB * this._ratio);
+    }
+    ink(draw, this._ratio);
+    this._empty = false;
+    this._tell();
+  }
+
+  /**
+   * Let the longest arrow stand for a round number that is not below what is felt.
+   * @param {Float32Array} shear
+   * @param {number} timestamp
+   */
+  _follow(shear, timestamp) {
+    const count = shear.length / 2;
+    let most = 0;
+    for (let i = 0; i < count; i += 1) {
+      const square = shear[i] * shear[i] + shear[count + i] * shear[count + i];
+      if (square > most) most = square;
+    }
+    this.scale.follow(Math.sqrt(most), 0, timestamp);
+  }
+
+  /** Bring the key up to date. */
+  _tell() {
+    this._key.hidden = false;
+    if (this._told === this.scale.high) return;
+    this._told = this.scale.high;
+    const ratio = this._ratio;
+    fit(this._keyCanvas, this._long / ratio + 12, 20);
+    this._keyCanvas.style.width = `${this._long / ratio + 12}px`;
+    this.drawKey(this._keyPen, this._keyCanvas.width / 2, this._keyCanvas.height / 2, this._long, ratio);
+    say(this._keyText, `${this._told} counts`);
+  }
+
+  /**
+   * Draw the longest arrow.
+   * @param {CanvasRenderingContext2D} draw
+   * @param {number} x of its middle
+   * @param {number} y
+   * @param {number} length
+   * @param {number} ratio device px per CSS px
+   */
+  drawKey(draw, x, y, length, ratio) {
+    draw.beginPath();
+    arrow(draw, x, y, length, 0, BARB * ratio);
+    ink(draw, ratio);
+  }
+}
