@@ -85,6 +85,16 @@ def test_shear_comes_with_the_images_where_it_is_asked_for(request, sensor):
         assert next(connect(url).stream(sensor, patience_s=5)).shear is None
 
 
+def test_shear_as_in_the_readme(request, capsys):
+    said = next(
+        each for each in re.findall(r"```python\n(.*?)```", README.read_text(), re.S) if "shear=True" in each
+    )
+    with rigged(request.node.name) as rig, running(rig.service) as url:
+        rig.show(X, Y)
+        exec(said.replace("http://127.0.0.1:8000", url) + "    break\n")
+    assert re.fullmatch(r"0 1388\.0\d* counts\n", capsys.readouterr().out)
+
+
 @pytest.mark.usefixtures("playing")
 def test_shear_of_a_skin_without_is_refused_in_the_services_own_words(url):
     with pytest.raises(TactileError, match="sensor 'palm': its codec packed carries no shear"):

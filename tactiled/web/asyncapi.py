@@ -9,6 +9,7 @@ from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import forms, session
+from tactiled.web.description import example
 from tactiled.web.shear import Shear
 from tactiled.web.wire import KINDS, LAYOUT, PRESSURES
 
@@ -89,7 +90,7 @@ def document(host: str, secure: bool = False) -> Json:
             for channel in ("sensor", "sensors")
             for verb, action, messages in (("show", "send", ["image", *TOLD]), ("ask", "receive", ["next"]))
         },
-        "components": {"schemas": schemas["$defs"], "messages": _messages()},
+        "components": {"schemas": schemas["$defs"], "messages": _messages(schemas["$defs"])},
     }
 
 
@@ -117,8 +118,8 @@ def _operation(action: str, channel: str, messages: list[str]) -> Json:
     }
 
 
-def _messages() -> Json:
-    told = {name: _message(name, model, about) for name, (model, about) in TOLD.items()}
+def _messages(schemas: Json) -> Json:
+    told = {name: _message(name, model, about, schemas) for name, (model, about) in TOLD.items()}
     image = {
         "title": "image",
         "summary": "One image, little-endian",
@@ -126,13 +127,15 @@ def _messages() -> Json:
         "payload": {"type": "string", "format": "binary"},
         "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],
     }
-    return told | {"image": image, "next": _message("next", forms.Next, "With flow=credit: send the next image")}
+    asked = _message("next", forms.Next, "With flow=credit: send the next image", schemas)
+    return told | {"image": image, "next": asked}
 
 
-def _message(name: str, model: type[BaseModel], about: str) -> Json:
-    """A message whose payload is a form."""
+def _message(name: str, model: type[BaseModel], about: str, schemas: Json) -> Json:
+    """A message whose payload is a form, with an example."""
     return {
         "title": name,
         "summary": about,
         "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
+        "examples": [{"payload": example(schemas[model.__name__], schemas)}],
     }

@@ -145,21 +145,21 @@ class StreamStatus(Form):
     type: Literal["status"] = "status"
     sensor: Name
     state: State
-    age_s: float | None
-    rate_hz: float
-    jitter_s: float | None
-    skew_s: float | None
-    detail: str
+    age_s: float | None = Field(examples=[0.004])
+    rate_hz: float = Field(examples=[100.0])
+    jitter_s: float | None = Field(examples=[0.0002])
+    skew_s: float | None = Field(examples=[0.0031])
+    detail: str = Field(examples=[""])
     loss: Loss
-    method: str
-    ran: str | None = None
-    why: str | None = None
-    iterations: int | None = None
-    microseconds: float | None = None
-    noise_kpa: float | None = None
-    noise_gain: float | None = None
-    resolution_mm: float | None = None
-    warnings: tuple[str, ...] = ()
+    method: str = Field(examples=["auto"])
+    ran: str | None = Field(None, examples=["nnls"])
+    why: str | None = Field(None, examples=["as asked"])
+    iterations: int | None = Field(None, examples=[3])
+    microseconds: float | None = Field(None, examples=[62.0])
+    noise_kpa: float | None = Field(None, examples=[0.2])
+    noise_gain: float | None = Field(None, examples=[1.4])
+    resolution_mm: float | None = Field(None, examples=[1.2])
+    warnings: tuple[str, ...] = Field((), examples=[()])
 
 
 class ContactForm(Form):

@@ -13,7 +13,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
+from tactiled.web.asyncapi import TOLD
 from tactiled.web.feed import Feed
+from tactiled.web.forms import Next
 from tactiled.web.server import running
 from tactiled.web.session import CLOSES
 from tactiled.web.wire import HEADER, unpack
@@ -67,6 +69,16 @@ def test_every_reference_leads_somewhere(document):
     assert len(refs) > 20
     for ref in refs:
         assert found(document, ref)
+
+
+def test_every_example_is_what_it_is_an_example_of(document):
+    models = {name: model for name, (model, _) in TOLD.items()} | {"next": Next}
+    messages = document["components"]["messages"]
+    assert set(models) == {*messages} - {"image"} == {"status", "contacts", "frame", "shear", "next"}
+    for name, model in models.items():
+        (one,) = messages[name]["examples"]
+        payload(document, name).validate(one["payload"])
+        assert model.model_validate(one["payload"]).model_dump(mode="json") == one["payload"]
 
 
 @pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])
