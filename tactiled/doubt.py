@@ -28,6 +28,8 @@ FEW = 9  # taxels, a dead one and its neighbours, that may be out before it is t
 BELOW = 7.0  # times the noise
 CLEAR = 10.0  # noise standard deviations from which the frame is pressed at all
 LEVEL = 3  # taxels that share the highest value
+MOVED = 4.0  # standard deviations by which an image is stronger than its frame if its force is from elsewhere
+STRONGER = 0.02  # of its strength: one of them, however faint the noise
 RIM = 1.5  # times the highest pressure inside that stands at the rim
 
 RESIDUAL = "the image does not explain the frame: is the cover as configured, and every taxel sound?"
@@ -96,6 +98,8 @@ class Doubt:
         # The image of points shows cells, and their fit, which stood, was of what lies between them.
         if method != "points":
             found += _unexplained(np.abs(predicted[sound] - pressure) / expected)
+            if LIFTED not in found and self._moved(whole, predicted, noise):
+                found.append(LIFTED)
         if self._grid and self._over_the_edge(image):
             found.append(EDGE)
         return tuple(found)
@@ -117,6 +121,21 @@ class Doubt:
         least, quarter = float(means[0]), float(means[(means.size - 1) // 4])
         surely = -_surely(1) * noise / float(np.sqrt(self._parts.counts.min()))
         return least > max(surely, FAINT * float(image.max())) and quarter < EVEN * least
+
+    def _moved(self, whole: Frames, predicted: Frames, noise: float) -> bool:
+        """Whether the image is stronger than its frame, and no quarter of the frame's parts is free.
+
+        Total force is kept: an offset too faint beside the noise to pass for pressure, cell by cell, is moved onto
+        the contacts. Its parts put together, the frame still tells of it.
+        """
+        strength = float(np.vdot(predicted, predicted))
+        more = strength - float(np.vdot(predicted, whole))
+        if more <= MOVED * float(np.hypot(noise * np.sqrt(strength), STRONGER * strength)):
+            return False
+        least = np.sort(self._parts.sums(whole) / self._parts.counts, axis=None)
+        quarter = least[: max(1, least.size // 4)]
+        surely = -_surely(1) * noise / float(np.sqrt(self._parts.counts.mean() * quarter.size))
+        return float(quarter.mean()) > surely
 
     def _unlike(self, whole: Frames, noise: float) -> bool:
         """Whether the weakest modes hold less than half the noise; not where the noise is but rounding."""

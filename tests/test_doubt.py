@@ -95,6 +95,21 @@ def test_an_offset_above_zero_leaves_no_part_free(blur, felt):
     assert look(blur, idle) == (LIFTED,)
 
 
+@pytest.mark.parametrize("place", [(0, 0), (3.3, -2.1), (-6, 6.6)])
+@pytest.mark.parametrize(("noise", "offset"), [(4, 3), (8, 7), (10, 7)])
+def test_an_offset_that_noise_hides_and_total_force_moves_onto_the_contact(blur, felt, place, noise, offset):
+    frame = felt(*place, noise=noise)
+    assert look(blur, frame, noise=noise) == ()
+    assert look(blur, frame + np.float32(offset), noise=noise) == (LIFTED,)
+
+
+def test_an_image_stronger_than_its_frame_is_no_offset_where_parts_are_free(blur, felt):
+    frame, flags = felt(0, 0, noise=8.0), np.zeros((SIDE, SIDE), np.uint8)
+    image = 1.5 * make("nnls", blur, 8.0)(frame).image
+    assert Doubt(blur).look(frame, flags, image, 8.0) == ()
+    assert Doubt(blur).look(frame + np.float32(5), flags, image, 8.0) == (LIFTED,)
+
+
 def test_a_press_on_most_of_the_array_is_no_offset(blur, felt):
     assert look(blur, felt(1.5, -2, radius=8)) == ()
 

@@ -7,8 +7,15 @@ from tactiled.bench.pairs import Pair
 from tactiled.bench.stability import Found, Row, fails_silently
 
 UNKNOWN = "silent, and no reason is known"
-LIFT = "a press explains this frame down to its noise: what lifts the array is what a wide press would be"
-REASONS = {"offset": LIFT, "drift": LIFT}  # by fault; each holds only where a press does explain the frame
+EXPLAINED = "a press explains this frame down to its noise: "
+LIFT = EXPLAINED + "what lifts the array is what a wide press would be"
+FAINT = EXPLAINED + "where taxels are dead, too little presses to stand out of it"
+REASONS = {  # by fault; each holds only where a press does explain the frame
+    "offset": LIFT,
+    "drift": LIFT,
+    "dead": FAINT,
+    "dead taxels untold": FAINT,
+}
 HEADINGS = ("goes wrong", "by", "scene", "error over raw", "true error, kPa", "claimed, kPa", "why nothing tells")
 
 
@@ -37,8 +44,8 @@ def listed(found: Found, together: Sequence[Pair]) -> list[Silence]:
 
 def reason(faults: Iterable[str], row: Row) -> str:
     """Why nothing could tell of a row with such faults."""
-    known = [REASONS[fault] for fault in faults if fault in REASONS] if row.lawful else []
-    return known[0] if known else UNKNOWN
+    known = dict.fromkeys(REASONS[fault] for fault in faults if fault in REASONS) if row.lawful else {}
+    return "; ".join(known) or UNKNOWN
 
 
 def verdict(found: Sequence[Silence]) -> str:

@@ -5,10 +5,10 @@ import pytest
 
 from tactiled.bench.faults import Setting
 from tactiled.bench.lawful import lawful
-from tactiled.bench.pairs import Pair, combined
+from tactiled.bench.pairs import FAULTS, Pair, combined
 from tactiled.bench.report_failures import silent_failures
 from tactiled.bench.signs import Signs
-from tactiled.bench.silence import LIFT, UNKNOWN, lines, listed, verdict
+from tactiled.bench.silence import FAINT, LIFT, REASONS, UNKNOWN, lines, listed, verdict
 from tactiled.bench.skin import rubber
 from tactiled.bench.stability import WORSE, Row, noticed, rows
 from tactiled.bench.sweeps import SWEEPS
@@ -41,15 +41,28 @@ def both(*faults, **told):
     return Pair(dict.fromkeys(faults, 5.0), {"auto": 1.2}, 1, 1, 0, (row,))
 
 
-@pytest.mark.parametrize("fault", ["offset", "drift"])
-def test_what_a_press_would_look_like_is_the_reason_of_a_lift(fault):
+@pytest.mark.parametrize(
+    ("fault", "by", "why"),
+    [
+        ("offset", "5 % of the peak", LIFT),
+        ("drift", "5 % of the peak", LIFT),
+        ("dead taxels untold", "5 %, read 0", FAINT),
+    ],
+)
+def test_what_a_press_would_look_like_is_a_reason(fault, by, why):
     (one,) = listed([alone(fault)], [])
-    assert (one.reason, one.by) == (LIFT, "5 % of the peak")
+    assert (one.reason, one.by) == (why, by)
 
 
 def test_a_pair_is_listed_with_the_reason_of_the_fault_that_has_one():
     (one,) = listed([], [both("noise", "offset")])
     assert (one.row.sweep, one.by, one.reason) == ("noise with offset", "", LIFT)
+    (one,) = listed([], [both("offset", "dead")])
+    assert one.reason == f"{LIFT}; {FAINT}"
+
+
+def test_every_reason_is_that_of_a_fault_that_is_tried():
+    assert set(REASONS) <= {*SWEEP, *FAULTS}
 
 
 @pytest.mark.parametrize(
