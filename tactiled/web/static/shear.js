@@ -17,31 +17,33 @@ const SHORTEST = 5; // CSS px, what is drawn at all
 const HEAD = 0.45; // of an arrow's length
 const BARB = 8; // CSS px, the longest side of a head
 const SPREAD = 0.5; // half of a head's width over its length
+const FINE = 16;
+const NONE = new Float32Array(0);
 const UNDER = "rgb(0 0 0 / 80%)";
 const OVER = "#7df3ff";
 
 /**
- * Add an arrow to a path.
+ * Add an arrow to a path, in whole units, of which FINE are a device px: any other number that is handed to the browser
+ * is an object for the collector.
  * @param {CanvasRenderingContext2D} draw
- * @param {number} x of its middle, device px
+ * @param {number} x of its middle
  * @param {number} y
  * @param {number} dx
  * @param {number} dy
- * @param {number} barb the longest side of its head, device px
+ * @param {number} barb the longest side of its head
  */
 function arrow(draw, x, y, dx, dy, barb) {
-  const share = Math.min(HEAD, barb / Math.hypot(dx, dy));
-  const tipX = x + dx / 2;
-  const tipY = y + dy / 2;
+  const share = Math.min(HEAD, barb / Math.sqrt(dx * dx + dy * dy));
+  const tipX = (x + dx / 2) | 0;
+  const tipY = (y + dy / 2) | 0;
   const backX = tipX - share * dx;
   const backY = tipY - share * dy;
-  const acrossX = -SPREAD * share * dy;
-  const acrossY = SPREAD * share * dx;
-  draw.moveTo(x - dx / 2, y - dy / 2);
+  const across = SPREAD * share;
+  draw.moveTo(tipX - dx, tipY - dy);
   draw.lineTo(tipX, tipY);
-  draw.moveTo(backX + acrossX, backY + acrossY);
+  draw.moveTo((backX - across * dy) | 0, (backY + across * dx) | 0);
   draw.lineTo(tipX, tipY);
-  draw.lineTo(backX - acrossX, backY - acrossY);
+  draw.lineTo((backX + across * dy) | 0, (backY - across * dx) | 0);
 }
 
 /**
@@ -51,10 +53,10 @@ function arrow(draw, x, y, dx, dy, barb) {
  */
 function ink(draw, ratio) {
   draw.lineCap = draw.lineJoin = "round";
-  draw.lineWidth = 4.5 * ratio;
+  draw.lineWidth = Math.round(4.5 * FINE * ratio);
   draw.strokeStyle = UNDER;
   draw.stroke();
-  draw.lineWidth = 2 * ratio;
+  draw.lineWidth = Math.round(2 * FINE * ratio);
   draw.strokeStyle = OVER;
   draw.stroke();
 }
@@ -82,6 +84,8 @@ export class Arrows {
     /** Counts that the key tells of; 0: it is to be made anew. */
     this._told = 0;
     this._empty = true;
+    /** What is drawn: a frame's buffer is used again, but not with the same time. */
+    this._drawn = { shear: NONE, timestamp: NaN };
   }
 
   /** @returns {number} counts that the longest arrow stands for */
@@ -105,6 +109,7 @@ export class Arrows {
     const long = Math.min(REACH * plane.pitch, WIDE * plane.width) * zoom;
     this._long = Math.max(BOUNDS[0], Math.min(BOUNDS[1], long)) * this._ratio;
     this._told = 0;
+    this._drawn.shear = NONE;
   }
 
   /** Show nothing, and forget what was seen. */
@@ -118,29 +123,39 @@ export class Arrows {
     this._key.hidden = true;
     if (!this._empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this._empty = true;
+    this._drawn.shear = NONE;
   }
 
   /**
+   * Draw a frame's arrows, unless they are drawn already.
    * @param {Float32Array} shear counts along x of all taxels, then along y; NaN where nothing is known
    * @param {number} timestamp of its frame, Unix s
    */
   draw(shear, timestamp) {
     const plane = this._plane;
-    if (!plane) return;
+    const drawn = this._drawn;
+    if (!plane || (drawn.shear === shear && drawn.timestamp === timestamp)) return;
+    drawn.shear = shear;
+    drawn.timestamp = timestamp;
     this._follow(shear, timestamp);
     const draw = this._pen;
     const { count, x, y } = plane.raw;
-    const slope = this._long / this.scale.high;
-    const least = (SHORTEST * this._ratio) ** 2;
+    const slope = (FINE * this._long) / this.scale.high;
+    const px = FINE * this._px;
+    const least = (SHORTEST * FINE * this._ratio) ** 2;
+    const barb = (BARB * FINE * this._ratio) | 0;
     draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    draw.save();
+    draw.scale(1 / FINE, 1 / FINE);
     draw.beginPath();
     for (let i = 0; i < count; i += 1) {
       const dx = slope * shear[i];
       const dy = slope * shear[count + i];
       if (!(dx * dx + dy * dy >= least)) continue; // NaN too
-      arrow(draw, (x[i] - plane.left) * this._px, (y[i] - plane.top) * this._px, dx, dy, BARB * this._ratio);
+      arrow(draw, ((x[i] - plane.left) * px) | 0, ((y[i] - plane.top) * px) | 0, dx | 0, dy | 0, barb);
     }
     ink(draw, this._ratio);
+    draw.restore();
     this._empty = false;
     this._tell();
   }
@@ -181,8 +196,11 @@ export class Arrows {
    * @param {number} ratio device px per CSS px
    */
   drawKey(draw, x, y, length, ratio) {
+    draw.save();
+    draw.scale(1 / FINE, 1 / FINE);
     draw.beginPath();
-    arrow(draw, x, y, length, 0, BARB * ratio);
+    arrow(draw, FINE * x, FINE * y, FINE * length, 0, BARB * FINE * ratio);
     ink(draw, ratio);
+    draw.restore();
   }
 }
