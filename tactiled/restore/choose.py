@@ -72,7 +72,7 @@ class Auto:
         self.points = Points(scene)
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
-        self._method, self._age = "", 0
+        self._method, self._age, self._stay = "", 0, False
         self._wait, self._pause = 0, PAUSE
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
@@ -101,10 +101,11 @@ class Auto:
         self.points.reset()
         self._method, self._age = other._method, other._age
         self._wait, self._pause = other._wait, other._pause
+        self._stay = True
 
     def stay(self) -> None:
-        """Do not ask this time whether linear would do."""
-        self._age = min(self._age, 1)
+        """Do not ask this time whether linear would do, however much has changed."""
+        self._age, self._stay = min(self._age, 1), True
 
     def _reach(self, method: str) -> float:
         return STAY if self._method == method else 1.0
@@ -132,6 +133,9 @@ class Auto:
     def _some(self, y: Image) -> Restored:
         scene = self._scene
         scene.look(y)
+        if scene.anew and not self._stay:
+            self.reset()
+        self._stay = False
         if self._method in ITERATED and self._age < REVIEW:
             self._age += 1
             return self._iterated(y)

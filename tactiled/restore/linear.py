@@ -61,6 +61,11 @@ class Wiener:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
         return self._back(self._modes, self.image)
 
+    def of(self, c: Image) -> Image:
+        """Give what the scene's filter makes of any modes `c`; the total force is not held to."""
+        np.multiply(c, self.filter.weight, out=self._modes)
+        return self._back(self._modes, self.image)
+
 
 def deviation(scene: Scene) -> Floats:
     """Standard deviation (kPa) of each surface cell of the linear image, given the spectrum picked for its scene.

@@ -5,26 +5,43 @@ from numpy.typing import NDArray
 
 NORMAL = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
 FALL_BACK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
+APART = 0.5  # of the frames' mean square: if they differ from one to the next by more, they are no film
+PRESSED = 0.02  # of the mean square is the squared mean, at least, where something is pressed
+
+Floats = NDArray[np.float64]
 
 
 def estimate(frames: NDArray[np.floating]) -> float:
     """Standard deviation (kPa) of a taxel from frames (T, ...), NaN ignored; over 0 unless all frames are 0.
 
-    From second differences in time, which a steady or evenly moving load leaves alone; from one or two frames,
-    from second differences between neighbours, which the cover keeps small. The median discards the rest.
+    From second differences in time, which a steady or evenly moving load leaves alone. From one or two frames,
+    or presses that have nothing to do with each other, from second differences along all of an array's axes
+    in turn, which the cover keeps small; these do not see noise that whole rows share. The median discards
+    the rest.
     """
     values = np.asarray(frames, float)
-    if len(values) >= 3:
-        second = values[2:] - 2 * values[1:-1] + values[:-2]
-    else:
-        second = np.concatenate([_across(values, axis) for axis in range(1, values.ndim)] or [np.zeros(0)])
-    second = np.abs(second[np.isfinite(second)])
-    found = NORMAL * float(np.median(second)) / np.sqrt(6) if second.size else 0.0
+    found = _spread(np.diff(values, 2, axis=0), 6.0) if len(values) >= 3 else np.inf
+    if len(values) < 3 or _apart(values):
+        axes = [axis for axis in range(1, values.ndim) if values.shape[axis] >= 3]
+        across = values
+        for axis in axes:
+            across = np.diff(across, 2, axis=axis)
+        found = min(found, _spread(across, 6.0 ** len(axes)) if axes else np.inf)
     known = np.abs(values[np.isfinite(values)])
-    return max(found, FALL_BACK * float(known.max(initial=0.0)))
+    return max(found if np.isfinite(found) else 0.0, FALL_BACK * float(known.max(initial=0.0)))
 
 
-def _across(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    if values.shape[axis] < 3:
-        return np.zeros(0)
-    return np.diff(values, 2, axis=axis).ravel()
+def _spread(differences: Floats, variance: float) -> float:
+    """Standard deviation of what has differences of `variance` times its own; infinite where none is known."""
+    size = np.abs(differences[np.isfinite(differences)])
+    return NORMAL * float(np.median(size)) / np.sqrt(variance) if size.size else np.inf
+
+
+def _apart(values: Floats) -> bool:
+    """Whether pressed frames differ from one to the next as those of a film never do."""
+    step = np.diff(values, axis=0)
+    known, step = values[np.isfinite(values)], step[np.isfinite(step)]
+    if not (known.size and step.size):
+        return False
+    power = np.square(known).mean()
+    return bool(np.square(step).mean() > APART * power and known.mean() ** 2 > PRESSED * power)

@@ -46,6 +46,7 @@ class Nonneg:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
+        scene.follows = True
         self._steps: dict[tuple[int, float], Step] = {}
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._predict = scene.modes.to_taxels()
@@ -72,8 +73,11 @@ class Nonneg:
     def __call__(self, wiener: Wiener) -> int:
         """Iterate until an iteration changes hardly anything; gives how many were made."""
         scene = self._scene
+        self._warm = self._warm and not scene.anew
         enough = (self._steady if self._warm else STEADY) * scene.noise
-        if not self._warm:
+        if self._warm:
+            self._shift(wiener.of(scene.step))
+        else:
             self._start(wiener())
             self._warm = True
         limit = enough**2 * self._t.size
@@ -94,6 +98,11 @@ class Nonneg:
         """Start anew from an image that may be negative."""
         np.maximum(guess, ZERO, out=self._t)
         self._pull[...] = ZERO
+
+    def _shift(self, change: Image) -> None:
+        """Start from the image before and what a linear filter makes of the frame's change since."""
+        np.add(self._t, change, out=self._t)
+        np.minimum(self._t, ZERO, out=self._pull)
 
     def _show(self) -> None:
         """Put the image so far in place."""

@@ -10,6 +10,7 @@ from tactiled.restore.prior import Prior
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
+ANEW = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
 SURE = 4.0  # standard deviations that a total force must stand out by to be held to
 
 
@@ -33,7 +34,12 @@ class Scene:
         self.prior = Prior(self.modes, noise)
         self._there = self.modes.to_taxel_modes()
         self.c = self._there.empty()
-        self.flat = self.c.reshape(-1)
+        self.c[...] = 0
+        self.follows = False  # whether anyone starts from the frame before
+        self.step = np.zeros_like(self.c)  # of the modes since that frame, if so
+        self.anew = True  # whether that frame says nothing about this one
+        self.flat, self._flat_step = self.c.reshape(-1), self.step.reshape(-1)
+        self._restless = 2 * noise**2 * self.c.size  # what noise alone changes
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
         noise_of_sum = noise * float(np.sqrt(ones.size))
@@ -46,8 +52,14 @@ class Scene:
 
     def look(self, y: Image) -> None:
         """Take in a frame without gaps."""
+        if self.follows:
+            np.copyto(self.step, self.c)
         self._there(y, self.c)
         self.number = self.prior.pick(self.c)
+        if self.follows:
+            np.subtract(self.c, self.step, out=self.step)
+            changed, square = float(np.dot(self._flat_step, self._flat_step)), float(np.dot(self.flat, self.flat))
+            self.anew = changed > self._restless + ANEW * square
 
     @property
     def force(self) -> float:

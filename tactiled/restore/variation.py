@@ -99,6 +99,9 @@ class Variation(Nonneg):
         self._x[...] = self._t
         self._edges.forget()
 
+    def _shift(self, change: Image) -> None:
+        np.add(self._x, change, out=self._x)
+
     def _show(self) -> None:
         self.image[...] = self._x
 

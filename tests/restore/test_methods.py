@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import films, rubber
+from tactiled.bench.truth import presses
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.methods import METHODS, make
@@ -125,6 +127,32 @@ def test_warm_iterations_are_fewer_and_no_worse(covered, pressed):
     fresh = make("nnls", blur, SIGMA)(frame)
     assert warm.iterations < cold / 2
     assert error(warm.image, truth) < 1.05 * error(fresh.image, truth)
+
+
+@pytest.mark.parametrize(("method", "most"), [("nnls", 1.4), ("tv", 1.7), ("auto", 1.4)])
+@pytest.mark.parametrize("thickness", [1.0, 2.0])
+def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, method, most, thickness):
+    """Discs and Braille move by 0.4 pitches a frame; the image before as it was made up to six times the error."""
+    monkeypatch.setattr("tactiled.bench.skin.STEP", 0.4)
+    skin = rubber(thickness, 24)
+    for scene in ("punches", "braille"):
+        film = next(films(skin, 0.002, 5, 7, (scene,)))
+        following = make(method, skin.blur, film.sigma)
+        for frame, truth in zip(film.frames, film.truths, strict=True):
+            image, fresh = following(frame).image, make(method, skin.blur, film.sigma)(frame).image
+            assert error(image, truth) < most * error(fresh, truth)
+
+
+@pytest.mark.parametrize("method", ["nnls", "tv", "points", "auto"])
+def test_a_frame_that_has_nothing_to_do_with_the_one_before_is_restored_as_the_first(method):
+    for thickness in (0.5, 2.0):
+        found = list(presses(16, (thickness,), (0.01,), seed=11))
+        following = make(method, found[0].blur, 1.0)
+        for press in found:
+            frame = (press.frame / press.sigma).astype(np.float32)
+            done, fresh = following(frame), make(method, press.blur, 1.0)(frame)
+            assert (done.method, done.iterations) == (fresh.method, fresh.iterations)
+            np.testing.assert_array_equal(done.image, fresh.image)
 
 
 def test_noise_gain_is_what_noise_becomes(covered, pressed):

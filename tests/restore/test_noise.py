@@ -53,3 +53,23 @@ def test_any_shape_will_do(shape):
 def test_nothing_known_is_nothing_found():
     assert estimate(np.full((4, 3, 3), np.nan)) == 0
     assert estimate(np.zeros((4, 3, 3))) == 0
+
+
+@pytest.mark.parametrize("sigma", [0.2, 1.0, 5.0])
+def test_presses_that_have_nothing_to_do_with_each_other_are_no_noise(sigma):
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[:20, :20]
+    places = random.uniform(2, 18, (30, 2))
+    clean = [100 * np.exp(-((x - a) ** 2 + (y - b) ** 2) / 18) for a, b in places]
+    assert estimate(clean + random.normal(0, sigma, (30, 20, 20))) == pytest.approx(sigma, rel=0.12)
+
+
+def test_noise_that_taxels_share_is_seen_on_an_idle_pad():
+    """Nothing is pressed: that frames differ is all noise."""
+    shared = np.random.default_rng(4).normal(0, 2.0, (200, 1, 1))
+    assert estimate(np.repeat(np.repeat(shared, 12, axis=1), 12, axis=2)) == pytest.approx(2.0, rel=0.12)
+
+
+def test_noise_that_taxels_share_is_seen_under_a_steady_press(film):
+    frames = np.repeat(film(1, 0.0), 200, axis=0) + np.random.default_rng(5).normal(0, 3.0, (200, 1, 1))
+    assert estimate(frames) == pytest.approx(3.0, rel=0.12)

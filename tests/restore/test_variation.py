@@ -78,9 +78,9 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     frame, _ = pressed(blur, SIGMA, seed)
     scene = Scene(blur, SIGMA)
     monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
-    scene.look(frame)
     solver, wiener = Variation(scene), Wiener(scene)
     for _ in range(3000):
+        scene.look(frame)
         solver(wiener)
     ours = solver.image.astype(float)
     exact = objective(scene, frame, ours)
