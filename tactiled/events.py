@@ -84,10 +84,15 @@ class Faults:
             return {part: why for part, (why, _) in self._now.items()}
 
     @contextmanager
-    def turn(self, part: str) -> Iterator[None]:
-        """Do one turn of a part's work; if it fails that is told, in the log, too, and the next turn may come."""
+    def turn(self, part: str, but: type[Exception] | tuple[type[Exception], ...] = ()) -> Iterator[None]:
+        """Do one turn of a part's work; if it fails that is told, in the log, too, and the next turn may come.
+
+        `but` is no fault, and passes.
+        """
         try:
             yield
+        except but:
+            raise
         except Exception as error:
             self._raise(part, f"{type(error).__name__}: {error}")
         else:

@@ -74,7 +74,7 @@ def create(service: Service, server: Server) -> FastAPI:
         app.include_router(recordings.make(server.recordings, service.buses, service.events))
 
     app.include_router(metrics.router)
-    app.include_router(stream.make(feeds))
+    app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.make())
     app.include_router(xela.make(feeds))
 

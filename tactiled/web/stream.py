@@ -2,11 +2,12 @@
 
 import asyncio
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 
-from fastapi import APIRouter, WebSocket
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from tactiled.errors import NoShearError, UnknownSensorError
+from tactiled.events import Faults
 from tactiled.frames import Image
 from tactiled.web.feed import Feed
 from tactiled.web.flow import room
@@ -19,7 +20,7 @@ CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
 
 
-def make(feeds: dict[str, Feed]) -> APIRouter:
+def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
     """The streams of these sensors."""
     router = APIRouter(prefix="/api/v1")
 
@@ -28,7 +29,7 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
         await socket.accept()
         try:
             asked = wish(socket.query_params)
-            stream = Stream(socket, _found(feeds, [name], asked), asked, named=False)
+            stream = Stream(socket, _found(feeds, [name], asked), asked, named=False, faults=faults)
         except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
@@ -40,7 +41,7 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
         try:
             asked = wish(socket.query_params, ["sensors"])
             names = asked_for(socket.query_params, list(feeds))
-            stream = Stream(socket, _found(feeds, names, asked), asked, named=True)
+            stream = Stream(socket, _found(feeds, names, asked), asked, named=True, faults=faults)
         except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
@@ -74,10 +75,14 @@ class _Line:
 
 
 class Stream:
-    """One client of one sensor or several; `named`: binary messages say of which."""
+    """One client of one sensor or several; `named`: binary messages say of which.
 
-    def __init__(self, socket: WebSocket, feeds: Sequence[Feed], asked: Wish, named: bool) -> None:
+    What fails at one of several sensors stops no other; at a single one it ends the stream.
+    """
+
+    def __init__(self, socket: WebSocket, feeds: Sequence[Feed], asked: Wish, named: bool, faults: Faults) -> None:
         self._socket, self._wish, self._named = socket, asked, named
+        self._faults = faults
         self._lines = {feed.sensor.name: _Line(feed, not asked.credit) for feed in feeds}
         self._wake = asyncio.Event()
         self._room = room(socket)
@@ -101,10 +106,17 @@ class Stream:
             self._wake.clear()
             for line in self._lines.values():
                 await self._room.wait()
-                await self._send_image(line)
-                await self._send_status(line)
-                if self._wish.contacts:
-                    await self._send_contacts(line)
+                with self._turn(line):
+                    await self._send_image(line)
+                    await self._send_status(line)
+                    if self._wish.contacts:
+                        await self._send_contacts(line)
+
+    def _turn(self, line: _Line) -> AbstractContextManager[None]:
+        """What a fault at this sensor ends."""
+        if len(self._lines) == 1:
+            return nullcontext()
+        return self._faults.turn(f"streams of {line.feed.sensor.name}", WebSocketDisconnect)
 
     async def _send_image(self, line: _Line) -> None:
         image = line.feed.image
@@ -119,12 +131,15 @@ class Stream:
                     loop.call_at(line.due, self._wake.set)
                 return
             line.due = now + 1 / self._wish.rate_hz
-        line.sent, line.credit = image, not self._wish.credit
         if self._wish.form == "binary":
-            for message in [line.feed.binary(kind, self._named) for kind in self._wish.kinds]:
+            messages = [line.feed.binary(kind, self._named) for kind in self._wish.kinds]
+            line.sent, line.credit = image, not self._wish.credit
+            for message in messages:
                 await self._socket.send_bytes(message)
         else:
-            for text in [line.feed.text(kind) for kind in self._wish.kinds]:
+            texts = [line.feed.text(kind) for kind in self._wish.kinds]
+            line.sent, line.credit = image, not self._wish.credit
+            for text in texts:
                 await self._socket.send_text(text)
 
     async def _send_status(self, line: _Line) -> None:

@@ -1,10 +1,14 @@
 import re
+import threading
 import time
 
+import httpx
 import numpy as np
 import pytest
 
+from tactiled.config import Server
 from tactiled.web import answers
+from tactiled.web.feed import Feed
 from tactiled.web.server import running
 from tests.conftest import Rig, pressed, until
 from tests.viewer.conftest import wait
@@ -176,3 +180,58 @@ def test_a_layout_that_is_no_grid_is_drawn_true_to_scale(pair, open_page):
         reach = round(0.7 * zoom)
         assert drawn[row, column - reach : column + reach].all()
         assert not drawn[row, column + round(0.8 * zoom)]
+
+
+LEVELS = "[...document.querySelectorAll('.tile')].map(tile => tile.dataset.level)"
+
+
+def test_all_sensors_come_on_one_socket(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    assert "tactiled_streams 1" in httpx.get(url + "/metrics").text.splitlines()
+    page.keyboard.press("2")
+    page.locator("#main").wait_for()
+    page.keyboard.press("w")
+    keep_showing(rig, page, WALL_SEEN)
+    until(lambda: "tactiled_streams 1" in httpx.get(url + "/metrics").text.splitlines())
+
+
+def test_a_sensor_that_falls_silent_dims_its_own_tile_only(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    stop = threading.Event()
+    sender = rig.play(30, stop)
+    wait(page, f"{LEVELS}.join() === 'live,stale'")
+    filters = "[...document.querySelectorAll('.tile canvas')].map(canvas => getComputedStyle(canvas).filter)"
+    alive, silent = page.evaluate(filters)
+    stop.set()
+    sender.join()
+    assert alive == "none"
+    assert "grayscale(1)" in silent
+
+
+def test_a_fault_of_the_service_at_one_sensor_shows_at_its_own_tile_only(pair, open_page, monkeypatch, caplog):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    keep_showing(rig, page, WALL_SEEN)
+    works, thumb = Feed.binary, rig.service.sensor("thumb")
+    with monkeypatch.context() as broken:
+        broken.setattr(Feed, "binary", lambda feed, *of: works(feed, *of) if feed.sensor is not thumb else 1 / 0)
+        keep_showing(rig, page, f"{LEVELS}.join() === 'live,stale'")
+        assert "though frames come in" in page.evaluate(TILES)[1]
+    keep_showing(rig, page, f"{LEVELS}.join() === 'live,live'")
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_the_wall_comes_back_with_the_service(pair, open_page):
+    rig, _url = pair
+    with running(rig.service) as other:
+        page = open_page(f"{other}/#/wall", ready=f"{TILES}.length === 2")
+        keep_showing(rig, page, WALL_SEEN)
+    wait(page, f"{LEVELS}.join() === 'disconnected,disconnected'")
+    with running(rig.service, Server(port=int(other.rsplit(":", 1)[1]))):
+        keep_showing(rig, page, f"{LEVELS}.join() === 'live,live'")
+        page.close()
+    page.faults.clear()  # the browser itself reports every failure

@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 
 import tactiled
 from tactiled.errors import TactileError
+from tactiled.web.feed import Feed
 from tactiled.web.wire import unpack
 from tests.conftest import NO_LOAD, Rig, pressed, until
 
@@ -106,6 +107,30 @@ def test_a_busy_sensor_does_not_hold_another_back(rig, url):
     assert sequences["tip"][-1] == 4
     for of_one in sequences.values():
         assert of_one == sorted(set(of_one))
+
+
+@pytest.mark.parametrize("at", ["status", "binary"])
+def test_a_fault_at_one_sensor_is_told_and_stops_no_other(rig, url, monkeypatch, caplog, at):
+    works = getattr(Feed, at)
+
+    def is_it(message):
+        """Whether it is what fails."""
+        if isinstance(message, dict):
+            return (at, message["sensor"]) == ("status", "tip")
+        return (at, message.sensor) == ("binary", "tip")
+
+    monkeypatch.setattr(Feed, at, lambda feed, *of: works(feed, *of) if feed.sensor is not rig.tip else 1 / 0)
+    with streams(url, "?flow=credit&kinds=raw") as client:
+        rig.show(pressed())
+        touch_tip(rig, 0)
+        client.send('{"type": "next"}')
+        got = heard(client, lambda got: ("palm", 0) in map(numbered, got))
+        assert not any(map(is_it, got))
+        assert rig.service.faults.now == {"streams of tip": "ZeroDivisionError: division by zero"}
+        monkeypatch.undo()
+        heard(client, lambda got: any(map(is_it, got)))
+        until(lambda: not rig.service.faults.now)
+    assert "ZeroDivisionError" in caplog.text
 
 
 def test_json_names_the_sensor_too(rig, url):

@@ -273,12 +273,11 @@ export async function showToken(token) {
 }
 
 /**
- * @param {string} name
- * @param {string} query
- * @returns {string} the WebSocket address of a sensor's stream
+ * @param {string} path below the API's root
+ * @returns {string} the WebSocket address
  */
-function stream(name, query) {
-  const url = new URL(`${ROOT}${at(name)}/stream?${query}`, location.href);
+function socket(path) {
+  const url = new URL(ROOT + path, location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
   return url.href;
 }
@@ -291,11 +290,12 @@ function stream(name, query) {
  */
 export const streamUrl = (name, contacts, shear) =>
   // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
-  stream(name, `kinds=raw,restored${shear ? ",shear" : ""}&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
+  socket(`${at(name)}/stream?kinds=raw,restored${shear ? ",shear" : ""}&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
 
 /**
- * @param {string} name
- * @param {number} rate_hz at most
- * @returns {string} the address of the restored image alone
+ * @param {string[]} names
+ * @param {number} rate_hz at most, of each
+ * @returns {string} the address of several sensors' restored images, one of each at a time
  */
-export const tileUrl = (name, rate_hz) => stream(name, `kinds=restored&rate_hz=${rate_hz}&flow=credit`);
+export const wallUrl = (names, rate_hz) =>
+  socket(`/stream?sensors=${names.join(",")}&kinds=restored&rate_hz=${rate_hz}&flow=credit`);

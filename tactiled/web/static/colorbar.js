@@ -17,12 +17,16 @@ export class Colorbar {
   constructor(canvas) {
     this.canvas = canvas;
     this._pen = pen(canvas);
-    this._shown = "";
+    /** What was drawn last: the range, kPa, and the size, CSS px. */
+    this._low = NaN;
+    this._high = NaN;
+    this._width = 0;
+    this._height = 0;
   }
 
   /** Draw again even where nothing seems to have changed, as after a change of theme. */
   forget() {
-    this._shown = "";
+    this._width = 0;
   }
 
   /**
@@ -35,8 +39,11 @@ export class Colorbar {
     const height = this.canvas.clientHeight;
     if (!width || !height) return;
     const { low, high } = scale;
-    if (this._shown === `${low} ${high} ${width} ${height}`) return;
-    this._shown = `${low} ${high} ${width} ${height}`;
+    if (low === this._low && high === this._high && width === this._width && height === this._height) return;
+    this._low = low;
+    this._high = high;
+    this._width = width;
+    this._height = height;
     this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
     const ratio = fit(this.canvas, width, height);
     const draw = this._pen;

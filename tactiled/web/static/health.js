@@ -5,8 +5,18 @@
 
 import { fixed } from "./paint.js";
 
-/** @typedef {import("./stream.js").Stream} Stream */
 /** @typedef {import("./stream.js").Status} Status */
+
+/**
+ * How the way to the service is doing; times in ms on performance.now's clock.
+ * @typedef {object} Way
+ * @property {"connecting"|"open"|"closed"} link
+ * @property {string} reason why it closed
+ * @property {number} retryAt
+ * @property {number} attempts
+ * @property {number} heardAt
+ * @property {number} askedAt when an image was asked for that has not come yet; 0 where none was
+ */
 
 /**
  * @typedef {object} Health
@@ -19,7 +29,7 @@ const STALL_S = 2; // no image for so long, though the sensor is said to be live
 const OVERDUE_MS = 2500; // of the service's once-a-second word
 
 /**
- * @param {Stream|null} stream
+ * @param {Way|null} stream
  * @param {Status|null} status the newest
  * @param {number} toldAt when that came, ms on performance.now's clock
  * @param {number} pairAt when the newest pair came; 0 before the first

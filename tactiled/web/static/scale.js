@@ -14,7 +14,7 @@ const LEAST_KPA = 1;
  */
 export function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
-  for (const step of STEPS) if (step * power >= value * (1 - 1e-9)) return step * power;
+  for (let i = 0; i < STEPS.length; i += 1) if (STEPS[i] * power >= value * (1 - 1e-9)) return STEPS[i] * power;
   return 10 * power;
 }
 

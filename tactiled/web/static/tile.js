@@ -10,12 +10,9 @@ import { measure, measures } from "./measures.js";
 import { words } from "./notice.js";
 import { fixed, say } from "./paint.js";
 import { Plane } from "./plane.js";
-import { Stream } from "./stream.js";
-import { RESTORED } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 
-const RATE_HZ = 15;
 const AGAIN_MS = 2000; // until a shape is asked for again that could not be had
 
 /**
@@ -34,10 +31,11 @@ function make(tag, name, ...children) {
 export class Tile {
   /**
    * @param {string} name of the sensor
+   * @param {import("./streams.js").Streams} streams that it is one of
    * @param {() => void} onImage there is something to paint
    * @param {() => void} onChoose
    */
-  constructor(name, onImage, onChoose) {
+  constructor(name, streams, onImage, onChoose) {
     this.name = name;
     /** Largest pressure of the newest image, kPa. */
     this.peak = 0;
@@ -60,8 +58,14 @@ export class Tile {
     this._kpa = new Float32Array(0);
     /** @type {Plane|null} */
     this._plane = null;
-    /** @type {Stream|null} */
-    this._stream = null;
+    this._part = streams.part(name, {
+      onImage: (image) => this._take(image),
+      onStatus: (status) => {
+        this._status = status;
+        this._toldAt = performance.now();
+      },
+      onLink: () => this._ask(),
+    });
     /** @type {import("./stream.js").Status|null} */
     this._status = null;
     this._toldAt = 0;
@@ -70,7 +74,7 @@ export class Tile {
     this._stopped = false;
   }
 
-  /** Learn the sensor's shape, again and again until it is there, and watch it. */
+  /** Learn the sensor's shape, again and again until it is there, and ask for its images. */
   async start() {
     try {
       const plane = new Plane(await api.geometry(this.name));
@@ -84,19 +88,17 @@ export class Tile {
       if (!this._stopped) setTimeout(() => this._stopped || this.start(), AGAIN_MS);
       return;
     }
-    this._stream = new Stream(api.tileUrl(this.name, RATE_HZ), [RESTORED], {
-      onImages: (images) => this._take(images[RESTORED]),
-      onStatus: (status) => {
-        this._status = status;
-        this._toldAt = performance.now();
-      },
-      onLink: () => this._stream?.next(),
-    });
+    this._ask();
   }
 
+  /** Learn nothing any more. */
   stop() {
     this._stopped = true;
-    this._stream?.stop();
+  }
+
+  /** Ask for the next image, once it can be shown. */
+  _ask() {
+    if (this._plane) this._part.next();
   }
 
   /** Make the map as large as its box allows, true to scale. */
@@ -111,7 +113,7 @@ export class Tile {
     const plane = this._plane;
     if (!plane) return;
     if (image.kpa.length !== this._kpa.length) {
-      this._stream?.stop();
+      this._plane = null;
       this.start();
       return;
     }
@@ -125,20 +127,21 @@ export class Tile {
   }
 
   /**
+   * Show what is new.
    * @param {import("./scale.js").Scale} scale
    * @param {import("./heatmap.js").Palette} palette
+   * @param {boolean} rescaled the scale is another than the last time
    */
-  paint(scale, palette) {
-    if (!this._imageAt) return;
+  paint(scale, palette, rescaled) {
+    if (!this._fresh && !(rescaled && this._imageAt)) return;
     this._map.paint(this._kpa, scale, palette);
-    if (!this._fresh) return;
     this._fresh = false;
-    this._stream?.next();
+    this._ask();
   }
 
   /** Bring the words up to date. */
   read() {
-    const health = judge(this._stream, this._status, this._toldAt, this._imageAt);
+    const health = judge(this._plane && this._part, this._status, this._toldAt, this._imageAt);
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     say(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);

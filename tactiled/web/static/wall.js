@@ -3,13 +3,16 @@
  * @module
  */
 
+import { wallUrl } from "./api.js";
 import { Colorbar } from "./colorbar.js";
 import { byId } from "./paint.js";
+import { Streams } from "./streams.js";
 import { Tile } from "./tile.js";
 
 /** @typedef {import("./viewer.js").Viewer} Viewer */
 
 const READ_MS = 200; // between two updates of the words
+const RATE_HZ = 15;
 
 export class Wall {
   /**
@@ -24,7 +27,13 @@ export class Wall {
     this._colorbar = new Colorbar(byId("wall-colorbar"));
     /** @type {Tile[]} */
     this._tiles = [];
+    /** @type {Streams|null} */
+    this._streams = null;
     this._dirty = false;
+    /** Range of the maps as they were last painted, kPa. */
+    this._low = NaN;
+    this._high = NaN;
+    this._paint = this._paint.bind(this);
     this._timer = 0;
   }
 
@@ -39,13 +48,19 @@ export class Wall {
    */
   show(sensors) {
     const names = sensors.map((each) => each.name);
-    if (this.open && names.join("\n") === this._tiles.map((each) => each.name).join("\n")) return;
+    if (this.open && names.join("\n") === this._tiles.map((each) => each.name).join("\n")) {
+      this._streams?.retry(); // the service answers, whatever the link's own wait
+      return;
+    }
     this.close();
     this._root.hidden = false;
     byId("main").hidden = true;
-    this._tiles = names.map((name) => new Tile(name, () => this.refresh(), () => this._onChoose(name)));
+    const streams = new Streams(wallUrl(names, RATE_HZ));
+    this._tiles = names.map((name) => new Tile(name, streams, () => this.refresh(), () => this._onChoose(name)));
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));
     for (const tile of this._tiles) tile.start();
+    this._streams = streams;
+    streams.open();
     this._timer = setInterval(() => this._read(), READ_MS);
     this._colorbar.forget();
     this.refresh();
@@ -55,6 +70,7 @@ export class Wall {
   close() {
     if (!this.open) return;
     clearInterval(this._timer);
+    this._streams?.stop();
     for (const tile of this._tiles) tile.stop();
     this._tiles = [];
     this._grid.replaceChildren();
@@ -73,7 +89,7 @@ export class Wall {
   refresh() {
     if (this._dirty || !this.open) return;
     this._dirty = true;
-    requestAnimationFrame(() => this._paint());
+    requestAnimationFrame(this._paint);
   }
 
   _paint() {
@@ -82,13 +98,16 @@ export class Wall {
     if (!palette || !this.open) return;
     let peak = 0;
     let noise = 0;
-    for (const tile of this._tiles) {
-      peak = Math.max(peak, tile.peak);
-      noise = Math.max(noise, tile.noise);
+    for (let i = 0; i < this._tiles.length; i += 1) {
+      peak = Math.max(peak, this._tiles[i].peak);
+      noise = Math.max(noise, this._tiles[i].noise);
     }
     scale.follow(peak, noise, performance.now() / 1000);
     this._colorbar.draw(scale, palette);
-    for (const tile of this._tiles) tile.paint(scale, palette);
+    const rescaled = scale.low !== this._low || scale.high !== this._high;
+    this._low = scale.low;
+    this._high = scale.high;
+    for (let i = 0; i < this._tiles.length; i += 1) this._tiles[i].paint(scale, palette, rescaled);
   }
 
   _read() {

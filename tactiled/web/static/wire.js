@@ -17,6 +17,7 @@ export const SATURATED = 8;
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;
 const NONE = new Float32Array(0);
+const NOTHING = new DataView(NONE.buffer);
 
 /**
  * One message, taken apart. The arrays are views into the message, not copies.
@@ -35,6 +36,9 @@ const NONE = new Float32Array(0);
  * @property {Float32Array} kpa rows * columns; NaN where nothing is known; of SHEAR empty
  * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
+ * @property {DataView} view of the whole message
+ * @property {number} nameAt where the sensor's name begins in it
+ * @property {number} nameBytes 0 on a stream of one sensor
  */
 
 /** @returns {Packet} an empty packet for `parse` to fill */
@@ -42,6 +46,7 @@ export function packet() {
   return {
     kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0,
     resolutionMm: 0, microseconds: 0, iterations: 0, kpa: NONE, shear: NONE, flags: null,
+    view: NOTHING, nameAt: 0, nameBytes: 0,
   };
 }
 
@@ -71,7 +76,10 @@ export function parse(buffer, into) {
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
   const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
-  if (buffer.byteLength < HEADER_BYTES + 4 * count + flagsBytes) {
+  into.view = view;
+  into.nameAt = HEADER_BYTES + 4 * count + flagsBytes;
+  into.nameBytes = view.getUint16(12, true);
+  if (buffer.byteLength < into.nameAt + into.nameBytes) {
     throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${buffer.byteLength} bytes`);
   }
   const values = new Float32Array(buffer, HEADER_BYTES, count);
@@ -79,4 +87,16 @@ export function parse(buffer, into) {
   into.shear = into.kind === SHEAR ? values : NONE;
   into.flags = flagsBytes ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagsBytes) : null;
   return into;
+}
+
+/**
+ * Whether an image is of the sensor whose name is these bytes.
+ * @param {Packet} image
+ * @param {Uint8Array} name
+ * @returns {boolean}
+ */
+export function isOf({ view, nameAt, nameBytes }, name) {
+  if (nameBytes !== name.length) return false;
+  for (let i = 0; i < nameBytes; i += 1) if (view.getUint8(nameAt + i) !== name[i]) return false;
+  return true;
 }

@@ -1,0 +1,126 @@
+/**
+ * Restored images of several sensors on one socket, one outstanding image of each at a time.
+ * @module
+ */
+
+import { Link } from "./link.js";
+import { isOf, packet, parse } from "./wire.js";
+
+/** @typedef {import("./wire.js").Packet} Packet */
+/** @typedef {import("./stream.js").Status} Status */
+
+/**
+ * @typedef {object} Listener
+ * @property {(image: Packet) => void} onImage its views die with the call
+ * @property {(status: Status) => void} onStatus
+ * @property {() => void} onLink the link's state changed
+ */
+
+/** One sensor's part of the socket: a way of its own as far as anyone can tell. */
+export class Part {
+  /**
+   * @param {Streams} all
+   * @param {string} name of the sensor
+   * @param {Listener} listener
+   */
+  constructor(all, name, listener) {
+    this.name = name;
+    this.bytes = new TextEncoder().encode(name);
+    this.listener = listener;
+    /** When anything of this sensor was last heard, ms on performance.now's clock. */
+    this.heardAt = performance.now();
+    /** When an image was last asked for and has not come yet; 0 when none is outstanding. */
+    this.askedAt = 0;
+    this._all = all;
+    this._next = JSON.stringify({ type: "next", sensor: name });
+  }
+
+  get link() {
+    return this._all.link;
+  }
+
+  get reason() {
+    return this._all.reason;
+  }
+
+  get retryAt() {
+    return this._all.retryAt;
+  }
+
+  get attempts() {
+    return this._all.attempts;
+  }
+
+  /** Ask for the next image. */
+  next() {
+    if (this.link !== "open" || this.askedAt) return;
+    this._all.send(this._next);
+    this.askedAt = performance.now();
+  }
+}
+
+export class Streams extends Link {
+  /** @param {string} url whose sensors become parts before it is opened */
+  constructor(url) {
+    super(url);
+    /** @type {Part[]} */
+    this._parts = [];
+    this._image = packet();
+  }
+
+  /**
+   * @param {string} name of the sensor
+   * @param {Listener} listener
+   * @returns {Part}
+   */
+  part(name, listener) {
+    const part = new Part(this, name, listener);
+    this._parts.push(part);
+    return part;
+  }
+
+  /**
+   * @override
+   * @param {ArrayBuffer|string} data
+   */
+  take(data) {
+    if (typeof data === "string") this._tell(JSON.parse(data));
+    else this._show(parse(data, this._image));
+  }
+
+  /** @override */
+  forget() {
+    for (const part of this._parts) part.askedAt = 0;
+  }
+
+  /** @override */
+  changed() {
+    for (const part of this._parts) {
+      if (this.link === "open") part.heardAt = this.heardAt;
+      part.listener.onLink();
+    }
+  }
+
+  /** @param {Status} status */
+  _tell(status) {
+    const part = this._parts.find((each) => each.name === status.sensor);
+    if (status.type !== "status" || !part) return;
+    this.attempts = 0;
+    part.heardAt = this.heardAt;
+    part.listener.onStatus(status);
+  }
+
+  /** @param {Packet} image */
+  _show(image) {
+    for (let i = 0; i < this._parts.length; i += 1) {
+      const part = this._parts[i];
+      if (!isOf(image, part.bytes)) continue;
+      this.attempts = 0;
+      part.heardAt = this.heardAt;
+      part.askedAt = 0;
+      part.listener.onImage(image);
+      return;
+    }
+    throw new RangeError("an image of a sensor that was not asked for");
+  }
+}
