@@ -84,7 +84,10 @@ export class Arrows {
     /** Counts that the key tells of; 0: it is to be made anew. */
     this._told = 0;
     this._empty = true;
-    /** What is drawn: a frame's buffer is used again, but not with the same time. */
+    /**
+     * What is drawn: a frame's buffer is used again, but not with the same time.
+     * @type {{shear: Float32Array, timestamp: number}}
+     */
     this._drawn = { shear: NONE, timestamp: NaN };
   }
 
