@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tactiled.bench import pairs, silence, stability
+from tactiled.bench import claims, pairs, silence, stability
 from tactiled.bench.page import chart, table, text
 from tactiled.bench.report import Findings
 from tactiled.bench.signs import SIGNS
@@ -28,17 +28,21 @@ def failures(folder: Path, found: Findings) -> Iterator[str]:
     )
 
 
-def doubt(folder: Path) -> Iterator[str]:
+def doubt(folder: Path, found: Findings) -> Iterator[str]:
     """Claimed against true deviation."""
     yield "<h2 id='doubt'>Doubt, as claimed and as it is</h2>"
     yield text(
         "Every image comes with a standard deviation. On the line it is right; below it is cautious; in the shaded"
-        " part the image is over twice as wrong as it says. Saturated frames there carry a warning; the others"
-        " do not.",
+        " part the image is over twice as wrong as it says. Filled marks come with a warning.",
     )
     yield chart(
         folder / "calibration.svg", "Claimed standard deviation of auto against its true error, root mean squares."
     )
+    if short := claims.lines(found.sweeps, found.together):
+        yield text(
+            "The same of images that are worse than the raw one. A claim cannot know of what nobody told it."
+        )
+        yield table(claims.HEADINGS, short)
 
 
 def _alone(folder: Path, found: Findings) -> Iterator[str]:

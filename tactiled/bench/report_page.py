@@ -39,7 +39,7 @@ def write(folder: Path, found: Findings, seed: int) -> Path:
         speed(folder, found),
         limits(folder, found),
         failures(folder, found),
-        doubt(folder),
+        doubt(folder, found),
         rules(found),
     )
     said = [each for part in parts for each in part]

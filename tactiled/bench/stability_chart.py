@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -90,35 +91,29 @@ def _sweep(axes: Axes, sweep: Sweep, rows: list[Row], over: str) -> None:
 
 
 def calibration(path: Path, found: Found, method: str = "auto") -> None:
-    """Draw the deviation that a method claims against its true error, an image a mark."""
-    with figure(path, 10, 5.2) as drawn:
+    """Draw the deviation that a method claims against its true error, a mark an image, filled if it was warned."""
+    with figure(path, 10, 5.6) as drawn:
         left, right = drawn.subplots(1, 2, sharey=True, sharex=True)
-        groups = (
-            (left, "Restoration knows what goes wrong", True),
-            (right, "Nobody told it", False),
-        )
-        for axes, title, told in groups:
-            chosen = [(sweep, rows) for sweep, rows in found if sweep.told is told]
-            for number, (sweep, all_) in enumerate(chosen):
-                rows = [row for row in all_ if row.method == method and row.claimed > 0]
-                colour, mark = COLOURS[number % len(COLOURS)], "os^DvPX*<>h"[number % 11]
-                axes.plot(
-                    [r.claimed for r in rows],
-                    [r.error for r in rows],
-                    mark,
-                    color=colour,
-                    mfc="none",
-                    ms=5,
-                    mew=0.9,
-                    label=sweep.name,
-                )
-            low, high = 0.02, 200.0
-            axes.fill_between(
-                [low, high], [low / HONEST, high / HONEST], [1e3, 1e3], color="#FBEEE6", lw=0, zorder=0
-            )
-            axes.plot([low, high], [low, high], color="#444444", lw=1)
-            axes.set(xscale="log", yscale="log", xlim=(0.1, 100), ylim=(0.1, 100), title=title)
-            axes.set_xlabel("claimed standard deviation (kPa, of 100)")
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=8.5, ncols=3, handletextpad=0.1)
+        _claims(left, "Restoration knows what goes wrong", [one for one in found if one[0].told], method)
+        _claims(right, "Nobody told it", [one for one in found if not one[0].told], method)
         left.set_ylabel("true error (kPa, root mean square)")
         left.text(0.13, 60, f"more than {1 / HONEST:g} times as wrong as claimed", fontsize=9, color="#7d3600")
+
+
+def _claims(axes: Axes, title: str, found: Found, method: str) -> None:
+    for number, (sweep, all_) in enumerate(found):
+        rows = [row for row in all_ if row.method == method and row.claimed > 0]
+        colour, mark = COLOURS[number % len(COLOURS)], "os^DvPX*<>h"[number % 11]
+        style: dict[str, Any] = {"color": colour, "marker": mark, "ls": "", "ms": 5, "mew": 0.9}
+        for warned in (True, False):
+            some = [row for row in rows if (row.flagged or bool(row.warned)) is warned]
+            claimed, error = [row.claimed for row in some], [row.error for row in some]
+            axes.plot(claimed, error, mfc=colour if warned else "none", alpha=0.45 if warned else 1, **style)
+        axes.plot([], [], mfc="none", label=sweep.name, **style)
+    low, high = 0.02, 200.0
+    axes.fill_between([low, high], [low / HONEST, high / HONEST], [1e3, 1e3], color="#FBEEE6", lw=0, zorder=0)
+    axes.plot([low, high], [low, high], color="#444444", lw=1)
+    axes.set(xscale="log", yscale="log", xlim=(0.1, 100), ylim=(0.1, 100), title=title)
+    axes.set_xlabel("claimed standard deviation (kPa, of 100)")
+    axes.plot([], [], "o", color="#444444", alpha=0.45, label="filled: warned")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), fontsize=8.5, ncols=3, handletextpad=0.1)

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactiled.bench import claims
 from tactiled.bench.faults import Setting
 from tactiled.bench.lawful import lawful
 from tactiled.bench.pairs import FAULTS, Pair, combined
@@ -136,3 +137,12 @@ def test_only_silent_images_of_auto_are_asked_whether_a_press_explains_them(monk
     monkeypatch.setattr("tactiled.bench.stability.WORSE", 0.0)
     found = [row for case in sweep.make(20, SMALL) for row in rows(sweep, 20, case)]
     assert {row.method for row in found if row.lawful} == {"auto"}
+
+
+def test_claims_that_fall_short_are_counted_with_their_warnings():
+    row = replace(ROW, sweep="offset")
+    short, warned, fair = row, replace(row, claimed=2.0, warned=("tare",)), replace(row, claimed=8.0)
+    better = replace(row, over_raw=0.9, claimed=0.1)
+    found = [(SWEEP["offset"], [short, warned, fair, better]), (SWEEP["cover"], [better])]
+    assert claims.lines(found, []) == [("offset", "3", "2.5", "5.0", "2", "1 of 2")]
+    assert claims.lines([], [both("noise", "offset")]) == [("two at once", "1", "2.5", "2.5", "1", "0 of 1")]
