@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tactiled.bench.skin import Floats, Frames, Skin, covered, doubled, drawn, means, mistaken, pressed
 from tactiled.bench.truth import PEAK
 from tactiled.frames import DEAD, MISSING, SATURATED
+from tactiled.pipeline import NOISE_FRAMES
 from tactiled.simulate.array import FINER
 
 NOISE = 0.01  # of the frame's peak, where it is not what is swept
@@ -40,6 +41,7 @@ class Case:
     flags: Flags | None = None
     floor: float = 0.0  # kPa, what rounding alone makes of the noise
     before: Frames | None = None  # frames (T, ...) that a method sees before it
+    still: Frames | None = None  # frames (T, ...) that the noise is measured from; None where it is as told
 
 
 def scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats, np.random.Generator]]:
@@ -113,9 +115,12 @@ def drift(value: float, setting: Setting) -> Iterator[Case]:
 
 
 def misjudged(value: float, setting: Setting) -> Iterator[Case]:
-    """True noise over the noise told."""
-    for case in _plain(setting.skin, setting):
-        yield Case(case.scene, case.skin, case.frame, case.truth, case.noise / value)
+    """True noise over the noise told; the service measures it from frames in which nothing moves."""
+    skin = setting.skin
+    for scene, clean, truth, random in scenes(skin, setting):
+        frame, sigma = noisy(clean, NOISE, random)
+        still = (clean + random.normal(0, sigma, (NOISE_FRAMES, *clean.shape))).astype(np.float32)
+        yield Case(scene, skin, frame, truth, sigma / value, still=still)
 
 
 def _wrong(setting: Setting, **factors: float) -> Iterator[Case]:

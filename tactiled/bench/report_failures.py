@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tactiled.bench import claims, pairs, silence, stability
+from tactiled.bench import claims, pairs, silence, stability, stability_table
 from tactiled.bench.page import chart, table, text
 from tactiled.bench.report import Findings
 from tactiled.bench.signs import SIGNS
@@ -56,8 +56,8 @@ def _alone(folder: Path, found: Findings) -> Iterator[str]:
     yield chart(
         folder / "stability.svg", "Error over the raw image's; in the shaded part the raw image is the better one."
     )
-    found_ = stability.lines(stability.table(found.sweeps))
-    yield table(stability.HEADINGS, found_, good="never|yes|nothing to notice", bad="no .*|partly .*")
+    found_ = stability_table.lines(stability.table(found.sweeps))
+    yield table(stability_table.HEADINGS, found_, good="never|yes|nothing to notice", bad="no .*|partly .*")
 
 
 def _together(found: Findings) -> Iterator[str]:

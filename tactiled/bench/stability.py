@@ -14,7 +14,9 @@ from tactiled.bench.skin import Frames, Skin, rubber
 from tactiled.bench.sweeps import Sweep, sweeps
 from tactiled.bench.truth import DRAWN
 from tactiled.doubt import Doubt
+from tactiled.pipeline import LOUD
 from tactiled.restore.methods import METHODS, make
+from tactiled.restore.noise import estimate
 
 COVER = 1.5  # t/pitch, of the rubber
 OURS = tuple(name for name in METHODS if name != "raw")
@@ -22,6 +24,7 @@ THEIRS = ("skimage wiener", "skimage rl")
 BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
 WORSE = 1.02  # times the raw image's error: more is a failure
 HONEST = 0.5  # of the true error: a claimed deviation of less is no warning
+NOISY = "there is more noise than told"
 ALARMS = 0.005  # share of sound images that each sign may call doubtful
 
 
@@ -114,7 +117,9 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
 def _warned(case: Case, image: Frames, ran: str) -> tuple[str, ...]:
     flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
     doubt = Doubt(case.skin.blur, case.floor)
-    return doubt.look(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
+    said = doubt.look(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
+    loud = case.still is not None and estimate(case.still) > LOUD * case.noise
+    return (*said, NOISY) if loud else said
 
 
 def _rms(values: Any) -> float:
@@ -266,25 +271,6 @@ def table(found: Found) -> list[Failure]:
     present = list(dict.fromkeys(row.method for row in found[0][1] if row.method != "raw"))
     known = {method: limits(found, method) for method in present}
     return [failure(sweep, rows_, method, known[method]) for sweep, rows_ in found for method in present]
-
-
-HEADINGS = ("goes wrong", *OURS, *THEIRS, "auto at its worst", "noticed on auto", "by")
-
-
-def lines(failures: Sequence[Failure]) -> list[tuple[str, ...]]:
-    """The table to read, by HEADINGS: where each method is first worse than raw, and what `auto` says of it."""
-    found = []
-    for name in dict.fromkeys(one.sweep for one in failures):
-        by = {one.method: one for one in failures if one.sweep == name}
-        auto = by["auto"]
-        at = [_values(by[method].breaks_at) if method in by else "" for method in (*OURS, *THEIRS)]
-        worst = f"{auto.worst:.2f} at {auto.worst_at:g}"
-        found.append((f"{name} ({auto.unit})", *at, worst, auto.noticed or "nothing to notice", auto.by))
-    return [tuple(cell.replace("-", "−") if number else cell for number, cell in enumerate(row)) for row in found]
-
-
-def _values(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:g}" for value in values) or "never"
 
 
 def silent(found: Found, method: str = "auto") -> list[Row]:

@@ -48,7 +48,7 @@ def stability(
     draw(folder / "stability-wiener.svg", found, "wiener")
     calibration(folder / "calibration.svg", found)
     console = Console(soft_wrap=True, highlight=False)
-    console.print(_table(measure.lines(measure.table(found))))
+    console.print(_table(found))
     for line in (*_unnoticed(found), *_pairs(together), *_silent(found, together)):
         console.print(line)
     said, fine = measure.false_warnings(found, "auto"), measure.sound(found, "auto")
@@ -58,24 +58,26 @@ def stability(
     console.print("stability-pairs.csv, stability-table.csv, stability.json")
 
 
-def _table(rows: list[tuple[str, ...]]) -> Table:
-    from tactiled.bench.stability import HEADINGS
+def _table(found: "Found") -> Table:
+    from tactiled.bench.stability import table as judged
+    from tactiled.bench.stability_table import HEADINGS, lines
 
     table = Table(
         title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
     )
     for name in (*HEADINGS[:-3], "noticed"):
         table.add_column(name.replace("skimage ", "skimage\n"))
-    for row in rows:
+    for row in lines(judged(found)):
         table.add_row(*row[:-3], row[-2])
     return table
 
 
 def _unnoticed(found: "Found") -> Iterator[str]:
     """Faults of which not all is noticed by a warning, and what shows them."""
-    from tactiled.bench import stability as measure
+    from tactiled.bench.stability import table
+    from tactiled.bench.stability_table import lines
 
-    for *row, worst, noticed, by in measure.lines(measure.table(found)):
+    for *row, worst, noticed, by in lines(table(found)):
         if by or noticed.startswith("no ("):
             yield f"auto, {row[0]}: at its worst {worst}; noticed: {noticed}; {by or 'nothing would show it'}"
 

@@ -17,12 +17,12 @@ from tactiled.bench.stability import (
     curve,
     failure,
     limits,
-    lines,
     noticed,
     rows,
     shown,
     table,
 )
+from tactiled.bench.stability_table import HEADINGS, lines
 from tactiled.bench.sweeps import SWEEPS, sweeps
 from tactiled.cli.app import app
 from tactiled.config.example import GRASP
@@ -128,7 +128,7 @@ def test_table_has_a_line_for_every_sweep_and_a_failure_for_every_method():
     failures = table(found)
     assert [one.method for one in failures] == [*stability.OURS, *stability.THEIRS]
     (line,) = lines(failures)
-    assert len(line) == len(stability.HEADINGS)
+    assert len(line) == len(HEADINGS)
     assert line[0] == "offset (% of the peak)"
 
 
@@ -174,6 +174,13 @@ def test_a_configured_layout_is_swept_where_no_grid_is_needed(tmp_path):
         assert told == ["raw", *stability.OURS]
 
 
+@pytest.mark.parametrize(("value", "there"), [(0.5, False), (1, False), (3, True), (10, True)])
+def test_noise_that_the_service_measures_is_noticed(value, there):
+    sweep = SWEEP["noise misjudged"]
+    (case,) = sweep.make(value, SMALL)
+    assert all((stability.NOISY in row.warned) is there for row in rows(sweep, value, case))
+
+
 @pytest.fixture(scope="module")
 def both():
     return list(pairs.measure(Setting(rubber(1.5, 12), 1, ("punches",)), quick=True))
@@ -185,8 +192,8 @@ def test_every_pair_of_faults_is_made_and_judged(both):
     assert all(pair.over_raw["raw"] == 1 for pair in both)
     assert all(pair.failed == (pair.over_raw["auto"] > WORSE) for pair in both)
     assert max(pair.over_raw["auto"] for pair in both) == pairs.worst(both, 3)[0].over_raw["auto"]
-    lines = pairs.lines(pairs.worst(both, 3))
-    assert [len(line) for line in lines] == [len(pairs.HEADINGS)] * 3
+    found = pairs.lines(pairs.worst(both, 3))
+    assert [len(line) for line in found] == [len(pairs.HEADINGS)] * 3
 
 
 def test_a_pair_holds_both_of_its_faults():
