@@ -22,6 +22,7 @@ from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
 
 OURS = ("wiener", "rl", "rl-fast", "nnls", "tv", "points", "auto")
+MACHINE = "bare products"  # that take as long as `wiener`: their jitter is the machine's
 LUCY = 30  # iterations, of both sides
 # scikit-image has no types.
 wiener: Callable[..., NDArray[Any]] = restoration.wiener
@@ -42,7 +43,7 @@ SLIPS = 1.02  # times the raw image's error: more is a failure
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """Median microseconds a frame of everything timed at one size, and our methods' jitter.
+    """Median microseconds a frame of everything timed at one size; the jitter of our methods and of MACHINE.
 
     Jitter is the 99.9th percentile over the median, by the thread's own clock: waiting for a core is no method's.
     """
@@ -113,10 +114,25 @@ def speed(size: int, seconds: float) -> Speed:
         runs[method] = lambda restorer=restorer: restorer(press.frame)  # type: ignore[misc]
     rounds = {name: [timed(run, seconds / ROUNDS) for _ in range(ROUNDS)] for name, run in runs.items()}
     times = {name: min(float(np.median(each)) for each in found) for name, found in rounds.items()}
+    tailed = {name: runs[name] for name in OURS} | {MACHINE: _products(times["wiener"])}
     tails = {
-        name: min(_tail(timed(runs[name], seconds / ROUNDS, thread_time)) for _ in range(ROUNDS)) for name in OURS
+        name: min(_tail(timed(run, seconds / ROUNDS, thread_time)) for _ in range(ROUNDS))
+        for name, run in tailed.items()
     }
     return Speed(size, times, tails)
+
+
+def _products(microseconds: float) -> Callable[[], Any]:
+    """About as long a run of small matrix products and nothing else: its jitter is the machine's."""
+    x = np.ones((16, 16), np.float32)
+    out = np.empty_like(x)
+
+    def run(count: int = 100) -> None:
+        for _ in range(count):
+            np.dot(x, x, out=out)
+
+    count = max(round(100 * microseconds / float(np.median(timed(run, 0.0)))), 1)
+    return partial(run, count)
 
 
 def _tail(times: NDArray[np.float64]) -> float:
