@@ -10,13 +10,24 @@ PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
 
 
 @pytest.fixture(scope="session")
-def browser():
-    path = shutil.which("chromium")
+def launch():
+    """Starts a browser with these arguments."""
+    path, browsers = shutil.which("chromium"), []
     assert path, "no chromium: sh tests/run installs it"
+
+    def launch(*arguments):
+        browsers.append(playwright.chromium.launch(executable_path=path, args=["--no-sandbox", *arguments]))
+        return browsers[-1]
+
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield browser
-        browser.close()
+        yield launch
+        for browser in browsers:
+            browser.close()
+
+
+@pytest.fixture(scope="session")
+def browser(launch):
+    return launch()
 
 
 @pytest.fixture
@@ -24,7 +35,7 @@ def open_page(browser):
     """Opens the viewer; at the end, nothing may have gone wrong in the page."""
     contexts, faults = [], []
 
-    def open_page(url, width=1280, height=860, ready=PAINTED, **options):
+    def open_page(url, width=1280, height=860, ready=PAINTED, browser=browser, **options):
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()

@@ -17,7 +17,7 @@ import { theme } from "./theme.js";
 import { Viewer } from "./viewer.js";
 import { Wall } from "./wall.js";
 
-const READ_MS = 125; // between two updates of the numbers
+const READ_MS = 200; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors
 const WALL = "#/wall"; // the address of all sensors; a sensor's own has no bare slash
 

@@ -4,14 +4,16 @@
  */
 
 import { fit, inks, pen } from "./paint.js";
-import { tickText, ticks } from "./scale.js";
+import { Ticks } from "./ticks.js";
 
 /**
- * Points of one line; x must not fall.
+ * Points of one line; x must not fall. The arrays of a plain line may be rings.
  * @typedef {object} Line
  * @property {Float64Array} x
  * @property {Float64Array} y
+ * @property {number} first the index of the first point
  * @property {number} length points in use
+ * @property {number} zero the x that is drawn as 0
  * @property {"raw"|"restored"|"accent"} ink
  * @property {"plain"|"steps"|"dots"} style
  * @property {Float64Array|null} spread half the height of the band about the line, at each point; null for none
@@ -24,7 +26,7 @@ import { tickText, ticks } from "./scale.js";
  * @returns {Line}
  */
 export function line(capacity, ink, style = "plain") {
-  return { x: new Float64Array(capacity), y: new Float64Array(capacity), length: 0, ink, style, spread: null };
+  return { x: new Float64Array(capacity), y: new Float64Array(capacity), first: 0, length: 0, zero: 0, ink, style, spread: null };
 }
 
 /**
@@ -42,67 +44,6 @@ const SIDE = 46;
 const HEAD = 20;
 const FOOT = 34;
 const TAIL = 12;
-const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
-
-/**
- * @param {number} power
- * @returns {string} ten to that power
- */
-function decade(power) {
-  if (power === 0) return "1";
-  if (power === -1) return "0.1";
-  return `10${power < 0 ? "⁻" : ""}${SUPERSCRIPTS[Math.abs(power)]}`;
-}
-
-/** The ticks of an axis with their texts, made anew only where the axis has changed. */
-class Ticks {
-  constructor() {
-    /** @type {number[]} */
-    this.values = [];
-    /** @type {string[]} */
-    this.texts = [];
-    this._low = this._high = this._most = NaN;
-  }
-
-  /**
-   * @param {number} low
-   * @param {number} high
-   * @param {number} most
-   * @returns {boolean} they are as they were
-   */
-  _same(low, high, most) {
-    if (low === this._low && high === this._high && most === this._most) return true;
-    this._low = low;
-    this._high = high;
-    this._most = most;
-    return false;
-  }
-
-  /**
-   * @param {number} low
-   * @param {number} high
-   * @param {number} most how many at most, about
-   * @returns {this}
-   */
-  even(low, high, most) {
-    if (this._same(low, high, most)) return this;
-    this.values = ticks(low, high, most);
-    this.texts = this.values.map((each) => tickText(each, high - low));
-    return this;
-  }
-
-  /**
-   * @param {number} low power of ten
-   * @param {number} high
-   * @returns {this}
-   */
-  decades(low, high) {
-    if (this._same(low, high, Infinity)) return this;
-    this.values = Array.from({ length: Math.floor(high) - Math.ceil(low) + 1 }, (_, i) => Math.ceil(low) + i);
-    this.texts = this.values.map(decade);
-    return this;
-  }
-}
 
 export class Chart {
   /** @param {HTMLCanvasElement} canvas */
@@ -113,6 +54,12 @@ export class Chart {
     this._font = `12px ${this._ink.font}`;
     this._across = new Ticks();
     this._up = new Ticks();
+    /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
+    this._ground = pen(document.createElement("canvas"));
+    /** What is painted there. */
+    this._shown = { left: NaN, right: NaN, bottom: NaN, top: NaN, ratio: NaN, ink: this._ink };
+    /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
+    this._w = this._h = this._sx = this._sy = 0;
   }
 
   /** Take the colours of the theme as it is now. */
@@ -127,56 +74,79 @@ export class Chart {
    * @param {string} [cursorText] what to say beside it
    */
   draw(axes, lines, cursor = NaN, cursorText = "") {
-    const width = this.canvas.clientWidth;
-    const height = this.canvas.clientHeight;
+    const { canvas } = this;
+    const width = canvas.clientWidth;
+    const height = canvas.clientHeight;
     if (width < SIDE + TAIL + 10 || height < HEAD + FOOT + 10) return;
-    const ratio = fit(this.canvas, width, height);
+    const ratio = fit(canvas, width, height);
+    this._w = width - SIDE - TAIL;
+    this._h = height - HEAD - FOOT;
+    this._sx = this._w / (axes.right - axes.left);
+    this._sy = this._h / (axes.top - axes.bottom);
+    this._axes(axes, ratio);
     const draw = this._pen;
-    const ink = this._ink;
+    draw.setTransform(1, 0, 0, 1, 0, 0);
+    draw.clearRect(0, 0, canvas.width, canvas.height);
+    draw.drawImage(this._ground.canvas, 0, 0);
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
-    draw.clearRect(0, 0, width, height);
-    draw.font = this._font;
-    draw.lineWidth = 1;
-    const w = width - SIDE - TAIL;
-    const h = height - HEAD - FOOT;
-    const sx = w / (axes.right - axes.left);
-    const sy = h / (axes.top - axes.bottom);
-    this._grid(axes, w, h, sx, sy);
-    if (cursor >= axes.left && cursor <= axes.right) {
-      const x = SIDE + (cursor - axes.left) * sx;
-      draw.strokeStyle = ink.text;
-      draw.beginPath();
-      draw.setLineDash([3, 3]);
-      draw.moveTo(x, HEAD);
-      draw.lineTo(x, HEAD + h);
-      draw.stroke();
-      draw.setLineDash([]);
-      if (cursorText) {
-        const right = x + 6 + draw.measureText(cursorText).width > SIDE + w;
-        draw.fillStyle = ink.text;
-        draw.textAlign = right ? "right" : "left";
-        draw.textBaseline = "top";
-        draw.fillText(cursorText, x + (right ? -6 : 6), HEAD + 2);
-      }
-    }
+    if (cursor >= axes.left && cursor <= axes.right) this._cursor(SIDE + (cursor - axes.left) * this._sx, cursorText);
     draw.save();
     draw.beginPath();
-    draw.rect(SIDE, HEAD - 2, w, h + 4);
+    draw.rect(SIDE, HEAD - 2, this._w, this._h + 4);
     draw.clip();
-    for (const each of lines) if (each.spread) this._band(each, each.spread, axes, h, sx, sy);
-    for (const each of lines) this._line(each, axes, h, sx, sy);
+    for (let k = 0; k < lines.length; k += 1) this._band(lines[k], axes);
+    for (let k = 0; k < lines.length; k += 1) this._line(lines[k], axes);
     draw.restore();
+  }
+
+  /**
+   * @param {number} x CSS px
+   * @param {string} text
+   */
+  _cursor(x, text) {
+    const draw = this._pen;
+    draw.font = this._font;
+    draw.lineWidth = 1;
+    draw.strokeStyle = draw.fillStyle = this._ink.text;
+    draw.beginPath();
+    draw.setLineDash([3, 3]);
+    draw.moveTo(x, HEAD);
+    draw.lineTo(x, HEAD + this._h);
+    draw.stroke();
+    draw.setLineDash([]);
+    if (!text) return;
+    const right = x + 6 + draw.measureText(text).width > SIDE + this._w;
+    draw.textAlign = right ? "right" : "left";
+    draw.textBaseline = "top";
+    draw.fillText(text, x + (right ? -6 : 6), HEAD + 2);
+  }
+
+  /**
+   * Paint the axes where they, the size or the theme have changed.
+   * @param {Axes} axes
+   * @param {number} ratio device px a CSS px
+   */
+  _axes(axes, ratio) {
+    const { left, right, bottom, top } = axes;
+    const { _ground: draw, _shown: shown, _ink: ink, canvas } = this;
+    const size = draw.canvas.width === canvas.width && draw.canvas.height === canvas.height;
+    if (size && shown.left === left && shown.right === right && shown.bottom === bottom && shown.top === top
+      && shown.ratio === ratio && shown.ink === ink) return;
+    this._shown = { left, right, bottom, top, ratio, ink };
+    draw.canvas.width = canvas.width; // which clears it, too
+    draw.canvas.height = canvas.height;
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+    draw.font = this._font;
+    this._grid(axes, this._w, this._h);
   }
 
   /**
    * @param {Axes} axes
    * @param {number} w
    * @param {number} h
-   * @param {number} sx
-   * @param {number} sy
    */
-  _grid(axes, w, h, sx, sy) {
-    const draw = this._pen;
+  _grid(axes, w, h) {
+    const draw = this._ground;
     const ink = this._ink;
     draw.strokeStyle = ink.line;
     draw.fillStyle = ink.muted;
@@ -185,7 +155,7 @@ export class Chart {
     const up = axes.decades ? this._up.decades(axes.bottom, axes.top) : this._up.even(axes.bottom, axes.top, h / 28);
     draw.beginPath();
     for (let i = 0; i < up.values.length; i += 1) {
-      const y = Math.round(HEAD + h - (up.values[i] - axes.bottom) * sy) + 0.5;
+      const y = Math.round(HEAD + h - (up.values[i] - axes.bottom) * this._sy) + 0.5;
       draw.moveTo(SIDE, y);
       draw.lineTo(SIDE + w, y);
       draw.fillText(up.texts[i], SIDE - 6, y);
@@ -194,7 +164,7 @@ export class Chart {
     draw.textAlign = "center";
     const across = this._across.even(axes.left, axes.right, w / 60);
     for (let i = 0; i < across.values.length; i += 1) {
-      const x = Math.round(SIDE + (across.values[i] - axes.left) * sx) + 0.5;
+      const x = Math.round(SIDE + (across.values[i] - axes.left) * this._sx) + 0.5;
       draw.moveTo(x, HEAD + h);
       draw.lineTo(x, HEAD + h + 4);
       draw.fillText(across.texts[i], x, HEAD + h + 6);
@@ -210,15 +180,13 @@ export class Chart {
 
   /**
    * @param {Line} of
-   * @param {Float64Array} spread
    * @param {Axes} axes
-   * @param {number} h
-   * @param {number} sx
-   * @param {number} sy
    */
-  _band(of, spread, axes, h, sx, sy) {
-    const draw = this._pen;
-    const floor = HEAD + h + axes.bottom * sy;
+  _band(of, axes) {
+    const { _pen: draw, _sx: sx, _sy: sy } = this;
+    const { spread } = of;
+    if (!spread) return;
+    const floor = HEAD + this._h + axes.bottom * sy;
     const wide = of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : of.style === "dots" ? 2 : 0;
     draw.fillStyle = this._ink[of.ink];
     draw.globalAlpha = 0.28;
@@ -236,42 +204,44 @@ export class Chart {
   /**
    * @param {Line} of
    * @param {Axes} axes
-   * @param {number} h
-   * @param {number} sx
-   * @param {number} sy
    */
-  _line(of, axes, h, sx, sy) {
-    const draw = this._pen;
-    const floor = HEAD + h;
+  _line(of, axes) {
+    const { _pen: draw, _sx: sx, _sy: sy } = this;
+    const floor = HEAD + this._h;
+    const from = of.zero + axes.left;
+    const half = of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : 0;
     draw.strokeStyle = draw.fillStyle = this._ink[of.ink];
     draw.lineWidth = 2;
     draw.lineJoin = "round";
     draw.beginPath();
     let down = false;
-    for (let i = 0; i < of.length; i += 1) {
-      const value = of.y[i];
+    for (let i = 0, at = of.first; i < of.length; i += 1, at = at + 1 < of.x.length ? at + 1 : 0) {
+      const value = of.y[at];
       if (value !== value) {
         down = false;
         continue;
       }
-      const x = SIDE + (of.x[i] - axes.left) * sx;
+      const x = SIDE + (of.x[at] - from) * sx;
       const y = floor - (value - axes.bottom) * sy;
-      if (of.style === "steps") {
-        const left = i ? (of.x[i] - of.x[i - 1]) / 2 : (of.x[1] - of.x[0]) / 2;
-        const right = i + 1 < of.length ? (of.x[i + 1] - of.x[i]) / 2 : left;
-        if (down) draw.lineTo(x - left * sx, y);
-        else draw.moveTo(x - left * sx, y);
-        draw.lineTo(x + right * sx, y);
-      } else if (down) draw.lineTo(x, y);
-      else draw.moveTo(x, y);
+      if (down) draw.lineTo(x - half, y);
+      else draw.moveTo(x - half, y);
+      if (half) draw.lineTo(x + half, y);
       down = true;
     }
     draw.stroke();
-    if (of.style !== "dots") return;
+    if (of.style === "dots") this._dots(of, axes);
+  }
+
+  /**
+   * @param {Line} of
+   * @param {Axes} axes
+   */
+  _dots(of, axes) {
+    const { _pen: draw, _sx: sx, _sy: sy } = this;
     for (let i = 0; i < of.length; i += 1) {
       if (of.y[i] !== of.y[i]) continue;
       draw.beginPath();
-      draw.arc(SIDE + (of.x[i] - axes.left) * sx, floor - (of.y[i] - axes.bottom) * sy, 3, 0, 2 * Math.PI);
+      draw.arc(SIDE + (of.x[i] - axes.left) * sx, HEAD + this._h - (of.y[i] - axes.bottom) * sy, 3, 0, 2 * Math.PI);
       draw.fill();
     }
   }

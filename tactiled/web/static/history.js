@@ -16,6 +16,7 @@ const NO_FLAGS = new Uint8Array(0);
 /**
  * One frame as kept.
  * @typedef {object} Frame
+ * @property {number} place in the history's rings
  * @property {Float32Array} raw kPa
  * @property {Float32Array} restored kPa
  * @property {Uint8Array} flags
@@ -27,7 +28,6 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
- * @property {number} latency ms until it was painted; NaN where it never was
  * @property {boolean} saturated any taxel is
  * @property {Float32Array} shear counts along x of all taxels, then along y; empty where the skin feels none
  * @property {boolean} sheared its shear is known
@@ -49,13 +49,20 @@ export class History {
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
     const shear = new Float32Array(this.capacity * s);
+    /** Rings of what is drawn over time, one value a frame at its place: Unix s, N, N, and ms (NaN if never painted). */
+    this.times = new Float64Array(this.capacity);
+    this.rawForces = new Float64Array(this.capacity);
+    this.restoredForces = new Float64Array(this.capacity);
+    this.latencies = new Float64Array(this.capacity);
     /** @type {Frame[]} */
     this._frames = Array.from({ length: this.capacity }, (_, i) => ({
+      place: i,
       raw: raw.subarray(i * n, (i + 1) * n),
       restored: restored.subarray(i * m, (i + 1) * m),
       flags: flags.subarray(i * n, (i + 1) * n),
-      sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0, resolutionMm: 0, microseconds: 0,
-      iterations: 0, latency: NaN, saturated: false, ofRaw: measures(), ofRestored: measures(),
+      // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
+      sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
+      iterations: 0, saturated: false, ofRaw: measures(), ofRestored: measures(),
       shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
     this._head = 0;
@@ -109,11 +116,14 @@ export class History {
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
-    frame.latency = NaN;
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);
     measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored);
+    this.times[frame.place] = frame.timestamp;
+    this.rawForces[frame.place] = frame.ofRaw.force;
+    this.restoredForces[frame.place] = frame.ofRestored.force;
+    this.latencies[frame.place] = NaN;
     return frame;
   }
 
@@ -122,7 +132,14 @@ export class History {
    * @returns {Frame|null}
    */
   at(back) {
-    if (back < 0 || back >= this.length) return null;
-    return this._frames[(this._head - 1 - back + 2 * this.capacity) % this.capacity];
+    return back < 0 || back >= this.length ? null : this._frames[this.place(back)];
+  }
+
+  /**
+   * @param {number} back 0 for the newest frame, 1 for the one before it, ...
+   * @returns {number} where it is in the rings
+   */
+  place(back) {
+    return (this._head - 1 - back + 2 * this.capacity) % this.capacity;
   }
 }

@@ -21,7 +21,7 @@ const SHARE = 0.1; // of the peak from which a cell counts towards the centre
 
 /** @returns {Measures} */
 export function measures() {
-  return { force: 0, peak: 0, peakIndex: -1, contact: false, x: NaN, y: NaN, unknown: 0 };
+  return { force: NaN, peak: NaN, peakIndex: -1, contact: false, x: NaN, y: NaN, unknown: 0 };
 }
 
 /**

@@ -39,6 +39,11 @@ export class Overlay {
     /** Left, top, right and bottom of the labels that are drawn already, device px. */
     this._taken = new Float64Array(4 * 64);
     this._labels = 0;
+    /** What is drawn, but for crosses on saturated taxels; `known` is false where that must be drawn anew. */
+    this._drawn = {
+      known: false, lineY: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
+      contacts: /** @type {Contact[]|null} */ (null),
+    };
   }
 
   /**
@@ -49,22 +54,25 @@ export class Overlay {
     this._plane = plane;
     this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
+    this._drawn.known = false;
   }
 
   /** Show nothing. */
   clear() {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._drawn.known = false;
   }
 
   /**
+   * Draw the marks where they are others than the last time, which of many frames they are not.
    * @param {Marks} marks
    * @param {import("./measures.js").Measures} measures of the map's image
    * @param {Uint8Array|null} flags of the raw image; null where nothing is saturated
    */
   draw(marks, measures, flags) {
     const plane = this._plane;
-    if (!plane) return;
-    this.clear();
+    if (!plane || this._same(marks, measures, flags !== null)) return;
+    this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineY)) this._line((marks.lineY - plane.top) * this._px);
     if (marks.contacts) this._contacts(marks.contacts, plane);
@@ -79,6 +87,31 @@ export class Overlay {
   }
 
   /**
+   * @param {Marks} marks
+   * @param {import("./measures.js").Measures} measures
+   * @param {boolean} crossed taxels are
+   * @returns {boolean} all that is drawn already; if not, it is taken down as drawn
+   */
+  _same(marks, measures, crossed) {
+    const drawn = this._drawn;
+    const ringed = !marks.contacts && measures.contact;
+    const ringX = ringed ? measures.x : NaN;
+    const ringY = ringed ? measures.y : NaN;
+    if (drawn.known && !crossed && drawn.contacts === marks.contacts && drawn.pinned === marks.pinned
+      && Object.is(drawn.lineY, marks.lineY) && Object.is(drawn.ringX, ringX) && Object.is(drawn.ringY, ringY)
+      && Object.is(drawn.probeX, marks.probeX) && Object.is(drawn.probeY, marks.probeY)) return true;
+    drawn.known = !crossed;
+    drawn.contacts = marks.contacts;
+    drawn.pinned = marks.pinned;
+    drawn.lineY = marks.lineY;
+    drawn.ringX = ringX;
+    drawn.ringY = ringY;
+    drawn.probeX = marks.probeX;
+    drawn.probeY = marks.probeY;
+    return false;
+  }
+
+  /**
    * @param {Contact[]} contacts
    * @param {Plane} plane
    */
@@ -86,12 +119,14 @@ export class Overlay {
     const draw = this._pen;
     const least = LEAST * this._ratio;
     draw.beginPath();
-    for (const each of contacts) {
-      const x = (each.x_mm - plane.left) * this._px;
-      const y = (each.y_mm - plane.top) * this._px;
-      const major = Math.max(least, OUTLINE * each.major_mm * this._px);
-      const minor = Math.max(least, OUTLINE * each.minor_mm * this._px);
-      draw.moveTo(x + major * Math.cos(each.angle_rad), y + major * Math.sin(each.angle_rad));
+    for (let i = 0; i < contacts.length; i += 1) {
+      const each = contacts[i];
+      // Whole pixels: any other number that is handed to the browser is an object for the collector.
+      const x = Math.round((each.x_mm - plane.left) * this._px);
+      const y = Math.round((each.y_mm - plane.top) * this._px);
+      const major = Math.round(Math.max(least, OUTLINE * each.major_mm * this._px));
+      const minor = Math.round(Math.max(least, OUTLINE * each.minor_mm * this._px));
+      draw.moveTo(Math.round(x + major * Math.cos(each.angle_rad)), Math.round(y + major * Math.sin(each.angle_rad)));
       draw.ellipse(x, y, major, minor, each.angle_rad, 0, 2 * Math.PI);
       this._cross(x, y, CROSS * this._ratio);
     }
@@ -101,7 +136,7 @@ export class Overlay {
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
-    for (const each of contacts) this._label(each, plane);
+    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], plane);
   }
 
   /**

@@ -26,7 +26,7 @@ export class Pace {
   /**
    * A frame is on the screen for the first time.
    * @param {number} now ms, on performance.now's clock
-   * @param {Frame} frame whose latency is noted
+   * @param {Frame} frame
    */
   paint(now, frame) {
     this._times[this.painted % KEPT] = now;
@@ -34,7 +34,7 @@ export class Pace {
     const at = Date.now() / 1000;
     this._skew = Math.min(this._skew, at - frame.sent);
     const way = at - frame.sent - (this.clocksDiffer ? this._skew : 0);
-    this.latency = frame.latency = (way + frame.sent - frame.timestamp) * 1000;
+    this.latency = (way + frame.sent - frame.timestamp) * 1000;
   }
 
   /** @returns {boolean} the two clocks are too far apart to compare, and the way over the network is left out */

@@ -57,6 +57,9 @@ export class Readings {
     ].map((id) => [id, byId(id)]));
     this._warnings = byId("warnings");
     this._warned = "";
+    /** @type {Status|null} */
+    this._told = null;
+    this._live = false;
   }
 
   /**
@@ -113,6 +116,9 @@ export class Readings {
    * @param {boolean} live what the status says still holds
    */
   status(status, live) {
+    if (status && status === this._told && live === this._live) return;
+    this._told = status;
+    this._live = live;
     const at = this._at;
     say(at.ran, status?.ran ? methodTitle(status.ran) : "\u2013");
     say(at.why, status?.why ?? "");

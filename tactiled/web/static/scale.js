@@ -6,6 +6,7 @@
 const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
 const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
+const TIGHT = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
 const LEAST_KPA = 1;
 
 /**
@@ -16,6 +17,18 @@ export function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   for (let i = 0; i < STEPS.length; i += 1) if (STEPS[i] * power >= value * (1 - 1e-9)) return STEPS[i] * power;
   return 10 * power;
+}
+
+/**
+ * Hold a range while the data fill it well, so that it does not flicker.
+ * @param {number} top of the range, a round number; 0 for none yet
+ * @param {number} most that it must hold, above 0
+ * @returns {number} the top from now on
+ */
+export function hold(top, most) {
+  if (most <= top && most > TIGHT * top) return top; // as nearly always: rounding makes garbage
+  const wanted = roundUp(most);
+  return wanted > top || roundUp(most / HYSTERESIS) < top ? wanted : top;
 }
 
 export class Scale {
@@ -48,8 +61,7 @@ export class Scale {
     this._time = time;
     this._peak = Math.max(peak, this._least, 15 * noise, this._peak * Math.exp(-gone / DECAY_S));
     if (!this.auto) return;
-    const wanted = roundUp(this._peak);
-    if (wanted > this.high || roundUp(this._peak / HYSTERESIS) < this.high) this.high = wanted;
+    this.high = hold(this.high, this._peak);
   }
 
   /**

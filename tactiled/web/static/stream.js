@@ -110,7 +110,9 @@ export class Stream extends Link {
     if (!this._kinds.includes(one.kind)) throw new RangeError(`an image of kind ${one.kind} was not asked for`);
     this._scratch = this._images[one.kind];
     this._images[one.kind] = one;
-    for (const kind of this._kinds) if (this._images[kind].sequence !== one.sequence) return;
+    for (let i = 0; i < this._kinds.length; i += 1) {
+      if (this._images[this._kinds[i]].sequence !== one.sequence) return;
+    }
     this.askedAt = 0;
     this._listener.onImages(this._images);
     this._part();
@@ -118,6 +120,6 @@ export class Stream extends Link {
 
   /** An image seen so far is no part of a frame still to come. */
   _part() {
-    for (const image of this._images) image.sequence = -1;
+    for (let i = 0; i < this._images.length; i += 1) this._images[i].sequence = -1;
   }
 }

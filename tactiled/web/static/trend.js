@@ -4,17 +4,9 @@
  */
 
 import { Chart, line } from "./chart.js";
-import { roundUp } from "./scale.js";
+import { hold, roundUp } from "./scale.js";
 
 /** @typedef {import("./history.js").History} History */
-/** @typedef {import("./history.js").Frame} Frame */
-
-/**
- * @typedef {object} Series
- * @property {"raw"|"restored"|"accent"} ink
- * @property {(frame: Frame, into: Float64Array, at: number) => void} put what is drawn of a frame; NaN for nothing.
- *   Written, not returned: a returned number would be an object for the collector, thousands of them a second
- */
 
 const SPAN_S = 10;
 
@@ -23,23 +15,25 @@ export class Trend {
    * @param {HTMLCanvasElement} canvas
    * @param {string} unit
    * @param {number} least that the axis always reaches
-   * @param {Series[]} series
    */
-  constructor(canvas, unit, least, series) {
+  constructor(canvas, unit, least) {
     this.chart = new Chart(canvas);
-    this._series = series;
     this._least = least;
-    this._lines = series.map((each) => line(0, each.ink));
+    /** @type {import("./chart.js").Line[]} */
+    this._lines = [];
     /** @type {import("./chart.js").Axes} */
     this._axes = { left: -SPAN_S, right: 0, bottom: 0, top: 1, x: "time, s", y: unit };
     this._most = 0;
     this._lowest = 0;
   }
 
-  /** @param {History} history */
-  use(history) {
-    this._lines = this._series.map((each) => line(history.capacity, each.ink));
-    this._axes.top = roundUp(this._least);
+  /**
+   * @param {History} history
+   * @param {["raw"|"restored"|"accent", Float64Array][]} rings the history's that are drawn, each with its ink
+   */
+  use(history, rings) {
+    this._lines = rings.map(([ink, y]) => ({ ...line(0, ink), x: history.times, y }));
+    this._axes.top = 0;
   }
 
   /**
@@ -47,37 +41,45 @@ export class Trend {
    * @param {number} back which frame is shown
    */
   draw(history, back) {
-    this._collect(history);
-    const top = roundUp(this._most);
-    if (top > this._axes.top || roundUp(this._most / 0.85) < this._axes.top) this._axes.top = top;
-    this._axes.bottom = this._lowest < -0.05 * top ? -roundUp(-this._lowest) : -0.06 * top;
-    const newest = history.at(0);
-    const shown = back ? history.at(back) : null;
-    this.chart.draw(this._axes, this._lines, shown && newest ? shown.timestamp - newest.timestamp : NaN);
+    const { times } = history;
+    const count = this._look(history);
+    const newest = history.place(0);
+    for (let k = 0; k < this._lines.length; k += 1) {
+      const each = this._lines[k];
+      each.length = count;
+      each.first = history.place(count - 1);
+      each.zero = times[newest];
+    }
+    const { top } = this._axes;
+    this._axes.top = hold(top, this._most);
+    this._axes.bottom = this._lowest < -0.05 * this._axes.top ? -roundUp(-this._lowest) : -0.06 * this._axes.top;
+    this.chart.draw(this._axes, this._lines, back ? times[history.place(back)] - times[newest] : NaN);
   }
 
-  /** @param {History} history */
-  _collect(history) {
-    const newest = history.at(0);
-    let n = 0;
+  /**
+   * Look for the extremes of the last seconds.
+   * @param {History} history
+   * @returns {number} how many frames that is
+   */
+  _look(history) {
+    const { times, capacity, length } = history;
+    const lines = this._lines;
+    let at = history.place(0);
+    const since = times[at] - SPAN_S;
     let most = this._least; // in variables of its own: a number in a field may be an object for every change
     let lowest = 0;
-    for (let i = newest ? history.length - 1 : -1; newest && i >= 0; i -= 1) {
-      const frame = history.at(i);
-      const age = frame ? frame.timestamp - newest.timestamp : NaN;
-      if (!frame || !(age >= -SPAN_S && age <= 0)) continue;
-      for (let k = 0; k < this._series.length; k += 1) {
-        const { x, y } = this._lines[k];
-        x[n] = age;
-        this._series[k].put(frame, y, n);
-        const value = y[n];
+    let count = 0;
+    while (count < length && times[at] >= since) {
+      for (let k = 0; k < lines.length; k += 1) {
+        const value = lines[k].y[at];
         if (value > most) most = value;
         if (value < lowest) lowest = value;
       }
-      n += 1;
+      count += 1;
+      at = at ? at - 1 : capacity - 1;
     }
     this._most = most;
     this._lowest = lowest;
-    for (const each of this._lines) each.length = n;
+    return count;
   }
 }

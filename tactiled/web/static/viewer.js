@@ -35,13 +35,8 @@ export class Viewer {
     this.scale = new Scale();
     this.maps = new Maps();
     this.section = new Section(byId("section"));
-    this.forces = new Trend(byId("forces"), "N", 0.1, [
-      { ink: "raw", put: (frame, into, at) => { into[at] = frame.ofRaw.force; } },
-      { ink: "restored", put: (frame, into, at) => { into[at] = frame.ofRestored.force; } },
-    ]);
-    this.latencies = new Trend(byId("latencies"), "ms", 5, [
-      { ink: "accent", put: (frame, into, at) => { into[at] = frame.latency; } },
-    ]);
+    this.forces = new Trend(byId("forces"), "N", 0.1);
+    this.latencies = new Trend(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new Pace();
     this.probe = new Probe([this.maps.raw, this.maps.restored], () => this.refresh());
@@ -91,6 +86,7 @@ export class Viewer {
     if (!this._fresh || !frame) return;
     this._fresh = false;
     this.pace.paint(now, frame);
+    session.history.latencies[frame.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
     session.done();
   }
@@ -225,8 +221,9 @@ export class Viewer {
       onContacts: () => this.refresh(),
       onOther: () => this.again(name),
     });
-    this.forces.use(this.session.history);
-    this.latencies.use(this.session.history);
+    const { history } = this.session;
+    this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
+    this.latencies.use(history, [["accent", history.latencies]]);
     this.refresh();
     this._listener.onChange();
   }

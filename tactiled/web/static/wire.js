@@ -44,8 +44,8 @@ const NOTHING = new DataView(NONE.buffer);
 /** @returns {Packet} an empty packet for `parse` to fill */
 export function packet() {
   return {
-    kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: 0, sent: 0, noiseKpa: 0, noiseGain: 0,
-    resolutionMm: 0, microseconds: 0, iterations: 0, kpa: NONE, shear: NONE, flags: null,
+    kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN,
+    resolutionMm: NaN, microseconds: NaN, iterations: 0, kpa: NONE, shear: NONE, flags: null,
     view: NOTHING, nameAt: 0, nameBytes: 0,
   };
 }
