@@ -59,16 +59,17 @@ def stability(
 
 
 def _table(found: "Found") -> Table:
+    """Which methods break at each fault, and where; a column for each would be too narrow to read."""
     from tactiled.bench.stability import table as judged
     from tactiled.bench.stability_table import HEADINGS, lines
 
-    table = Table(
-        title="First value at which the mean error is over 1.02 times the raw image's", title_justify="left"
-    )
-    for name in (*HEADINGS[:-3], "noticed"):
-        table.add_column(name.replace("skimage ", "skimage\n"))
+    table = Table(title="Methods whose mean error is over 1.02 times the raw image's", title_justify="left")
+    for name in ("goes wrong", "worse than raw from", "noticed on auto"):
+        table.add_column(name)
     for row in lines(judged(found)):
-        table.add_row(*row[:-3], row[-2])
+        cells = dict(zip(HEADINGS, row, strict=True))
+        broken = [f"{name} {cells[name]}" for name in HEADINGS[1:-3] if cells[name] not in ("never", "")]
+        table.add_row(cells["goes wrong"], "; ".join(broken) or "none", cells["noticed on auto"])
     return table
 
 

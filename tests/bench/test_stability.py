@@ -143,6 +143,8 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
         assert (tmp_path / name).read_text().startswith("<?xml")
     together = list(csv.DictReader((tmp_path / "stability-pairs.csv").read_text().splitlines()))
     assert {row["sweep"] for row in together} == {"noise 10 % with offset 5 %"}
+    assert "offset (% of the peak)" in told.output
+    assert max(len(line) for line in told.output.splitlines() if "│" in line) <= 80
     assert "noise 10 % with offset 5 %, error over the raw image's: auto" in told.output
     written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
     expected = 2 * len(stability.OURS + stability.THEIRS)
