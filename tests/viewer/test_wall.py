@@ -1,6 +1,5 @@
 import re
 import threading
-import time
 
 import httpx
 import numpy as np
@@ -10,47 +9,12 @@ from tactiled.config import Server
 from tactiled.web import answers
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
-from tests.conftest import Rig, pressed, until
+from tests.conftest import pressed, until
 from tests.viewer.conftest import wait
 
-THUMB = """
-[sensor.thumb]
-bus = "can0"
-method = "raw"
-stale_after_s = 0.3
-codec = { name = "packed", bits = 12, fd = true, array_id = 1 }
-array = { positions_mm = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]], aperture_mm = 1.5, aperture = "round" }
-cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
-"""
 TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
 FORCES = f"{TILES}.map(text => parseFloat(text.match(/([\\d.]+) N/)?.[1]))"
 WALL_SEEN = f"{TILES}.length === 2 && {TILES}.every(text => text.includes(' N'))"
-
-
-class Pair(Rig):
-    """The palm, a grid, and the thumb, four taxels of no grid."""
-
-    def both(self, thumb=(500, 100, 100, 900)):
-        """A frame of each; waits for their images."""
-        self.show(pressed())
-        sensor = self.service.sensor("thumb")
-        for message in sensor.codec.encode(np.array(thumb, np.uint16), self.sequence % 256, time.time()):
-            self.bus.send(message)
-        until(lambda: (image := sensor.hub.latest()) and image.sequence == self.sequence)
-        return self.sensor.hub.latest(), sensor.hub.latest()
-
-
-@pytest.fixture
-def pair(request):
-    made = Pair(re.sub(r"\W", "-", request.node.name), THUMB)
-    made.service.start()
-    with running(made.service) as url:
-        made.both()
-        yield made, url
-    made.service.stop()
-    made.bus.close()
 
 
 def force(text):

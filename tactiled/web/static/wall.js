@@ -23,6 +23,7 @@ export class Wall {
     this._viewer = viewer;
     this._onChoose = onChoose;
     this._root = byId("wall");
+    this._skip = /** @type {HTMLAnchorElement} */ (byId("skip"));
     this._grid = byId("tiles");
     this._colorbar = new Colorbar(byId("wall-colorbar"));
     /** @type {Tile[]} */
@@ -55,6 +56,7 @@ export class Wall {
     this.close();
     this._root.hidden = false;
     byId("main").hidden = true;
+    this._skip.hash = "tiles";
     const streams = new Streams(wallUrl(names, RATE_HZ));
     this._tiles = names.map((name) => new Tile(name, streams, () => this.refresh(), () => this._onChoose(name)));
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));
@@ -70,12 +72,15 @@ export class Wall {
   close() {
     if (!this.open) return;
     clearInterval(this._timer);
+    const focused = this._grid.contains(document.activeElement);
     this._streams?.stop();
     for (const tile of this._tiles) tile.stop();
     this._tiles = [];
     this._grid.replaceChildren();
     this._root.hidden = true;
     byId("main").hidden = false;
+    this._skip.hash = "maps";
+    if (focused) byId("maps").focus({ preventScroll: true }); // what had it is gone
   }
 
   /** Another size or theme. */
