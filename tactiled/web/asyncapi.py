@@ -38,7 +38,7 @@ QUERY: Json = {
         "type": "string",
         "enum": ["newest", "credit"],
         "default": "newest",
-        "description": "credit: one image of each kind for each message that asks for the next",
+        "description": "credit: one image of each kind for each message asking for the next; two may be ahead",
     },
     "contacts": {"type": "string", "enum": ["0", "1"], "default": "0"},
     "token": {"type": "string", "description": "where the service asks for one"},

@@ -18,6 +18,7 @@ from tactiled.web.wish import Wish, asked_for, next_of, wish
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
 CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
+AHEAD = 2  # images of each kind that a client may have asked for and not been sent
 
 
 def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
@@ -63,8 +64,9 @@ def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish) -> list[Fe
 class _Line:
     """One sensor as one client sees it: what it has been sent and told, and when."""
 
-    def __init__(self, feed: Feed, credit: bool) -> None:
-        self.feed, self.credit = feed, credit
+    def __init__(self, feed: Feed) -> None:
+        self.feed = feed
+        self.credit = 0  # images of each kind that it has asked for
         self.sent: Image | None = None
         self.due = self.alarm = 0.0  # when it may be sent the next image; and is woken for it
         self.told: tuple[object, ...] = ()
@@ -83,7 +85,7 @@ class Stream:
     def __init__(self, socket: WebSocket, feeds: Sequence[Feed], asked: Wish, named: bool, faults: Faults) -> None:
         self._socket, self._wish, self._named = socket, asked, named
         self._faults = faults
-        self._lines = {feed.sensor.name: _Line(feed, not asked.credit) for feed in feeds}
+        self._lines = {feed.sensor.name: _Line(feed) for feed in feeds}
         self._wake = asyncio.Event()
         self._room = room(socket)
 
@@ -97,7 +99,8 @@ class Stream:
     async def _listen(self) -> None:
         while True:
             for name in next_of(await heard(self._socket), list(self._lines)):
-                self._lines[name].credit = True
+                line = self._lines[name]
+                line.credit = min(line.credit + 1, AHEAD)
             self._wake.set()
 
     async def _talk(self) -> None:
@@ -120,7 +123,7 @@ class Stream:
 
     async def _send_image(self, line: _Line) -> None:
         image = line.feed.image
-        if image is None or image is line.sent or not line.credit:
+        if image is None or image is line.sent or (self._wish.credit and not line.credit):
             return
         if self._wish.rate_hz:
             loop = asyncio.get_running_loop()
@@ -133,12 +136,12 @@ class Stream:
             line.due = now + 1 / self._wish.rate_hz
         if self._wish.form == "binary":
             messages = [line.feed.binary(kind, self._named) for kind in self._wish.kinds]
-            line.sent, line.credit = image, not self._wish.credit
+            line.sent, line.credit = image, max(0, line.credit - 1)
             for message in messages:
                 await self._socket.send_bytes(message)
         else:
             texts = [line.feed.text(kind) for kind in self._wish.kinds]
-            line.sent, line.credit = image, not self._wish.credit
+            line.sent, line.credit = image, max(0, line.credit - 1)
             for text in texts:
                 await self._socket.send_text(text)
 

@@ -27,12 +27,13 @@ def stream(url, query="", **options):
 
 
 def images(client, count, timeout=5.0):
-    """The next binary messages."""
-    got = []
+    """The next binary messages; TimeoutError where one does not come, whatever is told in text meanwhile."""
+    got, end = [], time.monotonic() + timeout
     while len(got) < count:
-        data = client.recv(timeout=timeout)
+        data = client.recv(timeout=max(0.0, end - time.monotonic()))
         if isinstance(data, bytes):
             got.append(unpack(data))
+            end = time.monotonic() + timeout
     return got
 
 
@@ -126,6 +127,21 @@ def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
         assert all(text["type"] == "status" for text in texts(client, 0.2))
         client.send('{"type": "next"}')
         assert [each.sequence for each in images(client, 2)] == [2, 2]  # the newest, not the one in between
+
+
+def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
+    with stream(url, "?flow=credit&kinds=raw") as client:
+        for _ in range(5):
+            client.send('{"type": "next"}')
+        assert client.ping().wait(2)
+        texts(client, 0.3)
+        for at in range(2):
+            rig.show(pressed(at))
+            assert images(client, 1)[0].sequence == at
+        rig.show(pressed(2))
+        assert all(text["type"] == "status" for text in texts(client, 0.3))
+        client.send('{"type": "next"}')
+        assert images(client, 1)[0].sequence == 2
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 const PRESSURES = [RAW, RESTORED];
 const ALL = [RAW, RESTORED, SHEAR];
+const AHEAD = 2; // frames under way or not painted: with one, each would wait for the asking to cross the network
 const FAR_S = 60; // between a frame and the next, from which they are not of one play
 
 export class Session {
@@ -51,6 +52,7 @@ export class Session {
     this.status = null;
     this._toldAt = 0;
     this._frameAt = 0;
+    this._unpainted = 0; // frames that came since the last painting
     this._listener = listener;
     this._shear = feels && shear;
     this.stream = new Stream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL : PRESSURES, {
@@ -95,7 +97,7 @@ export class Session {
     this.paused = to;
     if (to) return;
     this.back = 0;
-    this.stream.next();
+    this._more();
   }
 
   /**
@@ -110,7 +112,13 @@ export class Session {
 
   /** What came is on the screen. */
   done() {
-    if (!this.paused) this.stream.next();
+    this._unpainted = 0;
+    this._more();
+  }
+
+  /** Ask for what may be under way. */
+  _more() {
+    if (!this.paused) this.stream?.next(AHEAD - this._unpainted); // it tells of its first link while it is being made
   }
 
   /** @param {import("./wire.js").Packet[]} images */
@@ -130,6 +138,7 @@ export class Session {
       this.deviations.clear();
     }
     this._frameAt = performance.now();
+    this._unpainted += 1;
     this._listener.onFrame(this.history.push(raw, restored, shear));
   }
 
@@ -142,7 +151,7 @@ export class Session {
   }
 
   _linked() {
-    if (!this.paused) this.stream?.next(); // the stream tells of its first link while it is being made
+    this._more();
     this._listener.onLink();
   }
 }

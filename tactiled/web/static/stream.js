@@ -1,5 +1,5 @@
 /**
- * A sensor's stream: one outstanding pair of images at a time.
+ * A sensor's stream: never more frames under way than were asked for.
  * @module
  */
 
@@ -48,8 +48,9 @@ export class Stream extends Link {
    */
   constructor(url, kinds, listener) {
     super(url);
-    /** When a pair was last asked for and has not come yet; 0 when none is outstanding. */
+    /** Since when a frame has been waited for, ms on performance.now's clock; 0 when none is. */
     this.askedAt = 0;
+    this._asked = 0; // frames that have not come yet
     this._listener = listener;
     this._kinds = kinds;
     this._images = [packet(), packet(), packet()];
@@ -57,11 +58,14 @@ export class Stream extends Link {
     this.open();
   }
 
-  /** Ask for the next pair. */
-  next() {
-    if (this.link !== "open" || this.askedAt) return;
-    this.send(NEXT);
-    this.askedAt = performance.now();
+  /**
+   * Ask for frames until so many are under way.
+   * @param {number} count at most two: the service holds no more ready
+   */
+  next(count) {
+    if (this.link !== "open" || this._asked >= count) return;
+    if (!this._asked) this.askedAt = performance.now();
+    for (; this._asked < count; this._asked += 1) this.send(NEXT);
   }
 
   /**
@@ -85,7 +89,7 @@ export class Stream extends Link {
 
   /** @override */
   forget() {
-    this.askedAt = 0;
+    this.askedAt = this._asked = 0;
     this._part();
   }
 
@@ -113,7 +117,8 @@ export class Stream extends Link {
     for (let i = 0; i < this._kinds.length; i += 1) {
       if (this._images[this._kinds[i]].sequence !== one.sequence) return;
     }
-    this.askedAt = 0;
+    this._asked -= 1;
+    this.askedAt = this._asked ? this.heardAt : 0;
     this._listener.onImages(this._images);
     this._part();
   }
