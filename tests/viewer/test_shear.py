@@ -14,7 +14,7 @@ from tactiled.service import Service
 from tactiled.web.server import running
 from tests.skin import CONFIG, PALM, Z, rigged
 from tests.viewer.conftest import PHONE, wait
-from tests.viewer.test_access import serious
+from tests.viewer.test_access import found
 from tests.viewer.test_viewer import painted, pixels
 
 REST = np.zeros(6, int)
@@ -239,12 +239,12 @@ def test_the_probe_and_the_table_tell_shear_in_counts(rig, url, open_page):
 
 @pytest.mark.parametrize("size", [{"width": 1440, "height": 900}, PHONE], ids=["desk", "phone"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_serious_is_found_and_nothing_is_cut_off(rig, url, open_page, scheme, size):
+def test_nothing_is_found_and_nothing_is_cut_off(rig, url, open_page, scheme, size):
     rig.show(20 * X, Y)
     page = open_page(url, color_scheme=scheme, **size)
     wait(page, "!document.getElementById('shear-key').hidden")
     assert httpx.get(url + "/api/v1/sensors/skin").json()["state"] == "live"
-    assert serious(page) == []
+    assert found(page) == []
     assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
     raw, restored = (page.locator(f"#{name}").bounding_box() for name in ("raw", "restored"))
     assert raw["y"] == pytest.approx(restored["y"], abs=0.5)
