@@ -1,5 +1,6 @@
 """Readings to frames: what is lost is counted and marked, never mended."""
 
+from collections.abc import Iterable
 from dataclasses import fields
 from itertools import pairwise
 
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codecs import Codec, Shearing
 from tactiled.errors import CodecError
-from tactiled.frames import BAD, MISSING, Loss, RawFrame, Reading
+from tactiled.frames import BAD, MISSING, Loss, Message, RawFrame, Reading
 
 UNLEARN = 16  # frames in a row that are not whole, after which a learned order is forgotten
 SEAM = 3  # frames in a row with their longest pause at the same place, after which that place is their beginning
@@ -179,3 +180,20 @@ class Assembler:
                     flags[self.codec.span(segment)] = MISSING
         flags[frame.bad] |= BAD
         return flags
+
+
+def assemble(codec: Codec, messages: Iterable[Message]) -> tuple[list[RawFrame], Loss]:
+    """The frames in some messages, and what was lost; messages that mean nothing are passed over."""
+    assembler = Assembler(codec)
+    frames: list[RawFrame] = []
+    for message in messages:
+        try:
+            frames += assembler.push(codec.decode(message))
+        except CodecError:
+            continue
+    return frames, assembler.loss
+
+
+def whole(frames: Iterable[RawFrame]) -> list[RawFrame]:
+    """Those of some frames of which no taxel is missing or bad."""
+    return [each for each in frames if not each.flags.any()]

@@ -2,20 +2,17 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactiled.bus.assemble import Assembler
-from tactiled.bus.codecs import Codec, barrett, cyskin, icub, linker, packed, poweron, xela
-from tactiled.errors import CodecError
-from tactiled.frames import Message, RawFrame
+from tactiled.bus.assemble import assemble, whole
+from tactiled.bus.codecs import Codec, barrett, cyskin, icub, linker, packed, poweron, understands, xela
+from tactiled.bus.packing import Fit, counts_up, likeliest, packed_fits, shape
+from tactiled.frames import Message
 
 Key = tuple[int, bool]  # id, extended
 Traffic = Mapping[Key, list[Message]]
-BITS = range(8, 17)  # a taxel, in the packed layout
-USUAL = 12
 SETTLED = 8  # frames, in which the beginning of one without sequence numbers is learned
 
 
@@ -73,39 +70,14 @@ def _rate(times: Sequence[float]) -> float:
     return (len(times) - 1) / span if span > 0 else 0.0
 
 
-def _frames(codec: Codec, messages: Iterable[Message]) -> tuple[list[RawFrame], int]:
-    """The frames in messages, and how many messages were lost behind the first few of them."""
-    assembler = Assembler(codec)
-    frames: list[RawFrame] = []
-    for message in messages:
-        try:
-            frames += assembler.push(codec.decode(message))
-        except CodecError:
-            continue
-    return frames, assembler.loss.lost - frames[:SETTLED][-1].loss.lost if frames else 0
-
-
-def _whole(frames: Iterable[RawFrame]) -> list[RawFrame]:
-    return [each for each in frames if not each.flags.any()]
-
-
 def _measured(one: Found, messages: list[Message]) -> Found:
     """With its rate, its losses and its counts."""
-    frames, lost = _frames(one.made, messages)
-    whole = _whole(frames)
-    no_load = int(np.median([each.counts for each in whole])) if whole else 0
+    frames, loss = assemble(one.made, messages)
+    good = whole(frames)
+    no_load = int(np.median([each.counts for each in good])) if good else 0
     rate = _rate([each.time for each in frames[1:]])  # the first may have begun before we listened
-    return replace(one, frames=len(whole), rate_hz=rate, lost=lost, no_load=no_load)
-
-
-def _means(codec: Codec, messages: Iterable[Message]) -> bool:
-    """Whether a codec knows what to make of every one of some messages."""
-    try:
-        for each in messages:
-            codec.decode(each)
-    except CodecError:
-        return False
-    return True
+    lost = loss.lost - frames[:SETTLED][-1].loss.lost if frames else 0
+    return replace(one, frames=len(good), rate_hz=rate, lost=lost, no_load=no_load)
 
 
 def _standard(left: Traffic, ids: Iterable[int]) -> tuple[Key, ...]:
@@ -128,7 +100,7 @@ def find_icub(left: Traffic) -> Iterator[Found]:
             )
             triangles = tuple(id_ & 0xF for id_, _ in keys)
             codec = icub.Icub(board, triangles)
-            if keys and _means(codec, _all(left, keys)):
+            if keys and understands(codec, _all(left, keys)):
                 yield Found(
                     {"name": "icub", "board": board, "triangles": list(triangles)},
                     codec,
@@ -144,7 +116,7 @@ def find_barrett(left: Traffic) -> Iterator[Found]:
     for node in range(32):
         keys = _standard(left, (barrett.FULL | node << 5,))
         codec = barrett.Barrett(node)
-        if keys and _means(codec, left[keys[0]]) and len({each.data[0] >> 4 for each in left[keys[0]]}) == 5:
+        if keys and understands(codec, left[keys[0]]) and len({each.data[0] >> 4 for each in left[keys[0]]}) == 5:
             doubt = "array: 8 x 3 is a fingertip's; the palm has positions of its own"
             yield Found(
                 {"name": "barrett", "node": node}, codec, keys, (8, 3), f"BarrettHand pad, node {node}", (doubt,)
@@ -155,7 +127,7 @@ def find_cyskin(left: Traffic) -> Iterator[Found]:
     """CySkin: four ids, as often as one another."""
     codec = cyskin.CySkin()
     keys = _standard(left, sorted(id_ for id_, _ in codec.ids))
-    if len(keys) == codec.segments and _even(left, keys) and _means(codec, _all(left, keys)):
+    if len(keys) == codec.segments and _even(left, keys) and understands(codec, _all(left, keys)):
         doubt = "array: 4 x 4 stands for the 16 taxels: give their positions_mm"
         yield Found({"name": "cyskin"}, codec, keys, (4, 4), "CySkin finger", (doubt,))
 
@@ -167,7 +139,7 @@ def find_linker(left: Traffic) -> Iterator[Found]:
         rows = [m for m in _all(left, keys) if len(m.data) == 8 and m.data[0] - linker.FINGER in range(1, 6)]
         fingers = tuple(sorted({each.data[0] - linker.FINGER for each in rows}))
         codec = linker.Linker("right" if hand == "right" else "left", fingers)
-        if rows and len({each.data[1] >> 4 for each in rows}) == linker.ROWS and _means(codec, rows):
+        if rows and len({each.data[1] >> 4 for each in rows}) == linker.ROWS and understands(codec, rows):
             settings = {"name": "linker", "hand": hand, "fingers": list(fingers)}
             said = f"LinkerHand, {hand} hand, fingers {', '.join(map(str, fingers))}, polled by another node"
             yield Found(settings, codec, keys, (linker.ROWS * len(fingers), linker.COLUMNS), said)
@@ -186,7 +158,7 @@ def find_poweron(left: Traffic) -> Iterator[Found]:
         if (
             constant
             and all(each.data[4] < 16 for each in messages if len(each.data) > 4)
-            and _means(codec, messages)
+            and understands(codec, messages)
         ):
             yield Found(
                 {"name": "poweron", "base_id": id_}, codec, keys, (6, 6), f"PowerON TouchDetect at {id_:#x}"
@@ -194,7 +166,13 @@ def find_poweron(left: Traffic) -> Iterator[Found]:
 
 
 def find_xela(left: Traffic) -> Iterator[Found]:
-    """XELA uSkin: a message a taxel, in one of its id schemes, the largest of the older ones first."""
+    """XELA uSkin: a message a taxel, in one of its id schemes."""
+    yield from _older_xela(left)
+    yield from _current_xela(left)
+
+
+def _older_xela(left: Traffic) -> Iterator[Found]:
+    """Its older ids, the largest array first."""
     for profile, ids in sorted(xela.OLDER.items(), key=lambda each: -len(each[1])):
         codec = xela.Xela(profile)
         keys = _standard(left, ids)
@@ -202,6 +180,10 @@ def find_xela(left: Traffic) -> Iterator[Found]:
             width = 6 if profile == "4x6-old" else 4
             said = f"XELA uSkin, older ids ({profile})"
             yield Found({"name": "xela", "profile": profile}, codec, keys, (len(ids) // width, width), said)
+
+
+def _current_xela(left: Traffic) -> Iterator[Found]:
+    """Its current ids: row, column and microcontroller in each."""
     for controller in range(16):
         heard = [id_ for id_, extended in left if not extended and id_ & 0xF == controller]
         taxels = [id_ for id_ in heard if _status(left[id_, False])]
@@ -225,7 +207,7 @@ def _status(messages: Sequence[Message]) -> bool:
 
 
 def _is_xela(codec: Codec, messages: Sequence[Message]) -> bool:
-    return _status(messages) and _means(codec, messages)
+    return _status(messages) and understands(codec, messages)
 
 
 def _even(left: Traffic, keys: Iterable[Key]) -> bool:
@@ -234,116 +216,36 @@ def _even(left: Traffic, keys: Iterable[Key]) -> bool:
     return max(counts) - min(counts) <= 2 + 0.1 * max(counts)
 
 
-class Fit(NamedTuple):
-    """A width of the taxels that nothing heard speaks against."""
-
-    bits: int
-    least: int  # taxels, fewest and most
-    most: int
-    roughness: float  # mean step from taxel to taxel over full scale: small where the width is right
-
-
 def find_packed(left: Traffic) -> Iterator[Found]:
     """The packed layout: sequence numbers and segments that count up."""
     for key, messages in left.items():
-        if not _counts_up(messages):
-            continue
-        fits = packed_fits(key, messages)
-        if not fits:
-            continue
-        best = likeliest(fits)
-        rows, columns = shape(best.least, best.most)
-        id_, extended = key
-        near = not extended and 0x500 <= id_ <= 0x50F
-        where = {"base_id": 0x500, "array_id": id_ - 0x500} if near else {"base_id": id_, "array_id": 0}
-        settings: dict[str, Any] = {**where, "extended": extended, "bits": best.bits, "fd": messages[0].fd}
-        kind = "CAN FD" if messages[0].fd else "classic"
-        others = ", ".join(f"{each.bits} ({_many(each)})" for each in fits if each.bits != best.bits)
-        yield Found(
-            {"name": "packed"} | settings,
-            packed.Packed(rows * columns, **settings),
-            (key,),
-            (rows, columns),
-            f"packed layout, {kind}, array {where['array_id']} at {where['base_id']:#x}, {best.bits} bits a taxel",
-            (f"array: {_many(best)} taxels fit, {rows} x {columns} is the squarest",)
-            + (
-                (f"bits: nothing speaks against {others} taxels either, but steps are largest there",)
-                if others
-                else ()
-            ),
-        )
+        fits = packed_fits(key, messages) if counts_up(messages) else ()
+        if fits:
+            yield _packed(key, messages[0].fd, fits)
+
+
+def _packed(key: Key, fd: bool, fits: Sequence[Fit]) -> Found:
+    """The array of the likeliest fit, the others told as doubts."""
+    best = likeliest(fits)
+    rows, columns = shape(best.least, best.most)
+    id_, extended = key
+    near = not extended and 0x500 <= id_ <= 0x50F
+    where = {"base_id": 0x500, "array_id": id_ - 0x500} if near else {"base_id": id_, "array_id": 0}
+    settings: dict[str, Any] = {**where, "extended": extended, "bits": best.bits, "fd": fd}
+    says = (
+        f"packed layout, {'CAN FD' if fd else 'classic'}, array {where['array_id']} at {where['base_id']:#x},"
+        f" {best.bits} bits a taxel"
+    )
+    doubts = [f"array: {_many(best)} taxels fit, {rows} x {columns} is the squarest"]
+    others = ", ".join(f"{each.bits} ({_many(each)})" for each in fits if each.bits != best.bits)
+    if others:
+        doubts.append(f"bits: nothing speaks against {others} taxels either, but steps are largest there")
+    codec = packed.Packed(rows * columns, **settings)
+    return Found({"name": "packed"} | settings, codec, (key,), (rows, columns), says, tuple(doubts))
 
 
 def _many(fit: Fit) -> str:
     return f"{fit.least}" if fit.least == fit.most else f"{fit.least} to {fit.most}"
-
-
-def _counts_up(messages: Sequence[Message]) -> bool:
-    """Whether nearly every message is what must come behind the one before it, lost ones allowed for."""
-    if len(messages) < 4 or any(len(each.data) < packed.HEADER or each.fd != messages[0].fd for each in messages):
-        return False
-    last = max(each.data[1] for each in messages)
-    if {each.data[1] for each in messages} != set(range(last + 1)):
-        return False
-    follows = sum(
-        now.data[:2] == (bytes((was.data[0], was.data[1] + 1)) if was.data[1] < last else _next(was))
-        for was, now in pairwise(messages)
-    )
-    return follows >= 0.8 * (len(messages) - 1)
-
-
-def _next(message: Message) -> bytes:
-    return bytes(((message.data[0] + 1) % 256, 0))
-
-
-def packed_fits(key: Key, messages: Sequence[Message]) -> tuple[Fit, ...]:
-    """Every width, with its numbers of taxels, whose lengths and padding are those of the messages."""
-    segments = max(each.data[1] for each in messages) + 1
-    whole = list({each.data: each for each in messages if each.data[1] < segments - 1}.values())
-    last = list({each.data: each for each in messages if each.data[1] == segments - 1}.values())
-    fits = []
-    for bits in BITS:
-        full = _packed(1, bits, key, messages[0].fd).taxels
-        sizes = range((segments - 1) * full + 1, segments * full + 1)
-        if whole and not _means(_packed(sizes[-1], bits, key, messages[0].fd), whole):
-            continue
-        good = [size for size in sizes if _means(_packed(size, bits, key, messages[0].fd), last)]
-        if good:
-            fits.append(
-                Fit(bits, good[0], good[-1], _roughness(_packed(good[0], bits, key, messages[0].fd), messages))
-            )
-    return tuple(fits)
-
-
-def _packed(size: int, bits: int, key: Key, fd: bool) -> packed.Packed:
-    return packed.Packed(size, bits, fd, 0, *key)
-
-
-def _roughness(codec: Codec, messages: Sequence[Message]) -> float:
-    """Mean step from taxel to taxel of the first frames, over full scale."""
-    frames = _whole(_frames(codec, messages[: 100 * codec.segments])[0])
-    if not frames or codec.size < 2:
-        return 0.0
-    return float(np.abs(np.diff([each.counts.astype(float) for each in frames])).mean() / codec.full_scale)
-
-
-def likeliest(fits: Sequence[Fit]) -> Fit:
-    """The width whose images step least, the smallest of such; the usual one where nothing steps at all."""
-    if all(each.roughness == 0 for each in fits):
-        return next((each for each in fits if each.bits == USUAL), fits[0])
-    bound = 1.25 * min(each.roughness for each in fits) + 1e-3
-    return next(each for each in fits if each.roughness <= bound)
-
-
-def shape(least: int, most: int) -> tuple[int, int]:
-    """The squarest rows x columns with so many taxels; of equals the one with most of them."""
-    sides = (
-        (rows, size // rows) for size in range(least, most + 1) for rows in range(1, size + 1) if not size % rows
-    )
-    return min(
-        ((rows, columns) for rows, columns in sides if rows <= columns),
-        key=lambda each: (each[1] / each[0], -each[0] * each[1]),
-    )
 
 
 RECOGNISERS: tuple[Callable[[Traffic], Iterator[Found]], ...] = (

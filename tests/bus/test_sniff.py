@@ -13,7 +13,8 @@ from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
-from tactiled.bus.sniff import likeliest, packed_fits, recognise, shape
+from tactiled.bus.packing import likeliest, packed_fits, shape
+from tactiled.bus.sniff import recognise
 from tactiled.frames import Message
 
 RATE = 50.0

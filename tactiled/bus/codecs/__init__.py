@@ -1,15 +1,16 @@
 """CAN bytes to readings and back: one file a skin, pure functions of bytes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.codecs.plain import Plain
+from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
-__all__ = ["Codec", "Plain", "Poll", "ShearEncoding", "Shearing", "Talk", "Talking", "talk_of"]
+__all__ = ["Codec", "Plain", "Poll", "ShearEncoding", "Shearing", "Talk", "Talking", "talk_of", "understands"]
 
 
 class Codec(Protocol):
@@ -50,6 +51,16 @@ class Codec(Protocol):
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,), the inverse of `decode` and `unpack`."""
+
+
+def understands(codec: Codec, messages: Iterable[Message]) -> bool:
+    """Whether a codec knows what to make of every one of some messages."""
+    try:
+        for each in messages:
+            codec.decode(each)
+    except CodecError:
+        return False
+    return True
 
 
 class Poll(NamedTuple):
