@@ -3,6 +3,8 @@
  * @module
  */
 
+import { npy } from "./npy.js";
+
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
 
@@ -201,19 +203,6 @@ export const tare = (name) => request(`${at(name)}/tare`, { method: "POST" });
 export async function deviation(name) {
   const response = await succeed(`${at(name)}/frames/deviation?format=npy`);
   return { timestamp: Number(response.headers.get("X-Tactiled-Timestamp")), kpa: npy(await response.arrayBuffer()) };
-}
-
-/**
- * @param {ArrayBuffer} file
- * @returns {Float32Array} what a .npy file of 32-bit numbers holds
- */
-function npy(file) {
-  const start = 10 + new DataView(file).getUint16(8, true); // version 1: the header's length, then the header
-  const header = new TextDecoder("latin1").decode(file.slice(10, start));
-  if (!header.includes("'<f4'") || !header.includes("'fortran_order': False")) {
-    throw new RangeError(`deviation: expected rows of 32-bit numbers, got ${header.trim()}`);
-  }
-  return new Float32Array(file.slice(start));
 }
 
 /** @returns {Promise<Set<string>>} the paths that this service has, below the API's root */
