@@ -1,4 +1,5 @@
 import re
+import signal
 import threading
 import time
 
@@ -9,6 +10,9 @@ from tactiled.bus.reader import open_bus
 from tactiled.config import parse
 from tactiled.service import Service
 from tactiled.web.server import running
+
+# A shell that runs the tests in the background has them, and all that they start, ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SIDE = 8
 NO_LOAD, GAIN = 100, 0.5  # counts, kPa a count
