@@ -75,11 +75,11 @@ class Nonneg:
         scene = self._scene
         self._warm = self._warm and not scene.anew
         enough = (self._steady if self._warm else STEADY) * scene.noise
-        if self._warm:
-            self._shift(wiener.of(scene.step))
-        else:
+        if not self._warm:
             self._start(wiener())
             self._warm = True
+        elif scene.moved:
+            self._shift(wiener.of(scene.step))
         limit = enough**2 * self._t.size
         done = 0
         while done < ITERATIONS:

@@ -11,6 +11,7 @@ from tactiled.restore.prior import Prior
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
 ANEW = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
+MOVED = 1.5  # times what noise alone changes
 SURE = 4.0  # standard deviations that a total force must stand out by to be held to
 
 
@@ -34,10 +35,13 @@ class Scene:
         self.prior = Prior(self.modes, noise)
         self._there = self.modes.to_taxel_modes()
         self.c = self._there.empty()
-        self.c[...] = 0
         self.follows = False  # whether anyone starts from the frame before
-        self.step = np.zeros_like(self.c)  # of the modes since that frame, if so
-        self.anew = True  # whether that frame says nothing about this one
+        self._from, self.step = (
+            np.zeros_like(self.c),
+            np.zeros_like(self.c),
+        )  # the modes' since the last that moved
+        self.moved = True  # whether that is more than noise does
+        self.anew = True  # whether the frame before says nothing about this one
         self.flat, self._flat_step = self.c.reshape(-1), self.step.reshape(-1)
         self._restless = 2 * noise**2 * self.c.size  # what noise alone changes
         ones = np.ones(blur.frame_shape, np.float32)
@@ -52,14 +56,15 @@ class Scene:
 
     def look(self, y: Image) -> None:
         """Take in a frame without gaps."""
-        if self.follows:
-            np.copyto(self.step, self.c)
         self._there(y, self.c)
         self.number = self.prior.pick(self.c)
         if self.follows:
-            np.subtract(self.c, self.step, out=self.step)
+            np.subtract(self.c, self._from, out=self.step)
             changed, square = float(np.dot(self._flat_step, self._flat_step)), float(np.dot(self.flat, self.flat))
+            self.moved = changed > MOVED * self._restless
             self.anew = changed > self._restless + ANEW * square
+            if self.moved:
+                np.copyto(self._from, self.c)
 
     @property
     def force(self) -> float:
