@@ -159,10 +159,12 @@ class Stream:
             return
         if line.looking is None:  # for longer than an image may wait
             line.looking = line.feed.contacts()
-            line.looking.add_done_callback(lambda _: self._wake.set())
+            if not line.looking.done():  # of one that is, the wake would come at once, and at every turn again
+                line.looking.add_done_callback(lambda _: self._wake.set())
         if not line.looking.done():
             return
-        found, line.looking = line.looking.result(), None
+        looked, line.looking = line.looking, None  # before it may raise: a search that failed is not kept
+        found = looked.result()
         if found is not None and found.sequence != line.touched:
             line.touched, line.touched_at = found.sequence, now
             await self._socket.send_text(found.model_dump_json())

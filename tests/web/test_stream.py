@@ -14,6 +14,7 @@ from websockets.uri import parse_uri
 from tactiled.web import answers, flow, session
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
+from tactiled.web.stream import Stream
 from tactiled.web.wire import unpack
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
@@ -102,6 +103,23 @@ def test_contacts_on_request(rig, url):
         told = [text for text in texts(client, 0.5) if text["type"] == "contacts"]
     assert [len(each["contacts"]) for each in told] == [1]
     assert told[0]["sequence"] == 0
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_stream_of_contacts_rests_while_no_image_comes(rig, url, monkeypatch, shown):
+    turns, send = [], Stream._send_contacts
+
+    def counted(self, line):
+        turns.append(line)
+        return send(self, line)
+
+    monkeypatch.setattr(Stream, "_send_contacts", counted)
+    if shown:
+        rig.show(pressed())
+    with stream(url, "?contacts=1") as client:
+        told = texts(client, 2.0)
+    assert [each["sequence"] for each in told if each["type"] == "contacts"] == [0] * shown
+    assert 2 < len(turns) < 20  # a tick each half second, and the search's end
 
 
 def test_images_do_not_wait_for_contacts(rig, url, monkeypatch):
