@@ -95,23 +95,23 @@ class Faults:
             raise
         except Exception as error:
             self._raise(part, f"{type(error).__name__}: {error}")
-        else:
-            self._clear(part)
 
     def _raise(self, part: str, why: str) -> None:
         with self._lock:
             known = part in self._now
             self._now[part] = why, self._clock()
+            if not known:  # told under the lock, as what is cleared is: in the order in which it was
+                self._events.add("fault_raised", f"{part}: {why}")
         if not known:
             LOG.exception("%s failed, and goes on", part)
-            self._events.add("fault_raised", f"{part}: {why}")
 
-    def _clear(self, part: str) -> None:
-        if part not in self._now:  # nearly always: without the lock
+    def clear(self) -> None:
+        """Tell of every part that has not failed for CLEAR_S, and forget it; its turns may have ended for good."""
+        if not self._now:  # nearly always: without the lock
             return
         with self._lock:
-            why, failed = self._now[part]
-            if self._clock() - failed < CLEAR_S:
-                return
-            del self._now[part]
-        self._events.add("fault_cleared", f"{part}: {why}")
+            now = self._clock()
+            for part, (why, failed) in list(self._now.items()):
+                if now - failed >= CLEAR_S:
+                    del self._now[part]
+                    self._events.add("fault_cleared", f"{part}: {why}")

@@ -98,6 +98,7 @@ class Watch:
                 self._state(sensor)
                 self._warnings(sensor, now)
                 self._tare(sensor)
+        self._faults.clear()
 
     def _tare(self, sensor: Watched) -> None:
         if sensor.tared != self._tared[sensor.name]:

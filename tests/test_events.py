@@ -128,6 +128,7 @@ def test_a_fault_is_told_once_and_cleared_when_it_is_gone_for_a_while(caplog):
         with faults.turn("part"):
             if error:
                 raise error
+        faults.clear()
         return [(each.kind, each.text) for each in events.after(last)]
 
     assert turn() == []
@@ -139,6 +140,18 @@ def test_a_fault_is_told_once_and_cleared_when_it_is_gone_for_a_while(caplog):
     assert turn() == [("fault_cleared", "part: KeyError: 'b'")]
     assert faults.now == {}
     assert turn(KeyError("a")) == [("fault_raised", "part: KeyError: 'a'")]
+
+
+def test_a_fault_of_a_part_that_has_no_more_turns_is_cleared_by_the_watch():
+    now, events = [0.0], Events()
+    faults = Faults(events, lambda: now[0])
+    watch = Watch([], events, faults)
+    with faults.turn("part"):
+        raise KeyError("a")
+    for now[0] in (0.0, 0.9 * CLEAR_S, CLEAR_S, 2 * CLEAR_S):
+        watch.look(now[0])
+        assert bool(faults.now) == (now[0] < CLEAR_S)
+    assert [each.kind for each in events.after(0)] == ["fault_raised", "fault_cleared"]
 
 
 def test_a_sensor_that_cannot_be_looked_at_is_told_and_the_others_are_watched_on(palm, caplog):

@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 
 import tactiled
 from tactiled.errors import TactileError
+from tactiled.web import answers
 from tactiled.web.feed import Feed
 from tactiled.web.wire import unpack
 from tests.conftest import NO_LOAD, Rig, pressed, until
@@ -131,6 +132,26 @@ def test_a_fault_at_one_sensor_is_told_and_stops_no_other(rig, url, monkeypatch,
         heard(client, lambda got: any(map(is_it, got)))
         until(lambda: not rig.service.faults.now)
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_search_for_contacts_that_failed_is_done_again_with_the_next_image(rig, url, monkeypatch):
+    monkeypatch.setattr(answers, "contacts", lambda _: 1 / 0)
+    with streams(url, "?kinds=raw&contacts=1") as client:
+        rig.show(pressed())
+        until(lambda: "streams of palm" in rig.service.faults.now)
+        monkeypatch.undo()
+        rig.show(pressed())
+        found = {"type": "contacts", "sensor": "palm", "sequence": 1}
+        heard(client, lambda got: any(found.items() <= each.items() for each in got if isinstance(each, dict)))
+        touch_tip(rig, 0)
+        until(lambda: not rig.service.faults.now)
+
+
+def test_a_fault_ends_when_the_clients_that_met_it_have_left(rig, url, monkeypatch):
+    monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
+    with streams(url):
+        until(lambda: len(rig.service.faults.now) == 2)
+    until(lambda: not rig.service.faults.now)
 
 
 def test_json_names_the_sensor_too(rig, url):
