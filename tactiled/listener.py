@@ -67,7 +67,7 @@ class Listener:
     def _run(self) -> None:
         wait, last = BACK_OFF_S[0], ""
         while not self._stop.is_set():
-            began = time.monotonic()
+            began, fault = time.monotonic(), None
             try:
                 self._reader = self._reader or open_bus(**self._settings)
                 self._tell(None)
@@ -78,19 +78,20 @@ class Listener:
                 why = str(error)
             except Exception as error:  # a codec's fault, or our own: no reason to go silent
                 why = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
-                if why != last:
-                    LOG.exception("bus %s failed, and is opened again", self.name)
+                fault = error
             else:
                 return
             if time.monotonic() - began > BACK_OFF_S[1]:
-                wait = BACK_OFF_S[0]
+                wait, last = BACK_OFF_S[0], ""
+            if fault and why != last:
+                LOG.error("bus %s failed, and is opened again", self.name, exc_info=fault)
             self._tell(why)
             self._drop()
             self._stop.wait(wait)
             wait, last = min(2 * wait, BACK_OFF_S[1]), why
 
     def _read(self, reader: Reader) -> None:
-        """Take messages until the stop, or until a BusError."""
+        """Take messages until the stop; BusError where the bus goes, and whatever a codec or a sensor raises."""
         self._talker.begin(time.monotonic())
         while not self._stop.is_set():
             now = time.monotonic()

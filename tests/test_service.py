@@ -164,6 +164,23 @@ def test_a_fault_of_a_codec_is_told_and_ends_no_bus(plan, monkeypatch, caplog):
     sensor.stop()
 
 
+@pytest.mark.parametrize(("longest_s", "logged"), [(60.0, 1), (0.0, 3)])
+def test_the_same_fault_of_a_bus_is_logged_again_after_a_healthy_stretch(
+    plan, monkeypatch, caplog, longest_s, logged
+):
+    bus = Bus()
+    monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
+    monkeypatch.setattr("tactiled.listener.BACK_OFF_S", (0.0, longest_s))
+    listener = Listener("can0", {}, {"palm": Sensor(plan)})
+    monkeypatch.setattr(listener._router, "push", lambda _: {}["byte 7"])
+    bus.messages += [Message(1.0, 0x123, b"")] * 3
+    listener.start()
+    until(lambda: bus.closed == 3)
+    listener.stop()
+    faults = [each for each in caplog.records if each.name == "tactiled.listener"]
+    assert [each.exc_info[0] for each in faults] == [KeyError] * logged
+
+
 def test_what_a_bus_counts_is_told_and_kept_when_it_is_opened_again(plan, monkeypatch):
     bus, sensor = Bus(), Sensor(plan)
     monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
