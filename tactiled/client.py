@@ -28,8 +28,8 @@ from tactiled.web.wire import KINDS, PRESSURES, Kind, Unpacked, unpack
 ANSWER_S = 10.0  # that the service may take to answer
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 LOST = OSError, ConnectionClosed, InvalidHandshake, InvalidURI  # TimeoutError is an OSError
-FULL = 4429  # no place now
-REFUSED = set(range(4400, 4500)) - {FULL}  # close codes that another attempt will meet again
+TOO_MANY = 4429  # of this client: a place may come free
+REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attempt will meet again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +167,8 @@ class Client:
         """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
 
         At most `rate_hz` a second (0: every frame) of each; with `shear`, which the skin must feel. TactileError
-        if no image comes for `patience_s` (None: it waits), or if the service refuses.
+        if no image comes for `patience_s` (None: it waits), or if the service refuses; one stream too many, of
+        this client (4429) or of all (4503), is no refusal: it waits for a place.
         """
         attempts = _Attempts(self, sensor, rate_hz, patience_s, shear)
         while True:

@@ -39,8 +39,8 @@ def fitting(reason: str) -> str:
 
 async def refuse(socket: WebSocket, error: Exception) -> None:
     """Close, since the client is wrong, with the reason."""
-    code = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
-    await socket.close(code, fitting(str(error)))
+    closed = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
+    await socket.close(closed, fitting(str(error)))
 
 
 async def heard(socket: WebSocket) -> str | None:
