@@ -11,6 +11,7 @@ from tempfile import NamedTemporaryFile
 from time import perf_counter
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tactiled.cover.kernel import cache_folder
 from tactiled.restore.forms import Forms
@@ -22,14 +23,21 @@ def soonest(forms: Forms, folder: Path | None = None, clock: Callable[[], float]
         return forms.usual
     size = (forms.shape, forms.surface, forms.parts, forms.names, np.__version__)
     path = (folder or cache_folder()) / f"{sha256(repr(size).encode()).hexdigest()}.form"
-    with suppress(OSError):
-        if not path.exists():
+    if (known := _known(path, forms)) is None:
+        with suppress(OSError), threadpool_limits(1):
             path.parent.mkdir(parents=True, exist_ok=True)
+            path.unlink(missing_ok=True)
             _keep(path, forms.fastest(clock))
+        known = _known(path, forms)
+    return known or forms.usual
+
+
+def _known(path: Path, forms: Forms) -> str | None:
+    """The form that was remembered; None where there is none, or another's name."""
+    with suppress(OSError, ValueError):
         found = path.read_text()
-        if found in forms.names:
-            return found
-    return forms.usual
+        return found if found in forms.names else None
+    return None
 
 
 def _keep(path: Path, name: str) -> None:

@@ -133,8 +133,10 @@ class Auto:
     def _some(self, y: Image) -> Restored:
         scene = self._scene
         scene.look(y)
-        if scene.anew and not self._stay:
+        if scene.anew:
+            method = self._method if self._stay else ""
             self.reset()
+            self._method = method
         self._stay = False
         if self._method in ITERATED and self._age < REVIEW:
             self._age += 1

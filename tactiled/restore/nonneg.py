@@ -1,6 +1,6 @@
 """Non-negative least squares in the blur's own modes: pressure pushes, it never pulls."""
 
-from math import pi
+from math import pi, prod
 
 import numpy as np
 
@@ -16,7 +16,7 @@ LOOSE = 0.3  # of the Gaussian's weight is left to it there
 ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
 ITERATIONS = 30  # at most
 STEADY = 0.05  # noise standard deviations: from the start, an iteration that changes less has no more to give
-WARM = 0.33  # the same from the image before: it has been through many iterations already
+WARM = 0.6  # the same from the image before: it has been through many iterations already
 ANEW = 4  # iterations after which the share of pressed cells is counted again
 
 
@@ -48,6 +48,7 @@ class Nonneg:
         self._scene = scene
         scene.follows = True
         self._steps: dict[tuple[int, float], Step] = {}
+        self._leasts: dict[int, float] = {}
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._predict = scene.modes.to_taxels()
         self._modes, self._data = self._there.empty(), self._there.empty()
@@ -100,7 +101,7 @@ class Nonneg:
         self._pull[...] = ZERO
 
     def _shift(self, change: Image) -> None:
-        """Start from the image before and what a linear filter makes of the frame's change since."""
+        """Start from the image before, plus the linear answer to what changed since the last such start."""
         np.add(self._t, change, out=self._t)
         np.minimum(self._t, ZERO, out=self._pull)
 
@@ -137,7 +138,7 @@ class Nonneg:
         flat = self.image.reshape(-1)
         total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
         share = total**2 / (flat.size * squares) if squares else 1.0
-        share = min(max(share, FEWEST, self._resolved()), 1.0)
+        share = min(max(share, self._least()), 1.0)
         step = self._step(self._slack(share))
         np.multiply(self._ones, step.sparse, out=self._data)
         np.multiply(self._data, np.float32(share**-0.5), out=self._data)
@@ -145,10 +146,16 @@ class Nonneg:
         np.add(self._head, self._seen, out=self._head)
         return step
 
-    def _resolved(self) -> float:
+    def _least(self) -> float:
         """Share of the cells on a disc of the resolution's radius: fewer pressed are only made up."""
         scene = self._scene
-        return pi * (scene.resolution() / scene.blur.cell_mm) ** 2 / self._t.size
+        if scene.number not in self._leasts:
+            radius, shape = scene.resolution() / scene.blur.cell_mm, self._t.shape
+            cells = pi * radius**2
+            if len(shape) == 2:
+                cells = min(cells, prod(min(2 * radius, n) for n in shape))
+            self._leasts[scene.number] = max(cells / self._t.size, FEWEST)
+        return self._leasts[scene.number]
 
     def _iterate(self, step: Step) -> float:
         """Move t one iteration on; gives the squared change of the multiplier."""

@@ -1,5 +1,6 @@
 """One frame in the blur's modes: what every method starts from."""
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from tactiled.restore.prior import Prior
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
 ANEW = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
-MOVED = 1.5  # times what noise alone changes
+MOVED = 1.5  # times what noise alone may change
 SURE = 4.0  # standard deviations that a total force must stand out by to be held to
 
 
@@ -36,14 +37,12 @@ class Scene:
         self._there = self.modes.to_taxel_modes()
         self.c = self._there.empty()
         self.follows = False  # whether anyone starts from the frame before
-        self._from, self.step = (
-            np.zeros_like(self.c),
-            np.zeros_like(self.c),
-        )  # the modes' since the last that moved
+        self._from = np.zeros_like(self.c)  # the modes of the last frame that moved
+        self.step = np.zeros_like(self.c)  # what changed since
         self.moved = True  # whether that is more than noise does
         self.anew = True  # whether the frame before says nothing about this one
         self.flat, self._flat_step = self.c.reshape(-1), self.step.reshape(-1)
-        self._restless = 2 * noise**2 * self.c.size  # what noise alone changes
+        self._restless = 2 * noise**2 * (self.c.size + SURE * sqrt(2 * self.c.size))  # what noise alone may change
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
         noise_of_sum = noise * float(np.sqrt(ones.size))
@@ -60,9 +59,9 @@ class Scene:
         self.number = self.prior.pick(self.c)
         if self.follows:
             np.subtract(self.c, self._from, out=self.step)
-            changed, square = float(np.dot(self._flat_step, self._flat_step)), float(np.dot(self.flat, self.flat))
+            changed = float(np.dot(self._flat_step, self._flat_step))
             self.moved = changed > MOVED * self._restless
-            self.anew = changed > self._restless + ANEW * square
+            self.anew = self.moved and changed > self._restless + ANEW * float(np.dot(self.flat, self.flat))
             if self.moved:
                 np.copyto(self._from, self.c)
 

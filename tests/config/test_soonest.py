@@ -49,11 +49,13 @@ def test_the_usual_form_where_nothing_can_be_remembered(tmp_path):
     assert soonest(made, blocked / "folder") == made.usual == "dense"
 
 
-def test_a_form_that_there_is_none_of_is_not_believed(tmp_path):
+@pytest.mark.parametrize("damaged", [b"quantum", b"\xff\xfe", b""])
+def test_what_names_no_form_is_not_believed_and_timed_again(tmp_path, damaged):
     soonest(forms(), tmp_path)
     (path,) = tmp_path.iterdir()
-    path.write_text("quantum")
-    assert soonest(forms(), tmp_path) == "dense"
+    path.write_bytes(damaged)
+    assert soonest(forms("separable"), tmp_path) == "separable"
+    assert path.read_text() == "separable"
 
 
 def test_of_several_at_once_all_take_the_first(tmp_path):
