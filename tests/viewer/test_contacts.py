@@ -69,7 +69,7 @@ def test_contacts_switched_off_are_neither_drawn_nor_asked_for(rig, url, open_pa
     assert "contacts" not in opened.value.url
     assert "contacts=1" not in opened.value.url
     wait(page, f"Number(document.documentElement.dataset.painted) > {before}")
-    assert page.evaluate(LISTED) == []
+    wait(page, f"{LISTED}.length === 0")
     assert "switched off" in page.locator("#contact-list").inner_text()
     assert at(page, "restored-marks", told)[0][3] == 0  # inside the ring about the centre of pressure
     with page.expect_websocket() as opened:
