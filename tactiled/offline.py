@@ -1,9 +1,10 @@
 """Frames that are already there: restored one after the other, in pieces, however many there are."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,13 @@ from tactiled.errors import ConfigError
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make
-from tactiled.restore.noise import estimate
+from tactiled.restore.noise import HUGE, estimate
 
 PIECE = 256  # frames in memory at once
 LOOKS = 8  # places of the film where its noise is measured
 RUN = 32  # frames in a row at each
 QUIET = 1e-3  # kPa: the noise assumed where all frames are 0
+WHOLE = 0.02  # of a step, that float32 may be out of a whole multiple by
 
 Frames = NDArray[Any]
 
@@ -60,9 +62,26 @@ def opened(path: Path, plan: SensorPlan) -> Frames:
 
 def noise_of(frames: Frames) -> float:
     """Standard deviation (kPa) of a taxel, from runs of frames all over the film."""
-    starts = np.unique(np.linspace(0, max(len(frames) - RUN, 0), LOOKS).astype(int))
-    found = [estimate(_piece(frames, start, RUN)) for start in starts if len(frames)]
+    found = [estimate(piece) for piece in _pieces(frames)]
     return (float(np.median(found)) if found else 0.0) or QUIET
+
+
+def rounding_of(frames: Frames, steps: tuple[float, ...]) -> float:
+    """Noise (kPa) of rounding, where a film's values differ by whole multiples of one of `steps`; else 0."""
+    values = np.concatenate([np.empty(0), *(np.ravel(piece).astype(float) for piece in _pieces(frames))])
+    values = values[np.abs(values) < HUGE]
+    for step in steps:
+        multiples = (values - values[:1]) / step
+        whole = multiples.round()
+        if whole.any() and float(np.abs(multiples - whole).max()) < WHOLE:
+            return step / 12**0.5
+    return 0.0
+
+
+def _pieces(frames: Frames) -> Iterator[Frames]:
+    """Runs of frames all over a film."""
+    starts = np.unique(np.linspace(0, max(len(frames) - RUN, 0), LOOKS).astype(int))
+    return (_piece(frames, start, RUN) for start in starts if len(frames))
 
 
 def _piece(frames: Frames, start: int, count: int) -> Frames:
@@ -74,17 +93,18 @@ def _piece(frames: Frames, start: int, count: int) -> Frames:
 
 
 class Offline:
-    """Restores films of one sensor by one method; the noise (kPa) is measured if none is given."""
+    """Restores films of one sensor by one method; a taxel's noise (kPa) is measured if not given."""
 
     def __init__(self, plan: SensorPlan, method: str = "auto", noise_kpa: float | None = None) -> None:
         self._blur: Blur = plan.blur
         self._method, self._given = method, noise_kpa
+        self._steps = abs(plan.calibration.kpa_per_count), 1.0
         self._taxels = _Taxels(plan.calibration, plan.array.frame_shape)
         self._restorer: Restorer = make(method, plan.blur, QUIET if noise_kpa is None else noise_kpa)
 
     def begin(self, frames: Frames) -> float:
         """Get ready for a film; gives the noise (kPa) that it is restored with."""
-        noise = noise_of(frames) if self._given is None else self._given
+        noise = max(noise_of(frames), rounding_of(frames, self._steps)) if self._given is None else self._given
         self._restorer = make(self._method, self._blur, noise)
         return noise
 
@@ -128,20 +148,34 @@ class _Taxels:
         return pressures, np.where(full, np.uint8(SATURATED), np.uint8(0)) | self._dead
 
 
-def write(
-    images: Iterator[NDArray[np.float32]], shape: tuple[int, ...], path: Path, done: Callable[[int], None]
-) -> None:
-    """Write images as one .npy array (T, ...) of known shape, under its own name only once it is whole."""
-    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
-    part = path.with_name(path.name + ".part")
+@contextmanager
+def whole(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that gets its name only once it is whole; ConfigError where it cannot be written."""
+    try:
+        target = path.resolve()
+        plain = target.is_file() or not target.exists()
+    except (OSError, RuntimeError) as error:  # the latter of links in a circle
+        raise ConfigError(f"{path}: {error}: give a file that can be written") from error
+    if not plain:
+        raise ConfigError(f"{path}: no plain file: give a file that can be written")
+    part = target.with_name(target.name + ".part")
     try:
         with part.open("wb") as file:
-            np.lib.format.write_array_header_2_0(file, header)
-            for piece in images:
-                file.write(np.ascontiguousarray(piece, "<f4").data)
-                done(len(piece))
-        part.replace(path)
+            yield file
+        part.replace(target)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}: give a file that can be written") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def write(
+    images: Iterator[NDArray[np.float32]], shape: tuple[int, ...], path: Path, done: Callable[[int], None]
+) -> None:
+    """Write images as one .npy array (T, ...) of known shape; ConfigError where that cannot be."""
+    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+    with whole(path) as file:
+        np.lib.format.write_array_header_2_0(file, header)
+        for piece in images:
+            file.write(np.ascontiguousarray(piece, "<f4").data)
+            done(len(piece))

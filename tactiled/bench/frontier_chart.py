@@ -77,8 +77,9 @@ def _panel(axes: Axes, panel: Panel, top: float) -> None:
     for mark in panel.marks:
         _mark(axes, mark, top)
     mine = panel.mark("auto")
-    look: Any = {"ha": "right", "va": "top", "fontsize": 9.5, "fontweight": "bold"}
-    axes.annotate("auto", (mine.median, mine.nrmse), (-7, -6), textcoords="offset points", **look)
+    look: Any = {"ha": "right", "fontsize": 9.5, "fontweight": "bold"}
+    down, align = (-6, "top") if mine.nrmse > 0.15 * top else (0, "center")  # beside where the axis is near
+    axes.annotate("auto", (mine.median, mine.nrmse), (-7, down), textcoords="offset points", va=align, **look)
 
 
 def _mark(axes: Axes, mark: Mark, top: float) -> None:

@@ -109,13 +109,12 @@ def _signs(found: Findings) -> Iterator[str]:
 
 def _sign_rows(found: Findings) -> Iterator[tuple[str, ...]]:
     known, fine = stability.limits(found.sweeps, "auto"), stability.sound(found.sweeps, "auto")
-    silent = stability.silent(found.sweeps)
+    silent, alarms = stability.silent(found.sweeps), stability.alarms(found.sweeps, "auto")
     for name, meaning in SIGNS.items():
-        alarms = stability.alarms(found.sweeps, "auto").count(name)
         counts = {
             sweep.name: [name in stability.shown(row, known) for row in silent if row.sweep == sweep.name]
             for sweep, _ in found.sweeps
         }
         caught = (f"{fault} {sum(each)} of {len(each)}" for fault, each in counts.items() if any(each))
         limit = f"{known[name]:.2f}" if name in known else "–"
-        yield name, meaning, limit, f"{alarms} of {len(fine)}", "; ".join(caught) or "none"
+        yield name, meaning, limit, f"{alarms.count(name)} of {len(fine)}", "; ".join(caught) or "none"

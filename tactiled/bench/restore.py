@@ -31,7 +31,7 @@ richardson_lucy: Callable[..., NDArray[Any]] = restoration.richardson_lucy
 NOISE = 0.01  # of the frame's peak, where speed is measured
 COVER = 1.0  # t/pitch, where speed is measured
 RATE_HZ = 100.0  # of the moving scenes
-PASSES = 3  # through each film, from the start: a frame's least time is its own, the rest is the machine's
+PASSES = 3  # through all films, from the start: a frame's least time is its own, the rest is the machine's
 MOVING = ("ring", "indenters", "sphere", "edge", "fingertip")
 ROUNDS = 5  # over which the least median counts: others may be using the machine
 
@@ -112,14 +112,16 @@ def speed(size: int, seconds: float) -> Speed:
     for method in OURS:
         restorer = make(method, press.blur, press.sigma)
         runs[method] = lambda restorer=restorer: restorer(press.frame)  # type: ignore[misc]
-    rounds = {name: [timed(run, seconds / ROUNDS) for _ in range(ROUNDS)] for name, run in runs.items()}
-    times = {name: min(float(np.median(each)) for each in found) for name, found in rounds.items()}
+    times = _least(runs, lambda run: float(np.median(timed(run, seconds / ROUNDS))))
     tailed = {name: runs[name] for name in OURS} | {MACHINE: _products(times["wiener"])}
-    tails = {
-        name: min(_tail(timed(run, seconds / ROUNDS, thread_time)) for _ in range(ROUNDS))
-        for name, run in tailed.items()
-    }
+    tails = _least(tailed, lambda run: _tail(timed(run, seconds / ROUNDS, thread_time)))
     return Speed(size, times, tails)
+
+
+def _least(runs: dict[str, Callable[[], Any]], measure: Callable[[Callable[[], Any]], float]) -> dict[str, float]:
+    """The least that each run measures in ROUNDS, all taking turns: a slow minute of the machine is everyone's."""
+    rounds = [{name: measure(run) for name, run in runs.items()} for _ in range(ROUNDS)]
+    return {name: min(each[name] for each in rounds) for name in runs}
 
 
 def _products(microseconds: float) -> Callable[[], Any]:
@@ -170,19 +172,17 @@ def moving(size: int, frames: int) -> Moving:
     finer = partial(stencil, kernel(COVER, "fem"), array)
     blur = Blur.grid(finer(1), (size, size), finer=finer)
     random = np.random.default_rng(0)
-    chosen: Counter[str] = Counter()
-    times: list[NDArray[np.float64]] = []
+    films = []
     for name in MOVING:
         pressures = (
             SCENES[name](surface.x, surface.y, n / RATE_HZ, surface.size, surface.grain) for n in range(frames)
         )
         clean = np.array([surface.sense(each).reshape(size, size) for each in pressures])
         sigma = NOISE * clean.max()
-        film = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        passes = [_film(make("auto", blur, sigma), film) for _ in range(PASSES)]
-        times.append(np.min([took for took, _ in passes], axis=0))
-        chosen.update(passes[0][1])
-    all_ = np.concatenate(times)
+        films.append((sigma, (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)))
+    passes = [[_film(make("auto", blur, sigma), film) for sigma, film in films] for _ in range(PASSES)]
+    all_ = np.min([np.concatenate([took for took, _ in each]) for each in passes], axis=0)
+    chosen = Counter(method for _, methods in passes[0] for method in methods)
     pad = random.normal(0, 1, (size, size)).astype(np.float32)
     restorer = make("auto", blur, 1.0)
     idle = min(float(np.median(timed(lambda: restorer(pad), 0.05))) for _ in range(ROUNDS))

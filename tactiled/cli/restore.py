@@ -5,7 +5,8 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, TextIO
+from threading import Event
+from typing import Annotated, BinaryIO
 
 import numpy as np
 import typer
@@ -14,14 +15,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app
+from tactiled.cli.app import app, interrupted
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, sensor_plan
 from tactiled.errors import ConfigError, UnknownSensorError
-from tactiled.offline import Offline, Told, opened, write
+from tactiled.offline import Offline, Told, opened, whole, write
 from tactiled.restore.methods import METHODS
 
 LONG = 2000  # frames from which there is progress to show
+INTERRUPTED = 130  # exit code
 
 
 @app.command()
@@ -35,17 +37,18 @@ def restore(
     stats: Annotated[Path | None, typer.Option(help="Where to say what was done to each frame (JSON).")] = None,
 ) -> None:
     """Restore the frames in FRAMES.npy, as many as there are, in little memory."""
+    _apart(frames, out, config, stats)
     plan = _plan(load(config), config, sensor)
     film = opened(frames, plan)
     offline = Offline(plan, method, noise)
     console = Console(stderr=True, soft_wrap=True, highlight=False)
-    with threadpool_limits(1), ExitStack() as stack:
+    with threadpool_limits(1), interrupted() as stop, ExitStack() as stack:
         kpa = offline.begin(film)
-        told = _Story(stack.enter_context(_writable(stats)) if stats else None)
+        told = _Story(stack.enter_context(whole(stats)) if stats else None)
         columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         progress = stack.enter_context(Progress(*columns, console=console, disable=len(film) < LONG))
         task = progress.add_task("restoring", total=len(film))
-        images = told.through(offline(film))
+        images = told.through(offline(film), stop)
         shape = (len(film), *plan.blur.surface_shape)
         write(images, shape, out, lambda count: progress.advance(task, count))
         told.end()
@@ -62,34 +65,44 @@ def _plan(settings: Config, path: Path, name: str | None) -> SensorPlan:
     return sensor_plan(chosen, settings.sensor[chosen])
 
 
-def _writable(path: Path) -> TextIO:
-    try:
-        return path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}: give a file that can be written") from error
+def _apart(frames: Path, out: Path, config: Path, stats: Path | None) -> None:
+    """ConfigError where an answer would take another file's place; images may take that of their frames."""
+    others = {"--config": config, "FRAMES": frames, "--out": out}
+    pairs = [("--out", out, "--config")] + [("--stats", stats, other) for other in others]
+    for name, path, other in pairs:
+        try:
+            same = path is not None and path.resolve() == others[other].resolve()
+        except (OSError, RuntimeError) as error:  # the latter of links in a circle
+            raise ConfigError(f"{name} {path}: {error}: give another file") from error
+        if same:
+            raise ConfigError(f"{name} {path}: is {other}, too: give another file")
 
 
 class _Story:
     """Writes what was done to each frame as one JSON list, line by line, and counts it."""
 
-    def __init__(self, file: TextIO | None) -> None:
+    def __init__(self, file: BinaryIO | None) -> None:
         self._file, self._count = file, 0
         self._chosen: Counter[str] = Counter()
 
-    def through(self, pieces: Iterator[tuple[NDArray[np.float32], list[Told]]]) -> Iterator[NDArray[np.float32]]:
-        """Pass the images on."""
+    def through(
+        self, pieces: Iterator[tuple[NDArray[np.float32], list[Told]]], stop: Event
+    ) -> Iterator[NDArray[np.float32]]:
+        """Pass the images on; ends the command once it is to `stop`."""
         for images, told in pieces:
+            if stop.is_set():
+                raise typer.Exit(INTERRUPTED)
             for each in told:
                 self._chosen[each.method] += 1
                 if self._file is not None:
-                    self._file.write((",\n" if self._count else "[\n") + json.dumps(each._asdict()))
+                    self._file.write(((",\n" if self._count else "[\n") + json.dumps(each._asdict())).encode())
                 self._count += 1
             yield images
 
     def end(self) -> None:
         """Close the list."""
         if self._file is not None:
-            self._file.write("\n]\n" if self._count else "[]\n")
+            self._file.write(b"\n]\n" if self._count else b"[]\n")
 
     @property
     def summary(self) -> str:

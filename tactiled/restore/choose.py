@@ -9,15 +9,16 @@ from math import log, sqrt
 import numpy as np
 
 from tactiled.restore.drawing import MODEL
-from tactiled.restore.linear import Filter, Wiener, deviation
+from tactiled.restore.linear import Filter, Wiener, deviation, untouched
 from tactiled.restore.modes import Floats, Image
-from tactiled.restore.nonneg import ZERO, Nonneg
+from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import Points
 from tactiled.restore.prior import CORNERS
 from tactiled.restore.scene import Restored, Scene
 
 STAY = 1.5  # how much further a test reaches for the method of the frame before
 REVIEW = 8  # frames after which one that needed iterations is asked again whether linear would do
+SELDOM = 256  # the same at most: twice as many every time that linear did not do for as long
 SURE = 4.0  # standard deviations that count as more than noise
 AHEAD = 1024  # cells up to which there is room for what every spectrum needs
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
@@ -28,7 +29,7 @@ ITERATED = ("nnls", "points")
 WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not worth restoring for
 ROUGH = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
 SPOTS = 16.0  # taxels: a frame as rough whose pressure is on no more may be of points
-UNTOLD = 0.08  # of its square: what points mislead by if nothing tells where on their taxels they are
+UNTOLD = 0.11  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
@@ -60,7 +61,7 @@ class Idle:
         peak = reach * self._peak
         if self._scene.high > peak or self._scene.low < -peak:
             return False
-        return abs(float(np.dot(self._ones, y.reshape(-1)))) < reach * self._sum
+        return abs(float(self._ones.dot(y.reshape(-1)))) < reach * self._sum
 
 
 class Auto:
@@ -72,7 +73,7 @@ class Auto:
         self.points = Points(scene)
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
-        self._method, self._age, self._stay = "", 0, False
+        self._method, self._age, self._review, self._stay = "", 0, REVIEW, False
         self._wait, self._pause = 0, PAUSE
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
@@ -90,7 +91,7 @@ class Auto:
 
     def reset(self) -> None:
         """Forget the frames so far."""
-        self._method = ""
+        self._method, self._review = "", REVIEW
         self._wait, self._pause = 0, PAUSE
         self._nonneg.reset()
         self.points.reset()
@@ -99,7 +100,7 @@ class Auto:
         """Go on from where another was, but from no image."""
         self._nonneg.reset()
         self.points.reset()
-        self._method, self._age = other._method, other._age
+        self._method, self._age, self._review = other._method, other._age, other._review
         self._wait, self._pause = other._wait, other._pause
         self._stay = True
 
@@ -112,7 +113,9 @@ class Auto:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored: of points the fit's."""
-        return self.points.drawing.deviation() if self.points.found else deviation(self._scene)
+        if self.points.found:
+            return self.points.drawing.deviation()
+        return untouched(self._scene) if self._method == "raw" else deviation(self._scene)
 
     def rests(self, y: Image) -> bool:
         """Whether there is nothing in a frame."""
@@ -122,7 +125,7 @@ class Auto:
         """Restore a frame without gaps."""
         self.points.found = ()
         if self.rests(y):
-            self._method = "idle"
+            self._method, self._review = "idle", REVIEW
             self._wait, self._pause = 0, PAUSE
             self._scene.empty()
             return self._nothing
@@ -138,7 +141,7 @@ class Auto:
             self.reset()
             self._method = method
         self._stay = False
-        if self._method in ITERATED and self._age < REVIEW:
+        if self._method in ITERATED and self._age < self._review:
             self._age += 1
             return self._iterated(y)
         filter_ = self._wiener.filter
@@ -147,7 +150,10 @@ class Auto:
             return Restored(y, "raw", left, 0, 1.0, scene.resolution())
         image = self._wiener()
         if self._linear(image):
+            self._age = self._age + 1 if self._method == "wiener" else 1
             return Restored(image, "wiener", WIENER, 0, filter_.noise_gain, scene.resolution())
+        if self._method == "wiener":
+            self._review = min(2 * self._review, SELDOM) if self._age < SELDOM else REVIEW
         if self._method not in ITERATED:
             self._nonneg.reset()
         self._age = 1
@@ -156,7 +162,7 @@ class Auto:
     def _untouched(self, chosen: Filter) -> str:
         """Why neither what the cover did nor the noise is worth taking out of this frame; empty if it is."""
         scene, reach = self._scene, self._reach("raw")
-        square, faint = float(np.dot(scene.flat, scene.flat)), (CLEAN * scene.noise) ** 2 * scene.flat.size
+        square, faint = float(scene.flat.dot(scene.flat)), (CLEAN * scene.noise) ** 2 * scene.flat.size
         if square * reach**2 > faint and chosen.correction(scene.power) < (reach * SEEN * scene.noise) ** 2:
             return RAW
         if self._spared(chosen.noise_gain) < (reach * WORTH * MODEL) ** 2 * square:
@@ -177,17 +183,17 @@ class Auto:
         scene = self._scene
         if not self._square or scene.prior.corner(scene.number) < ROUGH:
             return 1.0
-        square = float(np.dot(scene.flat, scene.flat))
+        square = float(scene.flat.dot(scene.flat))
         misled = reach**2 * UNTOLD * square if scene.force**2 < SPOTS * square else 0.0
         spared = self._spared(gain)
         return 1 - misled / spared if spared else 0.0
 
     def _linear(self, image: Image) -> bool:
         """Whether hardly any of a linear image falls below zero."""
-        np.minimum(image, ZERO, out=self._below)
+        np.minimum(image, self._nothing.image, out=self._below)
         flat, below = image.reshape(-1), self._below.reshape(-1)
         limit = (self._reach("wiener") * NEGATIVE) ** 2
-        return float(np.dot(below, below)) <= limit * float(np.dot(flat, flat))
+        return float(below.dot(below)) <= limit * float(flat.dot(flat))
 
     def _iterated(self, y: Image) -> Restored:
         done = self._nonneg(self._wiener)
@@ -208,7 +214,7 @@ class Auto:
         mixed = np.subtract(self._nonneg.image, y, out=self._below)
         np.multiply(mixed, np.float32(earned), out=mixed)
         np.add(mixed, y, out=mixed)
-        return np.maximum(mixed, ZERO, out=mixed)
+        return np.maximum(mixed, self._nothing.image, out=mixed)
 
     def _pointed(self, y: Image) -> int:
         """Steps of a fit of points that stands; one that does not is not tried again before a while."""

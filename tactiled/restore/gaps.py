@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.modes import Image, Modes
+from tactiled.restore.noise import HUGE
 from tactiled.restore.solvers import conjugate_gradients
 
 UNKNOWN = MISSING | BAD | DEAD
 ROUNDS = 12  # of conjugate gradients: a lone dead taxel needs two or three
-HUGE = 1e12  # kPa: beyond any sensor, and its square still fits float32
 SCENE = (0.04, 1.5, 1e4)  # corner (cycles a cell), power and level over the noise of the scene that fills gaps
 
 

@@ -19,7 +19,7 @@ class Filter:
         S = scene.prior.ratio(scene.number)[modes.head]
         weight = modes.gain * S / (modes.gain**2 * S + 1)
         self.weight = np.asarray(weight, np.float32)
-        self.missed = np.asarray(scene.ones * (1 - weight * modes.gain).ravel(), np.float32)
+        self.missed = np.asarray(scene.ones - scene.felt * weight.ravel(), np.float32)
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
         cells = prod(scene.blur.surface_shape)
         self.resolution_mm = scene.resolution()
@@ -27,7 +27,7 @@ class Filter:
 
     def correction(self, power: Image) -> float:
         """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
-        return float(np.dot(self._changed, power))
+        return float(self._changed.dot(power))
 
 
 class Wiener:
@@ -56,7 +56,7 @@ class Wiener:
         self.chosen = chosen = self.filter
         scene = self._scene
         np.multiply(scene.c, chosen.weight, out=self._modes)
-        scale = scene.force_scale(float(np.dot(chosen.missed, scene.flat)))
+        scale = scene.force_scale(float(chosen.missed.dot(scene.flat)))
         if scale != 1.0:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
         return self._back(self._modes, self.image)
@@ -85,3 +85,12 @@ def deviation(scene: Scene) -> Floats:
     squares = [basis**2 for basis in modes.surface]
     spread = squares[0] @ variance
     return np.sqrt(spread if len(squares) == 1 else spread @ squares[1].T)
+
+
+def untouched(scene: Scene) -> Floats:
+    """Standard deviation (kPa) of each cell of the raw image: the linear one's, and what that would change."""
+    image = scene.modes.to_taxels()
+    raw = image(scene.c, image.empty())
+    for axis, cells in enumerate(scene.blur.surface_shape):
+        raw = np.repeat(raw, cells // raw.shape[axis], axis)
+    return np.asarray(np.hypot(deviation(scene), raw - Wiener(scene)()), float)

@@ -25,28 +25,30 @@ class Loads:
         self._across = _Axis(Vt[:parts].T, shape[1], refine)
 
     def jacobian(self, places: Floats, out: Image) -> None:
-        """Fill out (4, n, R C): unit loads' frames at `places` (n, 2), slopes down and across, and the width's.
+        """Fill out (6, n, R C): unit loads' frames at `places` (n, 2), slopes down and across, and what widths do.
 
-        The last, half the Laplacian, is what a frame gains for each square pitch of the load's variance.
+        The last three are what a frame gains for each square pitch of the load's variance down, of that across,
+        and of the covariance: half the second derivatives, and the mixed one.
         """
         nearest = (places * PHASES).round()
         ahead = (places - nearest / PHASES).astype(np.float32)[..., None, None]
         rows, columns = nearest.astype(np.intp).T
         down, slope_down, curve_down = self._down(rows, ahead[:, 0])
         across, slope_across, curve_across = self._across(columns, ahead[:, 1])
-        view = out.reshape(4, len(places), *self.shape)
+        view = out.reshape(6, len(places), *self.shape)
         np.matmul(down, across.swapaxes(1, 2), out=view[0])
         np.matmul(slope_down, across.swapaxes(1, 2), out=view[1])
         np.matmul(down, slope_across.swapaxes(1, 2), out=view[2])
-        both = np.concatenate([curve_down, down], axis=2), np.concatenate([across, curve_across], axis=2)
-        np.matmul(both[0], both[1].swapaxes(1, 2), out=view[3])
-        view[3] *= np.float32(0.5)
+        np.matmul(curve_down, across.swapaxes(1, 2), out=view[3])
+        np.matmul(down, curve_across.swapaxes(1, 2), out=view[4])
+        np.matmul(slope_down, slope_across.swapaxes(1, 2), out=view[5])
+        view[3:5] *= np.float32(0.5)
 
     def stir(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
         middle = [(n - 1) // 2 for n in self.shape]
         places = np.add.outer([-0.125, 0.125], middle)
-        out = np.empty((4, 2, self.shape[0] * self.shape[1]), np.float32)
+        out = np.empty((6, 2, self.shape[0] * self.shape[1]), np.float32)
         self.jacobian(places, out)
         here, there = out[0].astype(float)
         across = there - here * (here @ there) / (here @ here)

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from tactiled.errors import ConfigError
 from tactiled.restore.blur import Blur
 from tactiled.restore.choose import POINTS, Auto
-from tactiled.restore.gaps import HUGE, Gaps
-from tactiled.restore.linear import Wiener, deviation
+from tactiled.restore.gaps import Gaps
+from tactiled.restore.linear import Wiener, deviation, untouched
 from tactiled.restore.lucy import Lucy
 from tactiled.restore.modes import Floats, Image
+from tactiled.restore.noise import HUGE
 from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import Point, Points
 from tactiled.restore.scene import Restored, Scene
@@ -102,7 +103,7 @@ def _raw(scene: Scene) -> Method:
         cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
         return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
 
-    return Method(run)
+    return Method(run, spread=lambda: untouched(scene))
 
 
 def _wiener(scene: Scene) -> Method:

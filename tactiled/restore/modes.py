@@ -15,7 +15,10 @@ Image = NDArray[np.float32]
 
 
 class Sandwich:
-    """x -> left x right for frames (m, n), or x -> left x for vectors (m,), on buffers of its own."""
+    """x -> left x right for frames (m, n), or x -> left x for vectors (m,), on buffers of its own.
+
+    By the arrays' own `dot`: `np.dot` first asks who else may want the call, half as long as a small product.
+    """
 
     def __init__(self, left: Floats, right: Floats | None = None) -> None:
         self._left = np.ascontiguousarray(left, np.float32)
@@ -27,9 +30,11 @@ class Sandwich:
     def __call__(self, x: Image, out: Image) -> Image:
         """Fill `out` and return it; float32, C-contiguous."""
         if self._right is None:
-            return np.dot(self._left, x, out=out)
-        np.dot(self._left, x, out=self._between)
-        return np.dot(self._between, self._right, out=out)
+            self._left.dot(x, out)
+        else:
+            self._left.dot(x, self._between)
+            self._between.dot(self._right, out)
+        return out
 
     def empty(self) -> Image:
         """Give a buffer for the result."""

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+HUGE = 1e12  # kPa: beyond any sensor, and its square still fits float32
 NORMAL = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
 FALL_BACK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
 APART = 0.5  # of the frames' mean square: if they differ from one to the next by more, they are no film
@@ -12,7 +13,7 @@ Floats = NDArray[np.float64]
 
 
 def estimate(frames: NDArray[np.floating]) -> float:
-    """Standard deviation (kPa) of a taxel from frames (T, ...), NaN ignored; over 0 unless all frames are 0.
+    """Standard deviation (kPa) of a taxel from frames (T, ...), unknown ones ignored; over 0 unless all are 0.
 
     From second differences in time, which a steady or evenly moving load leaves alone. From one or two frames,
     or presses that have nothing to do with each other, from second differences along all of an array's axes
@@ -20,6 +21,7 @@ def estimate(frames: NDArray[np.floating]) -> float:
     the rest.
     """
     values = np.asarray(frames, float)
+    values = np.where(np.abs(values) < HUGE, values, np.nan)
     found = _spread(np.diff(values, 2, axis=0), 6.0) if len(values) >= 3 else np.inf
     if len(values) < 3 or _apart(values):
         axes = [axis for axis in range(1, values.ndim) if values.shape[axis] >= 3]

@@ -13,7 +13,6 @@ SPARSE = 0.25  # weight of the sum of pressures, in noise standard deviations, o
 FEWEST = 0.002  # of the cells pressed: fewer are not told apart
 FEW = 0.025  # of the cells pressed: a mean over all modes then says little about the few pressed ones
 LOOSE = 0.3  # of the Gaussian's weight is left to it there
-ZERO = np.float32(0)  # ready-made: converting an integer costs half a microsecond
 ITERATIONS = 30  # at most
 STEADY = 0.05  # noise standard deviations: from the start, an iteration that changes less has no more to give
 WARM = 0.6  # the same from the image before: it has been through many iterations already
@@ -23,14 +22,14 @@ ANEW = 4  # iterations after which the share of pressed cells is counted again
 class Step:
     """The constants of the iteration for one spectrum, its Gaussian weighed by `slack`."""
 
-    def __init__(self, scene: Scene, slack: float) -> None:
+    def __init__(self, scene: Scene, slack: float, ones: Image) -> None:
         S = scene.prior.ratio(scene.number)
         gain = np.zeros_like(S)
         gain[scene.modes.head] = scene.modes.gain
         inverse = 1 / (gain**2 + slack / S + PENALTY)
         self.again = np.asarray(PENALTY * inverse, np.float32)
         self.data = np.asarray(scene.modes.gain * inverse[scene.modes.head], np.float32)
-        self.sparse = np.asarray(-SPARSE * scene.noise * inverse, np.float32)
+        self.sparse = np.asarray(-SPARSE * scene.noise * inverse * ones, np.float32)
 
 
 class Nonneg:
@@ -50,13 +49,15 @@ class Nonneg:
         self._steps: dict[tuple[int, float], Step] = {}
         self._leasts: dict[int, float] = {}
         self._there, self._back = scene.modes.to_surface_modes(), scene.modes.to_surface()
-        self._predict = scene.modes.to_taxels()
         self._modes, self._data = self._there.empty(), self._there.empty()
         ones = np.ones(scene.blur.surface_shape, np.float32)
         self._ones, self._flat_ones = self._there(ones, self._there.empty()), ones.reshape(-1)
         self._head, self._seen = self._data[scene.modes.head], np.empty_like(scene.c)
         self._t, self._abs, self._pull = self._back.empty(), self._back.empty(), self._back.empty()
         self.image = self._back.empty()
+        self._flat = self.image.reshape(-1)
+        # Ready-made: to turn a number into an array costs as much as the sum.
+        self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
         self._reach = scene.blur.reach.reshape(-1)
         self._change = np.empty_like(self._pull)
         self._pressed = np.empty(self._pull.shape, bool)
@@ -68,7 +69,7 @@ class Nonneg:
 
     def noise_gain(self, linear: float) -> float:
         """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
-        np.greater(self.image, ZERO, out=self._pressed)
+        np.greater(self.image, self._zeros, out=self._pressed)
         return linear * (np.count_nonzero(self._pressed) / self._pressed.size) ** 0.5
 
     def __call__(self, wiener: Wiener) -> int:
@@ -90,24 +91,25 @@ class Nonneg:
             if self._iterate(step) <= limit:
                 break
         self._show()
-        scale = scene.force_scale(scene.force - float(np.dot(self._reach, self.image.reshape(-1))))
+        scale = scene.force_scale(scene.force - float(self._reach.dot(self._flat)))
         if scale != 1.0:
-            np.multiply(self.image, np.float32(scale), out=self.image)
+            self._factor[()] = scale
+            np.multiply(self.image, self._factor, out=self.image)
         return done
 
     def _start(self, guess: Image) -> None:
         """Start anew from an image that may be negative."""
-        np.maximum(guess, ZERO, out=self._t)
-        self._pull[...] = ZERO
+        np.maximum(guess, self._zeros, out=self._t)
+        self._pull[...] = self._zeros
 
     def _shift(self, change: Image) -> None:
         """Start from the image before, plus the linear answer to what changed since the last such start."""
         np.add(self._t, change, out=self._t)
-        np.minimum(self._t, ZERO, out=self._pull)
+        np.minimum(self._t, self._zeros, out=self._pull)
 
     def _show(self) -> None:
         """Put the image so far in place."""
-        np.maximum(self._t, ZERO, out=self.image)
+        np.maximum(self._t, self._zeros, out=self.image)
 
     def _slack(self, share: float) -> float:
         """How much of the Gaussian's weight is left to it."""
@@ -119,12 +121,12 @@ class Nonneg:
 
     def _split(self) -> None:
         """Take from t, as `_change`, the multiplier: what of it is no image."""
-        np.minimum(self._t, ZERO, out=self._change)
+        np.minimum(self._t, self._zeros, out=self._change)
 
     def _step(self, slack: float) -> Step:
         key = self._scene.number, slack
         if key not in self._steps:
-            self._steps[key] = Step(self._scene, slack)
+            self._steps[key] = Step(self._scene, slack, self._ones)
         return self._steps[key]
 
     def prepare(self) -> None:
@@ -135,13 +137,13 @@ class Nonneg:
     def _load(self) -> Step:
         """Put in place what the modes owe to the data and to the share of pressed cells; gives the next step."""
         self._show()
-        flat = self.image.reshape(-1)
-        total, squares = float(np.dot(flat, self._flat_ones)), float(np.dot(flat, flat))
+        flat = self._flat
+        total, squares = float(flat.dot(self._flat_ones)), float(flat.dot(flat))
         share = total**2 / (flat.size * squares) if squares else 1.0
         share = min(max(share, self._least()), 1.0)
         step = self._step(self._slack(share))
-        np.multiply(self._ones, step.sparse, out=self._data)
-        np.multiply(self._data, np.float32(share**-0.5), out=self._data)
+        self._factor[()] = share**-0.5
+        np.multiply(step.sparse, self._factor, out=self._data)
         np.multiply(self._scene.c, step.data, out=self._seen)
         np.add(self._head, self._seen, out=self._head)
         return step
@@ -168,4 +170,4 @@ class Nonneg:
         self._pull, self._change = self._change, self._pull
         np.subtract(self._change, self._pull, out=self._change)
         flat = self._change.reshape(-1)
-        return float(np.dot(flat, flat))
+        return float(flat.dot(flat))

@@ -41,6 +41,7 @@ STRETCH = 0.5  # of a force that it may change
 UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
+STAY = 1.5  # times further that these bounds reach for points that go on from those of the frame before
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
 
@@ -63,7 +64,7 @@ class Points:
         if self._loads and self._loads.stir() < TELLING * MODEL:
             self._loads, self.never = None, TOO_THIN
         size = scene.flat.size
-        self._jacobian = np.empty((4 * MOST, size), np.float32)
+        self._jacobian = np.empty((6 * MOST, size), np.float32)
         self._residual = np.empty(size, np.float32)
         self._peeled = np.empty(scene.blur.surface_shape, np.float32)
         self._ones = np.ones(self._peeled.size, np.float32)
@@ -83,11 +84,11 @@ class Points:
         if self._loads is None:
             return 0
         y = y.reshape(-1)
-        self._model = MODEL**2 * float(np.dot(y, y))
+        self._model = MODEL**2 * float(y.dot(y))
         done, told = 0, None
         if self._last is not None:
             done, fit = self._refined(y, self._last)
-            told = self._told(fit)
+            told = self._told(fit, STAY)
         places = None if told else self._peaks(image)
         if places:
             more, told = self._anew(y, np.array(places), image)
@@ -122,7 +123,7 @@ class Points:
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
         k, flat = self._refine, image.reshape(-1)
-        total, squares = float(np.dot(flat, self._ones)), float(np.dot(flat, flat))
+        total, squares = float(flat.dot(self._ones)), float(flat.dot(flat))
         if total**2 > FLAT * MOST * k**2 * squares or not squares:
             return []
         self._peeled[...] = image
@@ -158,9 +159,9 @@ class Points:
                     break
                 continue
             np.subtract(y, force.astype(np.float32) @ A[0], out=self._residual)
-            left = float(np.dot(self._residual, self._residual))
+            left = float(self._residual.dot(self._residual))
             if fit is None or left <= fit.left:
-                J, scale = A.reshape(4 * len(force), -1), np.concatenate([np.ones_like(force), *[force] * 3])
+                J, scale = A.reshape(6 * len(force), -1), np.concatenate([np.ones_like(force), *[force] * 5])
                 normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self._residual)
                 gained = fit.left - left if fit else np.inf
                 fit = _Fit(places, force, left, normal, right)
@@ -199,47 +200,64 @@ class Points:
     def _responses(self, places: Floats) -> Image:
         assert self._loads is not None
         n = len(places)
-        A = self._jacobian[: 4 * n]
-        self._loads.jacobian(places, A.reshape(4, n, -1))
-        return A.reshape(4, n, -1)
+        A = self._jacobian[: 6 * n].reshape(6, n, -1)
+        self._loads.jacobian(places, A)
+        return A
 
     def _within(self, places: Floats) -> Floats:
         rows, columns = self._scene.blur.frame_shape
         return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
 
-    def _told(self, fit: "_Fit | None") -> Told | None:
+    def _told(self, fit: "_Fit | None", reach: float = 1.0) -> Told | None:
         """Places, forces and places' deviations, each load given a width of its own; None where unsure."""
         if fit is None:
             return None
         n = len(fit.force)
-        normal = fit.normal.copy()
-        normal.flat[:: 4 * n + 1] *= 1 + RIDGE
+        normal, right = fit.round()
         inverse = np.linalg.inv(normal)
         noise, free = self._scene.noise**2, max(self._residual.size - 4 * n, 1)
-        width = inverse[3 * n :] @ fit.right
+        width = inverse[3 * n :] @ right
         spread = np.maximum(inverse.diagonal()[3 * n :], 1e-30)
         common = max(float(width @ (1 / spread) / (1 / spread).sum()), 0.0)
-        last = self._held(normal, fit.right, common)
-        left = fit.left + float(last @ (normal @ last - 2 * fit.right))
-        if left > noise * (free + SURE * sqrt(2 * free)) + self._model:
+        last = self._held(normal, right, common)
+        left = fit.left + float(last @ (normal @ last - 2 * right))
+        if left > noise * (free + reach * SURE * sqrt(2 * free)) + self._model:
             return None
         variance = max(left / free, noise)
         unsure = np.sqrt(spread * variance)
         doubt = variance / float((1 / spread).sum())
-        if common + DOUBT * sqrt(doubt) > WIDTH:
+        if common + DOUBT * sqrt(doubt) > reach * WIDTH:
             return None
-        if (width - SEEN * unsure).max() > common + SURPLUS:
+        if (width - SEEN * unsure).max() > common + reach * SURPLUS:
+            return None
+        if self._longest(fit, reach * SEEN * sqrt(variance)) > common + reach * SURPLUS:
             return None
         force, *shift = last[: 3 * n].reshape(3, n)
-        if np.abs(shift).max() > FIRM or (np.abs(force) > STRETCH * fit.force).any():
+        if np.abs(shift).max() > reach * FIRM or (np.abs(force) > reach * STRETCH * fit.force).any():
             return None
         known = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
-        if (known[:, 0] > (UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > FAR**2:
+        if (known[:, 0] > (reach * UNSURE * fit.force) ** 2).any() or known[:, 1:].max() > (reach * FAR) ** 2:
             return None
         places = self._within(fit.places + np.stack(shift, axis=1))
         spread = np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
         force = np.maximum(fit.force + force, 0)
         return Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
+
+    def _longest(self, fit: "_Fit", seen: float) -> float:
+        """Width (square pitches) that a load surely has along its longest axis; much of it, and it may be two.
+
+        `seen`: how many deviations of a noise of 1 count as more than noise.
+        """
+        n = len(fit.force)
+        normal = fit.normal.copy()
+        normal.flat[:: 6 * n + 1] *= 1 + RIDGE
+        inverse = np.linalg.inv(normal)[3 * n :]
+        own = (inverse @ fit.right).reshape(3, n)
+        _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
+        u, v = axes[..., -1].T
+        along = np.stack([u * u, v * v, 2 * u * v])
+        known = np.einsum("in,injn,jn->n", along, inverse[:, 3 * n :].reshape(3, n, 3, n), along)
+        return float(((own * along).sum(axis=0) - seen * np.sqrt(np.maximum(known, 1e-30))).max())
 
     def _held(self, normal: Floats, right: Floats, common: float) -> Floats:
         """The last step of all unknowns, every width held near the common one."""
@@ -254,8 +272,17 @@ class _Fit(NamedTuple):
     places: Floats  # (n, 2), pitches
     force: Floats
     left: float  # of the frame, squared
-    normal: Floats  # of n times force, row and column, then n widths
+    normal: Floats  # of n times force, row and column, then n times width down, across and both
     right: Floats
+
+    def round(self) -> tuple[Floats, Floats]:
+        """Give normal and right of n times force, row, column and a width that is the same down and across."""
+        n = len(self.force)
+        alike = np.eye(6 * n)[:, : 4 * n]
+        alike[4 * n : 5 * n, 3 * n :] = np.eye(n)
+        normal = alike.T @ self.normal @ alike
+        normal.flat[:: 4 * n + 1] *= 1 + RIDGE
+        return normal, self.right @ alike
 
     def step(self, damping: float) -> Floats:
         """Give the move (n, 2) of the points; the damping also holds those whose response is flat about them."""

@@ -66,11 +66,11 @@ class Prior:
         """Number of the most likely spectrum for taxel modes' coefficients."""
         np.multiply(c, c, out=self.squares)
         if self._right is None:
-            np.dot(self._left, self.squares, out=self._power)
+            self._left.dot(self.squares, self._power)
         else:
-            np.dot(self._left, self.squares, out=self._between)
-            np.dot(self._between, self._right, out=self._power)
-        np.dot(self._cost_of, self._blocks, out=self._cost)
+            self._left.dot(self.squares, self._between)
+            self._between.dot(self._right, self._power)
+        self._cost_of.dot(self._blocks, self._cost)
         return int(self._cost.argmin())
 
     def ratio(self, number: int) -> Floats:

@@ -45,6 +45,10 @@ class Scene:
         self._restless = 2 * noise**2 * (self.c.size + SURE * sqrt(2 * self.c.size))  # what noise alone may change
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
+        felt = self.modes.to_surface_modes()
+        self.felt = felt(blur.reach, felt.empty())[
+            self.modes.head
+        ].ravel()  # total force of each mode, by the blur
         noise_of_sum = noise * float(np.sqrt(ones.size))
         self._sure, self._agreed = SURE * noise_of_sum, AGREED * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
@@ -59,16 +63,16 @@ class Scene:
         self.number = self.prior.pick(self.c)
         if self.follows:
             np.subtract(self.c, self._from, out=self.step)
-            changed = float(np.dot(self._flat_step, self._flat_step))
+            changed = float(self._flat_step.dot(self._flat_step))
             self.moved = changed > MOVED * self._restless
-            self.anew = self.moved and changed > self._restless + ANEW * float(np.dot(self.flat, self.flat))
+            self.anew = self.moved and changed > self._restless + ANEW * float(self.flat.dot(self.flat))
             if self.moved:
                 np.copyto(self._from, self.c)
 
     @property
     def force(self) -> float:
         """Sum over the frame (kPa)."""
-        return float(np.dot(self.ones, self.flat))
+        return float(self.ones.dot(self.flat))
 
     def empty(self) -> None:
         """Take in that there is nothing to see, without looking."""

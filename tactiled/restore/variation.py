@@ -47,7 +47,7 @@ class Edges:
         for neighbour, known in ((self._right, self._in_row), (self._under, self._in_column)):
             np.subtract(neighbour, self.x, out=self._length)
             np.abs(self._length, out=self._length)
-            found += float(np.dot(self._length, known))
+            found += float(self._length.dot(known))
         return found
 
     def fill(self, t: Image) -> None:
@@ -115,7 +115,7 @@ class Variation(Nonneg):
     def _load(self) -> Step:
         scene, x = self._scene, self._edges.x
         variation = self._edges.variation()
-        contrast = float(np.dot(x, x)) / variation if variation else 0.0
+        contrast = float(x.dot(x)) / variation if variation else 0.0
         flat = 1 / (1 + (scene.prior.corner(scene.number) / CORNER) ** 2)
         self._edges.limit(max(WEIGHT * flat * (scene.noise * contrast) ** 0.5, LEAST * scene.noise) / PENALTY)
         return super()._load()

@@ -115,9 +115,9 @@ class Windowed:
         if flat[flat.argmax()] > self._peak or flat[flat.argmin()] < -self._peak:
             return False
         noise, left = self._scene.noise, flat.size - prod(each.stop - each.start for each in self._inside)
-        if float(np.dot(flat, flat)) > noise**2 * (left + SURE * sqrt(2 * left)):
+        if float(flat.dot(flat)) > noise**2 * (left + SURE * sqrt(2 * left)):
             return False
-        return abs(float(np.dot(flat, self._ones))) < SURE * noise * sqrt(left)
+        return abs(float(flat.dot(self._ones))) < SURE * noise * sqrt(left)
 
     def _put(self, y: Image) -> bool:
         """Put the window around the contact; False where that has no room in it, or more is pressed elsewhere."""

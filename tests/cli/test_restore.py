@@ -1,4 +1,6 @@
 import json
+import os
+import signal
 import subprocess
 import sys
 
@@ -93,6 +95,35 @@ def test_the_measured_noise_is_the_noise(config, film):
     assert Offline(plan).begin(np.load(film(200))) == pytest.approx(0.5, rel=0.1)
 
 
+@pytest.mark.parametrize(("step", "given"), [(0.5, 0.5 / 12**0.5), (1.0, 0.5 / 12**0.5), (1e-4, 0.05)])
+def test_rounding_is_noise(config, film, step, given):
+    """Most taxels of a quiet film stay at one count: it seemed to have a noise of 1e-4 of its highest pressure."""
+    plan = sensor_plan("palm", load(config()).sensor["palm"])
+    frames = np.round(0.1 * np.load(film(60)) / step) * step
+    frames[0, 0, :2] = np.nan, 1e30
+    assert Offline(plan).begin(frames.astype(np.float32)) == pytest.approx(given, rel=0.1)
+
+
+def test_a_beginning_without_a_touch_is_not_rounding(config, film):
+    """All zero, it was taken for values rounded to 1 kPa, and a faint film came out empty."""
+    plan = sensor_plan("palm", load(config()).sensor["palm"])
+    frames = np.load(film(200))
+    noise = Offline(plan).begin(frames)
+    frames[:40] = 0
+    assert Offline(plan).begin(1e-3 * frames) == pytest.approx(1e-3 * noise, rel=0.2)
+
+
+def test_what_is_no_path_is_named(config, film, tmp_path):
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    path = film()
+    for name in ("x" * 300, loop):
+        for option, other in (("-o", "--stats"), ("--stats", "-o")):
+            told = run(path, option, name, other, tmp_path / "y", "--config", config()).exception
+            assert isinstance(told, ConfigError), told
+            assert str(name) in str(told)
+
+
 def test_a_finer_surface_makes_larger_images(config, film, tmp_path):
     assert run(film(), "-o", tmp_path / "out.npy", "--config", config(refine=2)).exit_code == 0
     assert np.load(tmp_path / "out.npy").shape == (40, 16, 12)
@@ -126,6 +157,68 @@ def test_the_film_may_be_written_over(config, film):
     path = film()
     assert run(path, "-o", path, "--config", config(), "--method", "nnls").exit_code == 0
     assert np.load(path).min() >= 0
+
+
+def test_what_is_read_is_never_written_over_by_accident(config, film, tmp_path):
+    """Told to write what it did over the frames, the command emptied them."""
+    path, settings, out = film(), config(), tmp_path / "out.npy"
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    before = path.read_bytes(), settings.read_bytes()
+    for stats, other in ((link, "FRAMES"), (settings, "--config"), (out, "--out")):
+        said = refused(path, "-o", out, "--config", settings, "--stats", stats)
+        assert said == f"--stats {stats}: is {other}, too: give another file"
+    assert "is --config, too" in refused(path, "-o", settings, "--config", settings)
+    assert (path.read_bytes(), settings.read_bytes()) == before
+    assert not out.exists()
+
+
+def test_only_plain_files_are_written(config, film, tmp_path):
+    """A pipe was replaced by a file, and so was /dev/null."""
+    pipe, out = tmp_path / "pipe", tmp_path / "out.npy"
+    os.mkfifo(pipe)
+    assert "pipe: no plain file: give a file" in refused(film(), "-o", pipe, "--config", config())
+    assert "pipe: no plain file" in refused(film(), "-o", out, "--config", config(), "--stats", pipe)
+    assert pipe.is_fifo()
+    assert not out.exists()
+
+
+def test_a_link_is_written_through(config, film, tmp_path):
+    link, out = tmp_path / "link.npy", tmp_path / "out.npy"
+    link.symlink_to(out)
+    assert run(film(), "-o", link, "--config", config()).exit_code == 0
+    assert link.is_symlink()
+    assert np.load(out).shape == (40, 8, 6)
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """Answers of an earlier run: a command that fails leaves them as they are, and nothing beside them."""
+    files = [tmp_path / "out.npy", tmp_path / "stats.json"]
+    for file in files:
+        file.write_text("earlier")
+    yield files
+    assert [file.read_text() for file in files] == ["earlier", "earlier"]
+    assert not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_command_leaves_nothing_half_written(config, film, kept, monkeypatch, sent):
+    once = Offline._one
+
+    def one(self, *arguments):
+        signal.raise_signal(sent)
+        return once(self, *arguments)
+
+    monkeypatch.setattr(Offline, "_one", one)
+    before = signal.getsignal(sent)
+    assert run(film(9), "-o", kept[0], "--config", config(), "--stats", kept[1]).exit_code == 130
+    assert signal.getsignal(sent) is before
+
+
+def test_a_failed_command_leaves_no_stats_of_half_a_film(config, film, kept):
+    """They were begun before it was known whether images could be written."""
+    assert "no/out.npy" in refused(film(), "-o", "/no/out.npy", "--config", config(), "--stats", kept[1])
 
 
 def test_memory_does_not_grow_with_the_film(config, tmp_path):

@@ -86,7 +86,7 @@ def test_points_that_are_not_told_stay_near_the_raw_image(pricked):
     pressed = press.frame > 5 * press.sigma
     share = (done.image - press.frame)[pressed] / (alone.image - press.frame)[pressed]
     assert share.min() == pytest.approx(share.max(), rel=0.02)
-    assert 0.5 < share.mean() < 0.95
+    assert 0.3 < share.mean() < 0.95
 
 
 def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch):
@@ -123,6 +123,16 @@ def test_a_scene_on_the_border_does_not_flicker(covered, sensed, weakest, strong
     auto = make("auto", covered(SHAPE), SIGMA)
     methods = [auto(sensed(bump(3, peak))).method for peak in np.linspace(weakest, strongest, 300)]
     assert sum(a != b for a, b in itertools.pairwise(methods)) < most
+
+
+def test_a_faint_press_that_linear_almost_does_for_does_not_flicker():
+    """Asked again every eighth frame, 41 changes."""
+    press = next(each for each in presses(16, (2.0,), (1e-6,), 1, 31) if each.scene == "blobs")
+    random, faint = np.random.default_rng(0), press.frame * np.float32(10 * SIGMA / press.frame.max())
+    auto = make("auto", press.blur, SIGMA)
+    frames = (faint + random.normal(0, SIGMA, faint.shape).astype(np.float32) for _ in range(600))
+    methods = [auto(frame).method for frame in frames]
+    assert sum(a != b for a, b in itertools.pairwise(methods)) < 20
 
 
 def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):

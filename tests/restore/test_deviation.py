@@ -40,6 +40,21 @@ def test_deviation_counts_what_the_model_misses(noise, thicker):
     assert np.quantile(found, 0.9) < 3
 
 
+@pytest.mark.parametrize("noise", [0.002, 0.01, 0.05])
+def test_deviation_of_the_raw_image_counts_what_the_cover_did(noise):
+    """Told the linear image's, which was restored, it was 3.6 times too small at 0.2 %."""
+    found = list(ratios("raw", noise, 1.0, 1))
+    assert 0.7 < np.median(found) < 1.3
+    assert np.quantile(found, 0.9) < 2
+
+
+def test_deviation_of_a_frame_left_raw_is_the_raw_images():
+    press = next(press for press in presses(16, (0.05,), (0.01,)) if press.scene == "points")
+    auto, raw = (make(method, press.blur, press.sigma) for method in ("auto", "raw"))
+    assert auto(press.frame).method == raw(press.frame).method == "raw"
+    np.testing.assert_array_equal(auto.deviation(), raw.deviation())
+
+
 @pytest.mark.parametrize("method", ["points", "auto"])
 def test_the_deviation_of_points_is_the_fits_own(method):
     found = list(ratios(method, 0.002, 1.0, 3, points=True))
