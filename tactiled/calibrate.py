@@ -18,6 +18,7 @@ class Calibration:
     saturation: float | None = None  # counts from which (falling gain: down to which) a taxel is at its ceiling
     noise_kpa: float | None = None  # standard deviation of one taxel; None: to be estimated from the frames
     dead: tuple[int, ...] = ()  # taxel indices that do not work
+    shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
 
     def __post_init__(self) -> None:
         """Refuse a gain or a noise that means nothing."""
@@ -27,6 +28,9 @@ class Calibration:
             raise ConfigError(f"no_load is {self.no_load}: give the counts of an unloaded taxel")
         if self.noise_kpa is not None and not (np.isfinite(self.noise_kpa) and self.noise_kpa > 0):
             raise ConfigError(f"noise_kpa is {self.noise_kpa}: give a standard deviation above 0 kPa")
+        scale = self.shear_n_per_count
+        if scale is not None and (not np.isfinite(scale) or scale == 0):
+            raise ConfigError(f"shear_n_per_count is {scale}: give N for one count, not 0")
 
     @property
     def floor_kpa(self) -> float:
@@ -53,8 +57,7 @@ class Calibrator:
 
     def tare(self, counts: NDArray[np.float64]) -> None:
         """Take `counts` (N,), a mean over frames of the unloaded array, as no load; NaN keeps the taxel's own."""
-        known = np.isfinite(counts)
-        self._no_load[known] = counts[known]
+        self._no_load = np.where(np.isfinite(counts), counts, self._no_load).astype(np.float32)
 
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for a missing or bad taxel, and the flags with DEAD and SATURATED added."""

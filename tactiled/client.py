@@ -8,6 +8,7 @@ for image in tactiled.connect("http://127.0.0.1:8000").stream("palm"):
 
 import asyncio
 import json
+import logging
 import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ from websockets.sync.client import connect as connect_sync
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.wire import KINDS, PRESSURES, Kind, Unpacked, unpack
 
+LOG = logging.getLogger(__name__)
 ANSWER_S = 10.0  # that the service may take to answer
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 LOST = OSError, ConnectionClosed, InvalidHandshake, InvalidURI  # TimeoutError is an OSError
@@ -105,11 +107,11 @@ class _Attempts:
             "close_timeout": 1,
         }
         self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
-        self._why = ""  # the service gave no reason to close yet
+        self._why = ""  # why there is no connection
 
     def connected(self) -> None:
         """A connection begins, whose messages have no past."""
-        self._parts = _Parts(self._one, self._kinds)
+        self._parts, self._why = _Parts(self._one, self._kinds), ""
 
     def left(self) -> float | None:
         """How long (s) the next message may take; None: for ever."""
@@ -128,11 +130,15 @@ class _Attempts:
             self._why = error.rcvd.reason
             if error.rcvd.code in REFUSED:
                 raise TactileError(f"{self._url}: {self._why}") from error
-        if isinstance(error, InvalidURI):
+        elif isinstance(error, InvalidURI):
             raise TactileError(f"{self._url}: {error}") from error
+        elif not isinstance(error, TimeoutError | ConnectionClosed):
+            self._why = f"{getattr(error, 'strerror', None) or error}: is the service running?"
+        why = f": {self._why}" if self._why else ""
         if self.left() == 0:
-            why = f": {self._why}" if self._why else ""
             raise TactileError(f"{self._named} at {self._url}: no image for {self._patience_s} s{why}") from error
+        if self._wait == BACK_OFF_S[0]:
+            LOG.warning("%s at %s: no connection%s: trying again", self._named, self._url, why)
         wait, self._wait = self._wait, min(2 * self._wait, BACK_OFF_S[1])
         return wait
 
@@ -168,7 +174,7 @@ class Client:
 
         At most `rate_hz` a second (0: every frame) of each; with `shear`, which the skin must feel. TactileError
         if no image comes for `patience_s` (None: it waits), or if the service refuses; one stream too many, of
-        this client (4429) or of all (4503), is no refusal: it waits for a place.
+        this client (4429) or of all (4503), is no refusal: it waits for a place. What it waits for is logged once.
         """
         attempts = _Attempts(self, sensor, rate_hz, patience_s, shear)
         while True:

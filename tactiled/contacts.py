@@ -80,12 +80,14 @@ class Finder:
 
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
-        force = pressure[skirt] * self._cells.areas[skirt]  # kPa mm^2, 1e-3 N
+        areas = self._cells.areas[skirt]
+        force = pressure[skirt] * areas  # kPa mm^2, 1e-3 N
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
         centre = weight @ places
         away = places - centre
-        spread = (weight[:, None] * away).T @ away
+        within = float(weight @ areas) / 12  # mm^2, of the even pressure inside a square cell
+        spread = (weight[:, None] * away).T @ away + within * np.eye(2)
         least, most = np.linalg.eigvalsh(spread)
         angle = 0.5 * np.arctan2(2 * spread[0, 1], spread[0, 0] - spread[1, 1])
         return Contact(

@@ -1,6 +1,7 @@
 """One sensor's way from counts to the restored image: calibrate, choose, restore."""
 
 from collections.abc import Callable
+from functools import cached_property
 from threading import Lock
 from time import perf_counter
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.doubt import Doubt
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts, Image, RawFrame
-from tactiled.geometry import Array
+from tactiled.geometry import Array, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
@@ -24,7 +25,7 @@ TARE_FRAMES = 16  # frames that a tare averages
 class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
-    `set_method` and `tare` may be called from any thread; they take effect with the next frame.
+    `set_method` and `tare` may be called from any thread; they take effect with the next frame. So may `forces`.
     """
 
     def __init__(
@@ -42,7 +43,8 @@ class Pipeline:
         self._calibrator = Calibrator(calibration, array.size)
         self._noise = _Noise(calibration)
         self._tare = _Tare((array.size,))
-        self._shear_tare, self._no_shear = _Tare((2, array.size)), np.zeros((2, array.size), np.float32)
+        self._shear_tare = _Tare((2, array.size))
+        self._no_shear = np.full((2, array.size), np.nan, np.float32)  # NaN until tared
         self.tared = 0  # times
         self._doubt = Doubt(blur, calibration.floor_kpa)
         self._method = ""
@@ -86,6 +88,25 @@ class Pipeline:
             again.reset()
             again(image.raw, image.flags)
             return again.deviation().astype(np.float32)
+
+    def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
+        """Force (N, 3) in N on each taxel, along x and y and into the skin, as sensed; None unless all are known.
+
+        They are not where shear has no scale or has not been tared, or where a taxel does not work; of a saturated
+        one it is the least that it can be.
+        """
+        scale = self._calibrator.calibration.shear_n_per_count
+        if scale is None or frame.shear is None:
+            return None
+        pressure, _ = self._calibrator(frame.counts, frame.flags)
+        along = (frame.shear - self._no_shear) * scale
+        forces = np.column_stack([*along, pressure * self._areas * 1e-3])  # kPa mm^2 are mN
+        return forces if np.isfinite(forces).all() else None
+
+    @cached_property
+    def _areas(self) -> NDArray[np.float64]:
+        """(N,) mm^2 of the surface that each taxel stands for."""
+        return tiling(self.array).areas
 
     def _make(self) -> Restorer:
         self._made = (self._method, self._noise.kpa)
@@ -134,7 +155,7 @@ class Pipeline:
         unknown = flags.ravel() & (MISSING | BAD | DEAD) > 0
         if (mean := self._shear_tare.add(shear, ~unknown)) is not None:
             self._no_shear = np.where(np.isfinite(mean), mean, self._no_shear).astype(np.float32)
-        tared = shear - self._no_shear
+        tared = shear - np.nan_to_num(self._no_shear)
         tared[:, unknown] = np.nan
         return tared.reshape((2, *self.array.frame_shape))
 
@@ -150,7 +171,11 @@ def _doubts(flags: NDArray[np.uint8]) -> tuple[str, ...]:
         (SATURATED, "saturated: their pressure is a lower bound"),
     )
     counted = ((np.count_nonzero(flags & kind), text) for kind, text in kinds)
-    return tuple(f"{count} taxels {text}" for count, text in counted if count)
+    return tuple(
+        f"1 taxel {text.replace('their', 'its')}" if count == 1 else f"{count} taxels {text}"
+        for count, text in counted
+        if count
+    )
 
 
 class _Noise:

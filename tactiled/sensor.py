@@ -110,6 +110,10 @@ class Sensor:
                 self._looked_at, self._contacts = image, tuple(self._tracker(found))
             return image, self._contacts
 
+    def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
+        """Force (N, 3) in N on each taxel, along x and y and into the skin; None unless all are known."""
+        return self._pipeline.forces(frame)
+
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""
         self._pipeline.tare()

@@ -57,6 +57,8 @@ def test_tare_moves_the_zero_of_the_taxels_it_knows():
         ({"kpa_per_count": float("nan")}, "kpa_per_count is nan"),
         ({"no_load": float("inf")}, "no_load is inf"),
         ({"noise_kpa": -1.0}, "noise_kpa is -1.0"),
+        ({"shear_n_per_count": 0.0}, "shear_n_per_count is 0.0"),
+        ({"shear_n_per_count": float("inf")}, "shear_n_per_count is inf"),
     ],
 )
 def test_a_calibration_that_means_nothing_is_refused_by_name(settings, names):

@@ -152,5 +152,13 @@ def test_an_address_that_is_none_is_refused(url):
 def test_a_service_that_is_not_there_is_told():
     with pytest.raises(TactileError, match="is the service running"):
         connect("http://127.0.0.1:9").sensors()
-    with pytest.raises(TactileError, match=r"no image for 0.1 s"):
+    with pytest.raises(TactileError, match=r"no image for 0.1 s: Connection refused: is the service running\?"):
         next(connect("http://127.0.0.1:9").stream("palm", patience_s=0.1))
+
+
+def test_what_a_stream_waits_for_is_logged_once(caplog):
+    with pytest.raises(TactileError):
+        next(connect("http://127.0.0.1:9").stream("palm", patience_s=2.0))
+    why = "Connection refused: is the service running?"
+    said = f"sensor 'palm' at http://127.0.0.1:9: no connection: {why}: trying again"
+    assert [each.getMessage() for each in caplog.records if each.name == "tactiled.client"] == [said]

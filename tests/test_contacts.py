@@ -84,8 +84,18 @@ def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(array):
     image[10:12, 10:12] = 20
     (found,) = Finder(array, tiling(array))(image, 0.1)
     assert (found.x_mm, found.y_mm) == (10.5, 10.5)
-    assert found.major_mm == pytest.approx(0.5)
+    assert found.major_mm == pytest.approx(2 / 12**0.5)  # of a square of 2 mm
     assert found.force_n == pytest.approx(1e-3 * (4 * 20 - 8 * 6))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 3), (4, 2)])
+@pytest.mark.parametrize("refine", [1, 2])
+def test_an_even_block_is_as_long_and_as_wide_as_it_is(array, rows, columns, refine):
+    image = np.zeros((refine * SIDE, refine * SIDE), np.float32)
+    image[8 : 8 + rows * refine, 6 : 6 + columns * refine] = 50
+    (found,) = Finder(array, tiling(array, refine))(image, 0.1)
+    width, height = sorted((rows, columns))
+    assert (found.minor_mm, found.major_mm) == pytest.approx((width / 12**0.5, height / 12**0.5))
 
 
 def test_a_layout_that_is_no_grid():

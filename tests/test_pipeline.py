@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from tactiled.bench.truth import presses
 from tactiled.calibrate import Calibration
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Loss, RawFrame
-from tactiled.geometry import grid
+from tactiled.geometry import grid, layout, tiling
 from tactiled.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
 from tactiled.restore.blur import Blur
 
@@ -91,7 +93,7 @@ def test_a_taxel_that_is_not_known_is_null_in_raw_inferred_in_restored_and_told(
     assert np.isfinite(image.restored).all()
     assert image.restored[2, 2] > 50
     assert image.flags[5, 4] == DEAD
-    assert [warning[:12] for warning in image.warnings] == ["1 taxels did", "1 taxels cal", "1 taxels dea"]
+    assert [warning[:11] for warning in image.warnings] == ["1 taxel did", "1 taxel cal", "1 taxel dea"]
 
 
 def test_saturation_is_told(make):
@@ -121,6 +123,60 @@ def test_tare_takes_the_mean_of_the_next_frames(make):
         image = pipeline.process(frame(tilted + n % 2, n, flags if n % 2 else None))
     np.testing.assert_array_equal(image.raw[1:], 0.5)  # the last frame stands half a count over the mean
     assert pipeline.process(frame(tilted)).raw[0, 0] == 0
+
+
+def sheared(counts, x, y, flags=None):
+    plain = frame(counts, flags=flags)
+    return replace(plain, shear=np.stack([np.full(30, x), np.full(30, y)]).astype(np.float32))
+
+
+def test_forces_are_newtons_along_and_into_the_skin_from_what_a_tare_took(make):
+    pipeline = make("raw", kpa_per_count=0.5, no_load=7, noise_kpa=0.5, shear_n_per_count=-0.01)
+    rest, load = sheared(np.full(SHAPE, 100), 50, -30), sheared(pressed(), 60, 70)
+    assert pipeline.forces(load) is None  # not tared
+    pipeline.tare()
+    for _ in range(TARE_FRAMES):
+        pipeline.process(rest)
+    forces = pipeline.forces(load)
+    np.testing.assert_allclose(forces[:, :2], np.broadcast_to([-0.1, -1.0], (30, 2)), rtol=1e-6)
+    into = (pressed() - 100) * 0.5 * 1.0**2 * 1e-3  # kPa mm^2 are mN
+    np.testing.assert_allclose(forces[:, 2].reshape(SHAPE), into, rtol=1e-6)
+
+
+def test_forces_of_a_layout_are_of_the_surface_that_each_taxel_stands_for():
+    row = layout(np.column_stack([np.arange(5) * 2.0, np.zeros(5)]))
+    told = Calibration(kpa_per_count=1.0, no_load=0, noise_kpa=0.5, shear_n_per_count=1.0)
+    pipeline = Pipeline("row", row, Blur.matrix(np.eye(5), 2.0), told, "raw")
+    even = RawFrame(0, 0.0, 0.0, np.full(5, 100, np.uint16), np.zeros(5, np.uint8), Loss(), np.zeros((2, 5)))
+    pipeline.tare()
+    for _ in range(TARE_FRAMES):
+        pipeline.process(even)
+    forces = pipeline.forces(replace(even, counts=np.full(5, 300, np.uint16)))
+    np.testing.assert_allclose(forces[:, 2], 200 * tiling(row).areas * 1e-3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "flags", "after"),
+    [
+        ({"shear_n_per_count": 0.1}, MISSING, True),
+        ({"shear_n_per_count": 0.1}, BAD, True),
+        ({"shear_n_per_count": 0.1, "dead": (3,)}, 0, False),
+        ({}, 0, False),
+    ],
+)
+def test_no_force_is_told_where_one_is_not_known(make, settings, flags, after):
+    pipeline = make("raw", no_load=100, noise_kpa=0.5, **settings)
+    pipeline.tare()
+    for _ in range(TARE_FRAMES):
+        pipeline.process(sheared(np.full(SHAPE, 100), 0, 0))
+    faults = np.zeros(SHAPE)
+    faults[2, 2] = flags
+    assert pipeline.forces(sheared(pressed(), 1, 1, faults)) is None
+    assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == after
+
+
+def test_a_skin_without_shear_has_no_forces(make):
+    assert make("raw", no_load=100, shear_n_per_count=0.1).forces(frame(pressed())) is None
 
 
 def test_noise_that_is_louder_than_told_is_told(make):

@@ -69,7 +69,7 @@ def _server(server: Server, host: str | None, port: int | None) -> Server:
     """The file's server at another address; ConfigError where it may not be served there."""
     given = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
     try:
-        return Server(**(server.model_dump() | given))
+        return Server(**(server.model_dump(exclude_unset=True) | given))
     except ValidationError as error:
         says = error.errors()[0]["msg"].removeprefix("Value error, ")
         raise ConfigError(f"--host {host}: {says} in [server]") from error

@@ -90,6 +90,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
     require(sensor.method)
     calibration = make_calibration(sensor)
+    _check_forces(sensor.calibration, codec)
     Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
     kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy)
     return SensorPlan(
@@ -106,6 +107,17 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         stale_after_s=sensor.stale_after_s,
         warnings=_standing(sensor, meaning(kernel, array), array),
     )
+
+
+def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
+    """ConfigError where shear is to be newtons, and there is none or pressure is not kPa."""
+    if calibration.shear_n_per_count is None:
+        return
+    given = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
+    if not isinstance(codec, Shearing):
+        raise ConfigError(f"{given}: the codec carries no shear: leave it out")
+    if calibration.kpa_per_count is None:
+        raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
 
 
 def _standing(sensor: schema.Sensor, told: Meaning, array: Array) -> tuple[str, ...]:

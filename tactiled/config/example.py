@@ -11,11 +11,13 @@ port = 8000
 # tls_certificate = "/etc/tactiled/cert.pem"
 # tls_key = "/etc/tactiled/key.pem"
 # foxglove = 8765           # for Foxglove's apps on this machine; asks for no token
+# xela = 5000               # for clients of XELA's server; asks for no token
+# xela_host = "127.0.0.1"   # where: another address lets other machines see those sensors
 # recordings = "/var/lib/tactiled"  # folder that clients may record the buses into
 # state = "/var/lib/tactiled/state.json"  # what clients want kept over a restart
 history_s = 5.0             # of images kept for clients that ask for a window
 history_mb = 64             # and no more memory than this for all sensors
-control_per_minute = 600    # changes and costly answers that one client may ask for; 0: no bound
+control_per_minute = 600    # changes, and as many costly answers, that one client may ask for; 0: no bound
 streams_per_client = 64     # live streams that one client may have open; 0: no bound
 streams = 256               # and all clients together
 
@@ -72,6 +74,7 @@ no_load = 80
 saturation = 4095           # counts from which a taxel is at its ceiling
 # noise_kpa = 0.1           # standard deviation of one taxel; measured from the first frames if left out
 # dead = [17, 301]          # taxels that do not work, by index: row * columns + column
+# shear_n_per_count = 6e-4  # of a 3-axis skin: N along it for one count, for clients of XELA's server
 """
 
 SHEAR = """\
@@ -101,6 +104,7 @@ poisson = 0.45
 [sensor.skin.calibration]
 kpa_per_count = 0.02
 no_load = 36000
+shear_n_per_count = 0.0006
 """
 
 GRASP = """\

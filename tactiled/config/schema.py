@@ -43,11 +43,15 @@ class Server(Section):
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None  # PEM
     foxglove: int | None = Field(None, ge=0, le=65535)  # port on loopback for Foxglove's apps; None: not served
+    xela: int | None = Field(None, ge=0, le=65535)  # port for XELA's clients alone, without a token; None: none
+    xela_host: str = "127.0.0.1"  # address of that port
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
     state: Path | None = None  # file of what clients want kept; None: in the user's state directory
     history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
     history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
-    control_per_minute: int = Field(600, ge=0, le=1_000_000)  # changes, and costly answers, a client; 0: no bound
+    control_per_minute: int = Field(
+        600, ge=0, le=1_000_000
+    )  # changes, and as many costly answers, a client; 0: no bound
     streams_per_client: int = Field(64, ge=0, le=65535)  # WebSockets that a client may have open; 0: no bound
     streams: int = Field(256, ge=0, le=65535)  # and all clients together; 0: no bound
 
@@ -66,6 +70,8 @@ class Server(Section):
             raise ValueError("read_token without control_token: anyone could control it: give both")
         if (self.tls_certificate is None) != (self.tls_key is None):
             raise ValueError("tls_certificate and tls_key: give both or neither")
+        if self.xela is None and "xela_host" in self.model_fields_set:
+            raise ValueError(f"xela_host = {self.xela_host!r} without xela: give the port, too")
         return self
 
 
@@ -147,6 +153,7 @@ class Xela(Section):
     rows: tuple[Annotated[int, Field(ge=0, le=7)], ...] = Field((4, 3, 2, 1), min_length=1)  # SDAs, top row first
     columns: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1)  # taxels
     start: bool = False  # start an older board
+    model: str = Field("", pattern=r"^[A-Za-z0-9_-]{0,32}$")  # told to XELA's clients; "": as ids and size say
 
 
 class Barrett(Section):
@@ -245,6 +252,7 @@ class Calibration(Section):
     saturation: float | None = Field(None, allow_inf_nan=False)
     noise_kpa: float | None = Field(None, gt=0, allow_inf_nan=False)
     dead: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    shear_n_per_count: float | None = Field(None, allow_inf_nan=False)
 
 
 class Sensor(Section):

@@ -227,4 +227,5 @@ def calibration(sensor: Sensor) -> CalibrationForm:
         saturation=configured.saturation,
         noise_kpa=sensor.noise_kpa,
         dead=list(configured.dead),
+        shear_n_per_count=configured.shear_n_per_count,
     )

@@ -1,8 +1,5 @@
 """The ASGI application: REST, streams and the viewer's files."""
 
-import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
@@ -28,9 +25,9 @@ from tactiled.web import (
     window,
     xela,
 )
-from tactiled.web.common import WRONG
+from tactiled.web.common import WRONG, turns
 from tactiled.web.description import complete
-from tactiled.web.feed import Feed
+from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
 from tactiled.web.keys import Keys
 from tactiled.web.rates import Rates, Streams
@@ -38,7 +35,6 @@ from tactiled.web.rates import Rates, Streams
 STATIC = Path(__file__).parent / "static"
 SMALL = 2048  # bytes that are sent as they are
 NO_GAIN = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures hardly compress
-TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
 
 Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in AsyncAPI by
@@ -49,25 +45,20 @@ def create(service: Service, server: Server) -> FastAPI:
     """Make the application of a service."""
     feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
 
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        ticking = asyncio.create_task(_tick(feeds))
-        yield
-        ticking.cancel()
-
     app = FastAPI(
         title="tactiled",
         version=__version__,
         description=ABOUT,
-        lifespan=lifespan,
+        lifespan=lambda _: ticking(feeds),
         openapi_url="/api/v1/openapi.json",
         docs_url=None,  # its page needs the internet
         redoc_url=None,
     )
     problems.install(app)
     app.state.service, app.state.server = service, server
-    app.state.rates = Rates(server.control_per_minute)
+    app.state.costly = Rates(server.control_per_minute)  # apart from changes: who looks may still change something
     app.state.streams = Streams(server.streams_per_client, server.streams)
+    app.state.turns = turns()
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
@@ -77,6 +68,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.make())
     app.include_router(xela.make(feeds))
+    app.include_router(stream.nowhere())  # behind all other streams
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:
@@ -86,14 +78,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.add_middleware(
         GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
     )
-    bounds = {"rates": app.state.rates, "streams": app.state.streams}
+    bounds = {"rates": Rates(server.control_per_minute), "streams": app.state.streams}
     app.add_middleware(Guard, server=server, **bounds)  # the last added is the first met
     app.openapi = complete(app, Keys(server).needed)  # type: ignore[method-assign]
     return app
-
-
-async def _tick(feeds: dict[str, Feed]) -> None:
-    while True:
-        await asyncio.sleep(TICK_S)
-        for feed in feeds.values():
-            feed.tick()

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
-from tactiled.web import forms, session
+from tactiled.web import forms, session, xela
 from tactiled.web.description import example
 from tactiled.web.shear import Shear
 from tactiled.web.wire import KINDS, LAYOUT, PRESSURES
@@ -24,6 +24,10 @@ TOLD: dict[str, tuple[type[BaseModel], str]] = {
     "contacts": (forms.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
     "frame": (forms.Frame, "With format=json: one image"),
     "shear": (Shear, "With format=json and shear among the kinds: what a 3-axis skin feels along its surface"),
+}
+XELAS: dict[str, tuple[type[BaseModel], str]] = {
+    "welcome": (xela.Welcome, "The first message"),
+    "routine": (xela.Routine, "The newest frame of every live module with the codec xela, under its number"),
 }
 QUERY: Json = {
     "kinds": {
@@ -50,6 +54,13 @@ SENSORS: Json = {
 }
 
 
+SHEAR: Json = {
+    "type": "string",
+    "description": "names, of those asked for, with commas between: their shear comes, too, behind all else",
+    "examples": ["tip"],
+}
+
+
 def make() -> APIRouter:
     """The route."""
     router = APIRouter(prefix="/api/v1")
@@ -64,7 +75,7 @@ def make() -> APIRouter:
 
 def document(host: str, secure: bool = False) -> Json:
     """The description of the service at `host`."""
-    models: list[type[BaseModel]] = [*(model for model, _ in TOLD.values()), forms.Next]
+    models: list[type[BaseModel]] = [*(model for model, _ in (TOLD | XELAS).values()), forms.Next]
     _, schemas = models_json_schema(
         [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
     )
@@ -82,24 +93,36 @@ def document(host: str, secure: bool = False) -> Json:
                 }
             },
             "sensors": _channel(
-                several, "Images of several sensors; every message names its own", QUERY | {"sensors": SENSORS}
+                several,
+                "Images of several sensors; every message names its own",
+                QUERY | {"sensors": SENSORS, "shear": SHEAR},
             ),
+            "xela": _xela(),
         },
         "operations": {
             f"{verb}{channel.capitalize()}": _operation(action, channel, messages)
             for channel in ("sensor", "sensors")
             for verb, action, messages in (("show", "send", ["image", *TOLD]), ("ask", "receive", ["next"]))
-        },
+        }
+        | {"showXela": _operation("send", "xela", [*XELAS])},
         "components": {"schemas": schemas["$defs"], "messages": _messages(schemas["$defs"])},
     }
 
 
-def _channel(address: str, about: str, query: Json) -> Json:
+def _xela() -> Json:
+    """The WebSocket of XELA's clients, who say nothing that could be wrong."""
+    about = "The JSON of XELA's own server, at / as well; what a client says is not heard"
+    made = _channel("/xela", about, {"token": QUERY["token"]}, (*XELAS,))
+    codes = [each for each in made["x-close-codes"] if each["code"] != session.BAD_REQUEST]
+    return made | {"x-close-codes": codes}
+
+
+def _channel(address: str, about: str, query: Json, messages: tuple[str, ...] = ("image", *TOLD, "next")) -> Json:
     """A WebSocket, its address's parameters and why it may close."""
     return {
         "address": address,
         "description": f"{about}. One that is refused is opened all the same, to be told why: see x-close-codes.",
-        "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in ("image", *TOLD, "next")},
+        "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in messages},
         "bindings": {
             "ws": {
                 "method": "GET",
@@ -119,7 +142,7 @@ def _operation(action: str, channel: str, messages: list[str]) -> Json:
 
 
 def _messages(schemas: Json) -> Json:
-    told = {name: _message(name, model, about, schemas) for name, (model, about) in TOLD.items()}
+    told = {name: _message(name, model, about, schemas) for name, (model, about) in (TOLD | XELAS).items()}
     image = {
         "title": "image",
         "summary": "One image, little-endian",

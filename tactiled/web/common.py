@@ -1,16 +1,19 @@
 """What routes share: the service and its sensors, documented errors, the format that a client likes."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from tactiled.sensor import Sensor
 from tactiled.service import Service
 from tactiled.web.problems import Problem
+from tactiled.web.rates import Turns
 
 Responses = dict[int | str, dict[str, Any]]
 F = TypeVar("F", bound=str)
+Turn = Literal["pictures", "numbers"]
 
 
 def documented(headers: Mapping[str, str]) -> dict[str, Any]:
@@ -31,7 +34,9 @@ WAIT = "s until the next attempt"
 NO_SENSOR: Responses = {404: problem("no such sensor")}
 NO_SHEAR: Responses = {404: problem("no such sensor, or shear of one that feels none")}
 NO_FRAME: Responses = {503: problem("no frame yet", Retry_After=WAIT)}
-TOO_MANY: Responses = {429: problem("more than control_per_minute", Retry_After=WAIT)}
+TOO_MANY: Responses = {
+    429: problem("more than control_per_minute, or than can wait for their turn", Retry_After=WAIT)
+}
 CONTROL: Responses = TOO_MANY | {
     401: problem("no token, where one is needed", WWW_Authenticate="Bearer"),
     403: problem("a token that reads only, or a page of another site"),
@@ -67,7 +72,19 @@ def no_frame(sensor: Sensor) -> Problem:
 
 def costly(request: Request) -> None:
     """Count one costly answer; Problem 429 where the client asks for too many."""
-    request.app.state.rates.count(request.scope)
+    request.app.state.costly.count(request.scope)
+
+
+def turns() -> dict[Turn, Turns]:
+    """What `in_turn` needs of an application."""
+    return {each: Turns() for each in get_args(Turn)}
+
+
+async def in_turn(request: Request, make: Callable[[], Response], of: Turn = "numbers") -> Response:
+    """Make a costly answer on a thread, one of its kind at a time: many would keep every other answer waiting."""
+    turns: dict[Turn, Turns] = request.app.state.turns
+    async with turns[of].one():
+        return await run_in_threadpool(make)
 
 
 def accepted(request: Request, media: Mapping[F, str]) -> F:

@@ -2,13 +2,15 @@
 
 import asyncio
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 from tactiled.frames import Image
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms, shear
 from tactiled.web.wire import Kind, pack
+
+TICK_S = 0.5  # how often streams look whether a sensor's state has changed though no frame came
 
 
 class Feed:
@@ -89,6 +91,23 @@ class Feed:
         self._text.clear()
         self._contacts = None
         self.tick()
+
+
+@asynccontextmanager
+async def ticking(feeds: dict[str, Feed]) -> AsyncIterator[None]:
+    """Have every client of these feeds look again twice a second meanwhile."""
+
+    async def tick() -> None:
+        while True:
+            await asyncio.sleep(TICK_S)
+            for feed in feeds.values():
+                feed.tick()
+
+    task = asyncio.create_task(tick())
+    try:
+        yield
+    finally:
+        task.cancel()
 
 
 def _later(loop: asyncio.AbstractEventLoop, feed: Feed, image: Image) -> None:

@@ -270,6 +270,9 @@ class CalibrationForm(Form):
     saturation: float | None = Field(description="counts of the ceiling; null: none", examples=[4095.0])
     noise_kpa: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
     dead: list[int] = Field(description="taxels that do not work", examples=[[17]])
+    shear_n_per_count: float | None = Field(
+        description="N for one count of shear; null: not known, or none is felt", examples=[None]
+    )
 
 
 class Colormap(Form):

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from http import HTTPStatus
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -35,7 +36,9 @@ def install(app: FastAPI) -> None:
         detail, headers = str(error.detail), dict(error.headers or {})
         if error.status_code == 405:
             headers["Allow"] = ", ".join(_methods(app, request))
-        if not isinstance(error, Problem) and detail == HTTPStatus(error.status_code).phrase:
+        if isinstance(error.__cause__, UnicodeDecodeError | RecursionError):
+            detail = f"body: {error.__cause__}"
+        elif not isinstance(error, Problem) and detail == HTTPStatus(error.status_code).phrase:
             detail = f"{request.method} {request.url.path:.200}: {detail.lower()}"
         return response(error.status_code, detail, headers)
 
@@ -50,7 +53,9 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _invalid(_: Request, error: RequestValidationError) -> Response:
-        return response(422, "; ".join(_say(each) for each in error.errors()))
+        wrong = error.errors()
+        status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
+        return response(status, "; ".join(_say(each) for each in wrong))
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:
@@ -65,7 +70,20 @@ def _methods(app: FastAPI, request: Request) -> list[str]:
     ]
 
 
-def _say(error: Mapping[str, object]) -> str:
-    place = error["loc"]
-    name = ".".join(str(each) for each in place[1:]) if isinstance(place, tuple) and len(place) > 1 else str(place)
-    return f"{name} = {error.get('input')!r:.80}: {error['msg']}"
+def _say(error: Mapping[str, Any]) -> str:
+    source, *path = error["loc"]
+    if error["type"] == "json_invalid":
+        return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
+    if source == "body" and not path:
+        return _say_body(error)
+    return f"{'.'.join(map(str, path)) or source} = {error.get('input')!r:.80}: {error['msg']}"
+
+
+def _say_body(error: Mapping[str, Any]) -> str:
+    """What is wrong with a body as a whole."""
+    given = error["input"]
+    if given is None:
+        return "body: none came: give a JSON object"
+    if isinstance(given, bytes):
+        return f"body = {given!r:.80}: is no JSON by its Content-Type: give application/json"
+    return f"body = {given!r:.80}: give a JSON object"

@@ -1,18 +1,20 @@
 """What one client may take of the service: how often what changes it or costs it much, and how many streams."""
 
+import asyncio
 import ipaddress
 import math
 import threading
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 from starlette.types import Scope
 
 from tactiled.web.problems import Problem
 
 CLIENTS = 1024  # that are remembered; who is forgotten begins with a full bucket
+MOST_WAITING = 64  # costly answers of one kind
 BURST_S = 10.0  # of the rate, at once
 
 
@@ -77,6 +79,28 @@ class Streams:
             yield
         finally:
             self._open -= Counter((who,))  # which forgets who has none
+
+
+class Turns:
+    """Lets costly answers of one kind be made one at a time, while MOST_WAITING more wait; on one event loop."""
+
+    def __init__(self) -> None:
+        self._lock, self._waiting = asyncio.Lock(), 0
+
+    @asynccontextmanager
+    async def one(self) -> AsyncIterator[None]:
+        """Wait for the turn of one; Problem 429 where it is one too many."""
+        if self._waiting >= MOST_WAITING:
+            raise Problem(429, f"{MOST_WAITING} such answers are waited for already: wait", {"Retry-After": "1"})
+        self._waiting += 1
+        try:
+            await self._lock.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            yield
+        finally:
+            self._lock.release()
 
 
 def client(scope: Scope) -> str:

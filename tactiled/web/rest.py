@@ -1,11 +1,12 @@
 """The REST resources under /api/v1."""
 
+from functools import partial
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from tactiled.errors import StateError
-from tactiled.frames import Image
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms, picture
@@ -23,6 +24,7 @@ from tactiled.web.common import (
     accepted,
     costly,
     documented,
+    in_turn,
     no_frame,
     problem,
 )
@@ -144,23 +146,23 @@ Asked = Annotated[Format | None, Query(alias="format", description="over the Acc
     response_model=forms.Frame,
     responses=NO_SENSOR | NO_FRAME | NOT_ACCEPTED | TOO_MANY | FRAME,
 )
-def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
+async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
     """The newest image, in kPa: raw, restored, or the restored one's standard deviation.
 
     What is known against it is in the JSON, or in X-Tactiled headers.
     """
     form = form or accepted(request, MEDIA)
+    answer = partial(_answer, sensor, kind, form, request, top_kpa)
     if form == "png" or kind == "deviation":
         costly(request)
+        return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
+    return await run_in_threadpool(answer)
+
+
+def _answer(sensor: Sensor, kind: Shown, form: Format, request: Request, top_kpa: float | None) -> Response:
     image = sensor.hub.latest()
     if image is None:
         raise no_frame(sensor)
-    return _answer(sensor, image, kind, form, request, top_kpa)
-
-
-def _answer(
-    sensor: Sensor, image: Image, kind: Shown, form: Format, request: Request, top_kpa: float | None
-) -> Response:
     status = sensor.status()
     tag = f'W/"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"'
     headers = {

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import uvicorn
+from fastapi import FastAPI
 
 from tactiled.config import Server
 from tactiled.errors import TactileError
 from tactiled.service import Service
-from tactiled.web import session
+from tactiled.web import session, xela
 from tactiled.web.app import create
 from tactiled.web.bridge import bridge
 from tactiled.web.flow import PacedWebSocket
@@ -45,14 +46,14 @@ def _listen(at: Server) -> socket.socket:
     return listener
 
 
-def _server(service: Service, at: Server) -> uvicorn.Server:
+def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     sys.setswitchinterval(SWITCH_S)
     for path in (at.tls_certificate, at.tls_key):
         if path is not None and not path.is_file():
             raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
     return uvicorn.Server(
         uvicorn.Config(
-            create(service, at),
+            app,
             http=PatientHttp,
             ws=PacedWebSocket,
             ws_max_size=session.MOST,
@@ -79,9 +80,10 @@ def serve(service: Service, at: Server) -> None:
     """Serve until interrupted; TactileError where the address cannot be had."""
     listener = _listen(at)
     try:
-        server = _server(service, at)
-        with bridge(service, at.foxglove) as port:
+        server = _server(create(service, at), at)
+        with bridge(service, at.foxglove) as port, xelas(service, at) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
+            also += "" if address is None else f", for XELA's clients at {address}"
             print(
                 f"tactiled: {', '.join(service.sensors)} live at {_url(listener, at)}/{also} (stop: Ctrl-C)",
                 flush=True,
@@ -97,8 +99,27 @@ def serve(service: Service, at: Server) -> None:
 def running(service: Service, at: Server | None = None) -> Iterator[str]:
     """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
     at = at or Server(port=0)
+    with _beside(create(service, at), at) as url:
+        yield url
+
+
+@contextmanager
+def xelas(service: Service, at: Server) -> Iterator[str | None]:
+    """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address."""
+    if at.xela is None:
+        yield None
+        return
+    open_ = {"host": at.xela_host, "port": at.xela, "read_token": None, "control_token": None}
+    plain = at.model_copy(update=open_ | {"tls_certificate": None, "tls_key": None})
+    with _beside(xela.alone(service, plain), plain) as url:
+        yield url.replace("http", "ws", 1)
+
+
+@contextmanager
+def _beside(app: FastAPI, at: Server) -> Iterator[str]:
+    """Serve an application on a thread meanwhile; gives its URL."""
     listener = _listen(at)
-    server = _server(service, at)
+    server = _server(app, at)
     thread = threading.Thread(target=server.run, args=([listener],), name="server", daemon=True)
     thread.start()
     end = time.monotonic() + START_S

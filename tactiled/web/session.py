@@ -19,7 +19,8 @@ CLOSES = {
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "no token, or one that is not known",
     FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",
-    NOT_FOUND: "no such sensor, or shear asked of one that feels none; the reason names it",
+    NOT_FOUND: "no stream at this address; no such sensor, or shear asked of one that feels none; "
+    "the reason names it",
     TOO_MANY: "one stream too many of this client (`streams_per_client`)",
     FULL: "one stream too many of all clients together (`streams`)",
 }

@@ -29,6 +29,8 @@ class ServerForm(forms.Form):
     control_token: bool = Field(description="whether one is needed", examples=[False])
     tls: bool = Field(examples=[False])
     foxglove: int | None = Field(description="port on loopback for Foxglove's apps", examples=[8765])
+    xela: int | None = Field(description="port for XELA's clients alone", examples=[5000])
+    xela_host: str = Field(description="address of that port", examples=["127.0.0.1"])
     recordings: bool = Field(description="whether clients may record", examples=[True])
     keeps_state: bool = Field(description="whether `keep` is possible", examples=[True])
     history_s: float = Field(examples=[5.0])
@@ -87,6 +89,8 @@ def _server(server: Server, service: Service) -> ServerForm:
         control_token=server.control_token is not None,
         tls=server.tls_certificate is not None,
         foxglove=server.foxglove,
+        xela=server.xela,
+        xela_host=server.xela_host,
         recordings=server.recordings is not None,
         keeps_state=service.state is not None,
         history_s=server.history_s,

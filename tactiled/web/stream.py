@@ -12,8 +12,9 @@ from tactiled.frames import Image
 from tactiled.web.feed import Feed
 from tactiled.web.flow import room
 from tactiled.web.forms import Contacts
-from tactiled.web.session import heard, refuse, serve
-from tactiled.web.wish import Wish, asked_for, next_of, wish
+from tactiled.web.session import NOT_FOUND, fitting, heard, refuse, serve
+from tactiled.web.wire import Kind
+from tactiled.web.wish import Wish, asked_for, next_of, once, sheared, wish
 
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
 CONTACTS_S = 0.05  # between two messages on contacts
@@ -29,8 +30,8 @@ def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
     async def _one(socket: WebSocket, name: str) -> None:
         await socket.accept()
         try:
-            asked = wish(socket.query_params)
-            stream = Stream(socket, _found(feeds, [name], asked), asked, named=False, faults=faults)
+            asked = wish(once(socket.query_params))
+            stream = Stream(socket, _found(feeds, [name], asked, []), asked, named=False, faults=faults)
         except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
@@ -40,9 +41,10 @@ def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
     async def _several(socket: WebSocket) -> None:
         await socket.accept()
         try:
-            asked = wish(socket.query_params, ["sensors"])
+            asked = wish(once(socket.query_params), ["sensors", "shear"])
             names = asked_for(socket.query_params, list(feeds))
-            stream = Stream(socket, _found(feeds, names, asked), asked, named=True, faults=faults)
+            lines = _found(feeds, names, asked, sheared(socket.query_params, names))
+            stream = Stream(socket, lines, asked, named=True, faults=faults)
         except (UnknownSensorError, NoShearError, ValueError) as error:
             await refuse(socket, error)
         else:
@@ -51,21 +53,43 @@ def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
     return router
 
 
-def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish) -> list[Feed]:
-    """The feeds of these sensors; UnknownSensorError, NoShearError name one that has not what is asked."""
+def nowhere() -> APIRouter:
+    """The close of a WebSocket at any address that no other route has."""
+    router = APIRouter()
+
+    @router.websocket("/{path:path}")
+    async def _nowhere(socket: WebSocket) -> None:
+        await socket.accept()
+        await socket.close(
+            NOT_FOUND, fitting(f"{socket.url.path}: no stream is there: /api/v1/asyncapi.json tells which are")
+        )
+
+    return router
+
+
+def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish, too: Sequence[str]) -> list["_Line"]:
+    """These sensors, some with shear; UnknownSensorError, NoShearError name one that has not what is asked."""
+    lines = []
     for name in names:
         if name not in feeds:
             raise UnknownSensorError(f"sensor {name!r}: no such sensor: there are {', '.join(feeds)}")
-        if "shear" in asked.kinds:
+        more: tuple[Kind, ...] = ("shear",) if name in too and "shear" not in asked.kinds else ()
+        lines.append(_Line(feeds[name], asked.kinds + more))
+        if "shear" in lines[-1].kinds:
             feeds[name].sensor.need_shear()
-    return [feeds[name] for name in names]
+    return lines
+
+
+def due_after(due: float, now: float, rate_hz: float) -> float:
+    """When the next image is due (s), if one that was due at `due` is sent now: late, it makes no other late."""
+    return max(due, now - 1 / rate_hz) + 1 / rate_hz
 
 
 class _Line:
     """One sensor as one client sees it: what it has been sent and told, and when."""
 
-    def __init__(self, feed: Feed) -> None:
-        self.feed = feed
+    def __init__(self, feed: Feed, kinds: tuple[Kind, ...]) -> None:
+        self.feed, self.kinds = feed, kinds
         self.credit = 0  # images of each kind that it has asked for
         self.sent: Image | None = None
         self.due = self.alarm = 0.0  # when it may be sent the next image; and is woken for it
@@ -82,10 +106,12 @@ class Stream:
     What fails at one of several sensors stops no other; at a single one it ends the stream.
     """
 
-    def __init__(self, socket: WebSocket, feeds: Sequence[Feed], asked: Wish, named: bool, faults: Faults) -> None:
+    def __init__(
+        self, socket: WebSocket, lines: Sequence[_Line], asked: Wish, named: bool, faults: Faults
+    ) -> None:
         self._socket, self._wish, self._named = socket, asked, named
         self._faults = faults
-        self._lines = {feed.sensor.name: _Line(feed) for feed in feeds}
+        self._lines = {line.feed.sensor.name: line for line in lines}
         self._wake = asyncio.Event()
         self._room = room(socket)
 
@@ -133,17 +159,15 @@ class Stream:
                     line.alarm = line.due
                     loop.call_at(line.due, self._wake.set)
                 return
-            line.due = now + 1 / self._wish.rate_hz
-        if self._wish.form == "binary":
-            messages = [line.feed.binary(kind, self._named) for kind in self._wish.kinds]
-            line.sent, line.credit = image, max(0, line.credit - 1)
-            for message in messages:
+            line.due = due_after(line.due, now, self._wish.rate_hz)
+        feed, binary = line.feed, self._wish.form == "binary"
+        messages = [feed.binary(kind, self._named) if binary else feed.text(kind) for kind in line.kinds]
+        line.sent, line.credit = image, max(0, line.credit - 1)
+        for message in messages:
+            if isinstance(message, str):
+                await self._socket.send_text(message)
+            else:
                 await self._socket.send_bytes(message)
-        else:
-            texts = [line.feed.text(kind) for kind in self._wish.kinds]
-            line.sent, line.credit = image, max(0, line.credit - 1)
-            for text in texts:
-                await self._socket.send_text(text)
 
     async def _send_status(self, line: _Line) -> None:
         status, now = line.feed.status(), asyncio.get_running_loop().time()

@@ -12,7 +12,17 @@ from pydantic import Field
 from tactiled.history import Kept
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_SHEAR, NOT_ACCEPTED, TOO_MANY, Found, Responses, accepted, costly, documented
+from tactiled.web.common import (
+    NO_SHEAR,
+    NOT_ACCEPTED,
+    TOO_MANY,
+    Found,
+    Responses,
+    accepted,
+    costly,
+    documented,
+    in_turn,
+)
 from tactiled.web.wire import UNITS, Kind, Unit
 
 Format = Literal["json", "npy", "npz"]
@@ -92,7 +102,7 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
     responses=NO_SHEAR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
     dependencies=[Depends(costly)],
 )
-def frames(
+async def frames(
     sensor: Found,
     request: Request,
     kind: Kind = "restored",
@@ -108,7 +118,16 @@ def frames(
     form = form or accepted(request, MEDIA)
     if kind == "shear":
         sensor.need_shear()
-    kept = sensor.history(kind, float(last[:-1]), before, limit, MOST_VALUES[form])
+
+    def answer() -> Response:
+        return _answer(
+            sensor, kind, form, sensor.history(kind, float(last[:-1]), before, limit, MOST_VALUES[form])
+        )
+
+    return await in_turn(request, answer)
+
+
+def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Kept) -> Response:
     headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
     if len(kept.time):
         headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"

@@ -1,10 +1,12 @@
 """What a client of a stream asks for in the address, and may say."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
 
 from pydantic import ValidationError
+from starlette.datastructures import QueryParams
 
 from tactiled.web.forms import Next
 from tactiled.web.wire import KINDS, PRESSURES, Kind
@@ -22,6 +24,15 @@ class Wish:
     form: Literal["binary", "json"] = "binary"
     contacts: bool = False  # as text messages
     credit: bool = False  # one image of each kind for each {"type": "next"}
+
+
+def once(query: QueryParams) -> QueryParams:
+    """The same query; ValueError where a parameter stands in it more than once, of which one would be taken."""
+    counts = Counter(name for name, _ in query.multi_items())
+    for name, count in counts.items():
+        if count > 1:
+            raise ValueError(f"{name}: given {count} times: give it once, several values with commas between")
+    return query
 
 
 def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
@@ -60,6 +71,14 @@ def asked_for(query: Mapping[str, str], there: Sequence[str]) -> list[str]:
     if len(set(names)) < len(names):
         raise ValueError(f"sensors={query['sensors']}: give each name once")
     return names
+
+
+def sheared(query: Mapping[str, str], names: Sequence[str]) -> list[str]:
+    """The sensors of which a query asks for shear, too; ValueError where one is not among those asked for."""
+    found = query["shear"].split(",") if "shear" in query else []
+    if len(set(found)) < len(found) or not set(found) <= set(names):
+        raise ValueError(f"shear={query['shear']}: give some of {','.join(names)}, each once")
+    return found
 
 
 def next_of(text: str | None, names: Sequence[str]) -> Sequence[str]:

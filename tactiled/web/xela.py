@@ -1,31 +1,105 @@
 """`WS /xela`, and `/`, where XELA's clients look: the XELA modules here in the JSON of XELA's own server.
 
-Sources of the format: XELA's public ROS node for its server 1.7.6, which parses it, and page 37 of that server's
-manual as the documentation of a public client quotes it; `type` is what another such client goes by. What none of
-them says is left out: commands to the server, and forces in N, so `calibrated` is null, as without a calibration.
+Sources of the format: a public capture of what that server sends (1.8.0); the public clients that parse it, XELA's
+ROS nodes among them; and page 37 of its manual as the documentation of one quotes it. `calibrated` is left out
+where forces are not known, as by a server without force calibration: some clients drop a message in which it is
+null. No public client says anything to that server, so what one says here is not heard.
 """
 
 import asyncio
-import json
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from typing import Literal
 
 import numpy as np
-from fastapi import APIRouter, WebSocket
+from fastapi import APIRouter, FastAPI, WebSocket
+from pydantic import ConfigDict, Field
 
-from tactiled.bus.codecs.xela import REST
+from tactiled.bus.codecs.xela import REST, Xela
+from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
-from tactiled.web.feed import Feed
+from tactiled.service import Service
+from tactiled.web.feed import Feed, ticking
 from tactiled.web.flow import room
+from tactiled.web.forms import Form
+from tactiled.web.guard import Guard
+from tactiled.web.rates import Rates, Streams
 from tactiled.web.session import NOT_FOUND, heard, serve
 
-MODELS = {16: "XR1944", 24: "XR1946"}  # by taxels, as clients' tables have them
 NONE_HERE = "no sensor here has the codec xela"
+DECIMALS = 5  # of a force in N, as that server gives them
+UNKNOWN = (None,) * 9  # of a taxel's twelve `special` numbers: no public source says what they are
+
+
+class Module(Form):
+    """One module: the newest frame, taxel by taxel, row by row from the top left."""
+
+    sensor: str = Field(description="its number, which is also its key")
+    time: float = Field(description="s, of the frame's first CAN message")
+    model: str = Field(description="by XELA's name; unknown where neither its ids nor the configuration say")
+    taxels: int
+    data: str = Field(description="counts of X, Y and Z as they came, four hexadecimal digits each, with commas")
+    integer: list[int] = Field(description="the same counts")
+    calibrated: list[float] | None = Field(
+        None,
+        description="N along x and y and into the skin, as sensed under the cover; left out unless "
+        "shear_n_per_count and kpa_per_count are configured, the sensor was tared and every taxel works",
+    )
+    temp: list[float] = Field(description="K; always 0: the CAN messages tell none")
+    ups: list[float] = Field(description="frames a second")
+    special: list[tuple[int | None, ...]] = Field(description="of each taxel X, Y, Z and nine that are not known")
+
+
+class Routine(Form):
+    """One message of XELA's server: every live module under its number, from 1 in the configuration's order."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="allow",
+        json_schema_extra={
+            "examples": [
+                {
+                    "message": 786,
+                    "time": 1763712000.25,
+                    "sensors": 1,
+                    "type": "routine",
+                    "sendtime": 1763712000.255,
+                    "1": {
+                        "sensor": "1",
+                        "time": 1763712000.25,
+                        "model": "uSPa11",
+                        "taxels": 1,
+                        "data": "4098,3F0C,9151",
+                        "integer": [16536, 16140, 37201],
+                        "calibrated": [0.09405, -0.15298, 0.45],
+                        "temp": [0.0],
+                        "ups": [83.0],
+                        "special": [[16536, 16140, 37201, *UNKNOWN]],
+                    },
+                }
+            ]
+        },
+    )
+    __pydantic_extra__: dict[str, Module]
+
+    message: int = Field(description="number of the message to this client")
+    time: float = Field(description="s, of the newest frame in it")
+    sensors: int = Field(description="modules in it")
+    type: Literal["routine"] = "routine"
+    sendtime: float = Field(description="s, when it was sent")
+
+
+class Welcome(Form):
+    """The first message."""
+
+    message: Literal["Welcome"] = "Welcome"
 
 
 def make(feeds: dict[str, Feed]) -> APIRouter:
     """The WebSocket of those sensors that are XELA's, numbered from 1 in the configuration's order."""
-    skins = [feed for feed in feeds.values() if feed.sensor.codec_name == "xela"]
+    codecs = ((feed, feed.sensor.codec) for feed in feeds.values())
+    skins = [(feed, codec.told_model) for feed, codec in codecs if isinstance(codec, Xela)]
     router = APIRouter()
 
     @router.websocket("/")
@@ -40,10 +114,20 @@ def make(feeds: dict[str, Feed]) -> APIRouter:
     return router
 
 
+def alone(service: Service, server: Server) -> FastAPI:
+    """An application that has nothing but this WebSocket, for a port of its own."""
+    feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
+    app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
+    app.include_router(make(feeds))
+    streams = Streams(server.streams_per_client, server.streams)
+    app.add_middleware(Guard, server=server, rates=Rates(server.control_per_minute), streams=streams)
+    return app
+
+
 class _Client:
     """One client; newest wins, as on every stream."""
 
-    def __init__(self, socket: WebSocket, skins: list[Feed]) -> None:
+    def __init__(self, socket: WebSocket, skins: list[tuple[Feed, str]]) -> None:
         self._socket, self._skins = socket, skins
         self._wake = asyncio.Event()
         self._sent: dict[str, RawFrame] = {}
@@ -51,7 +135,7 @@ class _Client:
     async def run(self) -> None:
         """Serve until the client leaves."""
         with ExitStack() as stack:
-            for feed in self._skins:
+            for feed, _ in self._skins:
                 stack.enter_context(feed.listen(self._wake))
             await serve(self._socket, self._listen(), self._talk())
 
@@ -61,7 +145,7 @@ class _Client:
 
     async def _talk(self) -> None:
         number = 0
-        await self._socket.send_text(json.dumps({"message": "Welcome"}))
+        await self._socket.send_text(Welcome().model_dump_json())
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -69,11 +153,12 @@ class _Client:
             frames = dict(self._frames())
             if any(frame is not self._sent.get(key) for key, frame in frames.items()):
                 self._sent, number = frames, number + 1
-                await self._socket.send_text(json.dumps(message(number, frames)))
+                modules = {key: _module(key, *self._skins[int(key) - 1], frame) for key, frame in frames.items()}
+                await self._socket.send_text(_routine(number, modules).model_dump_json(exclude_none=True))
 
     def _frames(self) -> Iterator[tuple[str, RawFrame]]:
         """The newest frames of live modules, by number; the format cannot say that taxels are missing."""
-        for number, feed in enumerate(self._skins, 1):
+        for number, (feed, _) in enumerate(self._skins, 1):
             frame = feed.sensor.newest
             if frame is None or frame.shear is None or feed.status().state != "live":
                 continue
@@ -81,20 +166,26 @@ class _Client:
                 yield str(number), frame
 
 
-def message(number: int, frames: dict[str, RawFrame]) -> dict[str, object]:
-    """One message of the server: every module's counts as they came, X, Y and Z of a taxel after another's."""
-    told = {key: _module(key, frame) for key, frame in frames.items()}
-    newest = max(frame.time for frame in frames.values())
-    return {"message": number, "type": "routine", "time": newest, "sensors": len(told), **told}
+def _routine(number: int, modules: dict[str, Module]) -> Routine:
+    newest = max(module.time for module in modules.values())
+    told = {"message": number, "time": newest, "sensors": len(modules), "sendtime": time.time()}
+    return Routine.model_validate(told | modules)
 
 
-def _module(key: str, frame: RawFrame) -> dict[str, object]:
+def _module(key: str, feed: Feed, model: str, frame: RawFrame) -> Module:
+    """A module's counts as they came, X, Y and Z of a taxel after another's, and its forces where known."""
     counts = np.vstack([np.asarray(frame.shear) + REST, frame.counts]).T.astype(int)
-    return {
-        "sensor": key,
-        "time": frame.time,
-        "model": MODELS.get(len(counts), "unknown"),
-        "taxels": len(counts),
-        "data": ",".join(f"{each:04X}" for each in counts.ravel()),
-        "calibrated": None,
-    }
+    forces = feed.sensor.forces(frame)
+    size = len(counts)
+    return Module(
+        sensor=key,
+        time=frame.time,
+        model=model,
+        taxels=size,
+        data=counts.astype(">u2").tobytes().hex(",", 2).upper(),
+        integer=counts.ravel().tolist(),
+        calibrated=None if forces is None else forces.round(DECIMALS).ravel().tolist(),
+        temp=[0.0] * size,
+        ups=[round(feed.status().rate_hz, 2)] * size,
+        special=[(*taxel, *UNKNOWN) for taxel in counts.tolist()],
+    )

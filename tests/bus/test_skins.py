@@ -13,7 +13,7 @@ from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.config import parse
-from tactiled.config.build import make_array, make_codec
+from tactiled.config.build import make_array, make_codec, sensor_plan
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import MISSING, Loss, Message
 
@@ -108,6 +108,24 @@ def test_xelas_module_of_4_x_6_has_its_first_sda_at_the_bottom_and_taxel_5_at_th
     bottom_left = codec.decode(message("151#9340003F0C915114"))
     assert divmod(bottom_left.segment, 6) == (3, 0)
     assert codec.size == 24
+
+
+@pytest.mark.parametrize(
+    ("codec", "model"),
+    [
+        (Xela(), "uSPa46"),
+        (Xela(rows=(3, 2, 1, 0), columns=(3, 2, 1, 0)), "uSPa44"),
+        (Xela(rows=(0, 1), columns=tuple(range(8))), "XR1944"),
+        (Xela(rows=(0, 1), columns=(0, 1, 2)), "unknown"),
+        (Xela("4x4-new"), "XR1944"),
+        (Xela("4x6-old"), "XR1946"),
+        (Xela("single"), "unknown"),
+        (Xela("single", model="XR1911"), "XR1911"),
+        (Xela(model="XR1946"), "XR1946"),
+    ],
+)
+def test_xelas_model_is_told_by_ids_and_size_unless_it_is_given(codec, model):
+    assert codec.told_model == model
 
 
 @pytest.mark.parametrize(
@@ -271,3 +289,22 @@ def test_a_fault_in_a_skins_settings_is_named_without_its_tag():
     told = str(caught.value)
     assert "a.toml: sensor.skin.codec.node = 99: " in told
     assert "a.toml: sensor.skin.codec.nod: unknown key: did you mean node?" in told
+
+
+@pytest.mark.parametrize(
+    ("codec", "shape", "calibration", "says"),
+    [
+        (
+            'name = "barrett", node = 11',
+            (8, 3),
+            "kpa_per_count = 1.0, ",
+            "the codec carries no shear: leave it out",
+        ),
+        ('name = "xela"', (4, 6), "", "forces need kpa_per_count, too: give both"),
+    ],
+)
+def test_a_scale_of_shear_without_what_it_needs_is_refused(codec, shape, calibration, says):
+    text = CONFIG.format(codec=codec, rows=shape[0], columns=shape[1])
+    text += f"calibration = {{ {calibration}shear_n_per_count = 0.0006 }}"
+    with pytest.raises(ConfigError, match=f"sensor.skin: calibration.shear_n_per_count = 0.0006: {says}"):
+        sensor_plan("skin", parse(text).sensor["skin"])

@@ -28,6 +28,8 @@ def test_the_example_is_valid():
         ('name = "packed"', "", "sensor.palm.codec.name: missing"),
         ('bus = "can0"', 'bus = "can1"', "sensor.palm.bus = 'can1': no such bus: the file has can0"),
         ("refine = 1 ", "refine = 0 ", "sensor.palm.refine = 0: "),
+        ("port = 8000", 'xela_host = "::"', "server: xela_host = '::' without xela: give the port, too"),
+        ("port = 8000", "xela = 70000", "server.xela = 70000: "),
     ],
 )  # fmt: skip
 def test_a_fault_is_named_with_its_place_and_its_value(old, new, line):

@@ -149,7 +149,9 @@ def test_a_link_from_another_site_opens_the_viewer(url):
 @pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
 def test_what_a_form_can_send_is_no_json(rig, url, kind):
     answer = ask("PUT", url + METHOD, content=b'{"method": "raw"}', headers={"Content-Type": kind})
-    problem(answer, 422)
+    assert problem(answer, 422) == (
+        'body = b\'{"method": "raw"}\': is no JSON by its Content-Type: give application/json'
+    )
     assert rig.sensor.method == "wiener"
 
 
@@ -315,10 +317,20 @@ def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
         answer = ask("PUT", url + METHOD, json={"method": "nnls"})
         problem(answer, 429)
         assert 1 <= int(answer.headers["retry-after"]) <= 10
+        frames = f"{url}/api/v1/sensors/palm/frames"
+        assert ask("GET", frames + "/deviation").status_code == 200  # counted apart
         for path in ("/raw?format=png", "/deviation", "?last=1s"):
-            problem(ask("GET", f"{url}/api/v1/sensors/palm/frames{path}"), 429)
+            problem(ask("GET", frames + path), 429)
         assert {ask("GET", url + path).status_code for path in ("/api/v1/health", METHOD, "/") * 5} == {200}
     assert rig.sensor.method == "raw"
+
+
+def test_who_looks_without_end_may_still_change_something(rig):
+    rig.show(pressed())
+    with running(rig.service, Server(port=0, control_per_minute=6)) as url:
+        codes = [ask("GET", url + "/api/v1/sensors/palm/frames/deviation").status_code for _ in range(3)]
+        assert codes == [200, 429, 429]
+        assert ask("PUT", url + METHOD, json=RAW).status_code == 200
 
 
 def ended(client):
@@ -450,15 +462,20 @@ def test_a_path_that_is_not_there_is_a_problem_that_names_it(url, path):
     assert problem(ask("GET", url + path), 404) == f"GET {path}: not found"
 
 
-def test_a_body_that_is_no_json_is_named(url):
-    for content in (
-        b"{",
-        b"\xff\xfe",
-        b"[" * 5000,
-        b'{"method": "raw", "x": 1}',
-        b"null",
-        b"1e999",
-    ):
-        answer = ask("PUT", url + METHOD, content=content, headers={"Content-Type": "application/json"})
-        assert answer.status_code in (400, 422)
-        problem(answer, answer.status_code)
+@pytest.mark.parametrize(
+    ("content", "status", "says"),
+    [
+        (b"{", 400, "body: no JSON at character 1: Expecting property name enclosed in double quotes"),
+        (b"\xff\xfe", 400, "body: no JSON at character 0: Expecting value"),
+        (b'"\xff"', 400, "body: 'utf-8' codec can't decode byte 0xff in position 1"),
+        (b"[" * 5000, 400, "body: maximum recursion depth exceeded"),
+        (b'{"method": "raw", "x": 1}', 422, "x = 1: Extra inputs are not permitted"),
+        (b"", 422, "body: none came: give a JSON object"),
+        (b"null", 422, "body: none came: give a JSON object"),
+        (b"1e999", 422, "body = inf: give a JSON object"),
+        (b"[]", 422, "body = []: give a JSON object"),
+    ],
+)
+def test_a_body_that_is_no_json_is_named(url, content, status, says):
+    answer = ask("PUT", url + METHOD, content=content, headers={"Content-Type": "application/json"})
+    assert problem(answer, status).startswith(says)

@@ -1,4 +1,6 @@
 import io
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import can
 import httpx
@@ -8,8 +10,11 @@ import pytest
 
 from tactiled.bus.faults import KINDS
 from tactiled.config import Server
-from tactiled.web.server import running
+from tactiled.web import picture, rates
+from tactiled.web.server import running as serving
 from tests.conftest import GAIN, NO_LOAD, pressed, until
+
+PNG = "/api/v1/sensors/palm/frames/raw?format=png"
 
 
 @pytest.fixture
@@ -234,9 +239,9 @@ def test_every_answer_carries_the_security_headers(client):
 
 def test_clients_record_only_where_a_folder_is_configured(rig, tmp_path):
     for folder, status in ((None, 404), (tmp_path, 200)):
-        with running(rig.service, Server(port=0, recordings=folder)) as url:
+        with serving(rig.service, Server(port=0, recordings=folder)) as url:
             assert httpx.get(url + "/api/v1/recordings").status_code == status
-    with running(rig.service, Server(port=0, recordings=tmp_path)) as url:
+    with serving(rig.service, Server(port=0, recordings=tmp_path)) as url:
         started = httpx.post(url + "/api/v1/recordings", json={"bus": "can0", "name": "a.log"})
         assert started.status_code == 201
         for _ in range(5):
@@ -244,3 +249,54 @@ def test_clients_record_only_where_a_folder_is_configured(rig, tmp_path):
         until(lambda: httpx.get(url + "/api/v1/recordings").json()["recordings"][0]["messages"] >= 5)
         assert httpx.post(url + "/api/v1/recordings/a.log/stop").json()["running"] is False
         assert httpx.get(url + "/api/v1/recordings/a.log").text.count("#") >= 5
+
+
+@pytest.fixture
+def drawing(monkeypatch):
+    """What drawing a picture waits for, and for each that was begun whether it was the only one."""
+    go_on, running, begun = threading.Event(), threading.Lock(), []
+
+    def png(*_):
+        alone = running.acquire(blocking=False)
+        begun.append(alone)
+        assert go_on.wait(60)
+        if alone:
+            running.release()
+        return b"a picture"
+
+    monkeypatch.setattr(picture, "png", png)
+    yield go_on, begun
+    go_on.set()
+
+
+def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, client, url, drawing):
+    """More pictures than the service has threads, of which the first is not done before something else is."""
+    rig.show(pressed())
+    go_on, begun = drawing
+    with ThreadPoolExecutor(50) as many:
+        answers = [many.submit(httpx.get, url + PNG, timeout=60) for _ in range(50)]
+        until(lambda: begun, 60)
+        assert client.get("/sensors/palm").status_code == 200
+        assert client.get("/sensors/palm/frames/deviation").status_code == 200
+        assert client.get("/sensors/palm/frames").status_code == 200
+        go_on.set()
+        assert [each.result().status_code for each in answers] == [200] * 50
+    assert begun == [True] * 50
+
+
+def test_no_more_than_a_few_wait_for_their_turn(rig, client, url, drawing, monkeypatch):
+    monkeypatch.setattr(rates, "MOST_WAITING", 3)
+    rig.show(pressed())
+    go_on, begun = drawing
+    with ThreadPoolExecutor(20) as many:
+        answers = [many.submit(httpx.get, url + PNG, timeout=60) for _ in range(20)]
+        until(lambda: sum(each.done() for each in answers) == 16, 60)
+        assert client.get("/sensors/palm/frames").status_code == 200  # another kind
+        go_on.set()
+        got = [each.result() for each in answers]
+    assert len(begun) == 4
+    refused = [each for each in got if each.status_code != 200]
+    assert len(refused) == 16
+    for each in refused:
+        assert problem(each, 429) == "3 such answers are waited for already: wait"
+        assert each.headers["retry-after"] == "1"

@@ -137,6 +137,18 @@ def test_a_stream_in_json_says_of_shear_what_rest_says_as_it_is_described(skin):
         jsonschema.validate({key: value for key, value in told.items() if key != "state"}, schema)
 
 
+def test_a_stream_of_several_has_the_shear_of_those_it_is_asked_of(request):
+    with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
+        address = f"{url.replace('http', 'ws', 1)}/api/v1/stream?kinds=restored&shear=skin"
+        with connect(address, compression=None) as socket:
+            image = rig.show(X, Y)
+            got = [unpack(each) for each in heard(socket, 2)]
+    assert [(each.sensor, each.kind, each.sequence) for each in got] == [
+        ("skin", kind, image.sequence) for kind in ("restored", "shear")
+    ]
+    np.testing.assert_array_equal(got[1].values, image.shear)
+
+
 @pytest.mark.parametrize(
     "path", ["sensors/palm/stream?kinds=shear", "stream?kinds=raw,shear", "stream?sensors=skin,palm&kinds=shear"]
 )

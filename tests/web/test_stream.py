@@ -14,7 +14,7 @@ from websockets.uri import parse_uri
 from tactiled.web import answers, flow, session
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
-from tactiled.web.stream import Stream
+from tactiled.web.stream import Stream, due_after
 from tactiled.web.wire import unpack
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
@@ -97,6 +97,29 @@ def test_kinds_format_and_rate(rig, url):
     assert sequences == sorted(set(sequences))
 
 
+def paced(made, rate_hz):
+    """When images that are made at these times are sent."""
+    due, sent = 0.0, []
+    for at in made:
+        sent.append(max(at, due))
+        due = due_after(due, sent[-1], rate_hz)
+    return np.array(sent)
+
+
+def test_an_image_that_is_late_makes_no_other_late():
+    late = np.random.default_rng(1).uniform(0, 0.006, 500)  # s
+    late[100] = 0.012
+    made = 1 + np.arange(500) / 75 + late
+    np.testing.assert_array_equal(paced(made, 75), made)
+
+
+def test_no_more_are_sent_than_asked_for_whatever_comes():
+    sent = paced(1 + np.arange(2000) / 1000, 20)
+    assert np.diff(sent)[2:] == pytest.approx(0.05)
+    rest = np.diff(paced([1, 9, 9.001, 9.002], 20))  # a rest saves up no more than one
+    assert rest == pytest.approx([8, 0.001, 0.049])
+
+
 def test_contacts_on_request(rig, url):
     rig.show(pressed())
     with stream(url, "?contacts=1") as client:
@@ -166,6 +189,7 @@ def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
     ("path", "code", "reason"),
     [
         ("palm/stream?kinds=raw,blurred", 4400, "kinds=raw,blurred"),
+        ("palm/stream?kinds=raw&kinds=restored", 4400, "kinds: given 2 times"),
         ("palm/stream?rate_hz=nan", 4400, "rate_hz=nan"),
         ("palm/stream?rate_hz=fast", 4400, "rate_hz=fast"),
         ("palm/stream?format=xml", 4400, "format=xml"),
@@ -181,6 +205,15 @@ def test_a_wrong_address_is_refused_with_the_reason(url, path, code, reason):
             client.recv(timeout=2)
         assert caught.value.rcvd.code == code
         assert reason in caught.value.rcvd.reason
+
+
+@pytest.mark.parametrize("path", ["/api/v1/streams", "/api/v1/stream/", "/xela/", "/static/app.js", "/metrics"])
+def test_an_address_without_a_stream_says_so(url, path):
+    with connect(url.replace("http", "ws", 1) + path) as client:
+        with pytest.raises(ConnectionClosed) as caught:
+            client.recv(timeout=2)
+        assert caught.value.rcvd.code == 4404
+        assert caught.value.rcvd.reason.startswith(f"{path}: no stream is there")
 
 
 def test_a_message_that_means_nothing_ends_the_stream_with_the_reason(url):

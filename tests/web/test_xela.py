@@ -66,8 +66,11 @@ def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
         for number in (1, 2):
             send(rig, counts(number))
             told = json.loads(client.recv(timeout=5))
-            at = told.pop("time")
+            at, rates = told.pop("time"), told["1"].pop("ups")
+            assert at <= told.pop("sendtime") <= time.time()
             assert abs(time.time() - at) < 5
+            assert len(rates) == 24
+            assert set(rates) == {rates[0]}
             assert told == {
                 "message": number,
                 "type": "routine",
@@ -75,10 +78,12 @@ def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
                 "1": {
                     "sensor": "1",
                     "time": at,
-                    "model": "XR1946",
+                    "model": "uSPa46",
                     "taxels": 24,
                     "data": ",".join(f"{each:04X}" for each in counts(number).ravel()),
-                    "calibrated": None,
+                    "integer": counts(number).ravel().tolist(),
+                    "temp": [0.0] * 24,
+                    "special": [[*each, *[None] * 9] for each in counts(number).tolist()],
                 },
             }
             np.testing.assert_array_equal(parsed(told["1"]), counts(number))

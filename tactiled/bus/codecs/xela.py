@@ -1,7 +1,8 @@
 """XELA uSkin: three axes a taxel, a message a taxel; the normal axis is the image.
 
 Source of the layout: the vendor's manual of the 4 x 6 module (August 2023) for today's ids; community drivers for
-those of older generations, whose payload is the same.
+those of older generations, whose payload is the same. Source of the models: public notes on the vendor's server,
+which tell modules by their ids, and a public capture of what it sends.
 """
 
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ OLDER = {
     "4x6-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(6)),
     "single": tuple(range(0x710, 0x720)),
 }
+MODELS = {(2, 2): "uSPa22", (4, 4): "uSPa44", (4, 6): "uSPa46", (2, 8): "XR1944"}  # SDAs and taxels, today's ids
+OLDER_MODELS = {"4x4-old": "XR1944", "4x4-new": "XR1944", "4x6-old": "XR1946"}
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Xela(Plain):
     rows: tuple[int, ...] = (4, 3, 2, 1)
     columns: tuple[int, ...] = (5, 4, 3, 2, 1, 0)
     start: bool = False  # start an older board, whose number is `controller`
+    model: str = ""  # as the vendor's software calls the module; left out: as its ids and size say
     taxels = 1
 
     def __post_init__(self) -> None:
@@ -51,6 +55,15 @@ class Xela(Plain):
             )
         if len(set(self._ids)) != len(self._ids):
             raise ConfigError("codec.rows or codec.columns names an SDA or a taxel twice")
+
+    @property
+    def told_model(self) -> str:
+        """The module's model, by the vendor's name for it; "unknown" where nothing says."""
+        if self.model:
+            return self.model
+        if self.profile != "current":
+            return OLDER_MODELS.get(self.profile, "unknown")
+        return MODELS.get((len(self.rows), len(self.columns)), "unknown")
 
     @property
     def talk(self) -> Talk:
