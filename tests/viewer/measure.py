@@ -1,8 +1,10 @@
-"""python -m tests.viewer.measure [SECONDS]: what the viewer costs the browser at 64 x 64 taxels; prints only.
+"""python -m tests.viewer.measure [SECONDS] [--apart]: what the viewer costs the browser at 64 x 64; prints only.
 
 CPU is the page's main thread's own time, of one core; garbage is what V8's sampling profiler saw allocated, the
 viewer's own functions apart from what the browser and the measuring itself allocate. The frames are made before:
-to simulate them meanwhile would make them late.
+to simulate them meanwhile would make them late. What limits the frame rate is told apart by the screen's turns:
+how many the browser gave, how many of them brought nothing new, and how many a page gets that does no more than
+fill two canvases of the maps' size. `--apart` keeps the service on one core and the browser on the others.
 """
 
 import os
@@ -20,6 +22,7 @@ from tactiled.service import Service
 from tactiled.simulate import play, player
 from tactiled.web.server import running
 
+SIDE = 64  # taxels
 RATE_HZ = 75.0  # of the sensor: above the screen's
 FRAMES = 256  # that are played over and over: one round of the codec's sequence numbers
 WARM_UP_MS = 30_000  # until the browser has compiled what paints, and the last ten seconds are full
@@ -43,6 +46,38 @@ SAMPLING = {
     "includeObjectsCollectedByMinorGC": True,
 }
 PAINTED = "Number(document.documentElement.dataset.painted)"
+TURNS = """() => {
+  const seen = window.turns = { count: 0, idle: 0, last: "" };
+  const turn = () => {
+    const { painted } = document.documentElement.dataset;
+    seen.count += 1;
+    if (painted === seen.last) seen.idle += 1;
+    seen.last = painted;
+    requestAnimationFrame(turn);
+  };
+  requestAnimationFrame(turn);
+}"""
+EMPTY = """([side, width]) => {
+  const pens = [0, 1].map(() => {
+    const canvas = document.createElement("canvas");
+    canvas.width = canvas.height = side;
+    canvas.style.width = canvas.style.height = `${width}px`;
+    canvas.style.imageRendering = "pixelated";
+    document.body.append(canvas);
+    return canvas.getContext("2d");
+  });
+  const image = pens[0].createImageData(side, side);
+  const words = new Uint32Array(image.data.buffer);
+  const seen = window.turns = { count: 0, idle: 0 };
+  const turn = () => {
+    seen.count += 1;
+    for (let i = 0; i < words.length; i += 1) words[i] = 0xff000000 | (i * seen.count);
+    for (const pen of pens) pen.putImageData(image, 0, 0);
+    requestAnimationFrame(turn);
+  };
+  document.body.replaceChildren(...pens.map(pen => pen.canvas));
+  requestAnimationFrame(turn);
+}"""
 
 
 def metrics(session: CDPSession) -> dict[str, float]:
@@ -57,6 +92,30 @@ def allocated(node: dict, into: Counter) -> Counter:
     for child in node["children"]:
         allocated(child, into)
     return into
+
+
+def turns(page: Page, seconds: float) -> tuple[float, float]:
+    """The screen's turns a second that a page gets, and those of them that painted nothing new."""
+    look = "[window.turns.count, window.turns.idle, performance.now()]"
+    page.wait_for_timeout(1000)
+    before = page.evaluate(look)
+    page.wait_for_timeout(1000 * seconds)
+    count, idle, ms = (now - then for now, then in zip(page.evaluate(look), before, strict=True))
+    return 1000 * count / ms, 1000 * idle / ms
+
+
+def limits(page: Page, seconds: float) -> None:
+    """Print what limits the frame rate; the page is another in the end."""
+    width = page.evaluate("document.getElementById('raw').clientWidth")
+    page.evaluate(TURNS)
+    given, idle = turns(page, seconds)
+    page.goto(page.url.split("#")[0] + "api/v1/colormap")
+    page.evaluate(EMPTY, [SIDE, width])
+    empty, _ = turns(page, seconds)
+    print(
+        f"{given:.1f} turns of the screen a second, {idle:.1f} of them with no new image; {empty:.1f} of a page "
+        f"with two canvases of {width} px and nothing else; load average {os.getloadavg()[0]:.1f}"
+    )
 
 
 def measure(page: Page, restored: list[int], seconds: float) -> None:
@@ -92,30 +151,43 @@ def measure(page: Page, restored: list[int], seconds: float) -> None:
         print(f"  {size / 1000 / seconds:8.1f} kB/s  {name}")
 
 
-def main(seconds: float) -> None:
+def main(seconds: float, apart: bool) -> None:
     """Serve a simulated array, open the viewer, measure."""
+    cores = sorted(os.sched_getaffinity(0))
+    if apart:  # threads and processes begin on the cores of the thread that starts them
+        os.sched_setaffinity(0, cores[:1])
     service, stop = Service(parse(CONFIG, "measure")), Event()
     sensor, end = service.sensor("palm"), open_bus(interface="virtual", channel="measure")
     one = player(sensor.array, sensor.kernel, sensor.codec, sensor.calibration, "fingertip", 0.2)
     made = [one.messages(sequence, sequence / RATE_HZ, 0.0) for sequence in range(FRAMES)]
-    restored: list[int] = []
     sender = Thread(
         target=play, args=(lambda sequence, *_: made[sequence % FRAMES], end.send, RATE_HZ, stop), daemon=True
     )
-    with threadpool_limits(1), running(service) as url, sync_playwright() as playwright:
+    with threadpool_limits(1), running(service) as url:
         service.start()
         sender.start()
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(url)
-        sensor.hub.subscribe(lambda image: restored.append(image.sequence))
-        measure(page, restored, seconds)
-        browser.close()
+        if apart:
+            os.sched_setaffinity(0, cores[1:])
+        watch(url, service, seconds)
     stop.set()
     sender.join()
     service.stop()
     end.close()
 
 
+def watch(url: str, service: Service, seconds: float) -> None:
+    """Open the viewer and measure."""
+    restored: list[int] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(url)
+        service.sensor("palm").hub.subscribe(lambda image: restored.append(image.sequence))
+        measure(page, restored, seconds)
+        limits(page, seconds)
+        browser.close()
+
+
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 30.0)
+    numbers = [each for each in sys.argv[1:] if each != "--apart"]
+    main(float(numbers[0]) if numbers else 30.0, "--apart" in sys.argv)

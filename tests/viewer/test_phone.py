@@ -38,3 +38,15 @@ def test_a_tap_on_a_map_reads_it_until_the_next_tap_there(rig, url, open_page):
     page.locator("#probe", has_text="taxel 4, 4").wait_for()
     page.touchscreen.tap(x, y)
     page.locator("#probe", has_text=before).wait_for()
+
+
+def test_the_help_begins_at_its_beginning(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url, **PHONE)
+    page.tap("#help-open")
+    wait(page, "document.activeElement.id === 'help-close'")
+    assert page.evaluate(
+        "(({ scrollHeight, clientHeight }) => scrollHeight > clientHeight)(document.getElementById('help'))"
+    )
+    title = page.locator("#help-title").bounding_box()
+    assert 0 < title["y"] < 100

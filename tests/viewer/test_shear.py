@@ -50,9 +50,9 @@ def inked(picture):
     return (alpha == 255) & (red < 170) & (green > 225) & (blue > 235)
 
 
-def arrows(page):
+def arrows(page, name="raw-shear"):
     """Angle (rad, from x towards y) and length (px) of each taxel's arrow, by its pixels; None: there is none."""
-    ink = inked(pixels(page, "raw-shear"))
+    ink = inked(pixels(page, name))
     rows, columns = ink.shape[0] / 2, ink.shape[1] / 3
     return [
         measured(ink[int(r * rows) : int((r + 1) * rows), int(c * columns) : int((c + 1) * columns)])
@@ -166,6 +166,7 @@ def test_a_sensor_that_feels_none_has_neither_arrows_nor_the_choice(request, ope
         assert page.evaluate("document.getElementById('shear-key').hidden")
         page.keyboard.press("v")
         assert page.evaluate("document.getElementById('shear-on').checked")
+        page.close()  # which else misses the service
 
 
 def test_a_service_that_comes_back_without_shear_is_watched_on(rig, request, open_page):
@@ -235,6 +236,45 @@ def test_the_probe_and_the_table_tell_shear_in_counts(rig, url, open_page):
         page.keyboard.press("s")
     with Image.open(saved.value.path()) as sheet:
         assert inked(np.array(sheet.convert("RGBA")).astype(int))[: sheet.height // 2].sum() > 60
+
+
+TILE_KEY = "document.querySelector('.tile .shear-key')"
+CANVASES = "[...document.querySelectorAll('.tile')].map(each => each.querySelectorAll('.frame canvas').length)"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [{"width": 1440, "height": 900}, PHONE], ids=["desk", "phone"])
+def test_the_wall_has_arrows_on_the_same_socket(request, open_page, size, scheme):
+    with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
+        rig.show(REST, REST)
+        page = open_page(
+            f"{url}/#/wall", ready=f"{TILE_KEY}?.innerText === '50 counts'", color_scheme=scheme, **size
+        )
+        rig.show(X, Y)
+        wait(page, f"{TILE_KEY}.innerText === '1000 counts'")
+        assert "tactiled_streams 1" in httpx.get(url + "/metrics").text.splitlines()
+        assert page.evaluate(CANVASES) == [2, 1]  # the palm feels none
+        page.evaluate("document.querySelectorAll('.tile .frame canvas')[1].id = 'over'")
+        page.evaluate("document.querySelector('.tile .shear-key canvas').id = 'over-key'")
+        _, key = measured(inked(pixels(page, "over-key")))
+        for x, y, arrow in zip(X, Y, arrows(page, "over"), strict=True):
+            if not (x or y) or x == X[5]:  # none; dead
+                assert arrow is None
+                continue
+            assert off(arrow[0], np.arctan2(y, x)) < 4, (x, y)
+            assert arrow[1] == pytest.approx(key * np.hypot(x, y) / 1000, abs=3), (x, y)
+        assert found(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        page.keyboard.press("1")
+        page.locator("#main").wait_for()
+        wait(page, "!document.getElementById('shear-key').hidden")  # the stream with shear is there
+        with page.expect_websocket() as opened:
+            page.keyboard.press("v")
+        assert "shear" not in opened.value.url
+        with page.expect_websocket() as opened:
+            page.keyboard.press("w")
+        assert "shear" not in opened.value.url
+        page.close()  # which else misses the service
 
 
 @pytest.mark.parametrize("size", [{"width": 1440, "height": 900}, PHONE], ids=["desk", "phone"])

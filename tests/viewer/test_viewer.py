@@ -131,6 +131,13 @@ def test_it_finds_the_service_again(rig, open_page):
         page.faults.clear()
 
 
+@pytest.mark.parametrize("address", ["#%zz", "#nobody", "#palm"])
+def test_whatever_the_address_names_a_sensor_is_shown(rig, url, open_page, address):
+    rig.show(pressed())
+    page = open_page(f"{url}/{address}")
+    assert page.url == f"{url}/#palm"
+
+
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (1024, 768), (390, 844)])
 def test_nothing_is_cut_off_at_any_width(rig, url, open_page, width, height):
     rig.show(pressed())

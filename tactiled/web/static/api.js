@@ -283,8 +283,9 @@ export const streamUrl = (name, contacts, shear) =>
 
 /**
  * @param {string[]} names
+ * @param {string[]} sheared those of them whose shear is to come, too
  * @param {number} rate_hz at most, of each
  * @returns {string} the address of several sensors' restored images, one of each at a time
  */
-export const wallUrl = (names, rate_hz) =>
-  socket(`/stream?sensors=${names.join(",")}&kinds=restored&rate_hz=${rate_hz}&flow=credit`);
+export const wallUrl = (names, sheared, rate_hz) =>
+  socket(`/stream?sensors=${names.join(",")}&kinds=restored${sheared.length ? `&shear=${sheared.join(",")}` : ""}&rate_hz=${rate_hz}&flow=credit`);

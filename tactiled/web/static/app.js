@@ -91,10 +91,19 @@ async function learn() {
   viewer.palette = new Palette((await api.colormap()).colors);
 }
 
+/** @returns {string} the sensor that the address names; "" where nobody can say which */
+function named() {
+  try {
+    return decodeURIComponent(location.hash.slice(1));
+  } catch {
+    return "";
+  }
+}
+
 /** Take the sensor that the address names, or the first, where none is shown. */
 function settle() {
   const all = sensors.length > 1 && (wall.open || (!viewer.name && location.hash === WALL));
-  const asked = decodeURIComponent(location.hash.slice(1));
+  const asked = named();
   const known = sensors.find((each) => each.name === (viewer.name || asked)) ?? sensors[0];
   if (all && wall.open) wall.show(sensors);
   else if (all) choose(ALL);

@@ -44,6 +44,14 @@ const SIDE = 46;
 const HEAD = 20;
 const FOOT = 34;
 const TAIL = 12;
+const FINE = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
+const FAR = 2 ** 24; // of such units, out of sight
+
+/**
+ * @param {number} at
+ * @returns {number} a whole number near it, out of sight where it is
+ */
+const whole = (at) => (at > FAR ? FAR : at < -FAR ? -FAR : at | 0);
 
 export class Chart {
   /** @param {HTMLCanvasElement} canvas */
@@ -94,6 +102,7 @@ export class Chart {
     draw.beginPath();
     draw.rect(SIDE, HEAD - 2, this._w, this._h + 4);
     draw.clip();
+    draw.scale(1 / FINE, 1 / FINE);
     for (let k = 0; k < lines.length; k += 1) this._band(lines[k], axes);
     for (let k = 0; k < lines.length; k += 1) this._line(lines[k], axes);
     draw.restore();
@@ -183,19 +192,21 @@ export class Chart {
    * @param {Axes} axes
    */
   _band(of, axes) {
-    const { _pen: draw, _sx: sx, _sy: sy } = this;
+    const { _pen: draw } = this;
+    const sx = FINE * this._sx;
+    const sy = FINE * this._sy;
     const { spread } = of;
     if (!spread) return;
-    const floor = HEAD + this._h + axes.bottom * sy;
-    const wide = of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : of.style === "dots" ? 2 : 0;
+    const floor = FINE * (HEAD + this._h) + axes.bottom * sy;
+    const wide = of.style === "steps" ? Math.ceil(((of.x[1] - of.x[0]) / 2) * sx) : of.style === "dots" ? 2 * FINE : 0;
     draw.fillStyle = this._ink[of.ink];
     draw.globalAlpha = 0.28;
     draw.beginPath();
     for (let i = 0; i < of.length; i += 1) {
-      const x = SIDE + (of.x[i] - axes.left) * sx;
-      const y = floor - (of.y[i] + spread[i]) * sy;
+      const x = whole(FINE * SIDE + (of.x[i] - axes.left) * sx);
+      const y = whole(floor - (of.y[i] + spread[i]) * sy);
       const tall = 2 * spread[i] * sy;
-      if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, tall);
+      if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, whole(tall));
     }
     draw.fill();
     draw.globalAlpha = 1;
@@ -206,12 +217,14 @@ export class Chart {
    * @param {Axes} axes
    */
   _line(of, axes) {
-    const { _pen: draw, _sx: sx, _sy: sy } = this;
-    const floor = HEAD + this._h;
+    const { _pen: draw } = this;
+    const sx = FINE * this._sx;
+    const sy = FINE * this._sy;
+    const floor = FINE * (HEAD + this._h);
     const from = of.zero + axes.left;
-    const half = of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : 0;
+    const half = (of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : 0) | 0;
     draw.strokeStyle = draw.fillStyle = this._ink[of.ink];
-    draw.lineWidth = 2;
+    draw.lineWidth = 2 * FINE;
     draw.lineJoin = "round";
     draw.beginPath();
     let down = false;
@@ -221,27 +234,31 @@ export class Chart {
         down = false;
         continue;
       }
-      const x = SIDE + (of.x[at] - from) * sx;
-      const y = floor - (value - axes.bottom) * sy;
+      const x = whole(FINE * SIDE + (of.x[at] - from) * sx);
+      const y = whole(floor - (value - axes.bottom) * sy);
       if (down) draw.lineTo(x - half, y);
       else draw.moveTo(x - half, y);
       if (half) draw.lineTo(x + half, y);
       down = true;
     }
     draw.stroke();
-    if (of.style === "dots") this._dots(of, axes);
+    if (of.style === "dots") this._dots(of, axes, sx, sy);
   }
 
   /**
    * @param {Line} of
    * @param {Axes} axes
+   * @param {number} sx fine units a unit of x
+   * @param {number} sy
    */
-  _dots(of, axes) {
-    const { _pen: draw, _sx: sx, _sy: sy } = this;
+  _dots(of, axes, sx, sy) {
+    const { _pen: draw } = this;
+    const floor = FINE * (HEAD + this._h);
     for (let i = 0; i < of.length; i += 1) {
       if (of.y[i] !== of.y[i]) continue;
       draw.beginPath();
-      draw.arc(SIDE + (of.x[i] - axes.left) * sx, HEAD + this._h - (of.y[i] - axes.bottom) * sy, 3, 0, 2 * Math.PI);
+      const x = whole(FINE * SIDE + (of.x[i] - axes.left) * sx);
+      draw.arc(x, whole(floor - (of.y[i] - axes.bottom) * sy), 3 * FINE, 0, 2 * Math.PI);
       draw.fill();
     }
   }

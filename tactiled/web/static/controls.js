@@ -54,12 +54,18 @@ function buttons(viewer, rooms) {
   press("tare", () => tare(viewer));
   press("save-png", () => save("png", viewer, rooms));
   press("save-csv", () => save("csv", viewer, rooms));
-  press("help-open", () => help.showModal());
+  press("help-open", showHelp);
   press("help-close", () => help.close());
   press("banner-action", () => viewer.session?.stream.retry());
   scrub.addEventListener("input", () => viewer.show(Number(scrub.max) - Number(scrub.value)));
   contacts.addEventListener("change", () => viewer.showContacts(contacts.checked));
   shear.addEventListener("change", () => viewer.showShear(shear.checked));
+}
+
+/** Open the help at its beginning: the button that takes the focus stands at its end. */
+function showHelp() {
+  help.showModal();
+  help.scrollTop = 0;
 }
 
 /**
@@ -78,6 +84,11 @@ function range(viewer, rooms) {
       for (const each of [low, high]) each.setAttribute("aria-invalid", String(!fine));
       if (fine) auto.checked = false;
       viewer.refresh();
+    });
+    input.addEventListener("change", () => {
+      if (input.getAttribute("aria-invalid") === "true") {
+        notice(`From ${low.value || "nothing"} to ${high.value || "nothing"} kPa is no range: the range stays.`, true);
+      }
     });
   }
 }
@@ -173,7 +184,7 @@ function keyboard(viewer, rooms) {
     d: rooms.nextTheme,
     m: () => picker.focus(),
     p: () => pin(viewer),
-    "?": () => help.showModal(),
+    "?": showHelp,
     Escape: () => viewer.probe.clear(),
     ...Object.fromEntries(Array.from({ length: 9 }, (_, i) => [String(i + 1), () => {
       const name = rooms.sensors()[i];

@@ -62,12 +62,25 @@ export class Maps {
     else this.arrows.clear();
   }
 
+  /**
+   * @param {Plane} plane
+   * @param {HTMLElement} box of a map
+   * @returns {number} height beyond which the maps would fill no more, CSS px
+   */
+  _most(plane, box) {
+    const map = (plane.height * box.clientWidth) / plane.width;
+    const around = this._boxes.clientHeight - box.clientHeight; // the words above, and the other map where it is below
+    const other = this._boxes.classList.contains("stacked") ? map - box.clientHeight : 0;
+    return Math.ceil(map + other + around);
+  }
+
   /** Make both maps as large as their boxes allow, true to scale. */
   layout() {
     const plane = this._plane;
     if (!plane) return;
     const box = /** @type {HTMLElement} */ (this.raw.frame.parentElement);
     this._boxes.classList.toggle("stacked", plane.width > 1.5 * plane.height);
+    byId("maps").style.setProperty("--most", `${this._most(plane, box)}px`);
     const height = DESK.matches ? box.clientHeight : 0.7 * window.innerHeight;
     const zoom = crisp(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
     this.raw.resize(zoom);

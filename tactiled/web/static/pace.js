@@ -14,7 +14,7 @@ export class Pace {
     /** Of the newest picture, ms from the frame's first bus message to the screen. */
     this.latency = NaN;
     this._times = new Float64Array(KEPT);
-    this._skew = Infinity; // least of (arrival - sent), s
+    this._skew = Infinity; // s that this browser's clock is ahead of the service's, and the quickest way
   }
 
   /** Another sensor's pictures come from now on. */
@@ -27,12 +27,13 @@ export class Pace {
    * A frame is on the screen for the first time.
    * @param {number} now ms, on performance.now's clock
    * @param {Frame} frame
+   * @param {number} skew s, the least of (arrival - sent)
    */
-  paint(now, frame) {
+  paint(now, frame, skew) {
     this._times[this.painted % KEPT] = now;
     this.painted += 1;
     const at = Date.now() / 1000;
-    this._skew = Math.min(this._skew, at - frame.sent);
+    this._skew = skew;
     const way = at - frame.sent - (this.clocksDiffer ? this._skew : 0);
     this.latency = (way + frame.sent - frame.timestamp) * 1000;
   }

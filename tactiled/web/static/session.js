@@ -8,6 +8,7 @@ import { Contacts } from "./contacts.js";
 import { Deviations } from "./deviations.js";
 import { judge } from "./health.js";
 import { History } from "./history.js";
+import { Present } from "./present.js";
 import { Stream } from "./stream.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
 
@@ -17,7 +18,7 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 /**
  * @typedef {object} Listener
- * @property {(frame: Frame) => void} onFrame a frame came
+ * @property {(frame: Frame, anew: boolean) => void} onFrame a frame came that may be shown; the first after a while?
  * @property {(status: Status, changed: boolean) => void} onStatus
  * @property {() => void} onLink
  * @property {() => void} onContacts contacts of a frame came
@@ -45,6 +46,7 @@ export class Session {
     this.history = new History(plane, feels);
     this.contacts = new Contacts();
     this.deviations = new Deviations(name, plane);
+    this.present = new Present(AHEAD);
     this.paused = false;
     /** Which kept frame is shown, 0 the newest. */
     this.back = 0;
@@ -69,7 +71,7 @@ export class Session {
 
   /** @returns {Frame|null} the one that is shown */
   get frame() {
-    return this.history.at(this.back);
+    return this.history.at(this.back + this.present.held);
   }
 
   /** @returns {import("./health.js").Health} */
@@ -95,6 +97,7 @@ export class Session {
   /** @param {boolean} to */
   pause(to) {
     this.paused = to;
+    this.present.shown(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
     this._more();
@@ -112,8 +115,23 @@ export class Session {
 
   /** What came is on the screen. */
   done() {
+    this.present.shown();
     this._unpainted = 0;
     this._more();
+  }
+
+  /**
+   * Hold back what came but waited too long, and ask for newer frames. Of a sensor that is not live it is the newest
+   * there is, and the page says how old.
+   * @returns {boolean} false where it may be shown
+   */
+  late() {
+    const newest = this.history.at(0);
+    if (!newest || !this._unpainted || this.paused || this.status?.state !== "live") return false;
+    if (!this.present.late(newest.sent, this._unpainted)) return false;
+    this._unpainted = 0;
+    this._more();
+    return true;
   }
 
   /** Ask for what may be under way. */
@@ -139,13 +157,19 @@ export class Session {
     }
     this._frameAt = performance.now();
     this._unpainted += 1;
-    this._listener.onFrame(this.history.push(raw, restored, shear));
+    this.present.hear(restored.sent);
+    const frame = this.history.push(raw, restored, shear);
+    if (this.late()) return;
+    const anew = this.present.held > 0;
+    this.present.shown();
+    this._listener.onFrame(frame, anew);
   }
 
   /** @param {Status} status */
   _hear(status) {
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
     this.status = status;
+    if (status.state !== "live") this.present.shown();
     this._toldAt = performance.now();
     this._listener.onStatus(status, changed);
   }

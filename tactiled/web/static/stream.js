@@ -4,7 +4,7 @@
  */
 
 import { Link } from "./link.js";
-import { packet, parse } from "./wire.js";
+import { kindOf, packet, parse } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 /** @typedef {import("./api.js").Loss} Loss */
@@ -54,7 +54,6 @@ export class Stream extends Link {
     this._listener = listener;
     this._kinds = kinds;
     this._images = [packet(), packet(), packet()];
-    this._scratch = packet();
     this.open();
   }
 
@@ -84,7 +83,7 @@ export class Stream extends Link {
    */
   take(data) {
     if (typeof data === "string") this._tell(JSON.parse(data));
-    else this._keep(parse(data, this._scratch));
+    else this._keep(new Uint8Array(data));
   }
 
   /** @override */
@@ -108,12 +107,12 @@ export class Stream extends Link {
     }
   }
 
-  /** @param {Packet} one */
-  _keep(one) {
+  /** @param {Uint8Array} bytes */
+  _keep(bytes) {
+    const kind = kindOf(bytes);
+    if (!this._kinds.includes(kind)) throw new RangeError(`an image of kind ${kind} was not asked for`);
+    const one = parse(bytes, this._images[kind]);
     this.attempts = 0;
-    if (!this._kinds.includes(one.kind)) throw new RangeError(`an image of kind ${one.kind} was not asked for`);
-    this._scratch = this._images[one.kind];
-    this._images[one.kind] = one;
     for (let i = 0; i < this._kinds.length; i += 1) {
       if (this._images[this._kinds[i]].sequence !== one.sequence) return;
     }

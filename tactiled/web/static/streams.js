@@ -1,17 +1,17 @@
 /**
- * Restored images of several sensors on one socket, one outstanding image of each at a time.
+ * Restored images of several sensors, and the shear of some, on one socket: one outstanding of each at a time.
  * @module
  */
 
 import { Link } from "./link.js";
-import { isOf, packet, parse } from "./wire.js";
+import { SHEAR, isOf, packet, parse } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 /** @typedef {import("./stream.js").Status} Status */
 
 /**
  * @typedef {object} Listener
- * @property {(image: Packet) => void} onImage its views die with the call
+ * @property {(image: Packet) => void} onImage its views die with the call; shear comes behind its frame's pressures
  * @property {(status: Status) => void} onStatus
  * @property {() => void} onLink the link's state changed
  */
@@ -85,7 +85,7 @@ export class Streams extends Link {
    */
   take(data) {
     if (typeof data === "string") this._tell(JSON.parse(data));
-    else this._show(parse(data, this._image));
+    else this._show(parse(new Uint8Array(data), this._image));
   }
 
   /** @override */
@@ -117,7 +117,7 @@ export class Streams extends Link {
       if (!isOf(image, part.bytes)) continue;
       this.attempts = 0;
       part.heardAt = this.heardAt;
-      part.askedAt = 0;
+      if (image.kind !== SHEAR) part.askedAt = 0;
       part.listener.onImage(image);
       return;
     }

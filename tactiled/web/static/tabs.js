@@ -10,6 +10,8 @@ import { byId, say } from "./paint.js";
 /** What stands for all sensors at once, where a sensor's name is meant: none is called so. */
 export const ALL = "";
 
+const BESIDE_PX = 24; // of the next tab, shown beside one that was scrolled to
+
 export class Tabs {
   /** @param {(name: string) => void} onChoose */
   constructor(onChoose) {
@@ -45,10 +47,24 @@ export class Tabs {
 
   /** @param {string} name */
   choose(name) {
+    const was = this._list.querySelector('[aria-selected="true"]');
     for (const [each, tab] of this._tabs) {
       tab.setAttribute("aria-selected", String(each === name));
       tab.tabIndex = each === name ? 0 : -1;
     }
+    const tab = this._tabs.get(name);
+    if (tab && tab !== was) this._reveal(tab);
+  }
+
+  /**
+   * Scroll the row of tabs, and nothing else, until one is seen whole.
+   * @param {HTMLElement} tab
+   */
+  _reveal(tab) {
+    const all = this._list.getBoundingClientRect();
+    const one = tab.getBoundingClientRect();
+    if (one.right > all.right) this._list.scrollLeft += one.right - all.right + BESIDE_PX;
+    else if (one.left < all.left) this._list.scrollLeft -= all.left - one.left + BESIDE_PX;
   }
 
   /** @param {string[]} names */

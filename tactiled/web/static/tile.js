@@ -10,6 +10,9 @@ import { measure, measures } from "./measures.js";
 import { words } from "./notice.js";
 import { fixed, say } from "./paint.js";
 import { Plane } from "./plane.js";
+import { Present } from "./present.js";
+import { Arrows } from "./shear.js";
+import { SHEAR } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 
@@ -28,34 +31,48 @@ function make(tag, name, ...children) {
   return made;
 }
 
+/** @returns {HTMLCanvasElement} one that is not read out */
+function layer() {
+  const canvas = document.createElement("canvas");
+  canvas.setAttribute("aria-hidden", "true");
+  return canvas;
+}
+
 export class Tile {
   /**
    * @param {string} name of the sensor
+   * @param {boolean} sheared its shear comes, too
    * @param {import("./streams.js").Streams} streams that it is one of
    * @param {() => void} onImage there is something to paint
    * @param {() => void} onChoose
    */
-  constructor(name, streams, onImage, onChoose) {
+  constructor(name, sheared, streams, onImage, onChoose) {
     this.name = name;
     /** Largest pressure of the newest image, kPa. */
     this.peak = 0;
     /** Standard deviation of a restored cell, kPa. */
     this.noise = 0;
     this._onImage = onImage;
-    const canvas = document.createElement("canvas");
-    canvas.setAttribute("aria-hidden", "true");
+    const canvas = layer();
     this._frame = make("span", "frame", canvas);
     this._box = make("span", "box", this._frame);
     this._state = make("span", "sub");
     this._force = make("span", "force");
+    const foot = make("span", "foot", this._force);
+    this._arrows = sheared ? this._over(foot) : null;
     const title = make("b", "", document.createTextNode(name));
-    this.element = make("button", "tile", make("span", "head", make("span", "dot"), title, this._state), this._box, this._force);
+    this.element = make("button", "tile", make("span", "head", make("span", "dot"), title, this._state), this._box, foot);
     this.element.setAttribute("type", "button");
     this.element.dataset.level = "connecting";
     this.element.addEventListener("click", onChoose);
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
+    this._present = new Present(1);
+    this._sent = NaN;
+    this._unpainted = false;
     this._kpa = new Float32Array(0);
+    this._shear = new Float32Array(0);
+    this._timestamp = NaN;
     /** @type {Plane|null} */
     this._plane = null;
     this._part = streams.part(name, {
@@ -63,6 +80,7 @@ export class Tile {
       onStatus: (status) => {
         this._status = status;
         this._toldAt = performance.now();
+        if (status.state !== "live" && this._present.held) this._show();
       },
       onLink: () => this._ask(),
     });
@@ -74,6 +92,21 @@ export class Tile {
     this._stopped = false;
   }
 
+  /**
+   * Lay arrows over the map.
+   * @param {HTMLElement} foot where their key is to stand
+   * @returns {Arrows}
+   */
+  _over(foot) {
+    const canvas = layer();
+    const key = make("span", "shear-key", layer(), document.createElement("span"));
+    key.hidden = true;
+    key.title = "Shear: the longest arrow, x to the right, y down";
+    this._frame.append(canvas);
+    foot.append(key);
+    return new Arrows(canvas, key);
+  }
+
   /** Learn the sensor's shape, again and again until it is there, and ask for its images. */
   async start() {
     try {
@@ -81,6 +114,7 @@ export class Tile {
       if (this._stopped) return;
       this._plane = plane;
       this._kpa = new Float32Array(plane.restored.count).fill(NaN);
+      this._shear = new Float32Array(2 * plane.raw.count).fill(NaN);
       this._map.use(plane, plane.restored);
       this.layout();
     } catch (error) {
@@ -104,7 +138,11 @@ export class Tile {
   /** Make the map as large as its box allows, true to scale. */
   layout() {
     const plane = this._plane;
-    if (plane) this._map.resize(Math.min(this._box.clientWidth / plane.width, this._box.clientHeight / plane.height));
+    if (plane) {
+      const zoom = Math.min(this._box.clientWidth / plane.width, this._box.clientHeight / plane.height);
+      this._map.resize(zoom);
+      this._arrows?.resize(plane, zoom);
+    }
     this._fresh = plane !== null && this._imageAt > 0;
   }
 
@@ -112,18 +150,48 @@ export class Tile {
   _take(image) {
     const plane = this._plane;
     if (!plane) return;
-    if (image.kpa.length !== this._kpa.length) {
+    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.kpa.length === this._kpa.length;
+    if (!ours) {
       this._plane = null;
       this.start();
       return;
     }
+    if (image.kind === SHEAR) {
+      this._shear.set(image.shear);
+      this._timestamp = image.timestamp;
+    } else this._press(image, plane);
+    if (this._arrows && image.kind !== SHEAR) return; // its shear is on its way
+    this._unpainted = true;
+    if (!this._late()) this._show();
+  }
+
+  /**
+   * @param {Packet} image of pressures
+   * @param {Plane} plane
+   */
+  _press(image, plane) {
     this._kpa.set(image.kpa);
+    this._sent = image.sent;
+    this._present.hear(image.sent);
     this._imageAt = performance.now();
     this.noise = (image.noiseKpa || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._kpa, plane.restored, this.noise, this._of);
     this.peak = this._of.peak || 0;
+  }
+
+  /** Let the newest image be painted. */
+  _show() {
+    this._present.shown();
     this._fresh = true;
     this._onImage();
+  }
+
+  /** @returns {boolean} an image came, but waited too long: another is asked for */
+  _late() {
+    if (!this._unpainted || this._status?.state !== "live" || !this._present.late(this._sent, 1)) return false;
+    this._unpainted = false;
+    this._ask();
+    return true;
   }
 
   /**
@@ -133,9 +201,11 @@ export class Tile {
    * @param {boolean} rescaled the scale is another than the last time
    */
   paint(scale, palette, rescaled) {
+    if (this._present.held || this._late()) return;
     if (!this._fresh && !(rescaled && this._imageAt)) return;
     this._map.paint(this._kpa, scale, palette);
-    this._fresh = false;
+    this._arrows?.draw(this._shear, this._timestamp);
+    this._fresh = this._unpainted = false;
     this._ask();
   }
 
@@ -145,7 +215,7 @@ export class Tile {
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     say(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
-    if (!this._plane) return;
+    if (!this._plane || (live && this._present.held)) return;
     say(this._force, live ? `${fixed(this._imageAt ? this._of.force : NaN, 2)} N` : health.text);
   }
 }

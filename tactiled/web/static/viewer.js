@@ -73,6 +73,7 @@ export class Viewer {
     this._dirty = false;
     const { session, palette } = this;
     if (!session || !palette) return;
+    if (this._fresh && session.late()) this._fresh = false;
     const { frame } = session;
     this.maps.colorbar.draw(this.scale, palette);
     if (frame) this._mark(frame, session);
@@ -85,7 +86,7 @@ export class Viewer {
     }
     if (!this._fresh || !frame) return;
     this._fresh = false;
-    this.pace.paint(now, frame);
+    this.pace.paint(now, frame, session.present.least);
     session.history.latencies[frame.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
     session.done();
@@ -160,6 +161,7 @@ export class Viewer {
     this.name = "";
     this._fresh = false;
     this.marks.lineY = NaN;
+    this.marks.contacts = null;
     this.pace.reset();
     this.probe.clear();
     this.scale.reset();
@@ -212,10 +214,15 @@ export class Viewer {
     this.maps.use(plane);
     this.section.use(plane);
     this.session = new Session(name, plane, feels, this.contacts, this.shear, {
-      onFrame: (frame) => this._take(frame),
+      onFrame: (frame, anew) => {
+        this._take(frame);
+        if (anew) this._listener.onChange();
+      },
       onStatus: (status, changed) => {
         this._listener.onStatus(status);
-        if (changed) this._listener.onChange();
+        if (!changed) return;
+        this._listener.onChange();
+        this.refresh();
       },
       onLink: () => this._listener.onChange(),
       onContacts: () => this.refresh(),

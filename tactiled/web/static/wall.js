@@ -13,6 +13,32 @@ import { Tile } from "./tile.js";
 
 const READ_MS = 200; // between two updates of the words
 const RATE_HZ = 15;
+const GAP_PX = 12; // between tiles
+const ASIDE_PX = 26; // of a tile's width beside its map: what the style pads
+const AROUND_PX = 86; // of its height above and below: name and force
+const NARROW_PX = 220; // width of a map, below which what is wrong with a sensor takes two lines
+const LINE_PX = 20;
+const LEAST_PX = 100; // side of a map, below which the wall is scrolled instead
+
+/**
+ * @param {number} count of tiles, at least one
+ * @param {number} width that they share, CSS px
+ * @param {number} height
+ * @returns {{columns: number, side: number}} how many in a row, and the height of a tile's map
+ */
+function arrange(count, width, height) {
+  let best = { columns: 1, side: 0 };
+  for (let columns = 1; columns <= count; columns += 1) {
+    const rows = Math.ceil(count / columns);
+    const wide = (width + GAP_PX) / columns - GAP_PX - ASIDE_PX;
+    const words = wide < NARROW_PX ? AROUND_PX + LINE_PX : AROUND_PX;
+    const side = Math.floor(Math.min(wide, (height + GAP_PX) / rows - GAP_PX - words));
+    if (side > best.side) best = { columns, side };
+  }
+  if (best.side >= LEAST_PX) return best;
+  const columns = Math.max(1, Math.floor((width + GAP_PX) / (LEAST_PX + ASIDE_PX + GAP_PX))); // the page scrolls
+  return { columns, side: Math.floor(Math.max(1, (width + GAP_PX) / columns - GAP_PX - ASIDE_PX)) };
+}
 
 export class Wall {
   /**
@@ -30,6 +56,7 @@ export class Wall {
     this._tiles = [];
     /** @type {Streams|null} */
     this._streams = null;
+    this._url = "";
     this._dirty = false;
     /** Range of the maps as they were last painted, kPa. */
     this._low = NaN;
@@ -49,7 +76,9 @@ export class Wall {
    */
   show(sensors) {
     const names = sensors.map((each) => each.name);
-    if (this.open && names.join("\n") === this._tiles.map((each) => each.name).join("\n")) {
+    const sheared = sensors.filter((each) => each.shear && this._viewer.shear).map((each) => each.name);
+    const url = wallUrl(names, sheared, RATE_HZ);
+    if (this.open && url === this._url) {
       this._streams?.retry(); // the service answers, whatever the link's own wait
       return;
     }
@@ -57,9 +86,13 @@ export class Wall {
     this._root.hidden = false;
     byId("main").hidden = true;
     this._skip.hash = "tiles";
-    const streams = new Streams(wallUrl(names, RATE_HZ));
-    this._tiles = names.map((name) => new Tile(name, streams, () => this.refresh(), () => this._onChoose(name)));
+    const streams = new Streams(url);
+    this._url = url;
+    this._tiles = names.map(
+      (name) => new Tile(name, sheared.includes(name), streams, () => this.refresh(), () => this._onChoose(name)),
+    );
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));
+    this._arrange();
     for (const tile of this._tiles) tile.start();
     this._streams = streams;
     streams.open();
@@ -86,8 +119,19 @@ export class Wall {
   /** Another size or theme. */
   restyle() {
     this._colorbar.forget();
+    this._arrange();
     for (const tile of this._tiles) tile.layout();
     this.refresh();
+  }
+
+  /** Choose how many tiles stand in a row: as their maps are the largest. */
+  _arrange() {
+    if (!this.open) return;
+    const legend = /** @type {HTMLElement} */ (byId("wall-legend"));
+    const height = window.innerHeight - this._grid.offsetTop - legend.offsetHeight - 2 * GAP_PX;
+    const { columns, side } = arrange(this._tiles.length, this._grid.clientWidth, height);
+    this._grid.style.setProperty("--columns", String(columns));
+    this._grid.style.setProperty("--box", `${side}px`);
   }
 
   /** Paint at the screen's next turn. */

@@ -17,10 +17,11 @@ export const SATURATED = 8;
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;
 const NONE = new Float32Array(0);
-const NOTHING = new DataView(NONE.buffer);
+const NO_BYTES = new Uint8Array(0);
 
 /**
- * One message, taken apart. The arrays are views into the message, not copies.
+ * One message, taken apart. The arrays are views of the packet's own bytes, which the next message replaces: a view of
+ * each message would be garbage with it.
  * @typedef {object} Packet
  * @property {number} kind RAW, RESTORED or SHEAR
  * @property {number} rows 1 for a layout that is no grid
@@ -36,7 +37,8 @@ const NOTHING = new DataView(NONE.buffer);
  * @property {Float32Array} kpa rows * columns; NaN where nothing is known; of SHEAR empty
  * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
- * @property {DataView} view of the whole message
+ * @property {Uint8Array} bytes the whole message
+ * @property {DataView} view of it
  * @property {number} nameAt where the sensor's name begins in it
  * @property {number} nameBytes 0 on a stream of one sensor
  */
@@ -46,20 +48,32 @@ export function packet() {
   return {
     kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN,
     resolutionMm: NaN, microseconds: NaN, iterations: 0, kpa: NONE, shear: NONE, flags: null,
-    view: NOTHING, nameAt: 0, nameBytes: 0,
+    bytes: NO_BYTES, view: new DataView(NO_BYTES.buffer), nameAt: 0, nameBytes: 0,
   };
 }
 
 /**
+ * @param {Uint8Array} bytes a message
+ * @returns {number} RAW, RESTORED, SHEAR, or what else it says
+ */
+export const kindOf = (bytes) => bytes[5];
+
+/**
  * Take a message apart.
- * @param {ArrayBuffer} buffer
+ * @param {Uint8Array} bytes
  * @param {Packet} into filled and returned, so that the caller may use one packet for ever
  * @returns {Packet}
  * @throws {RangeError} where the message is not one of ours
  */
-export function parse(buffer, into) {
-  if (buffer.byteLength < HEADER_BYTES) throw new RangeError(`image of ${buffer.byteLength} bytes has no header`);
-  const view = new DataView(buffer);
+export function parse(bytes, into) {
+  if (bytes.length < HEADER_BYTES) throw new RangeError(`image of ${bytes.length} bytes has no header`);
+  const anew = bytes.length !== into.bytes.length;
+  if (anew) {
+    into.bytes = new Uint8Array(bytes.length);
+    into.view = new DataView(into.bytes.buffer);
+  }
+  into.bytes.set(bytes);
+  const { view } = into;
   if (view.getUint32(0, true) !== MAGIC) throw new RangeError("image does not start with TCTL");
   const version = view.getUint8(4);
   if (version !== VERSION) throw new RangeError(`image format is version ${version}, this page reads ${VERSION}`);
@@ -76,17 +90,29 @@ export function parse(buffer, into) {
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
   const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
-  into.view = view;
   into.nameAt = HEADER_BYTES + 4 * count + flagsBytes;
   into.nameBytes = view.getUint16(12, true);
-  if (buffer.byteLength < into.nameAt + into.nameBytes) {
-    throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${buffer.byteLength} bytes`);
+  if (bytes.length < into.nameAt + into.nameBytes) {
+    throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${bytes.length} bytes`);
   }
+  const values = into.kind === SHEAR ? into.shear : into.kpa;
+  const flagged = into.flags ? into.flags.length : 0;
+  if (anew || values.length !== count || flagged !== flagsBytes) look(into, count, flagsBytes);
+  return into;
+}
+
+/**
+ * View a packet's bytes anew.
+ * @param {Packet} into
+ * @param {number} count of values
+ * @param {number} flagged bytes of flags
+ */
+function look(into, count, flagged) {
+  const { buffer } = into.bytes;
   const values = new Float32Array(buffer, HEADER_BYTES, count);
   into.kpa = into.kind === SHEAR ? NONE : values;
   into.shear = into.kind === SHEAR ? values : NONE;
-  into.flags = flagsBytes ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagsBytes) : null;
-  return into;
+  into.flags = flagged ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagged) : null;
 }
 
 /**

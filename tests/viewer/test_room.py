@@ -1,0 +1,139 @@
+"""What the page makes of its room, and what it shows of a sensor that is left or has nothing to show."""
+
+import itertools
+import re
+
+import pytest
+
+from tactiled.web.server import running
+from tests.conftest import pressed
+from tests.skin import X, Y, rigged
+from tests.viewer.conftest import PHONE, THUMB, Pair, wait
+
+FINGERS = "".join(
+    THUMB.replace("thumb", name).replace("array_id = 1", f"array_id = {number}")
+    for number, name in enumerate(("thumb", "index", "middle", "ring"), 1)
+)
+WHOLE = "(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.getElementById('probe'))"
+DESK = {"width": 1280, "height": 860}
+
+
+@pytest.fixture
+def hand(request):
+    """A palm that is pressed and four fingers of which nothing has come."""
+    made = Pair(re.sub(r"\W", "-", request.node.name), FINGERS)
+    made.service.start()
+    with running(made.service) as url:
+        made.show(pressed())
+        yield made, url
+    made.service.stop()
+    made.bus.close()
+
+
+def box(page, name):
+    return page.locator(name).bounding_box()
+
+
+def test_the_contacts_of_a_sensor_that_is_left_are_not_shown_for_another(hand, open_page):
+    page = open_page(hand[1])
+    rows = page.locator("#contact-list tbody tr:visible")
+    rows.first.wait_for()
+    page.keyboard.press("2")
+    page.get_by_text("no frame yet on can0").first.wait_for()
+    page.wait_for_timeout(500)  # more than two updates of the words
+    assert rows.count() == 0
+
+
+def test_the_tab_of_the_sensor_that_is_shown_can_be_seen_whole(hand, open_page):
+    page = open_page(hand[1], **PHONE)
+    for key, name in (("5", "ring"), ("1", "palm"), ("4", "middle")):
+        page.keyboard.press(key)
+        tab = page.get_by_role("tab", name=name, selected=True)
+        tab.wait_for()
+        left = tab.bounding_box()["x"]
+        assert left >= 0
+        assert left + tab.bounding_box()["width"] <= PHONE["width"]
+    assert page.evaluate("scrollY") == 0
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_the_wall_fills_the_window_and_no_more(hand, open_page, size):
+    page = open_page(hand[1], **size)
+    page.keyboard.press("w")
+    wait(page, "[...document.querySelectorAll('.tile .force')].filter(each => each.innerText).length === 5")
+    wait(page, "document.documentElement.scrollHeight <= innerHeight")
+    last, legend = page.locator(".tile").last.bounding_box(), box(page, "#wall-legend")
+    assert last["y"] + last["height"] < legend["y"]
+    assert legend["y"] + legend["height"] <= size["height"]
+    assert legend["y"] + legend["height"] > 0.9 * size["height"]
+    tools = box(page, ".tools")
+    assert size["width"] - tools["x"] - tools["width"] < 20
+
+
+def test_a_sensor_of_another_shape_leaves_no_room_empty_and_takes_none_from_the_next(pair, open_page):
+    page = open_page(pair[1], **DESK)
+    square = box(page, "#raw-frame")
+    page.keyboard.press("2")
+    wait(page, f"document.getElementById('raw-frame').clientHeight < {square['height'] - 20}")
+    page.wait_for_timeout(300)
+    under, charts = box(page, "#under"), box(page, "#charts")
+    wide = box(page, "#raw-frame")
+    assert under["y"] - wide["y"] - wide["height"] < 30
+    assert charts["y"] + charts["height"] == pytest.approx(DESK["height"] - 12, abs=2)
+    page.keyboard.press("1")
+    wait(page, f"document.getElementById('raw-frame').clientHeight === {square['height']}")
+    assert box(page, "#raw-frame") == square
+
+
+@pytest.mark.parametrize("size", [{"width": 900, "height": 640}, {"width": 1024, "height": 768}, DESK])
+def test_nothing_covers_anything_else(pair, open_page, size):
+    page = open_page(pair[1], **size)
+    for key in ("1", "2"):
+        page.keyboard.press(key)
+        page.wait_for_timeout(500)
+        parts = [box(page, each) for each in ("#raw-frame", "#probe", "#range", "#playback", "#charts")]
+        for above, below in itertools.pairwise(parts):
+            beside = above["x"] + above["width"] <= below["x"]
+            assert beside or above["y"] + above["height"] <= below["y"], (above, below)
+        assert parts[-1]["y"] + parts[-1]["height"] <= size["height"]
+
+
+def test_what_the_probe_reads_is_not_cut_off(rig, url, open_page):
+    rig.show(pressed(force=3000))
+    for width in (1280, 1366, 1440, 1920):
+        page = open_page(url, width)
+        at = box(page, "#raw-frame")
+        page.mouse.move(at["x"] + 0.55 * at["width"], at["y"] + 0.5 * at["height"])
+        page.get_by_text(re.compile(r"restored [\d.]+ kPa \(taxel \d, \d\)")).wait_for()
+        assert page.evaluate(WHOLE)
+
+
+def test_a_range_that_is_none_is_named_and_changes_nothing(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url)
+    page.get_by_label("to", exact=True).fill("50")
+    page.get_by_label("from", exact=True).fill("80")
+    page.get_by_label("from", exact=True).press("Enter")
+    page.get_by_text("From 80 to 50 kPa is no range: the range stays.").wait_for()
+    assert "0 to 50 kPa" in page.locator("#colorbar").get_attribute("aria-label")
+
+
+@pytest.mark.parametrize("width", [900, 1280, 1440, 1600])
+def test_what_the_probe_reads_of_shear_is_not_cut_off(request, open_page, width):
+    with rigged(request.node.name) as rig, running(rig.service) as url:
+        rig.show(X, Y)
+        page = open_page(url, width)
+        at = box(page, "#raw-frame")
+        page.mouse.move(at["x"] + 0.05 * at["width"], at["y"] + 0.1 * at["height"])
+        page.get_by_text(re.compile(r"shear 100, 1 counts \(taxel 0, 0\)")).wait_for()
+        assert page.evaluate(WHOLE)
+        page.close()  # which else misses the service
+
+
+def test_numbers_of_the_past_are_set_in_italics(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url)
+    page.locator("#contact-list tbody tr:visible").first.wait_for()
+    page.locator('[data-level="stale"]').wait_for()
+    for each in ("#force-restored", "#contact-list tbody td", "#contact-list tbody th"):
+        assert page.locator(each).first.evaluate("each => getComputedStyle(each).fontStyle") == "italic"
