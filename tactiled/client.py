@@ -111,7 +111,7 @@ class _Attempts:
 
     def connected(self) -> None:
         """A connection begins, whose messages have no past."""
-        self._parts, self._why = _Parts(self._one, self._kinds), ""
+        self._parts = _Parts(self._one, self._kinds)
 
     def left(self) -> float | None:
         """How long (s) the next message may take; None: for ever."""
@@ -119,9 +119,10 @@ class _Attempts:
 
     def take(self, data: str | bytes) -> Image | None:
         """The image that a message completes."""
+        self._why = ""  # only now has the service let the client in: a refusal comes when it is connected, too
         image = self._parts.take(data)
         if image is not None:
-            self._heard, self._wait, self._why = time.monotonic(), BACK_OFF_S[0], ""
+            self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
         return image
 
     def failed(self, error: Exception) -> float:

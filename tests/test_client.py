@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydantic import SecretStr
+from websockets.sync.server import serve
 
-from tactiled.client import connect
+from tactiled.client import TOO_MANY, connect
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.server import running
@@ -117,6 +118,24 @@ def test_a_silent_sensor_ends_patience(rig, url):
     next(stream)
     with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 0.3 s"):
         next(stream)
+
+
+def test_a_refusal_is_told_though_the_next_attempt_hears_nothing():
+    attempts = []
+
+    def answer(socket):
+        attempts.append(socket)
+        if len(attempts) == 1:
+            socket.close(TOO_MANY, "one too many")
+        else:
+            list(socket)  # until the client leaves
+
+    with serve(answer, "127.0.0.1", 0) as service:
+        threading.Thread(target=service.serve_forever, daemon=True).start()
+        stream = connect(f"http://127.0.0.1:{service.socket.getsockname()[1]}").stream("palm", patience_s=2.0)
+        with pytest.raises(TactileError, match=r"no image for 2\.0 s: one too many"):
+            next(stream)
+    assert len(attempts) > 1
 
 
 def test_asking(rig, url):

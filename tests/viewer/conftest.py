@@ -89,9 +89,9 @@ calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
 class Pair(Rig):
     """The palm, a grid, and the thumb, four taxels of no grid."""
 
-    def both(self, thumb=(500, 100, 100, 900)):
+    def both(self, palm=None, thumb=(500, 100, 100, 900)):
         """A frame of each; waits for their images."""
-        self.show(pressed())
+        self.show(pressed() if palm is None else palm)
         sensor = self.service.sensor("thumb")
         for message in sensor.codec.encode(np.array(thumb, np.uint16), self.sequence % 256, time.time()):
             self.bus.send(message)

@@ -22,7 +22,7 @@ def force(text):
 
 
 def keep_showing(rig, page, true, **what):
-    """Send frames of both until something is true in the page."""
+    """Send frames of both until something is true in the page: the force of one is told until it is stale."""
     for _ in range(200):
         rig.both(**what)
         if page.evaluate(true):
@@ -72,14 +72,12 @@ BRIGHTEST = """(() => {
 def test_the_range_holds_a_peak_over_looks_at_the_list_of_sensors(pair, open_page):
     rig, url = pair
     page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
-    keep_showing(rig, page, f"{FORCES}[1] < 0.01", thumb=(100, 100, 100, 100))
-    rig.show(pressed(force=3800))
-    wait(page, f"{FORCES}[0] > 5")
+    none = (100, 100, 100, 100)
+    keep_showing(rig, page, f"{FORCES}[0] > 5", palm=pressed(force=3800), thumb=none)
     bright = page.evaluate(BRIGHTEST)
     with page.expect_response(lambda answer: "/events" in answer.url):  # which it looks at next
         pass
-    rig.show(pressed(force=100))
-    wait(page, f"{FORCES}[0] < 1")
+    keep_showing(rig, page, f"{FORCES}[0] < 1", palm=pressed(force=100), thumb=none)
     assert page.evaluate(BRIGHTEST) < 0.5 * bright
 
 
