@@ -115,7 +115,7 @@ class Auto:
         """Standard deviation (kPa) of every cell of the image last restored: of points the fit's."""
         if self.points.found:
             return self.points.drawing.deviation()
-        return untouched(self._scene) if self._method == "raw" else deviation(self._scene)
+        return untouched(self._scene, self._wiener) if self._method == "raw" else deviation(self._scene)
 
     def rests(self, y: Image) -> bool:
         """Whether there is nothing in a frame."""

@@ -87,10 +87,10 @@ def deviation(scene: Scene) -> Floats:
     return np.sqrt(spread if len(squares) == 1 else spread @ squares[1].T)
 
 
-def untouched(scene: Scene) -> Floats:
-    """Standard deviation (kPa) of each cell of the raw image: the linear one's, and what that would change."""
+def untouched(scene: Scene, wiener: Wiener) -> Floats:
+    """Standard deviation (kPa) of each cell of the raw image: the linear one's, and what `wiener` would change."""
     image = scene.modes.to_taxels()
     raw = image(scene.c, image.empty())
     for axis, cells in enumerate(scene.blur.surface_shape):
         raw = np.repeat(raw, cells // raw.shape[axis], axis)
-    return np.asarray(np.hypot(deviation(scene), raw - Wiener(scene)()), float)
+    return np.asarray(np.hypot(deviation(scene), raw - wiener()), float)

@@ -95,7 +95,7 @@ class Method(NamedTuple):
 
 def _raw(scene: Scene) -> Method:
     repeat = [n // m for n, m in zip(scene.blur.surface_shape, scene.blur.frame_shape, strict=True)]
-    image = np.empty(scene.blur.surface_shape, np.float32)
+    image, wiener = np.empty(scene.blur.surface_shape, np.float32), Wiener(scene)
     cells = image.reshape([each for m, k in zip(scene.blur.frame_shape, repeat, strict=True) for each in (m, k)])
 
     def run(y: Image) -> Restored:
@@ -103,7 +103,7 @@ def _raw(scene: Scene) -> Method:
         cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
         return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
 
-    return Method(run, spread=lambda: untouched(scene))
+    return Method(run, spread=lambda: untouched(scene, wiener))
 
 
 def _wiener(scene: Scene) -> Method:

@@ -8,6 +8,7 @@ import pytest
 from tactiled.bench.truth import APERTURE, kernel, presses
 from tactiled.cover.operator import stencil
 from tactiled.geometry import grid
+from tactiled.restore import linear
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
 
@@ -81,3 +82,13 @@ def test_noise_gain_is_what_noise_becomes(method, within):
     assert len(images) > 30
     true = np.sqrt(np.var(images, axis=0, ddof=1).mean()) / (10 * press.sigma)
     assert np.mean(told) / within < true < within * np.mean(told)
+
+
+@pytest.mark.parametrize("method", ["auto", "raw"])
+def test_what_deviations_of_raw_images_need_is_made_once(method, monkeypatch):
+    press = next(press for press in presses(16, (0.05,), (0.01,)) if press.scene == "points")
+    restorer = make(method, press.blur, press.sigma)
+    assert restorer(press.frame).method == "raw"
+    first = restorer.deviation()
+    monkeypatch.setattr(linear, "Filter", None)
+    np.testing.assert_array_equal(restorer.deviation(), first)
