@@ -8,7 +8,6 @@ null. No public client says anything to that server, so what one says here is no
 
 import asyncio
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Literal
 
@@ -99,7 +98,8 @@ class Welcome(Form):
 def make(feeds: dict[str, Feed]) -> APIRouter:
     """The WebSocket of those sensors that are XELA's, numbered from 1 in the configuration's order."""
     codecs = ((feed, feed.sensor.codec) for feed in feeds.values())
-    skins = [(feed, codec.told_model) for feed, codec in codecs if isinstance(codec, Xela)]
+    ours = [(feed, codec.told_model) for feed, codec in codecs if isinstance(codec, Xela)]
+    skins = [_Skin(str(number), feed, model) for number, (feed, model) in enumerate(ours, 1)]
     router = APIRouter()
 
     @router.websocket("/")
@@ -124,19 +124,58 @@ def alone(service: Service, server: Server) -> FastAPI:
     return app
 
 
+class _Skin:
+    """A module and its part of the messages, made once a frame for all clients; lives on one event loop."""
+
+    def __init__(self, key: str, feed: Feed, model: str) -> None:
+        self.key, self.feed, self._model = key, feed, model
+        self._told: tuple[RawFrame, str] | None = None
+
+    def newest(self) -> RawFrame | None:
+        """The newest frame of a live module; None of one with taxels missing, as the format cannot say so."""
+        frame = self.feed.sensor.newest
+        if frame is None or frame.shear is None or self.feed.status().state != "live":
+            return None
+        return None if (frame.flags & MISSING).any() else frame
+
+    def text(self, frame: RawFrame) -> str:
+        """A frame as JSON."""
+        if self._told is None or self._told[0] is not frame:
+            self._told = frame, self._module(frame).model_dump_json(exclude_none=True)
+        return self._told[1]
+
+    def _module(self, frame: RawFrame) -> Module:
+        """Counts as they came, X, Y and Z of a taxel after another's, and its forces where known."""
+        counts = np.vstack([np.asarray(frame.shear) + REST, frame.counts]).T.astype(int)
+        forces = self.feed.sensor.forces(frame)
+        size = len(counts)
+        return Module(
+            sensor=self.key,
+            time=frame.time,
+            model=self._model,
+            taxels=size,
+            data=counts.astype(">u2").tobytes().hex(",", 2).upper(),
+            integer=counts.ravel().tolist(),
+            calibrated=None if forces is None else forces.round(DECIMALS).ravel().tolist(),
+            temp=[0.0] * size,
+            ups=[round(self.feed.status().rate_hz, 2)] * size,
+            special=[(*taxel, *UNKNOWN) for taxel in counts.tolist()],
+        )
+
+
 class _Client:
     """One client; newest wins, as on every stream."""
 
-    def __init__(self, socket: WebSocket, skins: list[tuple[Feed, str]]) -> None:
+    def __init__(self, socket: WebSocket, skins: list[_Skin]) -> None:
         self._socket, self._skins = socket, skins
         self._wake = asyncio.Event()
-        self._sent: dict[str, RawFrame] = {}
+        self._sent: dict[_Skin, RawFrame] = {}
 
     async def run(self) -> None:
         """Serve until the client leaves."""
         with ExitStack() as stack:
-            for feed, _ in self._skins:
-                stack.enter_context(feed.listen(self._wake))
+            for skin in self._skins:
+                stack.enter_context(skin.feed.listen(self._wake))
             await serve(self._socket, self._listen(), self._talk())
 
     async def _listen(self) -> None:
@@ -150,42 +189,15 @@ class _Client:
             await self._wake.wait()
             self._wake.clear()
             await room(self._socket).wait()
-            frames = dict(self._frames())
-            if any(frame is not self._sent.get(key) for key, frame in frames.items()):
+            frames = {skin: frame for skin in self._skins if (frame := skin.newest()) is not None}
+            if any(frame is not self._sent.get(skin) for skin, frame in frames.items()):
                 self._sent, number = frames, number + 1
-                modules = {key: _module(key, *self._skins[int(key) - 1], frame) for key, frame in frames.items()}
-                await self._socket.send_text(_routine(number, modules).model_dump_json(exclude_none=True))
-
-    def _frames(self) -> Iterator[tuple[str, RawFrame]]:
-        """The newest frames of live modules, by number; the format cannot say that taxels are missing."""
-        for number, (feed, _) in enumerate(self._skins, 1):
-            frame = feed.sensor.newest
-            if frame is None or frame.shear is None or feed.status().state != "live":
-                continue
-            if not (frame.flags & MISSING).any():
-                yield str(number), frame
+                await self._socket.send_text(_routine(number, frames))
 
 
-def _routine(number: int, modules: dict[str, Module]) -> Routine:
-    newest = max(module.time for module in modules.values())
-    told = {"message": number, "time": newest, "sensors": len(modules), "sendtime": time.time()}
-    return Routine.model_validate(told | modules)
-
-
-def _module(key: str, feed: Feed, model: str, frame: RawFrame) -> Module:
-    """A module's counts as they came, X, Y and Z of a taxel after another's, and its forces where known."""
-    counts = np.vstack([np.asarray(frame.shear) + REST, frame.counts]).T.astype(int)
-    forces = feed.sensor.forces(frame)
-    size = len(counts)
-    return Module(
-        sensor=key,
-        time=frame.time,
-        model=model,
-        taxels=size,
-        data=counts.astype(">u2").tobytes().hex(",", 2).upper(),
-        integer=counts.ravel().tolist(),
-        calibrated=None if forces is None else forces.round(DECIMALS).ravel().tolist(),
-        temp=[0.0] * size,
-        ups=[round(feed.status().rate_hz, 2)] * size,
-        special=[(*taxel, *UNKNOWN) for taxel in counts.tolist()],
-    )
+def _routine(number: int, frames: dict[_Skin, RawFrame]) -> str:
+    """`Routine` as JSON, put together from its modules'."""
+    newest = max(frame.time for frame in frames.values())
+    told = Routine(message=number, time=newest, sensors=len(frames), sendtime=time.time())
+    modules = "".join(f',"{skin.key}":{skin.text(frame)}' for skin, frame in frames.items())
+    return told.model_dump_json().removesuffix("}") + modules + "}"

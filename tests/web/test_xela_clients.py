@@ -8,7 +8,7 @@ import re
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from urllib.parse import urlsplit
 
@@ -359,6 +359,18 @@ def test_counts_are_among_the_special_numbers_and_what_is_not_known_is_null(rig,
 
 def test_a_monitor_of_clusters_finds_none(rig, url):
     assert reads(ClusterMonitor, rig, url) == []
+
+
+def test_a_frame_is_made_into_a_message_once_for_all_clients(rig, url, monkeypatch):
+    sensor, made = rig.service.sensor("skin"), []
+    monkeypatch.setattr(sensor, "forces", lambda frame: made.append(frame) or np.ones((24, 3)))
+    with ExitStack() as stack:
+        readers = [stack.enter_context(Middleware(url)) for _ in range(5)]
+        for step in (31, 32):
+            rig.send(step)
+            parts = [reader.seen(rig, step)["1"] for reader in readers]
+            assert parts == [parts[0]] * 5
+            assert sum(frame is sensor.newest for frame in made) == 1
 
 
 @pytest.mark.parametrize("said", [{"command": "calibrate"}, {}, ["reset"], "stop", None])
