@@ -119,6 +119,35 @@ def test_what_waited_while_the_page_stood_still_is_not_painted(pair, open_page, 
     ]
 
 
+# After every turn of a screen that takes longer over each than an image may be old: how bright the canvas is.
+SLOW = """selector => {
+  window.seen = new Set();
+  const real = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = turn => real(() => setTimeout(() => {
+    turn(performance.now());
+    const { data } = document.querySelector(selector).getContext("2d").getImageData(0, 0, 8, 8);
+    window.seen.add(data.join());
+  }, 150));
+}"""
+
+
+@pytest.mark.parametrize("canvas", [SINGLE, WALL], ids=["single", "wall"])
+def test_a_page_that_is_slow_at_painting_goes_on_painting(pair, open_page, canvas):
+    rig, url = pair
+    rig.sensor.set_method("raw")
+    stop = threading.Event()
+    page = open_page(url if canvas == SINGLE else f"{url}/#/wall", ready=f"!!document.querySelector('{canvas}')")
+    sender = play(rig, stop)
+    try:
+        wait(page, "document.body.dataset.level === 'live'" if canvas == SINGLE else f"{LEVELS}[0] === 'live'")
+        page.evaluate(SLOW, canvas)
+        page.evaluate("new Promise(done => setTimeout(() => done(window.seen.clear()), 500))")
+        wait(page, "window.seen.size > 10", 20)
+    finally:
+        stop.set()
+        sender.join()
+
+
 STEP = "(() => { const real = Date.now; Date.now = () => real() + 10_000; })()"
 
 

@@ -15,7 +15,9 @@ export class Present {
     this.held = 0;
     this._ahead = ahead;
     this._at = 0;
-    this._slow = false; // what was asked for after that was late, too
+    this._late = 0; // s, of the newest that was looked at
+    this._before = 0; // s, of the one that was painted last: on a slow page the next is as late, whatever is waited for
+    this._waited = 0; // images held back since then
   }
 
   /**
@@ -30,28 +32,34 @@ export class Present {
   }
 
   /**
-   * Whether images that came and were not shown yet have waited too long. No more are held back than may have been
-   * under way before. If the next is late, too, then a clock was set, or all is slow: to wait on would show nothing newer.
+   * Whether images that came and were not painted yet have waited too long. No more are held back from one painting to
+   * the next than may have been under way. If more are late, then a clock was set, or all is slow: to wait on would show
+   * nothing newer.
    * @param {number} sent Unix s, of the newest of them
    * @param {number} count of them
    * @returns {boolean} they are held back: others are to be asked for
    */
   late(sent, count) {
     const way = Date.now() / 1000 - sent;
-    const late = way - this.least > OLDEST_S;
-    if (late && (this._slow || this.held + count > this._ahead)) {
-      this._slow = true;
+    this._late = way - this.least;
+    if (this._late <= (this._before > OLDEST_S ? 2 * this._before : OLDEST_S)) return false;
+    if (this._waited + count > this._ahead) {
       this.least = way;
       return false;
     }
-    this._slow = false;
-    if (!late) return false;
     this.held += count;
+    this._waited += count;
     return true;
   }
 
-  /** What came last is shown. */
+  /** What came last may be shown. */
   shown() {
-    this.held = 0;
+    this.held = this._late = 0;
+  }
+
+  /** What came last is on the screen. */
+  painted() {
+    this.held = this._waited = 0;
+    this._before = this._late;
   }
 }

@@ -115,7 +115,7 @@ export class Session {
 
   /** What came is on the screen. */
   done() {
-    this.present.shown();
+    this.present.painted();
     this._unpainted = 0;
     this._more();
   }
@@ -169,8 +169,12 @@ export class Session {
   _hear(status) {
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
     this.status = status;
-    if (status.state !== "live") this.present.shown();
     this._toldAt = performance.now();
+    const newest = this.history.at(0);
+    if (newest && status.state !== "live" && this.present.held) {
+      this.present.shown();
+      this._listener.onFrame(newest, true);
+    }
     this._listener.onStatus(status, changed);
   }
 

@@ -205,6 +205,7 @@ export class Tile {
     if (!this._fresh && !(rescaled && this._imageAt)) return;
     this._map.paint(this._kpa, scale, palette);
     this._arrows?.draw(this._shear, this._timestamp);
+    if (this._fresh) this._present.painted();
     this._fresh = this._unpainted = false;
     this._ask();
   }
