@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from time import perf_counter, thread_time
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
 
 OURS = ("wiener", "rl", "rl-fast", "nnls", "tv", "points", "auto")
-MACHINE = "bare products"  # that take as long as `wiener`: their jitter is the machine's
+FIXED = tuple(name for name in OURS if name != "auto")
 LUCY = 30  # iterations, of both sides
 # scikit-image has no types.
 wiener: Callable[..., NDArray[Any]] = restoration.wiener
@@ -31,7 +31,7 @@ richardson_lucy: Callable[..., NDArray[Any]] = restoration.richardson_lucy
 NOISE = 0.01  # of the frame's peak, where speed is measured
 COVER = 1.0  # t/pitch, where speed is measured
 RATE_HZ = 100.0  # of the moving scenes
-PASSES = 3  # through all films, from the start: a frame's least time is its own, the rest is the machine's
+PASSES = 3  # through all films, from the start
 MOVING = ("ring", "indenters", "sphere", "edge", "fingertip")
 ROUNDS = 5  # over which the least median counts: others may be using the machine
 
@@ -40,17 +40,15 @@ BALANCES = tuple(10.0 ** (0.5 * n) for n in range(-12, 5))
 STOPS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200)
 SLIPS = 1.02  # times the raw image's error: more is a failure
 
+_Film = tuple[float, NDArray[np.float32]]  # a taxel's noise (kPa), and frames
+
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """Median microseconds a frame of everything timed at one size; the jitter of our methods and of MACHINE.
-
-    Jitter is the 99.9th percentile over the median, by the thread's own clock: waiting for a core is no method's.
-    """
+    """Median microseconds a frame of everything timed at one size."""
 
     size: int
     times: dict[str, float]
-    tails: dict[str, float]
 
     def ratio(self, slow: str, fast: str) -> float:
         """How many times `fast` is as fast as `slow`."""
@@ -59,7 +57,10 @@ class Speed:
 
 @dataclass(frozen=True, slots=True)
 class Moving:
-    """`auto` on moving scenes: microseconds a frame, and what it chose how often."""
+    """`auto` on moving scenes: microseconds a frame, and what it chose how often; the jitter of the others.
+
+    Jitter is the 99.9th percentile over the median of a scene's frames but the first, on the worst scene.
+    """
 
     size: int
     median: float
@@ -67,6 +68,7 @@ class Moving:
     worst: float
     idle: float
     chosen: dict[str, int]
+    jitter: dict[str, float]
 
 
 @dataclass(slots=True)
@@ -90,18 +92,16 @@ class Accuracy:
         return sum(e > SLIPS * raw for e, raw in zip(self.errors[method], self.errors["raw"], strict=True))
 
 
-def timed(
-    run: Callable[[], Any], seconds: float, clock: Callable[[], float] = perf_counter
-) -> NDArray[np.float64]:
+def timed(run: Callable[[], Any], seconds: float) -> NDArray[np.float64]:
     """Microseconds of each of as many runs as fit in `seconds`, ten at least, after three to warm up."""
     for _ in range(3):
         run()
     times: list[float] = []
     end = perf_counter() + seconds
     while len(times) < 10 or perf_counter() < end:
-        start = clock()
+        start = perf_counter()
         run()
-        times.append(clock() - start)
+        times.append(perf_counter() - start)
     return 1e6 * np.array(times)
 
 
@@ -112,34 +112,10 @@ def speed(size: int, seconds: float) -> Speed:
     for method in OURS:
         restorer = make(method, press.blur, press.sigma)
         runs[method] = lambda restorer=restorer: restorer(press.frame)  # type: ignore[misc]
-    times = _least(runs, lambda run: float(np.median(timed(run, seconds / ROUNDS))))
-    tailed = {name: runs[name] for name in OURS} | {MACHINE: _products(times["wiener"])}
-    tails = _least(tailed, lambda run: _tail(timed(run, seconds / ROUNDS, thread_time)))
-    return Speed(size, times, tails)
-
-
-def _least(runs: dict[str, Callable[[], Any]], measure: Callable[[Callable[[], Any]], float]) -> dict[str, float]:
-    """The least that each run measures in ROUNDS, all taking turns: a slow minute of the machine is everyone's."""
-    rounds = [{name: measure(run) for name, run in runs.items()} for _ in range(ROUNDS)]
-    return {name: min(each[name] for each in rounds) for name in runs}
-
-
-def _products(microseconds: float) -> Callable[[], Any]:
-    """About as long a run of small matrix products and nothing else: its jitter is the machine's."""
-    x = np.ones((16, 16), np.float32)
-    out = np.empty_like(x)
-
-    def run(count: int = 100) -> None:
-        for _ in range(count):
-            np.dot(x, x, out=out)
-
-    count = max(round(100 * microseconds / float(np.median(timed(run, 0.0)))), 1)
-    return partial(run, count)
-
-
-def _tail(times: NDArray[np.float64]) -> float:
-    """The 99.9th percentile over the median."""
-    return float(np.percentile(times, 99.9) / np.median(times))
+    rounds = [
+        {name: float(np.median(timed(run, seconds / ROUNDS))) for name, run in runs.items()} for _ in range(ROUNDS)
+    ]
+    return Speed(size, {name: min(each[name] for each in rounds) for name in runs})
 
 
 def _skimage(press: Press) -> dict[str, Callable[[], Any]]:
@@ -166,11 +142,23 @@ def _pair(size: int) -> Callable[[], Any]:
 
 
 def moving(size: int, frames: int) -> Moving:
-    """Run `auto` over scenes that move at 100 Hz, and over an idle pad."""
+    """Run our methods over scenes that move at 100 Hz, and `auto` over an idle pad."""
+    blur, films = _films(size, frames)
+    took, methods = _passes("auto", blur, films)
+    all_ = np.concatenate(took)
+    jitter = {name: max(_jitter(each[1:]) for each in _passes(name, blur, films)[0]) for name in FIXED}
+    pad = np.random.default_rng(0).normal(0, 1, (size, size)).astype(np.float32)
+    restorer = make("auto", blur, 1.0)
+    idle = min(float(np.median(timed(lambda: restorer(pad), 0.05))) for _ in range(ROUNDS))
+    median, p99 = float(np.median(all_)), float(np.percentile(all_, 99))
+    return Moving(size, median, p99, float(all_.max()), idle, Counter(methods), jitter)
+
+
+def _films(size: int, frames: int) -> tuple[Blur, list[_Film]]:
+    """The blur that restores, and a film of every moving scene, by a kernel that is another."""
     array = grid(size, size, 1.0, 0.8)
     surface = Surface(kernel(COVER, "layered"), array)
     finer = partial(stencil, kernel(COVER, "fem"), array)
-    blur = Blur.grid(finer(1), (size, size), finer=finer)
     random = np.random.default_rng(0)
     films = []
     for name in MOVING:
@@ -180,16 +168,25 @@ def moving(size: int, frames: int) -> Moving:
         clean = np.array([surface.sense(each).reshape(size, size) for each in pressures])
         sigma = NOISE * clean.max()
         films.append((sigma, (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)))
-    passes = [[_film(make("auto", blur, sigma), film) for sigma, film in films] for _ in range(PASSES)]
-    all_ = np.min([np.concatenate([took for took, _ in each]) for each in passes], axis=0)
-    chosen = Counter(method for _, methods in passes[0] for method in methods)
-    pad = random.normal(0, 1, (size, size)).astype(np.float32)
-    restorer = make("auto", blur, 1.0)
-    idle = min(float(np.median(timed(lambda: restorer(pad), 0.05))) for _ in range(ROUNDS))
-    return Moving(size, float(np.median(all_)), float(np.percentile(all_, 99)), float(all_.max()), idle, chosen)
+    return Blur.grid(finer(1), (size, size), finer=finer), films
 
 
-def _film(restorer: Restorer, film: NDArray[np.float32]) -> tuple[list[float], list[str]]:
+def _passes(method: str, blur: Blur, films: list[_Film]) -> tuple[list[NDArray[np.float64]], list[str]]:
+    """Microseconds of every frame of each film, and what ran; each film from the start PASSES times.
+
+    A frame's least time is its own, for what a method does at a frame it does at every pass; the rest is the
+    machine's.
+    """
+    passes = [[_run(make(method, blur, sigma), film) for sigma, film in films] for _ in range(PASSES)]
+    took = [np.min([took for took, _ in same], axis=0) for same in zip(*passes, strict=True)]
+    return took, [method for _, methods in passes[0] for method in methods]
+
+
+def _jitter(times: NDArray[np.float64]) -> float:
+    return float(np.percentile(times, 99.9) / np.median(times))
+
+
+def _run(restorer: Restorer, film: NDArray[np.float32]) -> tuple[list[float], list[str]]:
     """Microseconds and method of every frame of a film."""
     took, chosen = [], []
     restorer.prepare()

@@ -20,7 +20,6 @@ STAY = 1.5  # how much further a test reaches for the method of the frame before
 REVIEW = 8  # frames after which one that needed iterations is asked again whether linear would do
 SELDOM = 256  # the same at most: twice as many every time that linear did not do for as long
 SURE = 4.0  # standard deviations that count as more than noise
-AHEAD = 1024  # cells up to which there is room for what every spectrum needs
 SEEN = 2.0  # noise standard deviations, all of the correction put together, that no one would miss
 CLEAN = 20.0  # times the noise: a frame of less gains from a filter even where the cover does nothing
 PAUSE = 32  # frames that points are left alone for after a fit that did not stand: twice as many every time
@@ -80,14 +79,8 @@ class Auto:
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
 
     def prepare(self) -> None:
-        """Make what any spectrum needs now rather than in the frame that first shows it, where there is room."""
-        if self._below.size > AHEAD:
-            return
-        for number in range(len(self._scene.prior)):
-            self._scene.number = number
-            self._wiener.prepare()
-            self._nonneg.prepare()
-        self._scene.empty()
+        """Make now what any frame may need."""
+        self._scene.ahead(self._wiener.prepare, self._nonneg.prepare)
 
     def reset(self) -> None:
         """Forget the frames so far."""

@@ -1,6 +1,7 @@
 """The table of methods, and the restorer that keeps each of them from harm."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -115,7 +116,7 @@ def _wiener(scene: Scene) -> Method:
         chosen = wiener.chosen
         return Restored(image, "wiener", ASKED, 0, chosen.noise_gain, chosen.resolution_mm)
 
-    return Method(run)
+    return Method(run, prepare=partial(scene.ahead, wiener.prepare))
 
 
 def _lucy(scene: Scene, accelerate: bool = False) -> Method:
@@ -127,7 +128,7 @@ def _lucy(scene: Scene, accelerate: bool = False) -> Method:
         done = lucy(y)
         return Restored(lucy.image, name, ASKED, done, wiener.filter.noise_gain, scene.resolution())
 
-    return Method(run)
+    return Method(run, prepare=partial(scene.ahead, wiener.prepare))
 
 
 def _nonneg(scene: Scene, solver: Nonneg | None = None, name: str = "nnls", why: str = ASKED) -> Method:
@@ -139,7 +140,7 @@ def _nonneg(scene: Scene, solver: Nonneg | None = None, name: str = "nnls", why:
         gain = nonneg.noise_gain(wiener.filter.noise_gain)
         return Restored(nonneg.image, name, why, done, gain, scene.resolution())
 
-    return Method(run, nonneg.reset)
+    return Method(run, nonneg.reset, partial(scene.ahead, wiener.prepare, nonneg.prepare))
 
 
 def _variation(scene: Scene) -> Method:
@@ -168,7 +169,8 @@ def _points(scene: Scene) -> Method:
     def spread() -> Floats:
         return points.drawing.deviation() if points.found else deviation(scene)
 
-    return Method(run, forget, points=points, spread=spread)
+    prepare = partial(scene.ahead, wiener.prepare, nonneg.prepare)
+    return Method(run, forget, prepare, points=points, spread=spread)
 
 
 def _auto(scene: Scene) -> Method:

@@ -1,6 +1,7 @@
 """One frame in the blur's modes: what every method starts from."""
 
-from math import sqrt
+from collections.abc import Callable
+from math import prod, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from tactiled.restore.modes import Image
 from tactiled.restore.prior import Prior
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
+AHEAD = 1024  # cells up to which there is room for what every spectrum needs
 AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
 ANEW = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
 MOVED = 1.5  # times what noise alone may change
@@ -46,9 +48,8 @@ class Scene:
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._there(ones, self._there.empty()).reshape(-1)
         felt = self.modes.to_surface_modes()
-        self.felt = felt(blur.reach, felt.empty())[
-            self.modes.head
-        ].ravel()  # total force of each mode, by the blur
+        of_modes = felt(blur.reach, felt.empty())
+        self.felt = of_modes[self.modes.head].ravel()  # total force of each mode, by the blur
         noise_of_sum = noise * float(np.sqrt(ones.size))
         self._sure, self._agreed = SURE * noise_of_sum, AGREED * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
@@ -73,6 +74,16 @@ class Scene:
     def force(self) -> float:
         """Sum over the frame (kPa)."""
         return float(self.ones.dot(self.flat))
+
+    def ahead(self, *prepare: Callable[[], None]) -> None:
+        """Make what any spectrum needs now rather than in the frame that first shows it, where there is room."""
+        if prod(self.blur.surface_shape) > AHEAD:
+            return
+        for number in range(len(self.prior)):
+            self.number = number
+            for each in prepare:
+                each()
+        self.empty()
 
     def empty(self) -> None:
         """Take in that there is nothing to see, without looking."""
