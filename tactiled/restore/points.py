@@ -249,9 +249,7 @@ class Points:
         `seen`: how many deviations of a noise of 1 count as more than noise.
         """
         n = len(fit.force)
-        normal = fit.normal.copy()
-        normal.flat[:: 6 * n + 1] *= 1 + RIDGE
-        inverse = np.linalg.inv(normal)[3 * n :]
+        inverse = np.linalg.inv(_ridged(fit.normal))[3 * n :]
         own = (inverse @ fit.right).reshape(3, n)
         _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
         u, v = axes[..., -1].T
@@ -280,9 +278,7 @@ class _Fit(NamedTuple):
         n = len(self.force)
         alike = np.eye(6 * n)[:, : 4 * n]
         alike[4 * n : 5 * n, 3 * n :] = np.eye(n)
-        normal = alike.T @ self.normal @ alike
-        normal.flat[:: 4 * n + 1] *= 1 + RIDGE
-        return normal, self.right @ alike
+        return _ridged(alike.T @ self.normal @ alike), self.right @ alike
 
     def step(self, damping: float) -> Floats:
         """Give the move (n, 2) of the points; the damping also holds those whose response is flat about them."""
@@ -303,6 +299,11 @@ def _window(image: Image, middle: Floats, reach: int) -> Image:
 
 def _solve(gram: Floats, right: Floats) -> Floats:
     """Least squares for the forces."""
-    held = gram.copy()
-    held.flat[:: len(gram) + 1] *= 1 + RIDGE
-    return np.asarray(np.linalg.solve(held, right), float)
+    return np.asarray(np.linalg.solve(_ridged(gram), right), float)
+
+
+def _ridged(normal: Floats) -> Floats:
+    """Normal equations that can be solved, whatever the frame tells apart."""
+    held = normal.copy()
+    held.flat[:: len(normal) + 1] *= 1 + RIDGE
+    return held
