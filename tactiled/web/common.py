@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from fastapi import Depends, Request, Response
-from starlette.concurrency import run_in_threadpool
 
 from tactiled.sensor import Sensor
 from tactiled.service import Service
@@ -83,8 +82,7 @@ def turns() -> dict[Turn, Turns]:
 async def in_turn(request: Request, make: Callable[[], Response], of: Turn = "numbers") -> Response:
     """Make a costly answer on a thread, one of its kind at a time: many would keep every other answer waiting."""
     turns: dict[Turn, Turns] = request.app.state.turns
-    async with turns[of].one():
-        return await run_in_threadpool(make)
+    return await turns[of].one(request, make)
 
 
 def accepted(request: Request, media: Mapping[F, str]) -> F:

@@ -5,16 +5,22 @@ import ipaddress
 import math
 import threading
 import time
-from collections import Counter, OrderedDict
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections import Counter, OrderedDict, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from statistics import fmean
 
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.types import Scope
 
 from tactiled.web.problems import Problem
 
 CLIENTS = 1024  # that are remembered; who is forgotten begins with a full bucket
 MOST_WAITING = 64  # costly answers of one kind
+EACH_WAITING = 16  # of them, of one client
+MEASURED = 16  # turns, by which the next are foretold
 BURST_S = 10.0  # of the rate, at once
 
 
@@ -82,25 +88,41 @@ class Streams:
 
 
 class Turns:
-    """Lets costly answers of one kind be made one at a time, while MOST_WAITING more wait; on one event loop."""
+    """Costly answers of one kind, made one at a time while a few more wait; on one event loop."""
 
-    def __init__(self) -> None:
-        self._lock, self._waiting = asyncio.Lock(), 0
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._lock = clock, asyncio.Lock()
+        self._waiting: Counter[str] = Counter()
+        self._took: deque[float] = deque(maxlen=MEASURED)  # s, of the last turns
+        self._began = 0.0  # the newest turn
 
-    @asynccontextmanager
-    async def one(self) -> AsyncIterator[None]:
-        """Wait for the turn of one; Problem 429 where it is one too many."""
-        if self._waiting >= MOST_WAITING:
-            raise Problem(429, f"{MOST_WAITING} such answers are waited for already: wait", {"Retry-After": "1"})
-        self._waiting += 1
+    async def one(self, request: Request, make: Callable[[], Response]) -> Response:
+        """Make one on a thread, in its turn, unless its client has left; Problem 429 where it is one too many."""
+        who = client(request.scope)
+        if self._waiting[who] >= EACH_WAITING:
+            raise self._full(f"{EACH_WAITING} such answers are waited for by {who or 'this client'} already")
+        if self._waiting.total() >= MOST_WAITING:
+            raise self._full(f"{MOST_WAITING} such answers are waited for already")
+        self._waiting[who] += 1
         try:
             await self._lock.acquire()
         finally:
-            self._waiting -= 1
+            self._waiting -= Counter((who,))
         try:
-            yield
+            self._began = self._clock()
+            if await request.is_disconnected():
+                return Response()  # to nobody
+            made = await run_in_threadpool(make)
+            self._took.append(self._clock() - self._began)
+            return made
         finally:
             self._lock.release()
+
+    def _full(self, why: str) -> Problem:
+        """A refusal that tells how long all who wait will take: by the last turns, or by this one if longer."""
+        turn_s = max(self._clock() - self._began, fmean(self._took) if self._took else 0.0)
+        wait = max(1, math.ceil((1 + self._waiting.total()) * turn_s))
+        return Problem(429, f"{why}: wait", {"Retry-After": str(wait)})
 
 
 def client(scope: Scope) -> str:

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from tactiled.errors import StateError
+from tactiled.frames import Image
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.sensor import Sensor
 from tactiled.web import answers, forms, picture
@@ -152,21 +153,24 @@ async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None
     What is known against it is in the JSON, or in X-Tactiled headers.
     """
     form = form or accepted(request, MEDIA)
-    answer = partial(_answer, sensor, kind, form, request, top_kpa)
+    _, headers = _newest(sensor, kind, form, top_kpa)
+    if _named(headers["ETag"], request.headers.get("if-none-match", "")):
+        return Response(status_code=304, headers=headers)
+    answer = partial(_answer, sensor, kind, form, top_kpa)
     if form == "png" or kind == "deviation":
         costly(request)
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
 
 
-def _answer(sensor: Sensor, kind: Shown, form: Format, request: Request, top_kpa: float | None) -> Response:
+def _newest(sensor: Sensor, kind: Shown, form: Format, top_kpa: float | None) -> tuple[Image, dict[str, str]]:
+    """The newest image, and the headers that tell of it."""
     image = sensor.hub.latest()
     if image is None:
         raise no_frame(sensor)
     status = sensor.status()
-    tag = f'W/"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"'
-    headers = {
-        "ETag": tag,
+    return image, {
+        "ETag": f'W/"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ""}"',
         "Cache-Control": "no-cache",
         "Vary": "Accept",
         "X-Tactiled-Sequence": str(image.sequence),
@@ -175,8 +179,10 @@ def _answer(sensor: Sensor, kind: Shown, form: Format, request: Request, top_kpa
         "X-Tactiled-Age": "" if status.age_s is None else f"{status.age_s:.3f}",
         "X-Tactiled-Unit": "kPa",
     }
-    if _named(tag, request.headers.get("if-none-match", "")):
-        return Response(status_code=304, headers=headers)
+
+
+def _answer(sensor: Sensor, kind: Shown, form: Format, top_kpa: float | None) -> Response:
+    image, headers = _newest(sensor, kind, form, top_kpa)
     if form == "png":
         content = picture.png(sensor, image, kind, top_kpa)
     elif form == "npy":

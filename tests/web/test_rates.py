@@ -1,11 +1,16 @@
+import asyncio
 import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 
 import pytest
+from starlette.requests import Request
 
 from tactiled.web import rates
 from tactiled.web.problems import Problem
-from tactiled.web.rates import Rates, Streams, client
+from tactiled.web.rates import Rates, Streams, Turns, client
 
 
 @pytest.fixture
@@ -106,3 +111,38 @@ def test_no_bound_on_streams_where_none_is_wanted():
         for _ in range(1000):
             stack.enter_context(streams.one(one("10.0.0.1")))
         assert streams.open == 1000
+
+
+def asked(host):
+    return Request({"type": "http", "client": (host, 1)}, asyncio.Queue().get)
+
+
+@pytest.mark.parametrize(
+    ("took", "elapsed", "wait"), [((), 2.5, 8), ((3.0,), 0.5, 9), ((1.0, 2.0), 4.0, 12), ((), 0.0, 1)]
+)
+def test_who_finds_the_queue_full_is_told_how_long_it_will_take(now, monkeypatch, took, elapsed, wait):
+    """One answer is made and two wait."""
+    monkeypatch.setattr(rates, "MOST_WAITING", 2)
+    turns, go_on = Turns(lambda: now[0]), threading.Event()
+
+    def later(seconds):
+        now[0] += seconds
+
+    async def go():
+        for each in took:
+            await turns.one(asked("10.0.0.1"), partial(later, each))
+        later(100)  # in which nobody asks
+        waiting = [asyncio.create_task(turns.one(asked("10.0.0.1"), go_on.wait)) for _ in range(3)]
+        while turns._waiting.total() < 2:
+            await asyncio.sleep(0)
+        later(elapsed)
+        with pytest.raises(Problem) as caught:
+            await turns.one(asked("10.0.0.2"), go_on.wait)
+        go_on.set()
+        await asyncio.gather(*waiting)
+        assert not turns._waiting  # who has none is forgotten
+        return caught.value
+
+    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
+        refused = other.submit(asyncio.run, go()).result(30)
+    assert (refused.status_code, refused.headers) == (429, {"Retry-After": str(wait)})

@@ -1,4 +1,5 @@
 import io
+import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,7 +11,7 @@ import pytest
 
 from tactiled.bus.faults import KINDS
 from tactiled.config import Server
-from tactiled.web import picture, rates
+from tactiled.web import common, picture, rates
 from tactiled.web.server import running as serving
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
@@ -269,12 +270,20 @@ def drawing(monkeypatch):
     go_on.set()
 
 
-def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, client, url, drawing):
+@pytest.fixture
+def ask(url):
+    """Asks for a picture as one of some clients."""
+    return lambda who, **headers: httpx.get(
+        url + PNG, timeout=60, headers={"X-Forwarded-For": f"10.0.0.{who}"} | headers
+    )
+
+
+def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, client, ask, drawing):
     """More pictures than the service has threads, of which the first is not done before something else is."""
     rig.show(pressed())
     go_on, begun = drawing
     with ThreadPoolExecutor(50) as many:
-        answers = [many.submit(httpx.get, url + PNG, timeout=60) for _ in range(50)]
+        answers = [many.submit(ask, number % 5) for number in range(50)]
         until(lambda: begun, 60)
         assert client.get("/sensors/palm").status_code == 200
         assert client.get("/sensors/palm/frames/deviation").status_code == 200
@@ -284,19 +293,62 @@ def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, c
     assert begun == [True] * 50
 
 
-def test_no_more_than_a_few_wait_for_their_turn(rig, client, url, drawing, monkeypatch):
-    monkeypatch.setattr(rates, "MOST_WAITING", 3)
+@pytest.mark.parametrize(
+    ("bound", "clients", "says", "another"),
+    [
+        ("MOST_WAITING", 20, "3 such answers are waited for already: wait", 429),
+        ("EACH_WAITING", 1, "3 such answers are waited for by 10.0.0.0 already: wait", 200),
+    ],
+)
+def test_no_more_than_a_few_wait_for_their_turn(
+    rig, client, ask, drawing, monkeypatch, bound, clients, says, another
+):
+    monkeypatch.setattr(rates, bound, 3)
     rig.show(pressed())
-    go_on, begun = drawing
-    with ThreadPoolExecutor(20) as many:
-        answers = [many.submit(httpx.get, url + PNG, timeout=60) for _ in range(20)]
+    go_on, _ = drawing
+    with ThreadPoolExecutor(21) as many:
+        answers = [many.submit(ask, number % clients) for number in range(20)]
         until(lambda: sum(each.done() for each in answers) == 16, 60)
         assert client.get("/sensors/palm/frames").status_code == 200  # another kind
+        other = many.submit(ask, 99)
+        until(lambda: other.done() == (another == 429), 60)
         go_on.set()
-        got = [each.result() for each in answers]
-    assert len(begun) == 4
-    refused = [each for each in got if each.status_code != 200]
+        assert other.result().status_code == another
+        refused = [got for each in answers if (got := each.result()).status_code != 200]
     assert len(refused) == 16
     for each in refused:
-        assert problem(each, 429) == "3 such answers are waited for already: wait"
-        assert each.headers["retry-after"] == "1"
+        assert problem(each, 429) == says
+        assert int(each.headers["retry-after"]) >= 1
+
+
+def test_an_image_that_is_known_already_waits_for_nobody_and_does_not_count(rig, drawing):
+    go_on, begun = drawing
+    rig.show(pressed())
+    until(lambda: rig.sensor.status().state == "stale")  # and so it stays: its tag is known
+    with serving(rig.service, Server(port=0, control_per_minute=6)) as url, ThreadPoolExecutor(1) as other:
+        go_on.set()
+        known = {"If-None-Match": httpx.get(url + PNG, timeout=60).headers["etag"]}
+        go_on.clear()
+        drawn = other.submit(httpx.get, url + PNG, timeout=60, headers={"X-Forwarded-For": "10.0.0.1"})
+        until(lambda: len(begun) == 2, 60)
+        assert [httpx.get(url + PNG, headers=known, timeout=60).status_code for _ in range(5)] == [304] * 5
+        go_on.set()
+        assert drawn.result().status_code == 200
+    assert len(begun) == 2
+
+
+def test_nothing_is_drawn_for_a_client_that_has_left(rig, drawing, monkeypatch):
+    go_on, begun = drawing
+    made = []
+    monkeypatch.setattr(common, "Turns", lambda: made.append(rates.Turns()) or made[-1])
+    rig.show(pressed())
+    with serving(rig.service) as url, ThreadPoolExecutor(1) as other:
+        first = other.submit(httpx.get, url + PNG, timeout=60)
+        until(lambda: begun, 60)
+        with socket.create_connection(url[7:].split(":")) as leaves:
+            leaves.sendall(f"GET {PNG} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
+            until(lambda: sum(turns._waiting.total() for turns in made) == 1, 60)
+        assert httpx.get(url + "/api/v1/health", timeout=60).status_code == 200  # it has seen that one leave
+        go_on.set()
+        assert [first.result().status_code, httpx.get(url + PNG, timeout=60).status_code] == [200, 200]
+    assert begun == [True, True]
