@@ -29,6 +29,7 @@ from tactiled.web.common import WRONG, turns
 from tactiled.web.description import complete
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
+from tactiled.web.head import Head
 from tactiled.web.keys import Keys
 from tactiled.web.rates import Rates, Streams
 
@@ -78,6 +79,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.add_middleware(
         GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
     )
+    app.add_middleware(Head)
     bounds = {"rates": Rates(server.control_per_minute), "streams": app.state.streams}
     app.add_middleware(Guard, server=server, **bounds)  # the last added is the first met
     app.openapi = complete(app, Keys(server).needed)  # type: ignore[method-assign]

@@ -63,11 +63,12 @@ def _methods(app: FastAPI, request: Request) -> list[str]:
     if request.scope.get("root_path"):  # of a folder of files
         return ["GET", "HEAD"]
     scopes = {method: {**request.scope, "method": method} for method in VERBS}
-    return [
+    found = {
         method
         for method, scope in scopes.items()
         if any(route.matches(scope)[0] is Match.FULL for route in app.routes)
-    ]
+    }
+    return sorted(found | {"HEAD"} if "GET" in found else found)
 
 
 def _say(error: Mapping[str, Any]) -> str:

@@ -440,12 +440,13 @@ def test_a_fault_of_our_own_is_a_problem_that_tells_nothing_and_carries_the_head
 @pytest.mark.parametrize(
     ("verb", "path", "allowed"),
     [
-        ("POST", METHOD, "GET, PUT"),
-        ("DELETE", "/api/v1/health", "GET"),
-        ("PATCH", "/api/v1/recordings", "GET, POST"),
-        ("PUT", "/api/v1/recordings/a.log", "DELETE, GET"),
-        ("TRACE", "/api/v1/config", "GET"),
-        ("POST", "/", "GET"),
+        ("POST", METHOD, "GET, HEAD, PUT"),
+        ("DELETE", "/api/v1/health", "GET, HEAD"),
+        ("PATCH", "/api/v1/recordings", "GET, HEAD, POST"),
+        ("PUT", "/api/v1/recordings/a.log", "DELETE, GET, HEAD"),
+        ("TRACE", "/api/v1/config", "GET, HEAD"),
+        ("GET", "/api/v1/restore", "POST"),
+        ("POST", "/", "GET, HEAD"),
         ("POST", "/static/app.js", "GET, HEAD"),
     ],
 )
