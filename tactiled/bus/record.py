@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from shutil import disk_usage
 from threading import Event, Thread
 from typing import Any, BinaryIO, cast
 
@@ -135,18 +136,20 @@ def _writer(path: Path) -> Callable[[BinaryIO], can.io.generic.MessageWriter]:
 class Recorder:
     """A new recording and the thread that writes it.
 
-    `put` never waits for the disk. Where the disk fails or falls behind by more than `waiting` messages, `put` and
-    `close` raise TactileError, and the file holds all messages up to a point, which the error names.
+    `put` never waits for the disk. Where the disk fails, falls behind by more than `waiting` messages or has less
+    than `leave_mb` left, `put` and `close` raise TactileError, and the file holds all messages up to a point,
+    which the error names.
     """
 
-    def __init__(self, path: Path, waiting: int = WAITING) -> None:
-        self.path, self._most = path, waiting
+    def __init__(self, path: Path, waiting: int = WAITING, leave_mb: float = 0.0) -> None:
+        self.path, self._most, self._leave_mb = path, waiting, leave_mb
         self.written = 0  # messages that are on the disk
         self._taken = 0
         self._queue: SimpleQueue[can.Message | None] = SimpleQueue()
         self._failed: str | None = None
         make = _writer(path)
         try:
+            self._look_for_room()
             self._file = ChunkFile(path)
         except FileExistsError as error:
             raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
@@ -215,6 +218,12 @@ class Recorder:
             self._writer._flush()  # ends a container: python-can has no public way
         cast(Any, self._writer).file.flush()
         self.written = self._taken
+        self._look_for_room()
+
+    def _look_for_room(self) -> None:
+        """TactileError where there is less room than is to be left."""
+        if self._leave_mb and disk_usage(self.path.parent).free < self._leave_mb * 1e6:
+            raise TactileError(f"less than {self._leave_mb:g} MB of its disk are free (recordings_leave_mb)")
 
 
 def _plain(message: can.Message) -> can.Message:

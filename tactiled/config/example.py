@@ -14,6 +14,7 @@ port = 8000
 # xela = 5000               # for clients of XELA's server; asks for no token
 # xela_host = "127.0.0.1"   # where: another address lets other machines see those sensors
 # recordings = "/var/lib/tactiled"  # folder that clients may record the buses into
+recordings_leave_mb = 1000  # of their disk that they leave free; 0: no bound
 # state = "/var/lib/tactiled/state.json"  # what clients want kept over a restart
 history_s = 5.0             # of images kept for clients that ask for a window
 history_mb = 64             # and no more memory than this for all sensors

@@ -46,6 +46,9 @@ class Server(Section):
     xela: int | None = Field(None, ge=0, le=65535)  # port for XELA's clients alone, without a token; None: none
     xela_host: str = "127.0.0.1"  # address of that port
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
+    recordings_leave_mb: float = Field(
+        1000.0, ge=0, allow_inf_nan=False
+    )  # of their disk that they leave free; 0: no bound
     state: Path | None = None  # file of what clients want kept; None: in the user's state directory
     history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
     history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all

@@ -14,7 +14,7 @@ from fastapi.responses import FileResponse
 from pydantic import Field
 
 from tactiled.bus.record import Recorder, open_tap, record
-from tactiled.errors import BusError, TactileError
+from tactiled.errors import TactileError
 from tactiled.events import Events
 from tactiled.web import forms
 from tactiled.web.common import BODY, CONTROL, WRONG, Responses, problem
@@ -25,7 +25,7 @@ GONE: Responses = {404: problem("no such recording")}
 BUSY: Responses = {409: problem("it runs, or is there already")}
 NO_BUS: Responses = {
     404: problem("no such bus"),
-    503: problem("the bus cannot be opened, or the file cannot be written"),
+    503: problem("the bus cannot be opened, the file cannot be written, or too little room is left"),
 }
 Name = Annotated[str, Part(pattern=NAME, description="a recording's file name")]
 
@@ -66,13 +66,13 @@ Limit = Annotated[int, Query(ge=1, le=1000)]
 class _Run:
     """One recording and the thread that reads its bus."""
 
-    def __init__(self, bus: str, settings: Mapping[str, Any], path: Path, events: Events) -> None:
+    def __init__(self, bus: str, settings: Mapping[str, Any], path: Path, events: Events, leave_mb: float) -> None:
         self.bus, self._name, self._events = bus, path.name, events
         self.error: str | None = None
         self._stop = Event()
         self._tap = open_tap(**settings)
         try:
-            self.recorder = Recorder(path)
+            self.recorder = Recorder(path, leave_mb=leave_mb)
         except TactileError:
             self._tap.close()
             raise
@@ -101,8 +101,10 @@ class _Run:
 class Recordings:
     """The recordings of a folder, and those that run: one a bus at most."""
 
-    def __init__(self, folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events) -> None:
-        self._folder, self._buses, self._events = folder, buses, events
+    def __init__(
+        self, folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float
+    ) -> None:
+        self._folder, self._buses, self._events, self._leave_mb = folder, buses, events, leave_mb
         self._runs: dict[str, _Run] = {}
         self._lock = Lock()
 
@@ -126,8 +128,8 @@ class Recordings:
                 raise Problem(409, f"recording {path.name}: is there already")
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
-                self._runs[path.name] = _Run(bus, self._buses[bus], path, self._events)
-            except (BusError, OSError) as error:
+                self._runs[path.name] = _Run(bus, self._buses[bus], path, self._events, self._leave_mb)
+            except (TactileError, OSError) as error:
                 raise Problem(503, str(error)) from error
             self._events.add("recording_started", path.name, bus=bus)
             return self._told(path)
@@ -185,9 +187,9 @@ def _is_recording(path: Path) -> bool:
     return re.fullmatch(NAME, path.name) is not None and path.is_file() and not path.is_symlink()
 
 
-def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events) -> APIRouter:
+def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float = 0.0) -> APIRouter:
     """The routes of a folder and of buses by name, with python-can's settings of each."""
-    recordings = Recordings(folder, buses, events)
+    recordings = Recordings(folder, buses, events, leave_mb)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:

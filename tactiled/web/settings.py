@@ -32,6 +32,7 @@ class ServerForm(forms.Form):
     xela: int | None = Field(description="port for XELA's clients alone", examples=[5000])
     xela_host: str = Field(description="address of that port", examples=["127.0.0.1"])
     recordings: bool = Field(description="whether clients may record", examples=[True])
+    recordings_leave_mb: float = Field(description="of their disk; 0: no bound", examples=[1000.0])
     keeps_state: bool = Field(description="whether `keep` is possible", examples=[True])
     history_s: float = Field(examples=[5.0])
     history_mb: float = Field(examples=[64.0])
@@ -92,6 +93,7 @@ def _server(server: Server, service: Service) -> ServerForm:
         xela=server.xela,
         xela_host=server.xela_host,
         recordings=server.recordings is not None,
+        recordings_leave_mb=server.recordings_leave_mb,
         keeps_state=service.state is not None,
         history_s=server.history_s,
         history_mb=server.history_mb,

@@ -2,6 +2,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import can
 import httpx
@@ -9,7 +10,7 @@ import pytest
 import uvicorn
 from fastapi import FastAPI
 
-from tactiled.bus import recording
+from tactiled.bus import record, recording
 from tactiled.events import Events
 from tactiled.web import problems
 from tactiled.web.recordings import make
@@ -195,4 +196,30 @@ def test_the_end_of_the_service_ends_a_recording_whole(folder, request):
         client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
         send(bus, 50)
         until(lambda: only(client)["messages"] == 50)
+    assert len(list(recording.read(folder / "a.blf"))) == 50
+
+
+def test_a_recording_ends_before_the_disk_is_full_and_says_why(folder, request, monkeypatch):
+    room, events = [600e6], Events()
+    monkeypatch.setattr(record, "disk_usage", lambda _: SimpleNamespace(free=room[0]))
+    app = FastAPI()
+    problems.install(app)
+    buses = {"can0": {"interface": "virtual", "channel": request.node.name}}
+    app.include_router(make(folder, buses, events, 500))
+    with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
+        client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
+        send(bus, 50)
+        until(lambda: only(client)["messages"] == 50)
+        assert only(client)["running"]
+        room[0] = 499e6
+        until(lambda: not only(client)["running"])
+        why = "less than 500 MB of its disk are free (recordings_leave_mb)"
+        assert f"{why}: the recording ends early, after 50 messages" in only(client)["error"]
+        assert why in next(each.text for each in events.after(0) if each.kind == "recording_ended")
+        refused = client.post(ROOT, json={"bus": "can0", "name": "b.blf"})
+        assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
+        assert why in refused.json()["detail"]
+        assert not (folder / "b.blf").exists()
+        room[0] = 501e6
+        assert client.post(ROOT, json={"bus": "can0", "name": "b.blf"}).status_code == 201
     assert len(list(recording.read(folder / "a.blf"))) == 50
