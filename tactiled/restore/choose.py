@@ -13,7 +13,6 @@ from tactiled.restore.linear import Filter, Wiener, deviation, untouched
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import Points
-from tactiled.restore.prior import CORNERS
 from tactiled.restore.scene import Restored, Scene
 
 STAY = 1.5  # how much further a test reaches for the method of the frame before
@@ -26,8 +25,6 @@ PAUSE = 32  # frames that points are left alone for after a fit that did not sta
 LONGEST = 2048  # of those
 ITERATED = ("nnls", "points")
 WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not worth restoring for
-ROUGH = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
-SPOTS = 16.0  # taxels: a frame as rough whose pressure is on no more may be of points
 UNTOLD = 0.11  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
@@ -77,6 +74,7 @@ class Auto:
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
+        self._image: Image = zeros  # the last
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
@@ -108,7 +106,9 @@ class Auto:
         """Standard deviation (kPa) of every cell of the image last restored: of points the fit's."""
         if self.points.found:
             return self.points.drawing.deviation()
-        return untouched(self._scene, self._wiener) if self._method == "raw" else deviation(self._scene)
+        if self._method == "raw":
+            return untouched(self._scene, self._wiener)
+        return deviation(self._scene, self._image)
 
     def rests(self, y: Image) -> bool:
         """Whether there is nothing in a frame."""
@@ -121,9 +121,10 @@ class Auto:
             self._method, self._review = "idle", REVIEW
             self._wait, self._pause = 0, PAUSE
             self._scene.empty()
+            self._image = self._nothing.image
             return self._nothing
         done = self._some(y)
-        self._method = done.method
+        self._method, self._image = done.method, done.image
         return done
 
     def _some(self, y: Image) -> Restored:
@@ -174,10 +175,9 @@ class Auto:
         Points that are not told mislead: what is spared must exceed that.
         """
         scene = self._scene
-        if not self._square or scene.prior.corner(scene.number) < ROUGH:
+        if not self._square or not scene.spotted:
             return 1.0
-        square = float(scene.flat.dot(scene.flat))
-        misled = reach**2 * UNTOLD * square if scene.force**2 < SPOTS * square else 0.0
+        misled = reach**2 * UNTOLD * float(scene.flat.dot(scene.flat))
         spared = self._spared(gain)
         return 1 - misled / spared if spared else 0.0
 

@@ -3,10 +3,12 @@
 from math import prod, sqrt
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 
+ASTRAY = 0.5  # pitches that a small spot may be from where it is drawn, and the share of it
 COVER = 0.03  # of a cover's thickness: better is hardly known
 TINY = 1e-12  # a gain is taken to be no less
 
@@ -67,12 +69,13 @@ class Wiener:
         return self._back(self._modes, self.image)
 
 
-def deviation(scene: Scene) -> Floats:
-    """Standard deviation (kPa) of each surface cell of the linear image, given the spectrum picked for its scene.
+def deviation(scene: Scene, image: Image | None = None) -> Floats:
+    """Standard deviation (kPa) of each cell of an image of the scene, the linear one or any that knows more.
 
     Of the noise, of what the filter leaves out, and of the model: a cover known to COVER of its thickness, whose
-    gain falls by as many octaves for a wave, and pressure finer than the grid. Any other image's error is
-    about that or less: those that know more, that no pressure is negative, say, are not told here.
+    gain falls by as many octaves for a wave, and pressure finer than the grid; all given the spectrum picked for
+    the scene, which is the same everywhere. That says too little of a few small spots: what may be elsewhere of
+    `image` is added.
     """
     modes = scene.modes
     variance = scene.prior.ratio(scene.number).copy()
@@ -83,8 +86,12 @@ def deviation(scene: Scene) -> Floats:
     variance[modes.head] = S / (h**2 * S + 1) * (1 + h**2 * S / (h**2 * S + 1) * S * model)
     variance *= scene.noise**2
     squares = [basis**2 for basis in modes.surface]
-    spread = squares[0] @ variance
-    return np.sqrt(spread if len(squares) == 1 else spread @ squares[1].T)
+    spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
+    if image is not None and scene.spotted:
+        refine = image.shape[0] // scene.blur.frame_shape[0]
+        about = gaussian_filter(np.abs(image), ASTRAY * refine) if image.ndim > 1 else np.abs(image)
+        spread = np.hypot(spread, ASTRAY * about)
+    return np.asarray(spread, float)
 
 
 def untouched(scene: Scene, wiener: Wiener) -> Floats:
@@ -93,4 +100,4 @@ def untouched(scene: Scene, wiener: Wiener) -> Floats:
     raw = image(scene.c, image.empty())
     for axis, cells in enumerate(scene.blur.surface_shape):
         raw = np.repeat(raw, cells // raw.shape[axis], axis)
-    return np.asarray(np.hypot(deviation(scene), raw - wiener()), float)
+    return np.asarray(np.hypot(deviation(scene, raw), raw - wiener()), float)

@@ -37,6 +37,7 @@ class Restorer:
         self._gaps = Gaps(blur.modes)
         self._method = METHODS[method](self._scene)
         self._run = self._method.run
+        self._image: Image | None = None  # the last
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
@@ -49,7 +50,9 @@ class Restorer:
             if not self._method.rests(y):
                 y = self._gaps.fill()
                 scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
-        return self._run(y)
+        done = self._run(y)
+        self._image = done.image
+        return done
 
     def prepare(self) -> None:
         """Make now what any frame may need, so that none has to wait for it."""
@@ -66,7 +69,7 @@ class Restorer:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
-        return self._method.spread() if self._method.spread else deviation(self._scene)
+        return self._method.spread() if self._method.spread else deviation(self._scene, self._image)
 
 
 def require(name: str) -> None:
@@ -167,7 +170,7 @@ def _points(scene: Scene) -> Method:
         points.reset()
 
     def spread() -> Floats:
-        return points.drawing.deviation() if points.found else deviation(scene)
+        return points.drawing.deviation() if points.found else deviation(scene, nonneg.image)
 
     prepare = partial(scene.ahead, wiener.prepare, nonneg.prepare)
     return Method(run, forget, prepare, points=points, spread=spread)

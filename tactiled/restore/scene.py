@@ -8,13 +8,15 @@ import numpy as np
 
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Image
-from tactiled.restore.prior import Prior
+from tactiled.restore.prior import CORNERS, Prior
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 AHEAD = 1024  # cells up to which there is room for what every spectrum needs
 AGREED = 0.25  # standard deviations of the total force: a smaller difference is left alone
 ANEW = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
 MOVED = 1.5  # times what noise alone may change
+ROUGH = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
+SPOTS = 16.0  # taxels: a frame as rough whose pressure is on no more may be of points
 SURE = 4.0  # standard deviations that a total force must stand out by to be held to
 
 
@@ -88,6 +90,12 @@ class Scene:
     def empty(self) -> None:
         """Take in that there is nothing to see, without looking."""
         self.number = 0
+
+    @property
+    def spotted(self) -> bool:
+        """Whether the frame is of a few small spots: no spectrum tells where in a cell they are."""
+        square = float(self.flat.dot(self.flat))
+        return self.prior.corner(self.number) >= ROUGH and self.force**2 < SPOTS * square
 
     def force_scale(self, missed: float) -> float:
         """What to multiply an image by whose blur's total misses `missed` of the frame's, so that it does not."""
