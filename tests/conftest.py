@@ -2,7 +2,11 @@ import re
 import signal
 import threading
 import time
+from dataclasses import replace
+from functools import partial
 
+import httpx
+import hypothesis
 import numpy as np
 import pytest
 
@@ -13,6 +17,13 @@ from tactiled.web.server import running
 
 # A shell that runs the tests in the background has them, and all that they start, ignore it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+BUSY_S = 60.0  # that a machine may be busy with other things
+hypothesis.settings.register_profile(
+    "busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("busy")
+ask = partial(httpx.request, timeout=BUSY_S)
 
 SIDE = 8
 NO_LOAD, GAIN = 100, 0.5  # counts, kPa a count
@@ -57,6 +68,10 @@ class Rig:
         until(lambda: (image := self.sensor.hub.latest()) and image.sequence == self.sequence)
         return self.sensor.hub.latest()
 
+    def stale_after(self, seconds):
+        """Let the palm be stale so long (s) after its newest frame, from now on."""
+        self.sensor.plan = replace(self.sensor.plan, stale_after_s=seconds)
+
     def play(self, rate_hz, stop):
         """Send moving frames on a thread."""
 
@@ -69,13 +84,36 @@ class Rig:
         return thread
 
 
+class Clock:
+    """In the place of `time`, and of the event that ends what waits: to wait makes the time go on."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def monotonic(self):
+        return self.now
+
+    def time(self):
+        return self.now
+
+    def wait(self, seconds):
+        self.now += seconds
+        return False
+
+    def is_set(self):
+        return False
+
+    def set(self):
+        pass
+
+
 def pressed(at=3, force=400):
     counts = np.full((SIDE, SIDE), NO_LOAD)
     counts[3:5, at : at + 2] += force
     return counts
 
 
-def until(true, seconds=5.0):
+def until(true, seconds=BUSY_S):
     end = time.monotonic() + seconds
     while not true():
         assert time.monotonic() < end, "it did not happen in time"

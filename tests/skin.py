@@ -3,6 +3,7 @@
 import re
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,6 +55,10 @@ class Skin:
         self.service = Service(parse(CONFIG.format(channel=channel) + more, "skin"))
         self.bus = open_bus(interface="virtual", channel=channel)
         self.sensor = self.service.sensor("skin")
+
+    def stale_after(self, seconds):
+        """Let the skin be stale so long (s) after its newest frame, from now on."""
+        self.sensor.plan = replace(self.sensor.plan, stale_after_s=seconds)
 
     def show(self, x, y, z=Z, drop=()):
         """Send a frame until it is whole, or as whole as it can be, and served; gives its image."""

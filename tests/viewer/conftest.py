@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 from tactiled.web.server import running
-from tests.conftest import Rig, pressed, until
+from tests.conftest import BUSY_S, Rig, pressed, until
 
 PAINTED = "Number(document.documentElement.dataset.painted) > 0"
 PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
@@ -44,7 +44,7 @@ def open_page(browser):
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(60_000)  # a busy machine is no fault of the page
+        page.set_default_timeout(1000 * BUSY_S)  # a busy machine is no fault of the page
         page.on("pageerror", lambda error: faults.append(str(error)))
         page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
         page.on("request", lambda request: faults.append(request.url) if not local(request.url, url) else None)
@@ -59,12 +59,35 @@ def open_page(browser):
     assert faults == []
 
 
-def wait(page, true, seconds=60.0):
-    """Wait until an expression is true in the page (the page's own policy forbids Playwright's way)."""
+def wait(page, true, seconds=BUSY_S):
+    """Wait until an expression is true in the page; gives it (the page's own policy forbids Playwright's way)."""
     end = time.monotonic() + seconds
-    while not page.evaluate(true):
+    while not (found := page.evaluate(true)):
         assert time.monotonic() < end, f"never: {true}"
         page.wait_for_timeout(20)
+    return found
+
+
+def keep(send, page, true):
+    """Send frames until an expression is true in the page; gives it, as what holds of a live sensor passes."""
+    end = time.monotonic() + BUSY_S
+    send()
+    while not (found := page.evaluate(true)):
+        assert time.monotonic() < end, f"never: {true}"
+        page.wait_for_timeout(50)
+        send()
+    return found
+
+
+def turned(page, times=2):
+    """Wait for turns of the screen: what the page knew before is painted by then, and laid out."""
+    page.evaluate(
+        """times => new Promise(done => {
+          const turn = () => (times-- ? requestAnimationFrame(turn) : done());
+          turn();
+        })""",
+        times,
+    )
 
 
 def local(address, url):

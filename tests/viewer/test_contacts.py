@@ -1,10 +1,9 @@
-import httpx
 import numpy as np
 import pytest
 
-from tests.conftest import pressed
+from tests.conftest import ask, pressed
 from tests.viewer.conftest import wait
-from tests.viewer.test_viewer import painted, pixels, show
+from tests.viewer.test_viewer import PAINTINGS, painted, pixels, show
 
 LISTED = (
     "[...document.querySelectorAll('#contact-list tbody tr')].map(row => [...row.cells].map(c => c.innerText))"
@@ -36,7 +35,7 @@ def test_contacts_are_outlined_on_both_maps_and_listed_with_their_force(rig, url
     rig.show(two())
     page = open_page(url)
     wait(page, f"{LISTED}.length === 2")
-    told = httpx.get(f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
+    told = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
     listed = page.evaluate(LISTED)
     assert [int(row[0]) for row in listed] == [each["id"] for each in told]
     assert [float(row[1]) for row in listed] == [round(each["force_n"], 2) for each in told]
@@ -62,13 +61,13 @@ def test_contacts_switched_off_are_neither_drawn_nor_asked_for(rig, url, open_pa
     rig.show(pressed(1))
     page = open_page(url)
     wait(page, f"{LISTED}.length === 1")
-    (told,) = httpx.get(f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
+    (told,) = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
     before = painted(page)
     with page.expect_websocket() as opened:
         page.evaluate(SWITCH)
     assert "contacts" not in opened.value.url
     assert "contacts=1" not in opened.value.url
-    wait(page, f"Number(document.documentElement.dataset.painted) > {before}")
+    wait(page, f"{PAINTINGS} > {before}")
     wait(page, f"{LISTED}.length === 0")
     assert "switched off" in page.locator("#contact-list").inner_text()
     assert at(page, "restored-marks", told)[0][3] == 0  # inside the ring about the centre of pressure

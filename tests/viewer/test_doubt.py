@@ -1,26 +1,35 @@
-import httpx
+import time
+
 import numpy as np
 
-from tests.conftest import pressed
+from tests.conftest import BUSY_S, ask, pressed
+from tests.viewer.conftest import turned
 from tests.viewer.test_viewer import painted, pixels
 
+NOTE = """() => {
+  window.asked = [];
+  const real = window.fetch.bind(window);
+  window.fetch = (path, ...more) => {
+    if (String(path).includes("deviation")) window.asked.push(path);
+    return real(path, ...more);
+  };
+}"""
 SIDE, HEAD, FOOT, TAIL = 46, 20, 34, 12  # px that a chart keeps free
 
 
-def keep(rig, page, true, seconds=60):
+def keep(rig, page, true):
     """Send the same frame over and over until something is true."""
-    for _ in range(int(seconds / 0.05)):
-        rig.show(pressed())
-        if true():
-            return
+    end = time.monotonic() + BUSY_S
+    while not true():
+        assert time.monotonic() < end, "it did not happen in time"
         page.wait_for_timeout(50)
-    raise AssertionError("it did not happen in time")
+        rig.show(pressed())
 
 
 def test_the_band_is_two_deviations_to_either_side(rig, url, open_page):
     image = rig.show(pressed())
     page = open_page(url)
-    deviation = np.array(httpx.get(f"{url}/api/v1/sensors/palm/frames/deviation").json()["values"])
+    deviation = np.array(ask("GET", f"{url}/api/v1/sensors/palm/frames/deviation").json()["values"])
     row = int(image.restored.max(axis=1).argmax())
     value, spread = float(image.restored[row, 3]), float(deviation[row, 3])
     low, high = value - 5 * spread, value + 5 * spread
@@ -45,15 +54,13 @@ def test_the_band_is_two_deviations_to_either_side(rig, url, open_page):
 def test_the_deviation_is_asked_for_only_while_the_cross_section_can_be_seen(rig, url, open_page):
     rig.show(pressed())
     page = open_page(url, width=390, height=360)
-    asked = []
-    page.on("request", lambda request: asked.append(request.url) if "deviation" in request.url else None)
-    page.wait_for_timeout(300)  # for what was asked before the page knew what can be seen
-    asked.clear()
+    turned(page)  # what is asked before the page knows what can be seen
+    page.evaluate(NOTE)
     before = painted(page)
     keep(rig, page, lambda: painted(page) > before + 15)
-    assert asked == []
+    assert page.evaluate("window.asked") == []
     page.evaluate("document.getElementById('section').scrollIntoView()")
-    keep(rig, page, lambda: asked)
+    keep(rig, page, lambda: page.evaluate("window.asked"))
 
 
 def test_a_band_of_another_time_is_not_drawn(rig, url, open_page):

@@ -5,7 +5,7 @@ from collections import Counter
 
 from tests.viewer.conftest import wait
 from tests.viewer.measure import SAMPLING, allocated
-from tests.viewer.test_viewer import painted
+from tests.viewer.test_viewer import PAINTINGS, painted
 
 # What is not compiled yet makes an object of every fraction: compile what paints at once, not in half a minute.
 SOON = (
@@ -23,10 +23,10 @@ def test_a_painted_frame_leaves_next_to_no_garbage(rig, url, launch, open_page):
     page = open_page(url, browser=launch(SOON))
     page.evaluate(STOP)
     session = page.context.new_cdp_session(page)
-    wait(page, f"Number(document.documentElement.dataset.painted) > {WARM}")
+    wait(page, f"{PAINTINGS} > {WARM}")
     session.send("HeapProfiler.startSampling", {**SAMPLING, "samplingInterval": 256})
     before = painted(page)
-    wait(page, f"Number(document.documentElement.dataset.painted) > {before + FRAMES}")
+    wait(page, f"{PAINTINGS} > {before + FRAMES}")
     profile, frames = session.send("HeapProfiler.stopSampling")["profile"], painted(page) - before
     stop.set()
     sender.join()

@@ -1,6 +1,5 @@
 import re
 
-import httpx
 import pytest
 from pydantic import SecretStr
 
@@ -8,8 +7,8 @@ from tactiled.bus.recording import read
 from tactiled.cli.replay import replaying
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import pressed, until
-from tests.viewer.conftest import wait
+from tests.conftest import ask, pressed, until
+from tests.viewer.conftest import turned, wait
 from tests.viewer.test_viewer import painted, pixels, show
 
 LIST = "document.getElementById('recordings').innerText"
@@ -44,11 +43,11 @@ def test_what_was_recorded_from_the_page_is_what_was_sent_and_replays_as_it_was(
     with page.expect_download() as download:
         page.get_by_role("link", name=path.name).click()
     assert download.value.path().read_bytes() == path.read_bytes()
-    page.get_by_role("button", name="Delete").click()
-    assert path.exists()  # once is not enough
     copy = folder / "kept" / path.name
     copy.parent.mkdir()
     copy.write_bytes(path.read_bytes())
+    page.get_by_role("button", name="Delete").click()
+    assert path.exists()  # once is not enough
     page.get_by_role("button", name="Really delete").click()
     until(lambda: not path.exists())
     service = replaying(rig.config, copy, 1.0)
@@ -57,6 +56,7 @@ def test_what_was_recorded_from_the_page_is_what_was_sent_and_replays_as_it_was(
         with running(service) as other:
             replayed = open_page(other)
             wait(replayed, "document.getElementById('sequence').innerText === '1'")
+            turned(replayed)
             assert (pixels(replayed, "raw") == shown).all()
             replayed.close()
     finally:
@@ -109,7 +109,7 @@ def test_counts_events_and_times_of_the_bus_are_shown(rig, url, open_page):
     rig.send(pressed(), drop=[0])
     for _ in range(3):
         rig.show(pressed())
-    state = httpx.get(f"{url}/api/v1/sensors/palm").json()
+    state = ask("GET", f"{url}/api/v1/sensors/palm").json()
     assert state["loss"]["lost"] == 1
     wait(page, "/\\nlost\\s+1\\n/.test('\\n' + document.getElementById('loss').innerText)")
     text = page.locator("#side").inner_text()

@@ -8,7 +8,8 @@ import pytest
 from tactiled.web.server import running
 from tests.conftest import pressed
 from tests.skin import X, Y, rigged
-from tests.viewer.conftest import PHONE, THUMB, Pair, wait
+from tests.viewer.conftest import PHONE, THUMB, Pair, turned, wait
+from tests.viewer.test_viewer import PAINTINGS, painted
 
 FINGERS = "".join(
     THUMB.replace("thumb", name).replace("array_id = 1", f"array_id = {number}")
@@ -75,7 +76,7 @@ def test_a_sensor_of_another_shape_leaves_no_room_empty_and_takes_none_from_the_
     square = box(page, "#raw-frame")
     page.keyboard.press("2")
     wait(page, f"document.getElementById('raw-frame').clientHeight < {square['height'] - 20}")
-    page.wait_for_timeout(300)
+    turned(page, 10)
     under, charts = box(page, "#under"), box(page, "#charts")
     wide = box(page, "#raw-frame")
     assert under["y"] - wide["y"] - wide["height"] < 30
@@ -88,9 +89,11 @@ def test_a_sensor_of_another_shape_leaves_no_room_empty_and_takes_none_from_the_
 @pytest.mark.parametrize("size", [{"width": 900, "height": 640}, {"width": 1024, "height": 768}, DESK])
 def test_nothing_covers_anything_else(pair, open_page, size):
     page = open_page(pair[1], **size)
-    for key in ("1", "2"):
+    for key in ("2", "1"):
+        before = painted(page)
         page.keyboard.press(key)
-        page.wait_for_timeout(500)
+        wait(page, f"{PAINTINGS} > {before}")
+        turned(page, 10)
         parts = [box(page, each) for each in ("#raw-frame", "#probe", "#range", "#playback", "#charts")]
         for above, below in itertools.pairwise(parts):
             beside = above["x"] + above["width"] <= below["x"]
@@ -121,6 +124,7 @@ def test_a_range_that_is_none_is_named_and_changes_nothing(rig, url, open_page):
 @pytest.mark.parametrize("width", [900, 1280, 1440, 1600])
 def test_what_the_probe_reads_of_shear_is_not_cut_off(request, open_page, width):
     with rigged(request.node.name) as rig, running(rig.service) as url:
+        rig.stale_after(0.3)
         rig.show(X, Y)
         page = open_page(url, width)
         at = box(page, "#raw-frame")

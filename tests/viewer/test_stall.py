@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import NO_LOAD, SIDE, pressed
-from tests.viewer.conftest import wait
-from tests.viewer.test_viewer import painted, pixels
+from tests.viewer.conftest import keep, turned, wait
+from tests.viewer.test_viewer import PAINTINGS, painted, pixels
 from tests.viewer.test_wall import LEVELS
 
 OLD_S = 0.1
@@ -158,7 +158,7 @@ def test_a_clock_that_is_set_stops_nothing(rig, url, open_page):
     wait(page, "document.body.dataset.level === 'live'")
     page.evaluate(STEP)
     began = painted(page)
-    wait(page, f"Number(document.documentElement.dataset.painted) > {began + 20}")
+    wait(page, f"{PAINTINGS} > {began + 20}")
     stop.set()
     sender.join()
 
@@ -166,10 +166,10 @@ def test_a_clock_that_is_set_stops_nothing(rig, url, open_page):
 def test_the_last_frame_before_a_silence_is_shown_though_it_waited(rig, url, open_page):
     rig.show(pressed(0))
     page = open_page(url)
-    rig.show(pressed(1))
-    wait(page, "document.body.dataset.level === 'live'")
+    keep(lambda: rig.show(pressed(1)), page, "document.body.dataset.level === 'live'")
     page.evaluate(HIDE)
     image = rig.show(pressed(5))
     wait(page, "window.wentOn && document.body.dataset.level === 'stale'")
     wait(page, f"document.getElementById('sequence').innerText === '{image.sequence}'")
+    turned(page)
     assert pixels(page, "raw")[3, 5, :3].sum() > 3 * pixels(page, "raw")[3, 1, :3].sum()

@@ -1,14 +1,13 @@
 import re
 import threading
 
-import httpx
 import numpy as np
 import pytest
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import pressed, until
-from tests.viewer.conftest import wait
+from tests.conftest import ask, pressed, until
+from tests.viewer.conftest import keep, wait
 
 PIXELS = """id => {
   const canvas = document.getElementById(id);
@@ -23,22 +22,25 @@ def pixels(page, name):
     return np.array(got["data"]).reshape(got["height"], got["width"], 4)
 
 
+PAINTINGS = "Number(document.documentElement.dataset.painted)"
+
+
 def painted(page):
-    return int(page.evaluate("document.documentElement.dataset.painted"))
+    return page.evaluate(PAINTINGS)
 
 
 def show(rig, page, counts):
     """Send a frame and wait until the page has painted it."""
     before = painted(page)
     image = rig.show(counts)
-    wait(page, f"Number(document.documentElement.dataset.painted) > {before}")
+    wait(page, f"{PAINTINGS} > {before}")
     return image
 
 
 def test_both_maps_paint_the_data_in_the_colours_of_the_scale_and_change_with_it(rig, url, open_page):
     rig.show(pressed(2))
     page = open_page(url)
-    colors = np.array(httpx.get(f"{url}/api/v1/colormap").json()["colors"])
+    colors = np.array(ask("GET", f"{url}/api/v1/colormap").json()["colors"])
     seen = []
     for at in (1, 5):
         image = show(rig, page, pressed(at))
@@ -61,7 +63,7 @@ def test_it_keeps_painting_a_live_sensor(rig, url, open_page):
     sender = rig.play(100, stop)
     page = open_page(url)
     began = painted(page)
-    wait(page, f"Number(document.documentElement.dataset.painted) >= {began + 20}")
+    wait(page, f"{PAINTINGS} >= {began + 20}")
     stop.set()
     sender.join()
 
@@ -71,7 +73,7 @@ def test_what_is_unknown_is_not_painted_as_pressure(rig, url, open_page):
     page = open_page(url)
     before = painted(page)
     rig.send(pressed(), drop=[0])
-    wait(page, f"Number(document.documentElement.dataset.painted) > {before}")
+    wait(page, f"{PAINTINGS} > {before}")
     alpha = pixels(page, "raw")[..., 3].ravel()
     taxels = rig.sensor.codec.taxels
     assert (alpha[:taxels] == 0).all()
@@ -106,8 +108,7 @@ def test_pause_holds_the_image_and_going_on_shows_the_newest(rig, url, open_page
     page.wait_for_timeout(300)
     np.testing.assert_array_equal(pixels(page, "raw"), held)
     page.keyboard.press("Space")
-    rig.show(pressed(5))
-    page.wait_for_timeout(300)
+    show(rig, page, pressed(5))
     assert (pixels(page, "raw") != held).any()
 
 
@@ -120,13 +121,7 @@ def test_it_finds_the_service_again(rig, open_page):
     page.faults.clear()  # the browser itself reports every attempt that fails
     with running(rig.service, Server(port=port)) as again:
         assert again == url
-        before = painted(page)
-        for _ in range(40):
-            rig.show(pressed())
-            page.wait_for_timeout(250)
-            if painted(page) > before:
-                break
-        assert painted(page) > before
+        keep(lambda: rig.show(pressed()), page, f"{PAINTINGS} > {painted(page)}")
         page.close()
         page.faults.clear()
 
