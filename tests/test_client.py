@@ -13,36 +13,42 @@ from tactiled.client import TOO_MANY, connect
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.server import running
-from tests.conftest import pressed, until
+from tests.conftest import BUSY_S, pressed, until
 from tests.skin import X, Y, rigged
 
+FEW = 8  # images that may be on their way to a client
 README = Path(__file__).parents[1] / "README.md"
 
 
 @pytest.fixture
 def playing(rig):
     stop = threading.Event()
+    rig.stale_after(600)
     sender = rig.play(100, stop)
     yield rig
     stop.set()
     sender.join()
 
 
-def test_live_images_as_arrays(playing, url):
-    seen = []
-    for image in connect(url).stream("palm", patience_s=5):
+def test_live_images_as_arrays(rig, url):
+    stop, seen = threading.Event(), []
+    sender = rig.play(100, stop)
+    for image in connect(url).stream("palm", patience_s=BUSY_S):
         assert image.raw.shape == image.restored.shape == (8, 8)
         assert image.flags.shape == (64,)
         seen.append(image.sequence)
         if len(seen) == 20:
+            stop.set()
+            sender.join()
+        if len(seen) >= 20 and image.sequence == rig.sequence:
             break
     assert seen == sorted(set(seen))
-    assert playing.sensor.hub.latest().sequence - seen[-1] < 20
+    assert len(seen) <= 20 + FEW  # however long it was held up
 
 
 @pytest.mark.usefixtures("playing")
 def test_the_status_comes_with_the_images(url):
-    for image in connect(url).stream("palm", patience_s=5):
+    for image in connect(url).stream("palm", patience_s=BUSY_S):
         if image.status:
             assert image.status["state"] == "live"
             assert image.status["sensor"] == "palm"
@@ -60,7 +66,7 @@ def test_as_in_the_readme(playing, url, capsys):
 def test_the_same_for_asyncio(playing, url):
     async def three():
         seen = []
-        async for image in connect(url).astream("palm", rate_hz=50, patience_s=5):
+        async for image in connect(url).astream("palm", rate_hz=50, patience_s=BUSY_S):
             seen.append(image)
             if len(seen) == 3:
                 break
@@ -77,13 +83,13 @@ def test_the_same_for_asyncio(playing, url):
 def test_shear_comes_with_the_images_where_it_is_asked_for(request, sensor):
     with rigged(request.node.name) as rig, running(rig.service) as url:
         shown = rig.show(X, Y)
-        image = next(connect(url).stream(sensor, patience_s=5, shear=True))
+        image = next(connect(url).stream(sensor, patience_s=BUSY_S, shear=True))
         np.testing.assert_array_equal(image.shear, shown.shear)
         assert image.shear[:, 0, :2].tolist() == [[100.0, -200.0], [1.0, 2.0]]
         np.testing.assert_array_equal(image.restored, shown.restored)
         np.testing.assert_array_equal(image.raw, shown.raw)
         assert (image.sequence, image.sensor) == (shown.sequence, "skin")
-        assert next(connect(url).stream(sensor, patience_s=5)).shear is None
+        assert next(connect(url).stream(sensor, patience_s=BUSY_S)).shear is None
 
 
 def test_shear_as_in_the_readme(request, capsys):
@@ -99,12 +105,12 @@ def test_shear_as_in_the_readme(request, capsys):
 @pytest.mark.usefixtures("playing")
 def test_shear_of_a_skin_without_is_refused_in_the_services_own_words(url):
     with pytest.raises(TactileError, match="sensor 'palm': its codec packed carries no shear"):
-        next(connect(url).stream("palm", patience_s=5, shear=True))
+        next(connect(url).stream("palm", patience_s=BUSY_S, shear=True))
 
 
 def test_a_stream_goes_on_when_the_service_is_back(playing):
     with running(playing.service) as url:
-        stream = connect(url).stream("palm", patience_s=20)
+        stream = connect(url).stream("palm", patience_s=BUSY_S)
         before = next(stream)
     with running(playing.service, Server(port=int(url.rsplit(":", 1)[1]))):
         after = next(image for image in stream if image.sequence > before.sequence + 5)
@@ -114,9 +120,9 @@ def test_a_stream_goes_on_when_the_service_is_back(playing):
 
 def test_a_silent_sensor_ends_patience(rig, url):
     rig.show(pressed())
-    stream = connect(url).stream("palm", patience_s=0.3)
+    stream = connect(url).stream("palm", patience_s=2.0)
     next(stream)
-    with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 0.3 s"):
+    with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 2.0 s"):
         next(stream)
 
 
@@ -156,10 +162,10 @@ def test_refusals_are_in_the_services_own_words(url, streamed):
 def test_a_token_is_shown(rig):
     rig.show(pressed())
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
-        assert next(connect(url, "c" * 16).stream("palm", patience_s=5)).sequence == 0
+        assert next(connect(url, "c" * 16).stream("palm", patience_s=BUSY_S)).sequence == 0
         connect(url, "c" * 16).tare("palm")
         with pytest.raises(TactileError, match="a token is needed"):
-            next(connect(url).stream("palm", patience_s=5))
+            next(connect(url).stream("palm", patience_s=BUSY_S))
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:8000", "file:///etc/passwd", "http://", ""])
@@ -171,8 +177,8 @@ def test_an_address_that_is_none_is_refused(url):
 def test_a_service_that_is_not_there_is_told():
     with pytest.raises(TactileError, match="is the service running"):
         connect("http://127.0.0.1:9").sensors()
-    with pytest.raises(TactileError, match=r"no image for 0.1 s: Connection refused: is the service running\?"):
-        next(connect("http://127.0.0.1:9").stream("palm", patience_s=0.1))
+    with pytest.raises(TactileError, match=r"no image for 2\.0 s: Connection refused: is the service running\?"):
+        next(connect("http://127.0.0.1:9").stream("palm", patience_s=2.0))
 
 
 def test_what_a_stream_waits_for_is_logged_once(caplog):

@@ -60,7 +60,7 @@ def test_a_frame_that_waits_when_the_next_one_comes_is_skipped_and_counted(plan)
 
 
 def test_a_frame_that_cannot_be_restored_is_told_and_ends_nothing(plan, monkeypatch):
-    sensor = Sensor(plan)
+    sensor = Sensor(plan, lambda: 0.0)
     sensor.start()
     process = sensor._pipeline.process
     monkeypatch.setattr(sensor._pipeline, "process", lambda _: 1 / 0)
@@ -113,7 +113,7 @@ class Bus:
 
 
 def test_a_bus_that_goes_away_is_told_and_opened_again_when_it_is_back(plan, monkeypatch):
-    bus, sensor = Bus(), Sensor(plan)
+    bus, sensor = Bus(), Sensor(plan, lambda: 0.0)
     monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
     listener = Listener("can0", {}, {"palm": sensor})
     sensor.start()

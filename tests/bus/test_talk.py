@@ -22,7 +22,7 @@ from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
 from tactiled.service import Service
 from tactiled.simulate import answer, player
-from tests.conftest import until
+from tests.conftest import BUSY_S, until
 
 ASK, OTHER = Message(0.0, 0x27, b"\xb1\xc6"), Message(0.0, 0x27, b"\xb2\xc6")
 SET, GO, STOP = (Message(0.0, 0x20D, bytes((each,))) for each in (1, 2, 3))
@@ -175,8 +175,8 @@ def test_a_polled_hand_is_asked_and_what_it_answers_is_served(channel, there):
 def test_after_the_service_ends_nothing_is_asked(channel, there):
     service = Service(config(channel, HAND))
     service.start()
-    assert there.receive(5.0).data.hex() == "b2c6"
-    assert there.receive(5.0).data.hex() == "b1c6"
+    assert there.receive(BUSY_S).data.hex() == "b2c6"
+    assert there.receive(BUSY_S).data.hex() == "b1c6"
     service.stop()
     while there.receive(0.0) is not None:
         pass
@@ -187,10 +187,10 @@ def test_a_board_is_started_by_the_service_and_stopped_at_its_end(channel, there
     service = Service(config(channel, BOARD))
     began = time.monotonic()
     service.start()
-    said = [there.receive(5.0).data.hex() for _ in range(3)]
+    said = [there.receive(BUSY_S).data.hex() for _ in range(3)]
     assert time.monotonic() - began > 0.4
     service.stop()
-    assert [*said, there.receive(5.0).data.hex()] == ["4d001ef0", "50000f00010022", "0700", "0701"]
+    assert [*said, there.receive(BUSY_S).data.hex()] == ["4d001ef0", "50000f00010022", "0700", "0701"]
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from tactiled.config.build import make_codec
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
+from tests.conftest import BUSY_S, Clock
 
 CONFIG = """
 [bus.can0]
@@ -151,22 +152,17 @@ def test_a_frame_that_cannot_be_restored_is_told_and_the_next_one_comes(lossy, m
     assert [each.sequence for each in got] == [each for each in range(FRAMES) if each != 5]
 
 
-def test_the_recorded_pace_and_multiples_of_it(lossy, codec):
-    import time
-
-    for speed, expected in ((1, 0.59), (3, 0.2)):
-        took, done = [], Event()
-        play = Replay(
-            lossy,
-            {"palm": codec},
-            lambda *_: took.append(time.monotonic()),  # noqa: B023
-            speed,
-            lambda _: done.set(),  # noqa: B023
-        )
-        play.start()
-        assert done.wait(10)
-        play.stop()
-        assert took[-1] - took[0] == pytest.approx(expected, abs=0.08)
+@pytest.mark.parametrize("speed", [1, 3])
+def test_the_recorded_pace_and_multiples_of_it(lossy, codec, monkeypatch, speed):
+    clock, took, done = Clock(), [], Event()
+    monkeypatch.setattr("tactiled.bus.replay.time", clock)
+    play = Replay(lossy, {"palm": codec}, lambda *_: took.append(clock.now), speed, lambda _: done.set())
+    play._stop = clock
+    play.start()
+    assert done.wait(BUSY_S)
+    play.stop()
+    assert len(took) == FRAMES
+    assert took[-1] - took[0] == pytest.approx((FRAMES - 1) * 0.01 / speed)
 
 
 def test_a_stop_ends_it_in_a_pause(tmp_path, codec):

@@ -1,5 +1,5 @@
 import threading
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from tactiled.config import load, parse
 from tactiled.config.build import make_array, make_codec, sensor_plans
 from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
+from tests.conftest import Clock
 
 
 def run(*arguments):
@@ -146,9 +147,13 @@ def test_what_cannot_be_is_refused_in_one_line_and_writes_nothing(tmp_path, requ
     assert list(tmp_path.iterdir()) == [there]
 
 
-def test_a_silent_bus_ends_in_time(request):
-    began = time.monotonic()
-    done = run("--interface", "virtual", "--channel", request.node.name, "--seconds", 0.2)
+def test_a_silent_bus_ends_in_time(monkeypatch):
+    clock = Clock()
+    silent = SimpleNamespace(receive=lambda timeout: clock.wait(timeout) or None, close=lambda: None)
+    monkeypatch.setattr("tactiled.cli.sniff.open_bus", lambda **_: silent)
+    monkeypatch.setattr("tactiled.cli.sniff.time", clock)
+    began = clock.now
+    done = run("--interface", "virtual", "--seconds", 0.2)
     assert done.exit_code == 0
     assert "0 messages in 0.2 s" in done.output
-    assert time.monotonic() - began < 1.0
+    assert clock.now - began == pytest.approx(0.2)

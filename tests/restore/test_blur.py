@@ -54,7 +54,7 @@ def test_every_form_is_the_stencil_entry_by_entry(form, refine, shape):
     np.testing.assert_allclose(adjoint(y).ravel(), A.T @ y.ravel(), atol=1e-6 * np.abs(A).sum(0).max())
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     form=st.sampled_from(FORMS),
     refine=st.integers(1, 3),
@@ -72,7 +72,7 @@ def test_the_adjoint_is_the_adjoint(form, refine, shape, batch, seed):
     assert abs(left - right) <= 1e-10 * scale
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(taxels=st.integers(1, 30), cells=st.integers(1, 30), seed=st.integers(0, 2**32 - 1))
 def test_the_adjoint_of_a_matrix_is_its_transpose(taxels, cells, seed):
     random = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-import time
+import sys
 from threading import Event, Timer
 
 import numpy as np
@@ -14,6 +14,7 @@ from tactiled.frames import Message
 from tactiled.geometry import grid
 from tactiled.simulate import play, player
 from tactiled.simulate.play import STAY_S, TOUR
+from tests.conftest import Clock
 
 
 def one(sequence, _, now):
@@ -34,42 +35,46 @@ def make():
     return players
 
 
-def test_frames_leave_at_their_rate_and_do_not_drift():
+@pytest.fixture
+def clock(monkeypatch):
+    made = Clock()
+    monkeypatch.setattr(sys.modules["tactiled.simulate.play"], "time", made)
+    return made
+
+
+def test_frames_leave_at_their_rate_and_do_not_drift(clock):
     """Slow frames delay themselves only: the last is as near to its own deadline as the first."""
-    sent = []
+    sent, began = [], clock.now
 
     def slow(sequence, t, now):
-        sent.append((t, time.monotonic()))
-        time.sleep(0.003)
+        sent.append((t, clock.now - began))
+        clock.now += 0.003
         return one(sequence, t, now)
 
-    began = time.monotonic()
-    count = play(slow, lambda _: None, 50.0, Event(), 2.0)
-    assert count == pytest.approx(100, abs=3)  # a machine that is busy may hold it up
-    np.testing.assert_allclose(np.diff([t for t, _ in sent]), 0.02, atol=0.06)
-    late = np.array([at - began - t for t, at in sent])
-    assert abs(np.median(late[-20:]) - np.median(late[:20])) < 0.003
+    assert play(slow, lambda _: None, 50.0, clock, 2.0) == 100
+    np.testing.assert_allclose(sent, np.arange(100)[:, None] * [0.02, 0.02], atol=1e-9)
 
 
-def test_a_hold_up_is_not_made_good_by_a_burst():
+def test_a_hold_up_is_not_made_good_by_a_burst(clock):
     at = []
 
     def held_up(sequence, t, now):
-        at.append(time.monotonic())
+        at.append(clock.now)
         if sequence == 5:
-            time.sleep(0.3)
+            clock.now += 0.3
         return one(sequence, t, now)
 
-    play(held_up, lambda _: None, 100.0, Event(), 0.5)
-    assert np.count_nonzero(np.diff(at) < 0.004) <= 1
+    play(held_up, lambda _: None, 100.0, clock, 0.5)
+    gaps = np.diff(at)
+    assert gaps[5] == pytest.approx(0.3)
+    assert np.count_nonzero(gaps < 0.0099) == 1
 
 
-def test_messages_go_out_in_order_with_the_time_of_their_frame():
-    sent = []
-    play(one, sent.append, 200.0, Event(), 0.05)
-    assert [each.id for each in sent] == sorted(2 * list(range(len(sent) // 2)))
-    assert len(sent) >= 10
-    assert all(abs(each.time - time.time()) < 5 for each in sent)
+def test_messages_go_out_in_order_with_the_time_of_their_frame(clock):
+    sent, began = [], clock.now
+    play(one, sent.append, 200.0, clock, 0.05)
+    assert [each.id for each in sent] == sorted(2 * list(range(10)))
+    assert [each.time - began for each in sent] == pytest.approx(np.repeat(np.arange(10) / 200, 2))
 
 
 def test_rounding_sends_no_frame_more_than_was_asked_for():

@@ -1,11 +1,9 @@
 import json
 import re
 import struct
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
-import httpx
 import jsonschema
 import pytest
 from pydantic import SecretStr
@@ -20,14 +18,14 @@ from tactiled.web.server import running
 from tactiled.web.session import CLOSES
 from tactiled.web.wire import HEADER, unpack
 from tactiled.web.wish import PARAMETERS, Wish, wish
-from tests.conftest import pressed, until
+from tests.conftest import BUSY_S, ask, pressed, until
 
 README = Path(__file__).parents[2] / "README.md"
 
 
 @pytest.fixture
 def document(url):
-    return httpx.get(url + "/api/v1/asyncapi.json").raise_for_status().json()
+    return ask("GET", url + "/api/v1/asyncapi.json").raise_for_status().json()
 
 
 def found(document, ref):
@@ -47,20 +45,18 @@ def websocket(url, path):
     return connect(url.replace("http", "ws", 1) + path, compression=None)
 
 
-def heard(client, seconds):
-    got, end = [], time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0:
-        try:
-            got.append(client.recv(timeout=left))
-        except TimeoutError:
-            break
+def heard(client, true):
+    """The messages up to the first that is so."""
+    got = [client.recv(timeout=BUSY_S)]
+    while not true(got[-1]):
+        got.append(client.recv(timeout=BUSY_S))
     return got
 
 
 def test_it_says_where_it_is_and_openapi_says_where_to_find_it(url, document):
     assert document["asyncapi"] == "3.0.0"
     assert document["servers"]["here"] == {"host": url.removeprefix("http://"), "protocol": "ws"}
-    openapi = httpx.get(url + "/api/v1/openapi.json").json()
+    openapi = ask("GET", url + "/api/v1/openapi.json").json()
     assert "(asyncapi.json)" in openapi["info"]["description"]
 
 
@@ -83,12 +79,17 @@ def test_every_example_is_what_it_is_an_example_of(document):
 
 @pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])
 def test_what_is_streamed_is_what_is_described(rig, url, document, path):
+    rig.stale_after(600)
     with websocket(url, path + "?format=json&contacts=1") as client:
-        before = heard(client, 0.3)  # no frame yet
+        told = heard(client, lambda text: '"silent"' in text)
         rig.show(pressed())
+        told += heard(client, lambda text: json.loads(text)["type"] == "contacts")
         rig.send(pressed(), drop=[0])  # taxels missing: null in the raw image
-        after = heard(client, 1.5)  # the sensor falls silent
-    told = [json.loads(text) for text in before + after]
+        told += heard(client, lambda text: '"frame"' in text and "null" in text)
+        told += heard(client, lambda text: '"live"' in text and '"status"' in text)
+        rig.stale_after(0.3)
+        told += heard(client, lambda text: '"stale"' in text)
+    told = [json.loads(text) for text in told]
     assert {each["type"] for each in told} == {"frame", "status", "contacts"}
     assert {each["state"] for each in told if each["type"] == "status"} == {"silent", "live", "stale"}
     assert any(None in row for each in told if each["type"] == "frame" for row in each["values"])
@@ -112,17 +113,19 @@ def test_what_a_client_may_say_is_what_is_described(url, document, said, good):
     with websocket(url, "/api/v1/stream") as client:
         client.send(said)
         if good:
-            assert heard(client, 0.3)
+            assert client.ping().wait(BUSY_S)  # it has been heard by then
+            heard(client, lambda text: '"status"' in text)
+            heard(client, lambda text: '"status"' in text)
         else:
             with pytest.raises(ConnectionClosed):
-                heard(client, 0.3)
+                heard(client, lambda _: False)
 
 
 @pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])
 def test_bytes_lie_where_the_layout_says(rig, url, document, path):
     image = rig.show(pressed())
     with websocket(url, path + "?kinds=raw") as client:
-        data = next(each for each in heard(client, 0.3) if isinstance(each, bytes))
+        data = heard(client, lambda each: isinstance(each, bytes))[-1]
     layout = {
         each["meaning"].split(",")[0]: each for each in document["components"]["messages"]["image"]["x-layout"]
     }
@@ -164,7 +167,7 @@ def test_the_parameters_described_are_those_there_are(document):
 def closed(client):
     """The code that a stream is closed with."""
     with pytest.raises(ConnectionClosed) as caught:
-        heard(client, 5)
+        heard(client, lambda _: False)
     return caught.value.rcvd.code
 
 
@@ -184,7 +187,7 @@ def test_every_close_code_described_is_the_one_used(rig, document, monkeypatch):
                 client.send("x" * 70_000)
                 seen["1009"] = closed(client)
             ending = stack.enter_context(connect(address))
-            ending.recv(timeout=2)
+            ending.recv(timeout=BUSY_S)
         seen["1012"] = closed(ending)
     for bound, name in (("streams_per_client", "4429"), ("streams", "4503")):
         with ExitStack() as stack:

@@ -6,7 +6,6 @@ import socket
 import tempfile
 import time
 from contextlib import ExitStack
-from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -24,14 +23,12 @@ from tactiled.sensor import Sensor
 from tactiled.web import body, patience
 from tactiled.web.keys import Keys
 from tactiled.web.server import running
-from tests.conftest import pressed, until
+from tests.conftest import BUSY_S, ask, pressed, until
 from tests.web.test_rest import problem
 
 TOUCHED = Path("/tmp/was-here-by-a-film")
-BUSY_S = 30  # that a machine may be busy with other things
 METHOD = "/api/v1/sensors/palm/method"
 RAW = {"method": "raw"}
-ask = partial(httpx.request, timeout=BUSY_S)
 
 
 @pytest.fixture
@@ -284,7 +281,7 @@ def test_a_request_that_never_gets_anywhere_is_cut_off(rig, monkeypatch, begun):
 
 
 def test_a_second_request_on_a_connection_is_watched_as_well(rig, monkeypatch):
-    monkeypatch.setattr(patience, "HEAD_S", 1.0)
+    monkeypatch.setattr(patience, "HEAD_S", 3.0)
     with running(rig.service) as url, plug(url) as end:
         end.sendall(f"GET /api/v1/events HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
         assert end.recv(1 << 16).startswith(b"HTTP/1.1 200")
@@ -301,11 +298,12 @@ def test_a_head_without_end_is_cut_off(url):
 
 
 def test_a_body_that_never_comes_is_given_up_on_and_blocks_nobody(url, monkeypatch):
-    monkeypatch.setattr(body, "IN_TIME_S", 0.5)
-    for path, verb in ((METHOD, "PUT"), ("/api/v1/restore?sensor=palm", "POST")):
-        headers = "Content-Type: application/json", "Content-Length: 10"
-        status, content = raw(url, f"{verb} {path}", *headers, data=b"{")
-        assert status == 408, content
+    with monkeypatch.context() as hasty:
+        hasty.setattr(body, "IN_TIME_S", 0.5)
+        for path, verb in ((METHOD, "PUT"), ("/api/v1/restore?sensor=palm", "POST")):
+            headers = "Content-Type: application/json", "Content-Length: 10"
+            status, content = raw(url, f"{verb} {path}", *headers, data=b"{")
+            assert status == 408, content
     film = npy(np.zeros((1, 8, 8)))
     assert ask("POST", url + "/api/v1/restore?sensor=palm", content=film).status_code == 200
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from contextlib import ExitStack, contextmanager
 
-import httpx
 import numpy as np
 import pytest
 from mcap.records import Schema
@@ -19,7 +18,7 @@ from tactiled import foxglove
 from tactiled.cli import app as door
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.bridge import bridge
-from tests.conftest import CONFIG, pressed, until
+from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
 from tests.skin import X, Y, rigged
 
 TOPICS = {f"/palm/{name}" for name in ("raw", "restored", "status", "state", "contacts")}
@@ -31,10 +30,10 @@ class App:
     def __init__(self, socket, topics, offered=TOPICS):
         self.socket = socket
         assert socket.subprotocol == "foxglove.sdk.v1"
-        assert json.loads(socket.recv(timeout=2))["op"] == "serverInfo"
+        assert json.loads(socket.recv(timeout=BUSY_S))["op"] == "serverInfo"
         self.channels = {}
         while len(self.channels) < len(offered):
-            told = json.loads(socket.recv(timeout=2))
+            told = json.loads(socket.recv(timeout=BUSY_S))
             assert told["op"] == "advertise"
             self.channels |= {each["topic"]: each for each in told["channels"]}
         self.decoders = {self.channels[topic]["id"]: self.decoder(self.channels[topic]) for topic in topics}
@@ -52,7 +51,7 @@ class App:
     def next(self, topic):
         """The next message of a topic, and its log time (ns)."""
         while True:
-            data = self.socket.recv(timeout=5)
+            data = self.socket.recv(timeout=BUSY_S)
             code, subscription, at = struct.unpack_from("<BIQ", data)
             assert code == 1
             if subscription == 100 + self.channels[topic]["id"]:
@@ -84,7 +83,7 @@ def test_the_images_are_those_of_rest_and_to_scale(rig, url):
         image = rig.show(pressed())
         for kind in ("raw", "restored"):
             grid, at = client.next(f"/palm/{kind}")
-            told = httpx.get(f"{url}/api/v1/sensors/palm/frames/{kind}").json()
+            told = ask("GET", f"{url}/api/v1/sensors/palm/frames/{kind}").json()
             np.testing.assert_allclose(pressures(grid), told["values"], atol=1e-4)
             assert at == round(told["timestamp"] * 1e9)
             assert (grid.frame_id, grid.cell_size.x, grid.cell_size.y) == ("palm", 0.001, 0.001)
@@ -168,7 +167,7 @@ def test_a_fault_is_told_and_the_next_image_comes(rig, url, monkeypatch, caplog)
             broken.setattr(foxglove.Topics, "messages", lambda *_: 1 / 0)
             rig.show(pressed())
             until(lambda: rig.service.faults.now)
-        told = httpx.get(url + "/api/v1/health").json()
+        told = ask("GET", url + "/api/v1/health").json()
         assert told["faults"] == {"foxglove of palm": "ZeroDivisionError: division by zero"}
         assert told["status"] == "degraded"
         assert "fault_raised" in {each.kind for each in rig.service.events.after(0)}

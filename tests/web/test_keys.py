@@ -7,7 +7,7 @@ from websockets.sync.client import connect
 from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.web.server import running
-from tests.conftest import CONFIG, pressed
+from tests.conftest import BUSY_S, CONFIG, ask, pressed
 
 READ, CONTROL = "r" * 16, "c" * 16
 
@@ -26,7 +26,7 @@ def bearer(token):
 @pytest.mark.parametrize("token", ["", "r", "x" * 16, READ + "r", "ü" * 16])
 @pytest.mark.parametrize("path", ["/", "/api/v1/health", "/api/v1/openapi.json", "/static/app.js"])
 def test_nothing_is_seen_without_a_token(guarded, path, token):
-    answer = httpx.get(guarded + path, params={"token": token})
+    answer = ask("GET", guarded + path, params={"token": token})
     assert answer.status_code == 401
     assert answer.headers["www-authenticate"] == "Bearer"
     assert answer.json()["detail"].startswith("a token is needed")
@@ -35,16 +35,16 @@ def test_nothing_is_seen_without_a_token(guarded, path, token):
 def test_the_read_token_reads_and_the_control_token_controls(guarded, rig):
     method = guarded + "/api/v1/sensors/palm/method"
     asked = {"method": "raw"}
-    assert httpx.get(method, headers=bearer(READ)).status_code == 200
-    answer = httpx.put(method, json=asked, headers=bearer(READ))
+    assert ask("GET", method, headers=bearer(READ)).status_code == 200
+    answer = ask("PUT", method, json=asked, headers=bearer(READ))
     assert (answer.status_code, rig.sensor.method) == (403, "wiener")
     assert "control token" in answer.json()["detail"]
-    assert httpx.put(method, json=asked, headers=bearer(CONTROL)).status_code == 200
+    assert ask("PUT", method, json=asked, headers=bearer(CONTROL)).status_code == 200
     assert rig.sensor.method == "raw"
 
 
 def test_a_browser_keeps_the_token_where_no_script_reads_it(guarded):
-    with httpx.Client(base_url=guarded) as browser:
+    with httpx.Client(base_url=guarded, timeout=BUSY_S) as browser:
         answer = browser.get("/", params={"token": READ})
         assert (answer.status_code, answer.headers["location"]) == (303, "/")
         cookie = answer.headers["set-cookie"]
@@ -58,12 +58,12 @@ def test_streams_need_a_token_too(guarded):
     address = guarded.replace("http", "ws", 1) + "/api/v1/sensors/palm/stream"
     with connect(address) as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4401
     with connect(f"{address}?token={READ}") as client:
-        assert client.recv(timeout=2)
+        assert client.recv(timeout=BUSY_S)
     with connect(address, additional_headers=bearer(CONTROL)) as client:
-        assert client.recv(timeout=2)
+        assert client.recv(timeout=BUSY_S)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,10 @@
 import can
-import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tactiled.bus.faults import KINDS
 from tactiled.web.metrics import _family
-from tests.conftest import pressed, until
+from tests.conftest import ask, pressed, until
 
 
 @pytest.fixture
@@ -13,7 +12,7 @@ def scrape(url):
     """What Prometheus's own parser reads: {(name, labels): value}."""
 
     def scraped():
-        answer = httpx.get(url + "/metrics")
+        answer = ask("GET", url + "/metrics")
         assert answer.status_code == 200
         assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
         return samples(answer.text)
@@ -39,7 +38,7 @@ def test_a_sensors_health_and_counts_are_those_of_the_api(rig, scrape, url):
     rig.send(pressed(), drop=(1,))
     rig.bus._bus.send(can.Message(is_error_frame=True))
     until(lambda: rig.sensor.status().loss.lost and rig.sensor.status().loss.errors)
-    told, state = scrape(), httpx.get(url + "/api/v1/sensors/palm").json()
+    told, state = scrape(), ask("GET", url + "/api/v1/sensors/palm").json()
     for kind, count in state["loss"].items():
         assert told[palm("loss_total", kind=kind)] == count
     assert told[palm("loss_total", kind="lost")] == 1

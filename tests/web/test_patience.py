@@ -60,11 +60,11 @@ def test_a_head_without_end_is_cut_off_whatever_came_before(talk, before):
 
 
 def test_a_head_is_not_late_while_the_service_itself_reads_nothing(rig, monkeypatch):
-    monkeypatch.setattr(patience, "HEAD_S", 0.3)
+    monkeypatch.setattr(patience, "HEAD_S", 2.0)
     with running(rig.service) as url, plug(url) as end:
         slow, quick = (
             f"GET /api/v1/{path} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode()
-            for path in ("events?wait=1.5", "health")
+            for path in ("events?wait=5", "health")
         )
         end.sendall(slow + quick + quick[:10])  # read no further until the first two are answered
         answers = b""

@@ -1,4 +1,5 @@
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -42,8 +43,7 @@ def test_a_picture_of_what_is_past_says_so(rig):
     assert picture.draw(rig.sensor, image, "raw", None).axes[0].get_title() == "palm, raw, frame 0"
     until(lambda: rig.sensor.status().state == "stale")
     title = picture.draw(rig.sensor, image, "raw", None).axes[0].get_title()
-    assert title.startswith("palm, raw, frame 0\nSTALE: 0.")
-    assert title.endswith(" s old")
+    assert re.fullmatch(r"palm, raw, frame 0\nSTALE: \d+\.\d+ s old", title)
 
 
 def test_the_legend_is_as_high_as_the_map_and_the_map_true_to_scale(pair):

@@ -14,7 +14,7 @@ from tactiled.bus import record, recording
 from tactiled.events import Events
 from tactiled.web import problems
 from tactiled.web.recordings import make
-from tests.conftest import until
+from tests.conftest import BUSY_S, until
 
 ROOT = "/api/v1/recordings"
 
@@ -28,7 +28,9 @@ def serving(app):
     thread.start()
     while not server.started:
         time.sleep(0.005)
-    with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False) as client:
+    with httpx.Client(
+        base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False, timeout=BUSY_S
+    ) as client:
         yield client
     server.should_exit = True
     thread.join()

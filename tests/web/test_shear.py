@@ -16,6 +16,7 @@ from tactiled.web import window
 from tactiled.web.server import running
 from tactiled.web.shear import Shear
 from tactiled.web.wire import unpack
+from tests.conftest import BUSY_S, ask
 from tests.skin import PALM, X, Y, rigged
 
 LACKS = "sensor 'palm': its codec packed carries no shear"
@@ -26,7 +27,7 @@ def skin(request):
     with ExitStack() as stack:
         rig = stack.enter_context(rigged(request.node.name))
         url = stack.enter_context(running(rig.service))
-        yield rig.show, stack.enter_context(httpx.Client(base_url=url + "/api/v1/sensors"))
+        yield rig.show, stack.enter_context(httpx.Client(base_url=url + "/api/v1/sensors", timeout=BUSY_S))
 
 
 def stream(client, query=""):
@@ -35,7 +36,7 @@ def stream(client, query=""):
     return connect(f"{address}skin/stream{query}", compression=None)
 
 
-def heard(socket, count, timeout=5.0):
+def heard(socket, count, timeout=BUSY_S):
     """The next messages that are no status."""
     got = []
     while len(got) < count:
@@ -95,7 +96,7 @@ def test_what_cannot_be_served_is_said(skin):
 
 
 def test_a_skin_without_shear_says_so(url):
-    answer = httpx.get(url + "/api/v1/sensors/palm/frames/shear")
+    answer = ask("GET", url + "/api/v1/sensors/palm/frames/shear")
     assert answer.status_code == 404
     assert answer.json()["detail"] == LACKS
 
@@ -130,7 +131,7 @@ def test_a_stream_in_json_says_of_shear_what_rest_says_as_it_is_described(skin):
     assert told == client.get("/skin/frames/shear").json()
     assert (frame["type"], told["type"], told["unit"]) == ("frame", "shear", "counts")
     assert frame["sequence"] == told["sequence"]
-    document = httpx.get(f"{client.base_url.join('/')}api/v1/asyncapi.json").json()
+    document = ask("GET", f"{client.base_url.join('/')}api/v1/asyncapi.json").json()
     schema = document["components"]["messages"]["shear"]["payload"] | {"components": document["components"]}
     jsonschema.validate(told, schema)
     with pytest.raises(jsonschema.ValidationError):
@@ -154,10 +155,10 @@ def test_a_stream_of_several_has_the_shear_of_those_it_is_asked_of(request):
 )
 def test_a_stream_of_shear_of_a_skin_without_is_refused_in_the_words_of_rest(request, path):
     with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
-        assert httpx.get(url + "/api/v1/sensors/palm/frames/shear").json()["detail"] == LACKS
+        assert ask("GET", url + "/api/v1/sensors/palm/frames/shear").json()["detail"] == LACKS
         address = f"{url.replace('http', 'ws', 1)}/api/v1/{path}"
         with connect(address) as socket, pytest.raises(ConnectionClosed) as caught:
-            socket.recv(timeout=5)
+            socket.recv(timeout=BUSY_S)
         assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (4404, LACKS)
 
 
@@ -194,18 +195,18 @@ def test_the_last_seconds_of_shear_are_the_same_in_every_format(skin):
 
 
 def test_the_last_seconds_of_shear_of_a_skin_without_are_refused(url):
-    answer = httpx.get(url + "/api/v1/sensors/palm/frames?kind=shear")
+    answer = ask("GET", url + "/api/v1/sensors/palm/frames?kind=shear")
     assert (answer.status_code, answer.json()["detail"]) == (404, LACKS)
 
 
 def test_the_list_of_sensors_says_which_feel_shear(request):
     with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
-        told = httpx.get(url + "/api/v1/sensors").json()["sensors"]
+        told = ask("GET", url + "/api/v1/sensors").json()["sensors"]
     assert {each["name"]: each["shear"] for each in told} == {"skin": True, "palm": False}
 
 
 @pytest.mark.parametrize("path", ["/api/v1/sensors/{name}/frames", "/api/v1/sensors/{name}/frames/shear"])
 def test_the_examples_of_the_description_are_what_they_are_examples_of(url, path):
-    said = httpx.get(url + "/api/v1/openapi.json").json()["paths"][path]["get"]["responses"]["200"]
+    said = ask("GET", url + "/api/v1/openapi.json").json()["paths"][path]["get"]["responses"]["200"]
     form = Shear if path.endswith("shear") else window.Frames
     form.model_validate(said["content"]["application/json"]["example"])

@@ -16,7 +16,7 @@ from tactiled.web.feed import Feed
 from tactiled.web.server import running
 from tactiled.web.stream import Stream, due_after
 from tactiled.web.wire import unpack
-from tests.conftest import GAIN, NO_LOAD, pressed, until
+from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
 
 FEW = 10  # messages that may be on their way to a client that does not read
 
@@ -27,7 +27,7 @@ def stream(url, query="", **options):
     )
 
 
-def images(client, count, timeout=5.0):
+def images(client, count, timeout=BUSY_S):
     """The next binary messages; TimeoutError where one does not come, whatever is told in text meanwhile."""
     got, end = [], time.monotonic() + timeout
     while len(got) < count:
@@ -51,25 +51,36 @@ def texts(client, seconds):
     return got
 
 
+def told(client, true):
+    """The next text message that is so."""
+    while True:
+        data = client.recv(timeout=BUSY_S)
+        if isinstance(data, str) and true(said := json.loads(data)):
+            return said
+
+
 def test_from_can_messages_to_a_websocket_client(rig, url):
     with stream(url) as client:
         for force in (0, 200, 400):
+            began = time.time()
             rig.send(pressed(force=force))
             raw, restored = images(client, 2)
             assert (raw.kind, restored.kind) == ("raw", "restored")
             assert raw.sequence == restored.sequence == rig.sequence
             np.testing.assert_allclose(raw.values, (pressed(force=force) - NO_LOAD) * GAIN)
             np.testing.assert_array_equal(restored.values, rig.sensor.hub.latest().restored)
-            assert abs(time.time() - raw.sent) < 1
-            assert raw.timestamp <= raw.sent
+            assert began <= raw.timestamp <= raw.sent <= time.time()
         assert restored.values.max() > raw.values.max()  # the cover's blur undone
 
 
 def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
+    rig.stale_after(600)
     for _ in range(3):
         rig.show(pressed())
     with stream(url) as client:
-        first, *_, last = texts(client, 1.5)
+        first = told(client, lambda _: True)
+        rig.stale_after(0.3)
+        last = told(client, lambda said: said["state"] != "live")
     assert first["type"] == "status"
     assert first["skew_s"] >= 0
     assert first["jitter_s"] > 0
@@ -83,18 +94,17 @@ def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
 def test_kinds_format_and_rate(rig, url):
     stop = threading.Event()
     sender = rig.play(100, stop)
+    began = time.monotonic()
     with stream(url, "?kinds=restored&rate_hz=20&format=json") as client:
-        began, sequences = time.monotonic(), []
-        while time.monotonic() - began < 1.0:
-            told = json.loads(client.recv(timeout=2))
-            if told["type"] == "frame":
-                assert told["kind"] == "restored"
-                assert np.shape(told["values"]) == (8, 8)
-                sequences.append(told["sequence"])
+        frames = [told(client, lambda said: said["type"] == "frame") for _ in range(20)]
+        seconds = time.monotonic() - began
     stop.set()
     sender.join()
-    assert 5 <= len(sequences) <= 22
+    assert {each["kind"] for each in frames} == {"restored"}
+    assert {np.shape(each["values"]) for each in frames} == {(8, 8)}
+    sequences = [each["sequence"] for each in frames]
     assert sequences == sorted(set(sequences))
+    assert len(frames) <= 20 * seconds + 2
 
 
 def paced(made, rate_hz):
@@ -123,9 +133,10 @@ def test_no_more_are_sent_than_asked_for_whatever_comes():
 def test_contacts_on_request(rig, url):
     rig.show(pressed())
     with stream(url, "?contacts=1") as client:
-        told = [text for text in texts(client, 0.5) if text["type"] == "contacts"]
-    assert [len(each["contacts"]) for each in told] == [1]
-    assert told[0]["sequence"] == 0
+        found = told(client, lambda said: said["type"] == "contacts")
+        assert all(text["type"] == "status" for text in texts(client, 0.5))
+    assert len(found["contacts"]) == 1
+    assert found["sequence"] == 0
 
 
 @pytest.mark.parametrize("shown", [True, False])
@@ -140,9 +151,12 @@ def test_a_stream_of_contacts_rests_while_no_image_comes(rig, url, monkeypatch, 
     if shown:
         rig.show(pressed())
     with stream(url, "?contacts=1") as client:
-        told = texts(client, 2.0)
-    assert [each["sequence"] for each in told if each["type"] == "contacts"] == [0] * shown
-    assert 2 < len(turns) < 20  # a tick each half second, and the search's end
+        if shown:
+            assert told(client, lambda said: said["type"] == "contacts")["sequence"] == 0
+        until(lambda: len(turns) > 2)
+        turns.clear()
+        assert all(text["type"] == "status" for text in texts(client, 2.0))
+    assert len(turns) < 10  # a tick each half second
 
 
 def test_images_do_not_wait_for_contacts(rig, url, monkeypatch):
@@ -151,10 +165,9 @@ def test_images_do_not_wait_for_contacts(rig, url, monkeypatch):
     with stream(url, "?contacts=1") as client:
         for at in range(3):
             rig.show(pressed(at))
-            assert [each.sequence for each in images(client, 2, timeout=2)] == [at, at]
+            assert [each.sequence for each in images(client, 2)] == [at, at]
         found.set()
-        while json.loads(client.recv(timeout=2))["type"] != "contacts":
-            pass
+        told(client, lambda said: said["type"] == "contacts")
 
 
 def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
@@ -174,7 +187,7 @@ def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
     with stream(url, "?flow=credit&kinds=raw") as client:
         for _ in range(5):
             client.send('{"type": "next"}')
-        assert client.ping().wait(2)
+        assert client.ping().wait(BUSY_S)
         texts(client, 0.3)
         for at in range(2):
             rig.show(pressed(at))
@@ -202,7 +215,7 @@ def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
 def test_a_wrong_address_is_refused_with_the_reason(url, path, code, reason):
     with connect(f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{path}") as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == code
         assert reason in caught.value.rcvd.reason
 
@@ -211,7 +224,7 @@ def test_a_wrong_address_is_refused_with_the_reason(url, path, code, reason):
 def test_an_address_without_a_stream_says_so(url, path):
     with connect(url.replace("http", "ws", 1) + path) as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4404
         assert caught.value.rcvd.reason.startswith(f"{path}: no stream is there")
 
@@ -228,7 +241,7 @@ def test_a_message_that_means_nothing_ends_the_stream_with_the_reason(url):
 def test_a_page_of_another_site_gets_no_stream(url):
     with stream(url, origin="https://elsewhere.example") as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4403
 
 
@@ -246,13 +259,11 @@ def handshake(url, query):
 
 @pytest.mark.parametrize(("query", "mark"), [("", b"TCTL"), ("?format=json", b'"frame"')])
 def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice(rig, url, query, mark):
-    stop = threading.Event()
     with handshake(url, query) as stalled, stream(url, "?kinds=raw") as reading:
-        sender = rig.play(200, stop)
-        sequences = [each.sequence for each in images(reading, 300)]
-        stop.set()
-        sender.join()
-        until(lambda: rig.sensor.hub.latest().sequence == rig.sequence)
+        sequences = []
+        for at in range(300):
+            rig.show(pressed(at % 6))
+            sequences += [each.sequence for each in images(reading, 1)]
         waiting = 0
         stalled.settimeout(0.2)
         try:
@@ -260,33 +271,31 @@ def test_a_client_that_stops_reading_gets_no_backlog_and_the_others_never_notice
                 waiting += data.count(mark)
         except TimeoutError:
             pass
-    assert rig.sequence >= 299
-    assert len(sequences) == len(set(sequences)) == 300
-    assert np.diff(sequences).mean() < 2  # a busy machine may skip a frame; a blocked service skips them all
+    assert sequences == list(range(300))
     assert 0 < waiting <= FEW
 
 
 @pytest.mark.parametrize("query", ["?kinds=raw", "", "?kinds=raw&flow=credit"])
 def test_a_client_that_comes_back_sees_what_was_on_its_way_and_then_nothing_old(rig, url, query):
-    stop = threading.Event()
+    kinds = 1 if "raw" in query else 2
     with stream(url, query, max_queue=1) as client:
-        sender = rig.play(100, stop)
-        ages, back = [], None
-        while len(ages) < 60:
+
+        def read():
             if "credit" in query:
                 client.send('{"type": "next"}')
-            image = images(client, 1)[0]
-            if back is not None:
-                ages.append((image.sent - back, time.time() - image.sent))
-            elif image.sequence > 5:
-                time.sleep(1.0)
-                back = time.time()
-        stop.set()
-        sender.join()
-    before = sum(sent < -0.1 for sent, _ in ages)  # made over 100 ms before the client came back
-    assert before <= (0 if "credit" in query else FEW)
-    assert max(age for _, age in ages[before:]) < 0.5  # s, on a busy machine
-    assert [sent < -0.1 for sent, _ in ages] == [True] * before + [False] * (60 - before)
+            (sequence,) = {each.sequence for each in images(client, kinds)}
+            return sequence
+
+        for at in range(6):
+            rig.show(pressed(at % 6))
+            assert read() == rig.sequence
+        for at in range(200):  # of which it reads none
+            rig.show(pressed(at % 6))
+        old = list(iter(read, rig.sequence))
+        assert len(old) * kinds <= (0 if "credit" in query else FEW)
+        for at in range(50):
+            rig.show(pressed(at % 6))
+            assert read() == rig.sequence
 
 
 @pytest.mark.parametrize(
@@ -323,7 +332,7 @@ def deaf(url):
 
 def test_a_client_that_answers_no_ping_is_closed_and_told_why_and_one_that_does_is_not(rig, monkeypatch):
     assert f"answered no ping for {session.PING_S:g} s" in session.CLOSES[1011]
-    monkeypatch.setattr(session, "PING_S", 0.3)
+    monkeypatch.setattr(session, "PING_S", 2.0)
     with running(rig.service) as url, stream(url) as client:
         closed = deaf(url)
         assert (closed.code, closed.reason) == (1011, "keepalive ping timeout")
@@ -348,7 +357,7 @@ def test_a_service_that_ends_says_so(rig):
     with ExitStack() as stack:
         with running(rig.service) as url:
             client = stack.enter_context(stream(url))
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         with pytest.raises(ConnectionClosed) as caught:
             images(client, 1)
     assert caught.value.rcvd.code == 1012
@@ -366,7 +375,7 @@ def test_a_fault_of_the_service_is_told_as_one(url, monkeypatch, caplog):
 def test_a_long_reason_is_cut_to_what_a_close_frame_holds(url):
     with stream(url, "?kinds=" + "ü" * 200) as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4400
         assert caught.value.rcvd.reason.startswith("kinds=üüü")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.web import window
-from tests.conftest import pressed, until
+from tests.conftest import ask, pressed, until
 from tests.web.test_rest import problem
 
 PATH = "/api/v1/sensors/palm/frames"
@@ -124,5 +124,5 @@ def test_large_text_is_compressed_for_who_takes_it_and_numbers_are_not(rig, url)
         json.loads(packed.content)
         for path, query in ((PATH, "format=npy&last=60s"), (PATH + "/raw", "format=png"), ("/api/v1/events", "")):
             assert "content-encoding" not in client.get(path, params=query).headers
-    plain = httpx.get(url + PATH, params={"last": "60s"}, headers={"Accept-Encoding": "identity"})
+    plain = ask("GET", url + PATH, params={"last": "60s"}, headers={"Accept-Encoding": "identity"})
     assert "content-encoding" not in plain.headers

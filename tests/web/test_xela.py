@@ -8,24 +8,25 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.frames import Message
-from tests.conftest import Rig, pressed, until
+from tests.conftest import BUSY_S, Rig, pressed, until
 
 SKIN = """
 [sensor.skin]
 bus = "can0"
 method = "raw"
-stale_after_s = 0.4
-codec = { name = "xela" }
-array = { rows = 4, columns = 6, pitch_mm = 4.7 }
-cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { no_load = 36000, noise_kpa = 5 }
+stale_after_s = {stale_after_s}
+codec = {{ name = "xela" }}
+array = {{ rows = 4, columns = 6, pitch_mm = 4.7 }}
+cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
+kernel = {{ model = "layered" }}
+calibration = {{ no_load = 36000, noise_kpa = 5 }}
 """
 
 
 @pytest.fixture
 def rig(request):
-    made = Rig(re.sub(r"\W", "-", request.node.name), SKIN if "without" not in request.node.name else "")
+    skin = SKIN.format(stale_after_s=0.4 if "silent" in request.node.name else 600)
+    made = Rig(re.sub(r"\W", "-", request.node.name), skin if "without" not in request.node.name else "")
     made.service.start()
     yield made
     made.service.stop()
@@ -62,13 +63,13 @@ def parsed(module):
 @pytest.mark.parametrize("path", ["/xela", "/", ""])
 def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
     with websocket(url, path) as client:
-        assert json.loads(client.recv(timeout=2)) == {"message": "Welcome"}
+        assert json.loads(client.recv(timeout=BUSY_S)) == {"message": "Welcome"}
         for number in (1, 2):
+            began = time.time()
             send(rig, counts(number))
-            told = json.loads(client.recv(timeout=5))
+            told = json.loads(client.recv(timeout=BUSY_S))
             at, rates = told.pop("time"), told["1"].pop("ups")
-            assert at <= told.pop("sendtime") <= time.time()
-            assert abs(time.time() - at) < 5
+            assert began <= at <= told.pop("sendtime") <= time.time()
             assert len(rates) == 24
             assert set(rates) == {rates[0]}
             assert told == {
@@ -92,22 +93,22 @@ def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
 
 def test_a_frame_with_taxels_missing_is_not_passed_off_as_whole(rig, url):
     with websocket(url, "/xela") as client:
-        client.recv(timeout=2)
+        client.recv(timeout=BUSY_S)
         send(rig, counts(1))
-        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=5))["1"]), counts(1))
+        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=BUSY_S))["1"]), counts(1))
         send(rig, counts(2), drop=(7,))
         until(lambda: (rig.service.sensor("skin").newest.flags > 0).any())
         with pytest.raises(TimeoutError):
             client.recv(timeout=0.3)
         send(rig, counts(3))
-        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=5))["1"]), counts(3))
+        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=BUSY_S))["1"]), counts(3))
 
 
 def test_a_module_that_has_fallen_silent_is_shown_no_longer(rig, url):
     send(rig, counts(1))
     until(lambda: rig.service.sensor("skin").status().state == "stale")
     with websocket(url, "/xela") as client:
-        client.recv(timeout=2)
+        client.recv(timeout=BUSY_S)
         with pytest.raises(TimeoutError):
             client.recv(timeout=1)
 
@@ -116,5 +117,5 @@ def test_a_service_without_xelas_modules_says_so(rig, url):
     rig.show(pressed())
     with websocket(url, "/xela") as client:
         with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (4404, "no sensor here has the codec xela")

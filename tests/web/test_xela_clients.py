@@ -12,7 +12,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from urllib.parse import urlsplit
 
-import httpx
 import jsonschema
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from tactiled.frames import MISSING, Message
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.web import server
 from tactiled.web.server import running, serve, xelas
-from tests.conftest import Rig, until
+from tests.conftest import BUSY_S, Rig, ask, until
 
 MODULE = """
 [sensor.{name}]
@@ -133,7 +132,9 @@ class Client:
     """What all have in common: ws://IP:PORT and no path, a welcome, and then messages."""
 
     def __init__(self, url):
-        self.app = websocket.create_connection(f"ws://{urlsplit(url).hostname}:{urlsplit(url).port}", timeout=5)
+        self.app = websocket.create_connection(
+            f"ws://{urlsplit(url).hostname}:{urlsplit(url).port}", timeout=BUSY_S
+        )
         self.welcomed = json.loads(self.app.recv())
         assert self.welcomed["message"] == "Welcome"
 
@@ -413,7 +414,7 @@ def test_a_taxel_that_no_frame_of_the_tare_had_has_no_known_force(request):
 
 
 def test_asyncapi_describes_what_is_sent(rig, url):
-    document = httpx.get(url + "/api/v1/asyncapi.json").json()
+    document = ask("GET", url + "/api/v1/asyncapi.json").json()
     messages, schemas = document["components"]["messages"], {"components": document["components"]}
     with Middleware(url) as reader:
         rig.send(5)
@@ -432,13 +433,13 @@ def test_asyncapi_describes_what_is_sent(rig, url):
 
 def test_what_forces_and_that_port_come_from_is_told(rig, url):
     api = url + "/api/v1"
-    assert httpx.get(api + "/sensors/skin/calibration").json()["shear_n_per_count"] == 0.0006
-    assert httpx.get(api + "/sensors/palm/calibration").json()["shear_n_per_count"] is None
-    told = httpx.get(api + "/config").json()["server"]
+    assert ask("GET", api + "/sensors/skin/calibration").json()["shear_n_per_count"] == 0.0006
+    assert ask("GET", api + "/sensors/palm/calibration").json()["shear_n_per_count"] is None
+    told = ask("GET", api + "/config").json()["server"]
     assert (told["xela"], told["xela_host"]) == (None, "127.0.0.1")
     with running(rig.service, GUARDED) as guarded:
         headers = {"Authorization": "Bearer " + "r" * 16}
-        assert httpx.get(guarded + "/api/v1/config", headers=headers).json()["server"]["xela"] == 0
+        assert ask("GET", guarded + "/api/v1/config", headers=headers).json()["server"]["xela"] == 0
 
 
 GUARDED = Server(port=0, xela=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
@@ -449,7 +450,7 @@ def test_a_port_of_their_own_asks_clients_for_no_token(rig):
         _, forces = reads(RosNode, rig, address)[1]
         np.testing.assert_allclose(forces, newtons(5), atol=1e-5)
         with connect(url.replace("http", "ws", 1)) as closed, pytest.raises(ConnectionClosed) as caught:
-            closed.recv(timeout=2)
+            closed.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4401
 
 
@@ -457,8 +458,8 @@ def test_that_port_has_nothing_else(rig):
     with xelas(rig.service, GUARDED) as address:
         here = address.replace("ws", "http", 1)
         for path in ("/", "/xela", "/api/v1/health", "/api/v1/openapi.json", "/metrics", "/static/app.js"):
-            assert httpx.get(here + path).status_code == 404
-        assert httpx.put(here + "/api/v1/sensors/skin/method", json={"method": "raw"}).status_code == 404
+            assert ask("GET", here + path).status_code == 404
+        assert ask("PUT", here + "/api/v1/sensors/skin/method", json={"method": "raw"}).status_code == 404
         for path in ("/api/v1/stream", "/api/v1/sensors/skin/stream"):
             with pytest.raises(InvalidStatus) as caught:
                 connect(address + path)
@@ -468,7 +469,7 @@ def test_that_port_has_nothing_else(rig):
 def test_that_port_is_closed_to_pages_of_another_site(rig):
     with xelas(rig.service, GUARDED) as address:
         with connect(address, origin="http://x") as client, pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=2)
+            client.recv(timeout=BUSY_S)
         assert caught.value.rcvd.code == 4403
 
 
@@ -507,7 +508,7 @@ def test_the_service_says_where_that_port_is_and_ends_with_it(rig, capsys, monke
     )
     np.testing.assert_array_equal(reads(RosNode, rig, address)[1][0], axes(6, 5))
     made[0].should_exit = True
-    thread.join(10)
+    thread.join(BUSY_S)
     assert not thread.is_alive()
     with pytest.raises(ConnectionRefusedError):
         reads(RosNode, rig, address)
