@@ -310,11 +310,11 @@ def test_a_body_that_never_comes_is_given_up_on_and_blocks_nobody(url, monkeypat
 
 def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
     rig.show(pressed())
-    with running(rig.service, Server(port=0, control_per_minute=6)) as url:
+    with running(rig.service, Server(port=0, control_per_minute=1)) as url:
         assert ask("PUT", url + METHOD, json=RAW).status_code == 200
         answer = ask("PUT", url + METHOD, json={"method": "nnls"})
         problem(answer, 429)
-        assert 1 <= int(answer.headers["retry-after"]) <= 10
+        assert 1 <= int(answer.headers["retry-after"]) <= 60
         frames = f"{url}/api/v1/sensors/palm/frames"
         assert ask("GET", frames + "/deviation").status_code == 200  # counted apart
         for path in ("/raw?format=png", "/deviation", "?last=1s"):
@@ -325,7 +325,7 @@ def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
 
 def test_who_looks_without_end_may_still_change_something(rig):
     rig.show(pressed())
-    with running(rig.service, Server(port=0, control_per_minute=6)) as url:
+    with running(rig.service, Server(port=0, control_per_minute=1)) as url:
         codes = [ask("GET", url + "/api/v1/sensors/palm/frames/deviation").status_code for _ in range(3)]
         assert codes == [200, 429, 429]
         assert ask("PUT", url + METHOD, json=RAW).status_code == 200
@@ -366,7 +366,7 @@ def test_streams_are_bounded_for_each_client_and_for_all_and_counted(rig, path):
 
 def test_a_proxy_on_this_machine_says_whose_request_it_is(rig):
     """The address that the proxy has added is the last one; the client itself may have claimed others before."""
-    with running(rig.service, Server(port=0, control_per_minute=6, streams_per_client=1)) as url:
+    with running(rig.service, Server(port=0, control_per_minute=1, streams_per_client=1)) as url:
         hosts = "10.0.0.1", "10.0.0.2", "9.9.9.9, 10.0.0.1", "10.0.0.1, 10.0.0.3"
         asked = [ask("PUT", url + METHOD, json=RAW, headers={"X-Forwarded-For": each}) for each in hosts]
         assert [each.status_code for each in asked] == [200, 200, 429, 200]
@@ -383,9 +383,9 @@ def test_a_proxy_on_this_machine_says_whose_request_it_is(rig):
 
 def test_a_program_waits_for_a_place_and_says_why_it_has_none(rig):
     with running(rig.service, Server(port=0, streams_per_client=1)) as url:
-        why = r"no image for 0\.5 s: streams_per_client = 1: 127\.0\.0\.1 has as many open"
+        why = r"no image for 2\.0 s: streams_per_client = 1: 127\.0\.0\.1 has as many open"
         with connect(url.replace("http", "ws", 1) + "/api/v1/stream"), pytest.raises(TactileError, match=why):
-            next(tactiled.connect(url).stream("palm", patience_s=0.5))
+            next(tactiled.connect(url).stream("palm", patience_s=2.0))
         rig.show(pressed())
         assert next(tactiled.connect(url).stream("palm", patience_s=BUSY_S)).sequence == 0
 

@@ -47,7 +47,11 @@ def whole(rig, tmp_path):
 
 def test_no_generated_request_finds_a_fault(whole):
     config = SchemathesisConfig.from_dict(
-        {"seed": 1, "generation": {"deterministic": True, "max-examples": 10, "database": "none"}}
+        {
+            "seed": 1,
+            "request-timeout": BUSY_S,
+            "generation": {"deterministic": True, "max-examples": 10, "database": "none"},
+        }
     )
     schema = schemathesis.openapi.from_url(whole + "/api/v1/openapi.json", config=config)
     checked, faults = set(), []

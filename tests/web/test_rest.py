@@ -14,7 +14,7 @@ from tactiled.bus.faults import KINDS
 from tactiled.config import Server
 from tactiled.web import common, picture, rates
 from tactiled.web.server import running as serving
-from tests.conftest import GAIN, NO_LOAD, ask, pressed, until
+from tests.conftest import GAIN, NO_LOAD, pressed, until
 
 PNG = "/api/v1/sensors/palm/frames/raw?format=png"
 
@@ -243,15 +243,15 @@ def test_every_answer_carries_the_security_headers(client):
 def test_clients_record_only_where_a_folder_is_configured(rig, tmp_path):
     for folder, status in ((None, 404), (tmp_path, 200)):
         with serving(rig.service, Server(port=0, recordings=folder)) as url:
-            assert ask("GET", url + "/api/v1/recordings").status_code == status
+            assert httpx.get(url + "/api/v1/recordings", timeout=60).status_code == status
     with serving(rig.service, Server(port=0, recordings=tmp_path)) as url:
-        started = ask("POST", url + "/api/v1/recordings", json={"bus": "can0", "name": "a.log"})
+        started = httpx.post(url + "/api/v1/recordings", timeout=60, json={"bus": "can0", "name": "a.log"})
         assert started.status_code == 201
         for _ in range(5):
             rig.show(pressed())
-        until(lambda: ask("GET", url + "/api/v1/recordings").json()["recordings"][0]["messages"] >= 5)
-        assert ask("POST", url + "/api/v1/recordings/a.log/stop").json()["running"] is False
-        assert ask("GET", url + "/api/v1/recordings/a.log").text.count("#") >= 5
+        until(lambda: httpx.get(url + "/api/v1/recordings", timeout=60).json()["recordings"][0]["messages"] >= 5)
+        assert httpx.post(url + "/api/v1/recordings/a.log/stop", timeout=60).json()["running"] is False
+        assert httpx.get(url + "/api/v1/recordings/a.log", timeout=60).text.count("#") >= 5
 
 
 @pytest.fixture
