@@ -5,6 +5,7 @@ import re
 from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
+from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -68,6 +69,8 @@ class Guard:
         try:
             app = self._answer(refusal, scope, query)
             await app(scope, bounded(scope, receive), guarded)
+        except ClientDisconnect:  # amid its body: there is nobody left to tell
+            return
         except Exception:
             LOG.exception("%s %s failed", scope["method"], scope["path"])
             if started:

@@ -1,5 +1,6 @@
 import io
 import json
+import socket
 
 import httpx
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
 from tactiled.web import body, film
+from tests.conftest import until
 
 
 @pytest.fixture
@@ -78,3 +80,13 @@ def test_an_empty_film_gives_an_empty_one(url):
     answer = post(url, npy(np.zeros((0, 8, 8))))
     assert answer.status_code == 200
     assert np.load(io.BytesIO(answer.content)).shape == (0, 8, 8)
+
+
+def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(url, caplog):
+    with socket.create_connection(url[7:].split(":")) as leaves:
+        head = f"POST /api/v1/restore?sensor=palm HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 5000\r\n\r\n"
+        leaves.sendall(head.encode() + b"\x93NUMPY")
+        until(film.busy.locked)
+    until(lambda: not film.busy.locked())
+    assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
+    assert not caplog.records

@@ -147,6 +147,9 @@ def test_polling_an_unchanged_image_costs_nothing(rig, client):
         ("image/*, application/json;q=0.5", "image/png"),
         ("text/html, application/x-npy;q=0.1", "application/x-npy"),
         ("application/json;q=0, image/png;q=x", 406),
+        ("application/json;q=0, */*", "application/x-npy"),
+        ("application/*;q=0, */*;q=0.1", "image/png"),
+        ("application/*;q=0, application/x-npy;q=0.1", "application/x-npy"),
         ("text/html", 406),
     ],
 )
