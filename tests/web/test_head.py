@@ -6,7 +6,7 @@ from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import pressed, until
+from tests.conftest import BUSY_S, ask, pressed, until
 
 ASKED = {"Accept-Encoding": "gzip"}
 OTHER = ("date", "x-tactiled-age")  # at another time
@@ -26,7 +26,10 @@ FIXED = ("/frames/raw?format=npy", "/geometry", "/kernel", "/method")
 def client(rig, tmp_path):
     rig.show(pressed())
     until(lambda: rig.sensor.status().state == "stale")
-    with running(rig.service, Server(port=0, recordings=tmp_path)) as url, httpx.Client(base_url=url) as made:
+    with (
+        running(rig.service, Server(port=0, recordings=tmp_path)) as url,
+        httpx.Client(base_url=url, timeout=BUSY_S) as made,
+    ):
         yield made
 
 
@@ -41,7 +44,7 @@ def test_head_is_answered_wherever_get_is(client, tmp_path):
     assert len(known) > 10
     for path in (*PATHS, *known):
         place = path.format(name="grasp.log" if "recordings" in path else "palm", kind="raw")
-        got, head = (client.request(verb, place, headers=ASKED, timeout=60) for verb in ("GET", "HEAD"))
+        got, head = (client.request(verb, place, headers=ASKED) for verb in ("GET", "HEAD"))
         assert head.content == b""
         assert told(head, "content-length") == told(got, "content-length"), path  # of a text with an age in it
 
@@ -49,13 +52,13 @@ def test_head_is_answered_wherever_get_is(client, tmp_path):
 @pytest.mark.parametrize("path", FIXED)
 def test_head_says_what_get_would_say(client, path):
     place = "/api/v1/sensors/palm" + path
-    got, head = (client.request(verb, place, headers=ASKED, timeout=60) for verb in ("GET", "HEAD"))
+    got, head = (client.request(verb, place, headers=ASKED) for verb in ("GET", "HEAD"))
     if "format=" in path:
         assert int(head.headers["content-length"]) == len(got.content) > 0
     assert told(head) == told(got)
     if "etag" in got.headers:
         known = {"If-None-Match": got.headers["etag"]}
-        assert client.head(place, headers=known, timeout=60).status_code == 304
+        assert client.head(place, headers=known).status_code == 304
 
 
 def test_head_of_a_file_reads_none_of_it(client, tmp_path):
@@ -78,8 +81,8 @@ def opened():
 
 def test_head_changes_nothing_and_asks_for_the_same_token(rig):
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
-        assert httpx.head(url + "/api/v1/health").status_code == 401
+        assert ask("HEAD", url + "/api/v1/health").status_code == 401
         bearer = {"Authorization": "Bearer " + "c" * 16}
-        assert httpx.head(url + "/api/v1/health", headers=bearer).status_code == 200
-        assert httpx.head(url + "/api/v1/sensors/palm/tare", headers=bearer).status_code == 405
+        assert ask("HEAD", url + "/api/v1/health", headers=bearer).status_code == 200
+        assert ask("HEAD", url + "/api/v1/sensors/palm/tare", headers=bearer).status_code == 405
     assert rig.sensor.tared == 0
