@@ -96,6 +96,11 @@ class ChunkFile(io.RawIOBase):
             raise
         self._at, self._size = at, max(self._size, at)
 
+    @property
+    def removed(self) -> bool:
+        """Whether nobody will find it any more."""
+        return os.fstat(self._fd).st_nlink == 0
+
     def close(self) -> None:
         """Flush and close."""
         if self.closed:
@@ -218,6 +223,8 @@ class Recorder:
             self._writer._flush()  # ends a container: python-can has no public way
         cast(Any, self._writer).file.flush()
         self.written = self._taken
+        if self._file.removed and not self.path.exists():  # some file systems count no links
+            raise TactileError("was removed")
         self._look_for_room()
 
     def _look_for_room(self) -> None:

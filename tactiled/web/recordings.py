@@ -135,12 +135,11 @@ class Recordings:
             return self._told(path)
 
     def stop(self, name: str) -> Recorded:
-        """Stop one; it is whole on the disk when this returns."""
-        path = self.path(name)
+        """Stop one; it is whole on the disk when this returns. Problem where its file has another name by now."""
         with self._lock:
             if name in self._runs:
                 self._runs[name].stop()
-            return self._told(path)
+            return self._told(self.path(name))
 
     def ended(self, name: str) -> Path:
         """Where one is that does not run; Problem where there is none, or it runs."""

@@ -183,6 +183,15 @@ def test_a_disk_full_from_the_start_leaves_an_empty_file(tmp_path, monkeypatch):
     assert (tmp_path / "a.log").read_bytes() == b""
 
 
+def test_a_file_that_is_removed_meanwhile_ends_it_loudly(tmp_path):
+    recorder = Recorder(tmp_path / "a.log")
+    (tmp_path / "a.log").unlink()
+    with pytest.raises(TactileError, match=r"a\.log: was removed: the recording ends early"):
+        fill(recorder)
+    with pytest.raises(TactileError, match="was removed"):
+        recorder.close()
+
+
 def test_a_disk_that_cannot_keep_up_ends_it_loudly_with_all_that_it_took(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda _: time.sleep(1.0))
     recorder, sent = Recorder(tmp_path / "a.log", waiting=100), []

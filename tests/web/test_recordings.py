@@ -225,3 +225,22 @@ def test_a_recording_ends_before_the_disk_is_full_and_says_why(folder, request, 
         room[0] = 501e6
         assert client.post(ROOT, json={"bus": "can0", "name": "b.blf"}).status_code == 201
     assert len(list(recording.read(folder / "a.blf"))) == 50
+
+
+def test_a_recording_whose_file_is_removed_ends_and_its_bus_is_free_again(api, bus, folder):
+    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    send(bus, 10)
+    until(lambda: only(api)["messages"] == 10)
+    (folder / "a.log").unlink()
+    until(lambda: api.post(ROOT, json={"bus": "can0", "name": "b.log"}).status_code == 201)
+    assert [each["name"] for each in api.get(ROOT).json()["recordings"]] == ["b.log"]
+
+
+def test_a_recording_whose_file_is_renamed_can_still_be_stopped(api, bus, folder):
+    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    send(bus, 10)
+    until(lambda: only(api)["messages"] == 10)
+    (folder / "a.log").rename(folder / "b.log")
+    assert api.post(f"{ROOT}/a.log/stop").status_code == 404
+    assert api.post(ROOT, json={"bus": "can0", "name": "c.log"}).status_code == 201
+    assert len(list(recording.read(folder / "b.log"))) == 10
