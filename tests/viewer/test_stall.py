@@ -163,13 +163,18 @@ def test_a_clock_that_is_set_stops_nothing(rig, url, open_page):
     sender.join()
 
 
-def test_the_last_frame_before_a_silence_is_shown_though_it_waited(rig, url, open_page):
+@pytest.mark.parametrize("stale_after_s", [0.3, 4.0], ids=["meanwhile", "later"])
+def test_the_last_frame_before_a_silence_is_shown_though_it_waited(rig, url, open_page, stale_after_s):
     rig.show(pressed(0))
     page = open_page(url)
     keep(lambda: rig.show(pressed(1)), page, "document.body.dataset.level === 'live'")
+    rig.stale_after(stale_after_s)
+    turned(page)
+    before = painted(page)
     page.evaluate(HIDE)
     image = rig.show(pressed(5))
     wait(page, "window.wentOn && document.body.dataset.level === 'stale'")
     wait(page, f"document.getElementById('sequence').innerText === '{image.sequence}'")
+    wait(page, f"{PAINTINGS} > {before}")
     turned(page)
     assert pixels(page, "raw")[3, 5, :3].sum() > 3 * pixels(page, "raw")[3, 1, :3].sum()
