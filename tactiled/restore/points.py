@@ -65,7 +65,7 @@ class Points:
             self._loads, self.never = None, TOO_THIN
         size = scene.flat.size
         self._jacobian = np.empty((6 * MOST, size), np.float32)
-        self._residual = np.empty(size, np.float32)
+        self._residual, self._behind = np.empty((2, size), np.float32)
         self._peeled = np.empty(scene.blur.surface_shape, np.float32)
         self._ones = np.ones(self._peeled.size, np.float32)
         self._refine = scene.blur.surface_shape[0] // scene.blur.frame_shape[0]
@@ -143,7 +143,10 @@ class Points:
         return places if left <= LEFT * total and total**2 <= FLAT * len(places) * k**2 * squares else []
 
     def _refined(self, y: Image, places: Floats) -> tuple[int, "_Fit | None"]:
-        """Give the steps made and the fit that they led to, by Levenberg's damped Gauss-Newton."""
+        """Give the steps made and the fit that they led to, by Levenberg's damped Gauss-Newton.
+
+        Responses and residual are left as they are at that fit.
+        """
         noise = self._scene.noise
         damping, fit = DAMPING, None
         done = 0
@@ -158,8 +161,7 @@ class Points:
                 if not len(places):
                     break
                 continue
-            np.subtract(y, force.astype(np.float32) @ A[0], out=self._residual)
-            left = float(self._residual.dot(self._residual))
+            left = self._leave(y, force)
             if fit is None or left <= fit.left:
                 J, scale = A.reshape(6 * len(force), -1), np.concatenate([np.ones_like(force), *[force] * 5])
                 normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self._residual)
@@ -180,7 +182,17 @@ class Points:
             if np.abs(step).max() < SETTLED:
                 break
             places = self._within(fit.places + np.clip(step, -LEAP, LEAP))
+        if fit is not None and left > fit.left:
+            self._responses(fit.places)
+            self._leave(y, fit.force)
         return done, fit
+
+    def _leave(self, y: Image, force: Floats) -> float:
+        """Put in place what is left of a frame, the loads' last responses taken off; gives its square."""
+        size = y.size
+        responses = self._jacobian[: len(force)].reshape(-1, size)
+        np.subtract(y, force.astype(np.float32) @ responses, out=self._residual)
+        return float(self._residual.dot(self._residual))
 
     def _split(self, fit: "_Fit", image: Image) -> Floats:
         """Give the places, the one that leaves most behind split in two along the image's longer axis there."""
@@ -232,6 +244,8 @@ class Points:
             return None
         if self._longest(fit, reach * SEEN * sqrt(variance)) > common + reach * SURPLUS:
             return None
+        if self._leaves(fit, last, reach):
+            return None
         force, *shift = last[: 3 * n].reshape(3, n)
         if np.abs(shift).max() > reach * FIRM or (np.abs(force) > reach * STRETCH * fit.force).any():
             return None
@@ -242,6 +256,20 @@ class Points:
         spread = np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
         force = np.maximum(fit.force + force, 0)
         return Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
+
+    def _leaves(self, fit: "_Fit", last: Floats, reach: float) -> bool:
+        """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
+        n = len(fit.force)
+        moved = last * np.concatenate([np.ones(n), *[fit.force] * 3])
+        moved = np.concatenate([moved, moved[3 * n :]]).astype(np.float32)  # a width is the same down and across
+        np.subtract(self._residual, moved @ self._jacobian[: 5 * n], out=self._behind)
+        behind = self._behind.reshape(self._scene.blur.frame_shape)
+        noise = self._scene.noise**2
+        about = (_window(behind, each, 1) for each in fit.places)
+        return any(
+            float(np.vdot(each, each)) > noise * (each.size + reach * SURE * sqrt(2 * each.size)) + self._model
+            for each in about
+        )
 
     def _longest(self, fit: "_Fit", seen: float) -> float:
         """Width (square pitches) that a load surely has along its longest axis; much of it, and it may be two.

@@ -101,6 +101,16 @@ def test_two_less_than_a_pitch_apart_are_not_told_as_one(touched, turn):
     assert len(restorer.points) != 2
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_what_one_load_leaves_of_two_is_not_lost_among_all_taxels(touched, seed):
+    """On both sides of a border, under a thin cover, they look like one but to the nearest taxels."""
+    pair = np.array([[14.9, 14.5], [16.1, 14.5], [28.9, 24.7]])
+    frame, sigma = touched(0.6, pair, np.array([0.35, 0.25, 0.2]), 0.002, seed)
+    restorer = make("auto", blur_of(0.6), sigma)
+    restorer(frame)
+    assert len(restorer.points) in (0, 3)
+
+
 def test_what_is_no_few_points_is_not_told_as_some(touched):
     x, y = np.meshgrid(*(16.0 + np.arange(-2.5, 2.6, 0.25),) * 2)
     disc = np.column_stack([x[np.hypot(x - 16, y - 16) < 2.5], y[np.hypot(x - 16, y - 16) < 2.5]])
