@@ -74,7 +74,7 @@ class Auto:
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._nothing = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
-        self._image: Image = zeros  # the last
+        self._image: Image | None = None  # the last, unless there was nothing: the scene has not looked at that
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
@@ -121,7 +121,7 @@ class Auto:
             self._method, self._review = "idle", REVIEW
             self._wait, self._pause = 0, PAUSE
             self._scene.empty()
-            self._image = self._nothing.image
+            self._image = None
             return self._nothing
         done = self._some(y)
         self._method, self._image = done.method, done.image
