@@ -35,7 +35,8 @@ FLAT = 5.7  # cells that a point's pressure is spread over in an image of them, 
 WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.45 pitch has it, and is no point
 DOUBT = 3.0  # standard deviations that the width found must stay below that by
 SURPLUS = 0.03  # square pitches of width by which points may differ
-SEEN = 2.0  # standard deviations beyond that: one so wide is two
+LENGTH = 0.02  # square pitches of width that a point may have along one axis above that: a longer one may be two
+SEEN = 2.0  # standard deviations beyond these: one so wide is two
 FIRM = 0.25  # pitches that the last step may move a point: it is linear, and holds no further
 STRETCH = 0.5  # of a force that it may change
 UNSURE = 0.2  # of a force: one less certain is not told
@@ -242,7 +243,7 @@ class Points:
             return None
         if (width - SEEN * unsure).max() > common + reach * SURPLUS:
             return None
-        if self._longest(fit, reach * SEEN * sqrt(variance)) > common + reach * SURPLUS:
+        if self._longest(fit, reach * SEEN * sqrt(variance)) > common + reach * LENGTH:
             return None
         if self._leaves(fit, last, reach):
             return None
