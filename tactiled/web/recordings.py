@@ -124,6 +124,7 @@ class Recordings:
         with self._lock:
             if any(run.bus == bus and run.running for run in self._runs.values()):
                 raise Problem(409, f"bus {bus}: is being recorded already")
+            self._need_ended(path.name)
             if path.exists() or path.is_symlink():
                 raise Problem(409, f"recording {path.name}: is there already")
             try:
@@ -144,8 +145,7 @@ class Recordings:
     def ended(self, name: str) -> Path:
         """Where one is that does not run; Problem where there is none, or it runs."""
         path = self.path(name)
-        if (run := self._runs.get(name)) and run.running:
-            raise Problem(409, f"recording {name}: runs: stop it first")
+        self._need_ended(name)
         return path
 
     def delete(self, name: str) -> None:
@@ -166,6 +166,11 @@ class Recordings:
         with self._lock:
             for run in self._runs.values():
                 run.stop()
+
+    def _need_ended(self, name: str) -> None:
+        """Problem where one runs, whatever became of its file."""
+        if (run := self._runs.get(name)) and run.running:
+            raise Problem(409, f"recording {name}: runs: stop it first")
 
     def _told(self, path: Path) -> Recorded:
         run, size = self._runs.get(path.name), path.stat().st_size

@@ -244,3 +244,18 @@ def test_a_recording_whose_file_is_renamed_can_still_be_stopped(api, bus, folder
     assert api.post(f"{ROOT}/a.log/stop").status_code == 404
     assert api.post(ROOT, json={"bus": "can0", "name": "c.log"}).status_code == 201
     assert len(list(recording.read(folder / "b.log"))) == 10
+
+
+def test_the_name_of_a_recording_whose_file_is_renamed_stays_its_own_while_it_runs(folder, request):
+    names = [f"{request.node.name} {each}" for each in (0, 1)]
+    app = FastAPI()
+    problems.install(app)
+    buses = {f"can{at}": {"interface": "virtual", "channel": each} for at, each in enumerate(names)}
+    app.include_router(make(folder, buses, Events()))
+    with serving(app) as client:
+        client.post(ROOT, json={"bus": "can0", "name": "a.log"})
+        (folder / "a.log").rename(folder / "b.log")
+        taken = client.post(ROOT, json={"bus": "can1", "name": "a.log"})
+        assert (taken.status_code, taken.json()["detail"]) == (409, "recording a.log: runs: stop it first")
+        client.post(f"{ROOT}/a.log/stop")
+        assert client.post(ROOT, json={"bus": "can1", "name": "a.log"}).status_code == 201
