@@ -48,6 +48,7 @@ class ChunkFile(io.RawIOBase):
     """A new file that `flush` makes longer by all that was written since, or, where that fails, by nothing."""
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self._waiting = bytearray()
         self._at = self._size = 0
@@ -99,7 +100,13 @@ class ChunkFile(io.RawIOBase):
     @property
     def removed(self) -> bool:
         """Whether nobody will find it any more."""
-        return os.fstat(self._fd).st_nlink == 0
+        here = os.fstat(self._fd)
+        if here.st_nlink:
+            return False
+        try:
+            return not os.path.samestat(here, self._path.stat())  # some file systems count no links
+        except FileNotFoundError:
+            return True
 
     def close(self) -> None:
         """Flush and close."""
@@ -160,6 +167,8 @@ class Recorder:
             raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error
+        except TactileError as error:
+            raise TactileError(f"{path}: {error}") from error
         self._writer = make(cast(BinaryIO, self._file))
         self._thread = Thread(target=self._run, name=f"record {path.name}", daemon=True)
         self._thread.start()
@@ -223,7 +232,7 @@ class Recorder:
             self._writer._flush()  # ends a container: python-can has no public way
         cast(Any, self._writer).file.flush()
         self.written = self._taken
-        if self._file.removed and not self.path.exists():  # some file systems count no links
+        if self._file.removed:
             raise TactileError("was removed")
         self._look_for_room()
 

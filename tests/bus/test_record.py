@@ -183,9 +183,12 @@ def test_a_disk_full_from_the_start_leaves_an_empty_file(tmp_path, monkeypatch):
     assert (tmp_path / "a.log").read_bytes() == b""
 
 
-def test_a_file_that_is_removed_meanwhile_ends_it_loudly(tmp_path):
+@pytest.mark.parametrize("another", [False, True])
+def test_a_file_that_is_removed_meanwhile_ends_it_loudly(tmp_path, another):
     recorder = Recorder(tmp_path / "a.log")
     (tmp_path / "a.log").unlink()
+    if another:
+        (tmp_path / "a.log").touch()
     with pytest.raises(TactileError, match=r"a\.log: was removed: the recording ends early"):
         fill(recorder)
     with pytest.raises(TactileError, match="was removed"):

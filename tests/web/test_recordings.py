@@ -220,7 +220,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_says_why(folder, request, 
         assert why in next(each.text for each in events.after(0) if each.kind == "recording_ended")
         refused = client.post(ROOT, json={"bus": "can0", "name": "b.blf"})
         assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
-        assert why in refused.json()["detail"]
+        assert refused.json()["detail"] == f"{folder / 'b.blf'}: {why}"
         assert not (folder / "b.blf").exists()
         room[0] = 501e6
         assert client.post(ROOT, json={"bus": "can0", "name": "b.blf"}).status_code == 201
