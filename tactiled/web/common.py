@@ -89,11 +89,11 @@ def accepted(request: Request, media: Mapping[F, str]) -> F:
     """The format that a request's Accept header likes best; Problem 406 where it likes none."""
     header = request.headers.get("accept", "*/*")
     likes = [_like(part) for part in header.split(",")]
-    weights = {liked: weight for weight, liked in likes}
+    named = {liked for _, liked in likes}
     for weight, liked in sorted(likes, key=lambda like: -like[0]):
         for form, name in media.items():
             ranges = (name, name.split("/")[0] + "/*", "*/*")  # of which the narrowest that is named counts
-            if weight > 0 and liked == next((each for each in ranges if each in weights), None):
+            if weight > 0 and liked == next((each for each in ranges if each in named), None):
                 return form
     raise Problem(406, f"Accept: {header}: there are {', '.join(media.values())}")
 
