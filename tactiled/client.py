@@ -108,10 +108,11 @@ class _Attempts:
         }
         self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
         self._why = ""  # why there is no connection
+        self._refused = ""  # why the service closed the last one
 
     def connected(self) -> None:
         """A connection begins, whose messages have no past."""
-        self._parts = _Parts(self._one, self._kinds)
+        self._parts, self._why = _Parts(self._one, self._kinds), ""
 
     def left(self) -> float | None:
         """How long (s) the next message may take; None: for ever."""
@@ -119,7 +120,7 @@ class _Attempts:
 
     def take(self, data: str | bytes) -> Image | None:
         """The image that a message completes."""
-        self._why = ""  # only now has the service let the client in: a refusal comes when it is connected, too
+        self._refused = ""  # only now: a refusal comes when it is connected, too
         image = self._parts.take(data)
         if image is not None:
             self._heard, self._wait = time.monotonic(), BACK_OFF_S[0]
@@ -128,14 +129,14 @@ class _Attempts:
     def failed(self, error: Exception) -> float:
         """How long to wait (s) for the next attempt after an error; TactileError where there is to be none."""
         if isinstance(error, ConnectionClosed) and error.rcvd is not None:
-            self._why = error.rcvd.reason
+            self._refused = error.rcvd.reason
             if error.rcvd.code in REFUSED:
-                raise TactileError(f"{self._url}: {self._why}") from error
+                raise TactileError(f"{self._url}: {self._refused}") from error
         elif isinstance(error, InvalidURI):
             raise TactileError(f"{self._url}: {error}") from error
         elif not isinstance(error, TimeoutError | ConnectionClosed):
             self._why = f"{getattr(error, 'strerror', None) or error}: is the service running?"
-        why = f": {self._why}" if self._why else ""
+        why = f": {why}" if (why := self._why or self._refused) else ""
         if self.left() == 0:
             raise TactileError(f"{self._named} at {self._url}: no image for {self._patience_s} s{why}") from error
         if self._wait == BACK_OFF_S[0]:

@@ -13,6 +13,7 @@ from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
 from tactiled.restore.loads import Loads
 from tactiled.restore.methods import make
+from tactiled.restore.points import Points
 
 SHAPE = (16, 20)
 PITCH = 2.0
@@ -109,6 +110,33 @@ def test_what_one_load_leaves_of_two_is_not_lost_among_all_taxels(touched, seed)
     restorer = make("auto", blur_of(0.6), sigma)
     restorer(frame)
     assert len(restorer.points) in (0, 3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_half_a_pitch_apart_are_not_told_as_one_where_the_frame_shows_how_long_it_would_be(touched, seed):
+    middle, half = np.array([14.7, 16.0]), 0.25 * PITCH * np.array([np.cos(2.9), np.sin(2.9)])
+    pair = np.array([middle - half, middle + half, [28.9, 24.7]])
+    frame, sigma = touched(0.6, pair, np.array([0.3, 0.3, 0.2]), 0.0015, seed)
+    restorer = make("auto", blur_of(0.6), sigma)
+    restorer(frame)
+    assert len(restorer.points) in (0, 3)
+
+
+def test_what_a_fit_leaves_is_its_own_though_a_further_step_was_tried(touched, monkeypatch):
+    """Else a load's neighbourhood would be judged by what another place leaves there."""
+    refined, left = Points._refined, []
+
+    def spied(points, y, places):
+        done, fit = refined(points, y, places)
+        left.append((float(points._residual @ points._residual), fit.left))
+        return done, fit
+
+    monkeypatch.setattr(Points, "_refined", spied)
+    for seed in range(8):
+        pair = np.array([[15.0, 14.2], [15.6, 15.0], [28.9, 24.7]])
+        frame, sigma = touched(0.6, pair, np.array([0.3, 0.25, 0.2]), 0.0005, seed)
+        make("points", blur_of(0.6), sigma)(frame)
+    np.testing.assert_allclose(*np.transpose(left), rtol=1e-3)
 
 
 def test_what_is_no_few_points_is_not_told_as_some(touched):

@@ -148,6 +148,41 @@ def test_a_page_that_is_slow_at_painting_goes_on_painting(pair, open_page, canva
         sender.join()
 
 
+# [ms that an image was under way, ms that the page then stands still, images not painted yet]: is it held back?
+TOLD = """async turns => {
+  const { Present } = await import("/static/present.js");
+  const present = new Present();
+  const real = Date.now;
+  let now = 1e12;
+  Date.now = () => now;
+  const told = turns.map(([way, still, count]) => {
+    present.hear((now - way) / 1000);
+    now += still;
+    const late = present.late((now - way - still) / 1000, count);
+    if (!late) present.painted();
+    now += 20;
+    return late;
+  });
+  Date.now = real;
+  return told;
+}"""
+
+
+@pytest.mark.parametrize(
+    ("turns", "late"),
+    [
+        ([[2, 0, 1], [2, 30_000, 2], [2, 0, 1]], [False, True, False]),
+        ([[2, 0, 1], [150, 0, 1], [2, 30_000, 2], [2, 30_000, 2], [2, 0, 1]], [False, True, True, True, False]),
+        ([[2, 0, 1]] + 6 * [[150, 0, 1]], [False] + 4 * [True] + 2 * [False]),
+        ([[2, 0, 1]] + 6 * [[2, 150, 1]], [False] + 4 * [True] + 2 * [False]),
+    ],
+    ids=["stood", "stood again before anything was painted", "a slow way", "a slow page"],
+)
+def test_nothing_old_is_painted_but_where_all_is_late(rig, url, open_page, turns, late):
+    rig.show(pressed())
+    assert open_page(url).evaluate(TOLD, turns) == late
+
+
 STEP = "(() => { const real = Date.now; Date.now = () => real() + 10_000; })()"
 
 

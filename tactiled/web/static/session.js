@@ -46,7 +46,7 @@ export class Session {
     this.history = new History(plane, feels);
     this.contacts = new Contacts();
     this.deviations = new Deviations(name, plane);
-    this.present = new Present(AHEAD);
+    this.present = new Present();
     this.paused = false;
     /** Which kept frame is shown, 0 the newest. */
     this.back = 0;

@@ -67,7 +67,7 @@ export class Tile {
     this.element.addEventListener("click", onChoose);
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
-    this._present = new Present(1);
+    this._present = new Present();
     this._sent = NaN;
     this._unpainted = false;
     this._kpa = new Float32Array(0);
