@@ -27,6 +27,7 @@ SETTLED = 0.01  # pitches: a step that moves no point further is the last
 LEAP = 0.5  # pitches that one step may move a point
 STANDS = 4.0  # standard deviations that a point's force must stand out by
 SURE = 3.0  # standard deviations of the residual's square that noise may stray by
+NEAR = 4.0  # the same about any one load: few taxels stray further
 TELLING = 3.0  # times that must be what a quarter of a pitch changes of a load's frame, or no place is known
 LEFT = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 FEWEST = 3  # taxels a side that tell a place on it
@@ -268,7 +269,7 @@ class Points:
         noise = self._scene.noise**2
         about = (_window(behind, each, 1) for each in fit.places)
         return any(
-            float(np.vdot(each, each)) > noise * (each.size + reach * SURE * sqrt(2 * each.size)) + self._model
+            float(np.vdot(each, each)) > noise * (each.size + reach * NEAR * sqrt(2 * each.size)) + self._model
             for each in about
         )
 

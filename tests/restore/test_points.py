@@ -132,8 +132,9 @@ def test_what_a_fit_leaves_is_its_own_though_a_further_step_was_tried(touched, m
         return done, fit
 
     monkeypatch.setattr(Points, "_refined", spied)
+    middle, half = np.array([15.3, 14.6]), 0.25 * PITCH * np.array([np.cos(0.8), np.sin(0.8)])
     for seed in range(8):
-        pair = np.array([[15.0, 14.2], [15.6, 15.0], [28.9, 24.7]])
+        pair = np.array([middle - half, middle + half, [28.9, 24.7]])
         frame, sigma = touched(0.6, pair, np.array([0.3, 0.25, 0.2]), 0.0005, seed)
         make("points", blur_of(0.6), sigma)(frame)
     np.testing.assert_allclose(*np.transpose(left), rtol=1e-3)
