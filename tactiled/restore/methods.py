@@ -24,7 +24,7 @@ from tactiled.restore.window import Windowed, fits
 Run = Callable[[Image], Restored]
 
 LUCY = 30  # iterations of Richardson-Lucy, at most
-FAST = 24  # of the accelerated: more earn nothing
+FAST = 24  # of the accelerated: 30 are 1 % better at 16 squared, and take over five times the median at times
 ASKED = "as asked"
 TOO_MANY = "no few points explain the frame down to its noise: non-negative instead"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
