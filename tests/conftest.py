@@ -2,6 +2,7 @@ import re
 import signal
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -120,13 +121,21 @@ def until(true, seconds=BUSY_S):
         time.sleep(0.002)
 
 
+@contextmanager
+def meanwhile(rig):
+    """Have a rig's service read its bus meanwhile."""
+    rig.service.start()
+    try:
+        yield rig
+    finally:
+        rig.service.stop()
+        rig.bus.close()
+
+
 @pytest.fixture
 def rig(request):
-    made = Rig(re.sub(r"\W", "-", request.node.name))
-    made.service.start()
-    yield made
-    made.service.stop()
-    made.bus.close()
+    with meanwhile(Rig(re.sub(r"\W", "-", request.node.name))) as made:
+        yield made
 
 
 @pytest.fixture

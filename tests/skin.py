@@ -2,7 +2,6 @@
 
 import re
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from tactiled.bus.codecs.xela import REST
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
 from tactiled.service import Service
-from tests.conftest import until
+from tests.conftest import meanwhile, until
 
 CONFIG = """
 [bus.can0]
@@ -70,13 +69,6 @@ class Skin:
         return self.sensor.hub.latest()
 
 
-@contextmanager
 def rigged(name, more=""):
     """A skin that runs meanwhile."""
-    made = Skin(re.sub(r"\W", "-", name), more)
-    made.service.start()
-    try:
-        yield made
-    finally:
-        made.service.stop()
-        made.bus.close()
+    return meanwhile(Skin(re.sub(r"\W", "-", name), more))

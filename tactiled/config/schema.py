@@ -46,15 +46,13 @@ class Server(Section):
     xela: int | None = Field(None, ge=0, le=65535)  # port for XELA's clients alone, without a token; None: none
     xela_host: str = "127.0.0.1"  # address of that port
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
-    recordings_leave_mb: float = Field(
-        1000.0, ge=0, allow_inf_nan=False
-    )  # of their disk that they leave free; 0: no bound
+    recordings_leave_mb: float = Field(1000.0, ge=0, allow_inf_nan=False)  # of their disk, left free; 0: no bound
     state: Path | None = None  # file of what clients want kept; None: in the user's state directory
     history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
     history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
     control_per_minute: int = Field(
         600, ge=0, le=1_000_000
-    )  # changes, and as many costly answers, a client; 0: no bound
+    )  # changes, as many costly answers, a client; 0: no bound
     streams_per_client: int = Field(64, ge=0, le=65535)  # WebSockets that a client may have open; 0: no bound
     streams: int = Field(256, ge=0, le=65535)  # and all clients together; 0: no bound
 

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import sync_playwright
 
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, Rig, pressed, until
+from tests.conftest import BUSY_S, Rig, meanwhile, pressed, until
 
 PAINTED = "Number(document.documentElement.dataset.painted) > 0"
 PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
@@ -124,10 +124,6 @@ class Pair(Rig):
 
 @pytest.fixture
 def pair(request):
-    made = Pair(re.sub(r"\W", "-", request.node.name), THUMB)
-    made.service.start()
-    with running(made.service) as url:
+    with meanwhile(Pair(re.sub(r"\W", "-", request.node.name), THUMB)) as made, running(made.service) as url:
         made.both()
         yield made, url
-    made.service.stop()
-    made.bus.close()

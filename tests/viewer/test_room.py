@@ -6,7 +6,7 @@ import re
 import pytest
 
 from tactiled.web.server import running
-from tests.conftest import pressed
+from tests.conftest import meanwhile, pressed
 from tests.skin import X, Y, rigged
 from tests.viewer.conftest import PHONE, THUMB, Pair, turned, wait
 from tests.viewer.test_viewer import PAINTINGS, painted
@@ -22,13 +22,9 @@ DESK = {"width": 1280, "height": 860}
 @pytest.fixture
 def hand(request):
     """A palm that is pressed and four fingers of which nothing has come."""
-    made = Pair(re.sub(r"\W", "-", request.node.name), FINGERS)
-    made.service.start()
-    with running(made.service) as url:
+    with meanwhile(Pair(re.sub(r"\W", "-", request.node.name), FINGERS)) as made, running(made.service) as url:
         made.show(pressed())
         yield made, url
-    made.service.stop()
-    made.bus.close()
 
 
 def box(page, name):

@@ -5,17 +5,14 @@ import numpy as np
 import pytest
 
 from tactiled.web import picture
-from tests.conftest import NO_LOAD, SIDE, pressed, until
+from tests.conftest import NO_LOAD, SIDE, meanwhile, pressed, until
 from tests.viewer.conftest import THUMB, Pair
 
 
 @pytest.fixture
 def pair():
-    made = Pair("picture", THUMB)
-    made.service.start()
-    yield made
-    made.service.stop()
-    made.bus.close()
+    with meanwhile(Pair("picture", THUMB)) as made:
+        yield made
 
 
 def scale(figure):

@@ -15,7 +15,7 @@ from tactiled.errors import TactileError
 from tactiled.web import answers
 from tactiled.web.feed import Feed
 from tactiled.web.wire import unpack
-from tests.conftest import BUSY_S, NO_LOAD, Rig, pressed, until
+from tests.conftest import BUSY_S, NO_LOAD, Rig, meanwhile, pressed, until
 
 TIP = """
 [sensor.tip]
@@ -33,10 +33,8 @@ calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
 def rig(request):
     made = Rig(re.sub(r"\W", "-", request.node.name), TIP)
     made.tip = made.service.sensor("tip")
-    made.service.start()
-    yield made
-    made.service.stop()
-    made.bus.close()
+    with meanwhile(made):
+        yield made
 
 
 def touch_tip(rig, sequence, counts=NO_LOAD + 20):

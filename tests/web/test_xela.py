@@ -8,7 +8,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.frames import Message
-from tests.conftest import BUSY_S, Rig, pressed, until
+from tests.conftest import BUSY_S, Rig, meanwhile, pressed, until
 
 SKIN = """
 [sensor.skin]
@@ -27,10 +27,8 @@ calibration = {{ no_load = 36000, noise_kpa = 5 }}
 def rig(request):
     skin = SKIN.format(stale_after_s=0.4 if "silent" in request.node.name else 600)
     made = Rig(re.sub(r"\W", "-", request.node.name), skin if "without" not in request.node.name else "")
-    made.service.start()
-    yield made
-    made.service.stop()
-    made.bus.close()
+    with meanwhile(made):
+        yield made
 
 
 def counts(step):

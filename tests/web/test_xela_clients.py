@@ -8,7 +8,7 @@ import re
 import socket
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from urllib.parse import urlsplit
 
@@ -26,7 +26,7 @@ from tactiled.frames import MISSING, Message
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.web import server
 from tactiled.web.server import running, serve, xelas
-from tests.conftest import BUSY_S, Rig, ask, until
+from tests.conftest import BUSY_S, Rig, ask, meanwhile, until
 
 MODULE = """
 [sensor.{name}]
@@ -96,15 +96,8 @@ def axes(width, step=0):
     return rest + step * np.column_stack([20 - each, each, 30 + 10 * each])
 
 
-@contextmanager
 def made(request, modules, calibration=RAW, more=""):
-    skins = Skins(re.sub(r"\W", "-", f"{request.node.name}{calibration}"), modules, calibration, more)
-    skins.service.start()
-    try:
-        yield skins
-    finally:
-        skins.service.stop()
-        skins.bus.close()
+    return meanwhile(Skins(re.sub(r"\W", "-", f"{request.node.name}{calibration}"), modules, calibration, more))
 
 
 @pytest.fixture(scope="module")

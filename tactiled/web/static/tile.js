@@ -159,8 +159,10 @@ export class Tile {
     if (image.kind === SHEAR) {
       this._shear.set(image.shear);
       this._timestamp = image.timestamp;
-    } else this._press(image, plane);
-    if (this._arrows && image.kind !== SHEAR) return; // its shear is on its way
+    } else {
+      this._press(image, plane);
+      if (this._arrows) return; // its shear is on its way
+    }
     this._unpainted = true;
     if (!this._late()) this._show();
   }
