@@ -1,6 +1,7 @@
 """Recordings of the buses over REST: start, stop, list, download, delete, in one folder and nowhere else."""
 
 import re
+import stat
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
@@ -43,7 +44,9 @@ class Recorded(forms.Form):
     """One recording."""
 
     name: str = Field(examples=["grasp.log"])
-    bytes: int = Field(examples=[48231])
+    bytes: int | None = Field(
+        description="null: it ran, and its file was removed or has another name by now", examples=[48231]
+    )
     running: bool = Field(examples=[True])
     bus: str | None = Field(None, description="where it was started since the service was", examples=["can0"])
     messages: int | None = Field(
@@ -109,10 +112,14 @@ class Recordings:
         self._lock = Lock()
 
     def listed(self, after: str | None, limit: int) -> Listed:
-        """The first `limit` recordings behind `after`, by name; links and files of other kinds are none."""
+        """The first `limit` recordings behind `after`, by name; links and files of other kinds are none.
+
+        One that runs is listed, whatever became of its file.
+        """
         with self._lock:
-            names = sorted(each.name for each in self._folder.glob("*") if after is None or each.name > after)
-            found = [path for name in names if _is_recording(path := self._folder / name)]
+            runs = {name for name, run in self._runs.items() if run.running}
+            names = runs | {each.name for each in self._folder.glob("*") if _is_recording(each)}
+            found = [self._folder / name for name in sorted(names) if after is None or name > after]
             page = tuple(self._told(path) for path in found[:limit])
         return Listed(recordings=page, after=page[-1].name if len(found) > limit else None)
 
@@ -136,11 +143,13 @@ class Recordings:
             return self._told(path)
 
     def stop(self, name: str) -> Recorded:
-        """Stop one; it is whole on the disk when this returns. Problem where its file has another name by now."""
+        """Stop one, whatever became of its file; it is whole on the disk when this returns."""
         with self._lock:
             if name in self._runs:
                 self._runs[name].stop()
-            return self._told(self.path(name))
+            else:
+                self.path(name)
+            return self._told(self._folder / name)
 
     def ended(self, name: str) -> Path:
         """Where one is that does not run; Problem where there is none, or it runs."""
@@ -173,7 +182,7 @@ class Recordings:
             raise Problem(409, f"recording {name}: runs: stop it first")
 
     def _told(self, path: Path) -> Recorded:
-        run, size = self._runs.get(path.name), path.stat().st_size
+        run, size = self._runs.get(path.name), _bytes(path)
         if run is None:
             return Recorded(name=path.name, bytes=size, running=False)
         return Recorded(
@@ -188,7 +197,16 @@ class Recordings:
 
 def _is_recording(path: Path) -> bool:
     """A file of a recording's name that is no link out of the folder."""
-    return re.fullmatch(NAME, path.name) is not None and path.is_file() and not path.is_symlink()
+    return re.fullmatch(NAME, path.name) is not None and _bytes(path) is not None
+
+
+def _bytes(path: Path) -> int | None:
+    """The size of a file; None where there is none, or a link."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_size if stat.S_ISREG(found.st_mode) else None
 
 
 def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float = 0.0) -> APIRouter:

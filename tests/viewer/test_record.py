@@ -117,3 +117,17 @@ def test_counts_events_and_times_of_the_bus_are_shown(rig, url, open_page):
         assert re.search(rf"{count}\s+\d", text), count
     wait(page, "/skew\\s+[\\d.]+ (µs|ms)/.test(document.getElementById('side').innerText)")
     wait(page, "/\\d+:\\d\\d:\\d\\d\\s+palm: sensor stale/.test(document.getElementById('events').innerText)")
+
+
+def test_a_recording_whose_file_was_moved_away_says_so_and_can_be_ended(recording, rig, open_page):
+    url, folder = recording
+    rig.show(pressed())
+    page = open_page(url)
+    page.get_by_role("button", name="Record", exact=True).click()
+    wait(page, f"{LIST}.includes('recording can0')")
+    (path,) = folder.iterdir()
+    path.rename(folder / "kept.log")
+    wait(page, f"{LIST}.includes('recording can0, file moved or removed')")
+    page.locator("#record", has_text="Stop").click()
+    page.locator("#record", has_text="Record").wait_for()
+    wait(page, f"!{LIST}.includes('moved') && {LIST}.includes('kept.log')")

@@ -236,14 +236,43 @@ def test_a_recording_whose_file_is_removed_ends_and_its_bus_is_free_again(api, b
     assert [each["name"] for each in api.get(ROOT).json()["recordings"]] == ["b.log"]
 
 
-def test_a_recording_whose_file_is_renamed_can_still_be_stopped(api, bus, folder):
+def test_a_recording_whose_file_is_renamed_is_listed_until_it_is_stopped_and_says_that_it_was(api, bus, folder):
     api.post(ROOT, json={"bus": "can0", "name": "a.log"})
     send(bus, 10)
     until(lambda: only(api)["messages"] == 10)
     (folder / "a.log").rename(folder / "b.log")
-    assert api.post(f"{ROOT}/a.log/stop").status_code == 404
+    runs, file = api.get(ROOT).json()["recordings"]
+    assert (runs["name"], runs["running"], runs["bytes"]) == ("a.log", True, None)
+    assert (file["name"], file["running"]) == ("b.log", False)
+    ended = {"name": "a.log", "bytes": None, "running": False, "bus": "can0", "messages": 10, "error": None}
+    for _ in range(2):
+        stopped = api.post(f"{ROOT}/a.log/stop")
+        assert (stopped.status_code, stopped.json()) == (200, ended)
+    assert only(api)["name"] == "b.log"
+    for act in (api.get, api.delete):
+        assert act(f"{ROOT}/a.log").status_code == 404
     assert api.post(ROOT, json={"bus": "can0", "name": "c.log"}).status_code == 201
     assert len(list(recording.read(folder / "b.log"))) == 10
+
+
+def test_a_link_in_the_place_of_a_recordings_file_is_not_its_file(api, folder):
+    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    (folder / "a.log").rename(folder.parent / "a.log")
+    (folder / "a.log").symlink_to(folder.parent / "secret.log")
+    assert only(api)["bytes"] is None
+    assert api.post(f"{ROOT}/a.log/stop").json()["bytes"] is None
+    assert api.get(ROOT).json()["recordings"] == []
+
+
+def test_a_recording_that_ended_because_its_file_was_removed_says_so_when_it_is_stopped(api, bus, folder):
+    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    send(bus, 10)
+    until(lambda: only(api)["messages"] == 10)
+    (folder / "a.log").unlink()
+    until(lambda: not api.get(ROOT).json()["recordings"])
+    told = api.post(f"{ROOT}/a.log/stop").json()
+    assert (told["running"], told["bytes"], told["messages"]) == (False, None, 10)
+    assert "was removed: the recording ends early, after 10 messages" in told["error"]
 
 
 def test_the_name_of_a_recording_whose_file_is_renamed_stays_its_own_while_it_runs(folder, request):

@@ -68,7 +68,7 @@ const TIMEOUT_MS = 8000;
 /**
  * @typedef {object} Recording
  * @property {string} name of its file
- * @property {number} bytes
+ * @property {number|null} bytes null: it ran, and its file was moved or removed
  * @property {boolean} running
  * @property {string|null} bus
  * @property {number|null} messages on the disk so far; null where it was not begun by this service

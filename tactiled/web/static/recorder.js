@@ -155,9 +155,17 @@ function small(text, label) {
  * @returns {string}
  */
 function about(recording) {
-  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(1, recording.bytes)) / 3));
-  const size = `${number(recording.bytes / 1000 ** power)} ${UNITS[power]}`;
+  const size = recording.bytes === null ? "file moved or removed" : sized(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
   const state = recording.running ? `recording ${recording.bus}, ` : "";
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
+}
+
+/**
+ * @param {number} bytes
+ * @returns {string}
+ */
+function sized(bytes) {
+  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(1, bytes)) / 3));
+  return `${number(bytes / 1000 ** power)} ${UNITS[power]}`;
 }
