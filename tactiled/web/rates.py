@@ -105,24 +105,50 @@ class Turns:
             raise self._full(f"{MOST_WAITING} such answers are waited for already")
         self._waiting[who] += 1
         try:
-            await self._lock.acquire()
+            come = await self._come(request)
         finally:
             self._waiting -= Counter((who,))
+        if not come:
+            return Response()  # to nobody
         try:
             self._began = self._clock()
             if await request.is_disconnected():
-                return Response()  # to nobody
+                return Response()
             made = await run_in_threadpool(make)
             self._took.append(self._clock() - self._began)
             return made
         finally:
             self._lock.release()
 
+    async def _come(self, request: Request) -> bool:
+        """Wait for a turn, which holds the lock; False, and it does not, where the client leaves before."""
+        if not self._lock.locked():
+            return await self._lock.acquire()
+        turn, left = asyncio.ensure_future(self._lock.acquire()), asyncio.ensure_future(_left(request))
+        try:
+            await asyncio.wait((turn, left), return_when=asyncio.FIRST_COMPLETED)
+        except asyncio.CancelledError:
+            if not turn.cancel():
+                self._lock.release()
+            raise
+        finally:
+            left.cancel()
+        if turn.cancel():
+            left.result()  # raises what is wrong with the request's body, if anything is
+            return False
+        return True
+
     def _full(self, why: str) -> Problem:
         """A refusal that tells how long all who wait will take: by the last turns, or by this one if longer."""
         turn_s = max(self._clock() - self._began, fmean(self._took) if self._took else 0.0)
         wait = max(1, math.ceil((1 + self._waiting.total()) * turn_s))
         return Problem(429, f"{why}: wait", {"Retry-After": str(wait)})
+
+
+async def _left(request: Request) -> None:
+    """Wait until the client of a request has left."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 def client(scope: Scope) -> str:

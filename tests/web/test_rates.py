@@ -146,3 +146,75 @@ def test_who_finds_the_queue_full_is_told_how_long_it_will_take(now, monkeypatch
     with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
         refused = other.submit(asyncio.run, go()).result(30)
     assert (refused.status_code, refused.headers) == (429, {"Retry-After": str(wait)})
+
+
+def test_who_leaves_amid_the_queue_takes_nobodys_turn():
+    turns, go_on, made = Turns(), threading.Event(), []
+
+    def make(number):
+        assert go_on.wait(30)
+        made.append(number)
+        return number
+
+    async def go():
+        requests = [asked("10.0.0.1") for _ in range(4)]
+        gone = asyncio.Queue()
+        requests[1] = Request({"type": "http", "client": ("10.0.0.1", 1)}, gone.get)
+        tasks = [
+            asyncio.create_task(turns.one(each, partial(make, number))) for number, each in enumerate(requests)
+        ]
+        while turns._waiting.total() < 3:
+            await asyncio.sleep(0)
+        gone.put_nowait({"type": "http.request"})
+        gone.put_nowait({"type": "http.disconnect"})
+        try:
+            await asyncio.wait_for(tasks[1], 10)
+            assert turns._waiting == {"10.0.0.1": 2}
+        finally:
+            go_on.set()
+        return await asyncio.gather(*tasks)
+
+    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
+        answers = other.submit(asyncio.run, go()).result(30)
+    assert made == [0, 2, 3]
+    assert [*answers[:1], *answers[2:]] == [0, 2, 3]
+
+
+def test_a_wait_that_is_ended_from_outside_leaves_the_queue_as_it_was():
+    turns, go_on = Turns(), threading.Event()
+
+    async def go():
+        tasks = [asyncio.create_task(turns.one(asked("10.0.0.1"), go_on.wait)) for _ in range(3)]
+        while turns._waiting.total() < 2:
+            await asyncio.sleep(0)
+        tasks[1].cancel()
+        go_on.set()
+        return await asyncio.gather(*tasks, return_exceptions=True)
+
+    with ThreadPoolExecutor(1) as other:
+        first, ended, last = other.submit(asyncio.run, go()).result(30)
+    assert (first, last) == (True, True)
+    assert isinstance(ended, asyncio.CancelledError)
+    assert not turns._waiting
+    assert not turns._lock.locked()
+
+
+def test_what_is_wrong_with_the_body_of_one_that_waits_is_told():
+    turns, go_on = Turns(), threading.Event()
+
+    async def large():
+        raise Problem(413, "too large")
+
+    async def go():
+        first = asyncio.create_task(turns.one(asked("10.0.0.1"), go_on.wait))
+        await asyncio.sleep(0)
+        try:
+            with pytest.raises(Problem, match="too large"):
+                await turns.one(Request({"type": "http", "client": ("10.0.0.2", 1)}, large), go_on.wait)
+        finally:
+            go_on.set()
+        return await first
+
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(asyncio.run, go()).result(30)
+    assert not turns._lock.locked()
