@@ -19,6 +19,7 @@ from tactiled.web.wish import Wish, asked_for, next_of, once, sheared, wish
 STATUS_S = 1.0  # a client hears of the sensor's state at least this often
 CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
+EARLY_S = 1e-3  # that an alarm may come too soon: uvloop's clock and its timers count whole milliseconds
 AHEAD = 2  # images of each kind that a client may have asked for and not been sent
 
 
@@ -154,7 +155,7 @@ class Stream:
         if self._wish.rate_hz:
             loop = asyncio.get_running_loop()
             now = loop.time()
-            if now < line.due:
+            if now < line.due - EARLY_S:
                 if line.alarm < line.due:
                     line.alarm = line.due
                     loop.call_at(line.due, self._wake.set)

@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
-from tactiled.web import answers, flow, session
+from tactiled.web import answers, feed, flow, session
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
 from tactiled.web.stream import Stream, due_after
@@ -128,6 +128,14 @@ def test_no_more_are_sent_than_asked_for_whatever_comes():
     assert np.diff(sent)[2:] == pytest.approx(0.05)
     rest = np.diff(paced([1, 9, 9.001, 9.002], 20))  # a rest saves up no more than one
     assert rest == pytest.approx([8, 0.001, 0.049])
+
+
+def test_an_image_held_back_by_the_limit_is_sent_when_it_is_due_though_nothing_else_happens(rig, monkeypatch):
+    monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
+    with running(rig.service) as url, stream(url, "?kinds=restored&rate_hz=7") as client:
+        for _ in range(8):
+            sequence = rig.show(pressed()).sequence
+            assert images(client, 1)[0].sequence == sequence
 
 
 def test_contacts_on_request(rig, url):
