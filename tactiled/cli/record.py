@@ -8,7 +8,7 @@ from rich.console import Console
 
 from tactiled.bus.record import Recorder, open_tap, record
 from tactiled.cli.app import app, choose, interrupted
-from tactiled.config import Config, load
+from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 
 
@@ -28,16 +28,29 @@ def record_(
     ] = None,
     fd: Annotated[bool, typer.Option("--fd", help="Open the interface for CAN FD.")] = False,
     seconds: Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)] = None,
+    leave_mb: Annotated[
+        float | None,
+        typer.Option(
+            "--recordings-leave-mb",
+            help="End with so much of the disk free (0: no bound); the file's, or 1000, if left out.",
+            min=0,
+        ),
+    ] = None,
 ) -> None:
     """Record every message of a bus, foreign ones and error frames too, for `tactiled replay` and `export`."""
     given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
-    settings = bus_settings(load(config) if config else None, bus, interface, given)
+    read = load(config) if config else None
+    settings = bus_settings(read, bus, interface, given)
+    if leave_mb is None:
+        leave_mb = (read.server if read else Server()).recordings_leave_mb
     console = Console(soft_wrap=True, highlight=False)
     tap = open_tap(**settings)
     try:
         with interrupted() as stop:
             console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
-            written = record(tap, Recorder(out), stop, float("inf") if seconds is None else seconds)
+            written = record(
+                tap, Recorder(out, leave_mb=leave_mb), stop, float("inf") if seconds is None else seconds
+            )
     finally:
         tap.close()
     console.print(f"{out}: {written} messages", markup=False)

@@ -5,17 +5,18 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import can
 import pytest
 from can.interfaces import virtual
 from typer.testing import CliRunner
 
-from tactiled.bus import recording
+from tactiled.bus import record, recording
 from tactiled.bus.reader import open_bus
 from tactiled.cli import app as door
 from tactiled.config.example import EXAMPLE
-from tactiled.errors import BusError, ConfigError
+from tactiled.errors import BusError, ConfigError, TactileError
 from tactiled.frames import Message
 from tests.conftest import BUSY_S, until
 
@@ -71,6 +72,46 @@ def test_the_bus_of_a_configuration(tmp_path, request):
     assert str(told) == "--bus can7: no such bus: choose one of can0"
     path.write_text(path.read_text() + bus.replace("can0", "can1"))
     assert str(run("--config", path, out).exception) == "--bus is missing: choose one of can0, can1"
+
+
+@pytest.mark.parametrize(
+    ("configured", "given", "leaves"), [(None, None, 1000), (None, 601, 601), (700, None, 700), (500, 650, 650)]
+)
+def test_too_little_room_is_named_before_anything_is_written(
+    tmp_path, request, monkeypatch, configured, given, leaves
+):
+    monkeypatch.setattr(record, "disk_usage", lambda _: SimpleNamespace(free=600e6))
+    path, out = tmp_path / "a.toml", tmp_path / "a.log"
+    text = EXAMPLE.replace('"socketcan"\nchannel = "can0"', f'"virtual"\nchannel = "{request.node.name}"')
+    path.write_text(text.replace("recordings_leave_mb = 1000", f"recordings_leave_mb = {configured}"))
+    of = ["--config", path] if configured else ["--interface", "virtual", "--channel", request.node.name]
+    bound = [] if given is None else ["--recordings-leave-mb", given]
+    told = run(*of, *bound, "--seconds", 1, out).exception
+    assert type(told) is TactileError
+    assert str(told) == f"{out}: less than {leaves} MB of its disk are free (recordings_leave_mb)"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("leaves", "says"),
+    [
+        (0, "200 messages"),
+        (599, "less than 599 MB of its disk are free (recordings_leave_mb): the recording ends early, after 200"),
+    ],
+)
+def test_it_ends_before_the_disk_is_full(tmp_path, request, monkeypatch, leaves, says):
+    out = tmp_path / "a.log"
+
+    def usage(_):
+        return SimpleNamespace(free=598e6 if out.exists() and len(numbers(out)) == 200 else 600e6)
+
+    monkeypatch.setattr(record, "disk_usage", usage)
+    thread = sending(request.node.name)
+    arguments = ["--interface", "virtual", "--channel", request.node.name, "--recordings-leave-mb", leaves]
+    done = run(*arguments, "--seconds", 2, out)
+    thread.join()
+    assert f"{out}: {says}" in done.output + str(done.exception)
+    assert numbers(out) == list(range(200))
 
 
 @pytest.mark.parametrize(
