@@ -57,9 +57,8 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     problems.install(app)
     app.state.service, app.state.server = service, server
-    app.state.costly = Rates(server.control_per_minute)  # apart from changes: who looks may still change something
     app.state.streams = Streams(server.streams_per_client, server.streams)
-    app.state.turns = turns()
+    app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:

@@ -8,7 +8,7 @@ from fastapi import Depends, Request, Response
 from tactiled.sensor import Sensor
 from tactiled.service import Service
 from tactiled.web.problems import Problem
-from tactiled.web.rates import Turns
+from tactiled.web.rates import Rates, Turns
 
 Responses = dict[int | str, dict[str, Any]]
 F = TypeVar("F", bound=str)
@@ -69,14 +69,9 @@ def no_frame(sensor: Sensor) -> Problem:
     return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
 
 
-def costly(request: Request) -> None:
-    """Count one costly answer; Problem 429 where the client asks for too many."""
-    request.app.state.costly.count(request.scope)
-
-
-def turns() -> dict[Turn, Turns]:
+def turns(rates: Rates) -> dict[Turn, Turns]:
     """What `in_turn` needs of an application."""
-    return {each: Turns() for each in get_args(Turn)}
+    return {each: Turns(rates) for each in get_args(Turn)}
 
 
 async def in_turn(request: Request, make: Callable[[], Response], of: Turn = "numbers") -> Response:

@@ -88,21 +88,25 @@ class Streams:
 
 
 class Turns:
-    """Costly answers of one kind, made one at a time while a few more wait; on one event loop."""
+    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._lock = clock, asyncio.Lock()
+    def __init__(self, rates: Rates, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rates, self._clock, self._lock = rates, clock, asyncio.Lock()
         self._waiting: Counter[str] = Counter()
         self._took: deque[float] = deque(maxlen=MEASURED)  # s, of the last turns
         self._began = 0.0  # the newest turn
 
     async def one(self, request: Request, make: Callable[[], Response]) -> Response:
-        """Make one on a thread, in its turn, unless its client has left; Problem 429 where it is one too many."""
+        """Make one on a thread, in its turn, unless its client has left; Problem 429 where it is one too many.
+
+        One that finds the queue full is not counted.
+        """
         who = client(request.scope)
         if self._waiting[who] >= EACH_WAITING:
             raise self._full(f"{EACH_WAITING} such answers are waited for by {who or 'this client'} already")
         if self._waiting.total() >= MOST_WAITING:
             raise self._full(f"{MOST_WAITING} such answers are waited for already")
+        self._rates.count(request.scope)
         self._waiting[who] += 1
         try:
             come = await self._come(request)

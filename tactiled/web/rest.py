@@ -23,7 +23,6 @@ from tactiled.web.common import (
     Responses,
     Served,
     accepted,
-    costly,
     documented,
     in_turn,
     no_frame,
@@ -158,7 +157,6 @@ async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None
         return Response(status_code=304, headers=headers)
     answer = partial(_answer, sensor, kind, form, top_kpa)
     if form == "png" or kind == "deviation":
-        costly(request)
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
 

@@ -5,7 +5,7 @@ from io import BytesIO
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -19,7 +19,6 @@ from tactiled.web.common import (
     Found,
     Responses,
     accepted,
-    costly,
     documented,
     in_turn,
 )
@@ -100,7 +99,6 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
     "/sensors/{name}/frames",
     response_model=Frames,
     responses=NO_SHEAR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
-    dependencies=[Depends(costly)],
 )
 async def frames(
     sensor: Found,

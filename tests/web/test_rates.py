@@ -123,7 +123,7 @@ def asked(host):
 def test_who_finds_the_queue_full_is_told_how_long_it_will_take(now, monkeypatch, took, elapsed, wait):
     """One answer is made and two wait."""
     monkeypatch.setattr(rates, "MOST_WAITING", 2)
-    turns, go_on = Turns(lambda: now[0]), threading.Event()
+    turns, go_on = Turns(Rates(0), lambda: now[0]), threading.Event()
 
     def later(seconds):
         now[0] += seconds
@@ -149,7 +149,7 @@ def test_who_finds_the_queue_full_is_told_how_long_it_will_take(now, monkeypatch
 
 
 def test_who_leaves_amid_the_queue_takes_nobodys_turn():
-    turns, go_on, made = Turns(), threading.Event(), []
+    turns, go_on, made = Turns(Rates(0)), threading.Event(), []
 
     def make(number):
         assert go_on.wait(30)
@@ -181,7 +181,7 @@ def test_who_leaves_amid_the_queue_takes_nobodys_turn():
 
 
 def test_a_wait_that_is_ended_from_outside_leaves_the_queue_as_it_was():
-    turns, go_on = Turns(), threading.Event()
+    turns, go_on = Turns(Rates(0)), threading.Event()
 
     async def go():
         tasks = [asyncio.create_task(turns.one(asked("10.0.0.1"), go_on.wait)) for _ in range(3)]
@@ -200,7 +200,7 @@ def test_a_wait_that_is_ended_from_outside_leaves_the_queue_as_it_was():
 
 
 def test_what_is_wrong_with_the_body_of_one_that_waits_is_told():
-    turns, go_on = Turns(), threading.Event()
+    turns, go_on = Turns(Rates(0)), threading.Event()
 
     async def large():
         raise Problem(413, "too large")

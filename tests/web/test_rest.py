@@ -328,6 +328,20 @@ def test_no_more_than_a_few_wait_for_their_turn(
         assert int(each.headers["retry-after"]) >= 1
 
 
+def test_who_finds_the_queue_full_has_not_asked(rig, monkeypatch):
+    """Six costly answers a minute are one at a time, which refusals do not use up."""
+    monkeypatch.setattr(picture, "png", lambda *_: b"a picture")
+    rig.show(pressed())
+    with serving(rig.service, Server(port=0, control_per_minute=6)) as url:
+        with monkeypatch.context() as full:
+            full.setattr(rates, "MOST_WAITING", 0)
+            for _ in range(3):
+                says = problem(httpx.get(url + PNG, timeout=60), 429)
+                assert says == "0 such answers are waited for already: wait"
+        assert httpx.get(url + PNG, timeout=60).status_code == 200
+        assert problem(httpx.get(url + PNG, timeout=60), 429) == "more than 6 a minute: wait"
+
+
 def test_an_image_that_is_known_already_waits_for_nobody_and_does_not_count(rig, drawing):
     go_on, begun = drawing
     rig.show(pressed())
@@ -347,7 +361,7 @@ def test_an_image_that_is_known_already_waits_for_nobody_and_does_not_count(rig,
 def test_nothing_is_drawn_for_a_client_that_has_left_and_its_place_is_free_at_once(rig, drawing, monkeypatch):
     go_on, begun = drawing
     made = []
-    monkeypatch.setattr(common, "Turns", lambda: made.append(rates.Turns()) or made[-1])
+    monkeypatch.setattr(common, "Turns", lambda each: made.append(rates.Turns(each)) or made[-1])
     rig.show(pressed())
     with serving(rig.service) as url, ThreadPoolExecutor(1) as other:
         first = other.submit(httpx.get, url + PNG, timeout=60)
