@@ -2,9 +2,11 @@
 
 import asyncio
 import json
+import time
 from collections import Counter
-from collections.abc import Iterator
-from math import prod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import ceil, prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, NamedTuple
@@ -41,9 +43,50 @@ RESPONSES: Responses = (
 BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "string", "format": "binary"}}}}}
 
 router = APIRouter(prefix="/api/v1")
-busy = asyncio.Lock()
 SIGMA = "a taxel's standard deviation; measured if left out"
 Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
+
+
+class Work:
+    """A film that is being restored: how much of it is done, and since when."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._began = clock, clock()
+        self._done = self._frames = 0
+
+    def begin(self, frames: int) -> None:
+        """It has come in, and is restored from now on."""
+        self._began, self._frames = self._clock(), frames
+
+    def add(self, frames: int) -> None:
+        """So many more are done."""
+        self._done += frames
+
+    def wait(self) -> int:
+        """Seconds (1 or more) until it is done: at its pace, before its first frames as long again as so far."""
+        elapsed = self._clock() - self._began
+        return max(1, ceil(elapsed * (self._frames - self._done) / self._done if self._done else elapsed))
+
+
+class Desk:
+    """Where films are restored, one at a time."""
+
+    def __init__(self) -> None:
+        self.work: Work | None = None
+
+    @contextmanager
+    def one(self) -> Iterator[Work]:
+        """One film; Problem 429 while there is another."""
+        if self.work is not None:
+            raise Problem(429, "another film is being restored: wait", {"Retry-After": str(self.work.wait())})
+        self.work = Work()
+        try:
+            yield self.work
+        finally:
+            self.work = None
+
+
+desk = Desk()
 
 
 class _Done(NamedTuple):
@@ -61,14 +104,12 @@ async def restore(
     """
     service: Service = request.app.state.service
     plan = service.sensor(sensor).plan
-    if busy.locked():
-        raise Problem(429, "another film is being restored: try again", {"Retry-After": "1"})
-    async with busy:
+    with desk.one() as work:
         folder = TemporaryDirectory(prefix="tactiled-")
         try:
             film, images = Path(folder.name) / "frames.npy", Path(folder.name) / "restored.npy"
             await _receive(request, film)
-            done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa)
+            done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa, work)
         except BaseException:
             folder.cleanup()
             raise
@@ -88,7 +129,9 @@ async def _receive(request: Request, path: Path) -> None:
             file.write(piece)
 
 
-def _restore(plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None) -> _Done:
+def _restore(
+    plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None, work: Work
+) -> _Done:
     try:
         frames = opened(film, plan)
     except ConfigError as error:
@@ -98,6 +141,7 @@ def _restore(plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa:
         raise Problem(
             413, f"{len(frames)} frames make images of more than {MOST_OUT >> 20} MiB: send them in parts"
         )
+    work.begin(len(frames))
     offline = Offline(plan, method, noise_kpa)
     noise, chosen = offline.begin(frames), Counter[str]()
 
@@ -106,5 +150,5 @@ def _restore(plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa:
             chosen.update(each.method for each in told)
             yield restored
 
-    write(pieces(), shape, images, lambda _: None)
+    write(pieces(), shape, images, work.add)
     return _Done(noise, dict(chosen))

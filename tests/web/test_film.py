@@ -1,11 +1,16 @@
 import io
 import json
+import math
 import socket
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import numpy as np
 import pytest
 
+from tactiled import offline
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
 from tactiled.web import body, film
@@ -37,11 +42,11 @@ def test_a_film_is_restored_as_offline(rig, url, frames, query):
     answer = post(url, npy(frames), **query)
     assert answer.status_code == 200, answer.text
     images = np.load(io.BytesIO(answer.content))
-    offline = Offline(
+    restored = Offline(
         sensor_plan("palm", rig.config.sensor["palm"]), query.get("method", "auto"), query.get("noise_kpa")
     )
-    noise = offline.begin(frames)
-    expected = np.concatenate([each.copy() for each, _ in offline(frames)])
+    noise = restored.begin(frames)
+    expected = np.concatenate([each.copy() for each, _ in restored(frames)])
     np.testing.assert_array_equal(images, expected)
     assert float(answer.headers["x-tactiled-noise"]) == pytest.approx(noise, rel=1e-5)
     assert sum(json.loads(answer.headers["x-tactiled-methods"]).values()) == 20
@@ -82,11 +87,52 @@ def test_an_empty_film_gives_an_empty_one(url):
     assert np.load(io.BytesIO(answer.content)).shape == (0, 8, 8)
 
 
+@pytest.mark.parametrize(
+    ("elapsed", "done", "wait"), [(7.2, 0, 8), (0.0, 0, 1), (10.0, 5, 30), (10.0, 19, 1), (10.0, 20, 1)]
+)
+def test_who_comes_while_a_film_is_restored_is_told_how_long_that_will_take(elapsed, done, wait):
+    now = [100.0]
+    work = film.Work(lambda: now[0])
+    now[0] += 1000.0  # in which it comes in
+    assert work.wait() == 1000
+    work.begin(20)
+    now[0] += elapsed
+    work.add(done)
+    assert work.wait() == wait
+
+
+def test_a_second_film_is_refused_until_the_first_is_restored(url, frames, monkeypatch):
+    some, go_on, write = threading.Event(), threading.Event(), film.write
+
+    def slow(images, shape, path, done):
+        def told(count):
+            done(count)
+            some.set()
+            assert go_on.wait(60)
+
+        write(images, shape, path, told)
+
+    monkeypatch.setattr(film, "write", slow)
+    monkeypatch.setattr(offline, "PIECE", 1)
+    with ThreadPoolExecutor(1) as other:
+        began = time.monotonic()
+        first = other.submit(post, url, npy(frames))
+        assert some.wait(60)
+        time.sleep(0.2)  # one frame of twenty is done in so long
+        refused = post(url, npy(frames))
+        longest = math.ceil(19 * (time.monotonic() - began))
+        go_on.set()
+        assert first.result().status_code == 200
+    assert (refused.status_code, refused.json()["detail"]) == (429, "another film is being restored: wait")
+    assert math.ceil(19 * 0.2) <= int(refused.headers["retry-after"]) <= longest
+    assert post(url, npy(frames)).status_code == 200
+
+
 def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(url, caplog):
     with socket.create_connection(url[7:].split(":")) as leaves:
         head = f"POST /api/v1/restore?sensor=palm HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 5000\r\n\r\n"
         leaves.sendall(head.encode() + b"\x93NUMPY")
-        until(film.busy.locked)
-    until(lambda: not film.busy.locked())
+        until(lambda: film.desk.work is not None)
+    until(lambda: film.desk.work is None)
     assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
     assert not caplog.records
