@@ -28,7 +28,7 @@ from tactiled.web.session import NOT_FOUND, heard, serve
 
 NONE_HERE = "no sensor here has the codec xela"
 DECIMALS = 5  # of a force in N, as that server gives them
-UNKNOWN = (None,) * 9  # of a taxel's twelve `special` numbers: no public source says what they are
+REST_OF_SPECIAL = (0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0)  # a public note has that server send these
 
 
 class Module(Form):
@@ -47,7 +47,9 @@ class Module(Form):
     )
     temp: list[float] = Field(description="K; always 0: the CAN messages tell none")
     ups: list[float] = Field(description="frames a second")
-    special: list[tuple[int | None, ...]] = Field(description="of each taxel X, Y, Z and nine that are not known")
+    special: list[tuple[int | float, ...]] = Field(
+        description="of each taxel X, Y, Z and nine that are always 0: what they say is not known"
+    )
 
 
 class Routine(Form):
@@ -74,7 +76,7 @@ class Routine(Form):
                         "calibrated": [0.09405, -0.15298, 0.45],
                         "temp": [0.0],
                         "ups": [83.0],
-                        "special": [[16536, 16140, 37201, *UNKNOWN]],
+                        "special": [[16536, 16140, 37201, *REST_OF_SPECIAL]],
                     },
                 }
             ]
@@ -159,7 +161,7 @@ class _Skin:
             calibrated=None if forces is None else forces.round(DECIMALS).ravel().tolist(),
             temp=[0.0] * size,
             ups=[round(self.feed.status().rate_hz, 2)] * size,
-            special=[(*taxel, *UNKNOWN) for taxel in counts.tolist()],
+            special=[(*taxel, *REST_OF_SPECIAL) for taxel in counts.tolist()],
         )
 
 

@@ -82,7 +82,7 @@ def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
                     "data": ",".join(f"{each:04X}" for each in counts(number).ravel()),
                     "integer": counts(number).ravel().tolist(),
                     "temp": [0.0] * 24,
-                    "special": [[*each, *[None] * 9] for each in counts(number).tolist()],
+                    "special": [[*each, *[0.0, 0, 0, 0] * 2, 0.0] for each in counts(number).tolist()],
                 },
             }
             np.testing.assert_array_equal(parsed(told["1"]), counts(number))
