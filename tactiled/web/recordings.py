@@ -152,10 +152,9 @@ class Recordings:
             return self._told(self._folder / name)
 
     def ended(self, name: str) -> Path:
-        """Where one is that does not run; Problem where there is none, or it runs."""
-        path = self.path(name)
+        """Where one is that does not run; Problem where it runs, whatever became of its file, or there is none."""
         self._need_ended(name)
-        return path
+        return self.path(name)
 
     def delete(self, name: str) -> None:
         """Delete one that does not run."""

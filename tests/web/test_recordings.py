@@ -244,6 +244,8 @@ def test_a_recording_whose_file_is_renamed_is_listed_until_it_is_stopped_and_say
     runs, file = api.get(ROOT).json()["recordings"]
     assert (runs["name"], runs["running"], runs["bytes"]) == ("a.log", True, None)
     assert (file["name"], file["running"]) == ("b.log", False)
+    for act in (api.get, api.delete):
+        assert act(f"{ROOT}/a.log").json()["detail"] == "recording a.log: runs: stop it first"
     ended = {"name": "a.log", "bytes": None, "running": False, "bus": "can0", "messages": 10, "error": None}
     for _ in range(2):
         stopped = api.post(f"{ROOT}/a.log/stop")
