@@ -44,6 +44,12 @@ export class Colorbar {
     this._high = high;
     this._width = width;
     this._height = height;
+    this._draw(palette);
+  }
+
+  /** @param {Palette} palette */
+  _draw(palette) {
+    const { _low: low, _high: high, _width: width, _height: height } = this;
     this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
     const ratio = fit(this.canvas, width, height);
     const draw = this._pen;

@@ -7,8 +7,8 @@ import { nearest } from "./nearest.js";
 import { fixed } from "./paint.js";
 
 /**
- * One contact as the service tells it.
- * @typedef {object} Told
+ * One contact as the service tells it, with what is written beside it.
+ * @typedef {object} Contact
  * @property {number} id the same while the contact lasts
  * @property {number} x_mm
  * @property {number} y_mm
@@ -18,9 +18,8 @@ import { fixed } from "./paint.js";
  * @property {number} major_mm standard deviation of the pressure along the longer axis
  * @property {number} minor_mm
  * @property {number} angle_rad of the longer axis, from x towards y
+ * @property {string} label its number and force; set where it is kept
  */
-
-/** @typedef {Told & {label: string}} Contact with what is written beside it */
 
 /**
  * The stream's message on one image's contacts.
@@ -28,7 +27,7 @@ import { fixed } from "./paint.js";
  * @property {"contacts"} type
  * @property {number} sequence
  * @property {number} timestamp Unix s, of the frame
- * @property {Told[]} contacts the strongest first
+ * @property {Contact[]} contacts the strongest first
  */
 
 const KEPT = 256; // messages: more than ten seconds at twenty a second
@@ -36,7 +35,7 @@ const HOLDS_S = 0.25; // between the frame that contacts are of and one that the
 
 export class Contacts {
   constructor() {
-    /** @type {{timestamp: number, contacts: Contact[]}[]} */
+    /** @type {Found[]} */
     this._kept = [];
     this._newest = -1;
     /** @param {number} back */
@@ -51,9 +50,9 @@ export class Contacts {
 
   /** @param {Found} found */
   push(found) {
-    const contacts = found.contacts.map((each) => ({ ...each, label: `${each.id}: ${fixed(each.force_n, 2)} N` }));
+    for (const each of found.contacts) each.label = `${each.id}: ${fixed(each.force_n, 2)} N`;
     this._newest = (this._newest + 1) % KEPT;
-    this._kept[this._newest] = { timestamp: found.timestamp, contacts };
+    this._kept[this._newest] = found;
   }
 
   /**

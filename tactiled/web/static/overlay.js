@@ -35,7 +35,8 @@ export class Overlay {
     this._ratio = 1;
     /** Device px per mm. */
     this._px = 1;
-    this._font = getComputedStyle(document.body).fontFamily;
+    this._family = getComputedStyle(document.body).fontFamily;
+    this._font = "";
     /** Left, top, right and bottom of the labels that are drawn already, device px. */
     this._taken = new Float64Array(4 * 64);
     this._labels = 0;
@@ -54,6 +55,7 @@ export class Overlay {
     this._plane = plane;
     this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
+    this._font = `600 ${TEXT * this._ratio}px ${this._family}`;
     this._drawn.known = false;
   }
 
@@ -132,7 +134,7 @@ export class Overlay {
     }
     this._twoTone(1.5);
     this._labels = 0;
-    draw.font = `600 ${TEXT * this._ratio}px ${this._font}`;
+    draw.font = this._font;
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
@@ -145,11 +147,11 @@ export class Overlay {
    * @param {Plane} plane
    */
   _label(contact, plane) {
-    const half = this._pen.measureText(contact.label).width / 2 + 3 * this._ratio;
-    const rise = (TEXT * this._ratio) / 2 + 2 * this._ratio;
-    const reach = Math.max(LEAST * this._ratio, OUTLINE * contact.major_mm * this._px);
-    const x = (contact.x_mm - plane.left) * this._px;
-    const y = (contact.y_mm - plane.top) * this._px;
+    const half = Math.round(this._pen.measureText(contact.label).width / 2 + 3 * this._ratio);
+    const rise = Math.round((TEXT / 2 + 2) * this._ratio);
+    const reach = Math.round(Math.max(LEAST * this._ratio, OUTLINE * contact.major_mm * this._px));
+    const x = Math.round((contact.x_mm - plane.left) * this._px);
+    const y = Math.round((contact.y_mm - plane.top) * this._px);
     const low = y + reach + rise;
     const high = y - reach - rise;
     const within = Math.max(half, Math.min(this.canvas.width - half, x));

@@ -3,6 +3,7 @@
  * @module
  */
 
+import { measures } from "./measures.js";
 import { byId, fixed, number, say } from "./paint.js";
 
 /** @typedef {import("./history.js").Frame} Frame */
@@ -39,6 +40,8 @@ const LOSSES = /** @type {const} */ ({
 /** Counts that belong to a healthy service: a shared bus, a frame overtaken by the next. */
 const HARMLESS = new Set(["foreign", "skipped"]);
 
+const NOTHING = measures();
+
 /**
  * @param {string} name
  * @returns {string}
@@ -50,8 +53,9 @@ export class Readings {
     /** @type {Map<string, HTMLElement>} */
     this._loss = new Map();
     for (const [unit, kinds] of Object.entries(LOSSES)) byId("loss").append(...this._counts(unit, kinds));
+    this._raw = measured("raw");
+    this._restored = measured("restored");
     this._at = Object.fromEntries([
-      "force-raw", "force-restored", "peak-raw", "peak-restored", "x-raw", "x-restored", "y-raw", "y-restored",
       "ran", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
       "fps", "latency", "jitter", "skew",
     ].map((id) => [id, byId(id)]));
@@ -96,13 +100,8 @@ export class Readings {
   /** @param {Frame|null} frame */
   frame(frame) {
     const at = this._at;
-    for (const kind of /** @type {const} */ (["raw", "restored"])) {
-      const of = frame ? (kind === "raw" ? frame.ofRaw : frame.ofRestored) : null;
-      say(at[`force-${kind}`], fixed(of ? of.force : NaN, 2));
-      say(at[`peak-${kind}`], fixed(of ? of.peak : NaN, 1));
-      say(at[`x-${kind}`], fixed(of ? of.x : NaN, 1));
-      say(at[`y-${kind}`], fixed(of ? of.y : NaN, 1));
-    }
+    tell(this._raw, frame ? frame.ofRaw : NOTHING);
+    tell(this._restored, frame ? frame.ofRestored : NOTHING);
     say(at.iterations, frame ? String(frame.iterations) : "\u2013");
     say(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
     say(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
@@ -150,6 +149,21 @@ export class Readings {
     this._at.latency.title = skewS
       ? `This browser's clock is ${fixed(skewS, 1)} s off the service's: the way over the network is left out` : "";
   }
+}
+
+/** @param {"raw"|"restored"} kind */
+const measured = (kind) =>
+  ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
+
+/**
+ * @param {ReturnType<typeof measured>} at where it is told
+ * @param {import("./measures.js").Measures} of an image
+ */
+function tell(at, of) {
+  say(at.force, fixed(of.force, 2));
+  say(at.peak, fixed(of.peak, 1));
+  say(at.x, fixed(of.x, 1));
+  say(at.y, fixed(of.y, 1));
 }
 
 /**
