@@ -25,7 +25,7 @@ PAUSE = 32  # frames that points are left alone for after a fit that did not sta
 LONGEST = 2048  # of those
 ITERATED = ("nnls", "points")
 WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not worth restoring for
-UNTOLD = 0.11  # of its square: what points mislead by if nothing tells where on their taxels they are
+UNTOLD = 0.14  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
 IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
@@ -66,7 +66,7 @@ class Auto:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._idle, self._wiener, self._nonneg = Idle(scene), Wiener(scene), Nonneg(scene)
-        self.points = Points(scene)
+        self.points = Points(scene, wary=True)
         self._square = scene.blur.frame_shape == scene.blur.surface_shape
         self._below = np.empty(scene.blur.surface_shape, np.float32)
         self._method, self._age, self._review, self._stay = "", 0, REVIEW, False

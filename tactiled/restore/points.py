@@ -37,6 +37,9 @@ WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.4
 DOUBT = 3.0  # standard deviations that the width found must stay below that by
 SURPLUS = 0.03  # square pitches of width by which points may differ
 LENGTH = 0.02  # square pitches of width that a point may have along one axis above that: a longer one may be two
+PAIR = 0.0625  # square pitches of width, at most, that two loads half a pitch apart have
+MISS = 0.25  # of what the model may miss, that may look like a width
+MISSED = 0.6  # of the points' image, that the raw one misses: if more, points hardly do worse, though one were two
 SEEN = 2.0  # standard deviations beyond these: one so wide is two
 FIRM = 0.25  # pitches that the last step may move a point: it is linear, and holds no further
 STRETCH = 0.5  # of a force that it may change
@@ -44,6 +47,7 @@ UNSURE = 0.2  # of a force: one less certain is not told
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 FAR = 0.5  # pitches: a place less certain is not told
 STAY = 1.5  # times further that these bounds reach for points that go on from those of the frame before
+AXES = np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 1], [0.5, 0.5, -1]])  # of a width: down, across, between these
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
 
@@ -57,10 +61,14 @@ class Point(NamedTuple):
 
 
 class Points:
-    """Fits the frame that its scene last looked at; `found` holds the points of the fit that stood."""
+    """Fits the frame that its scene last looked at; `found` holds the points of the fit that stood.
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    If `wary`, one load that may be two half a pitch apart is told only where the raw image is much worse anyway.
+    """
+
+    def __init__(self, scene: Scene, wary: bool = False) -> None:
+        self._scene, self._wary = scene, wary
+        self._frame: Image  # flat, the last
         self._loads: Loads | None = scene.blur.loads if min(scene.blur.frame_shape) >= FEWEST else None
         self.never = NO_GRID if self._loads is None else ""  # why none is ever told
         if self._loads and self._loads.stir() < TELLING * MODEL:
@@ -85,7 +93,7 @@ class Points:
         self.found = ()
         if self._loads is None:
             return 0
-        y = y.reshape(-1)
+        y = self._frame = y.reshape(-1)
         self._model = MODEL**2 * float(y.dot(y))
         done, told = 0, None
         if self._last is not None:
@@ -98,7 +106,6 @@ class Points:
         self._last = told.places if told else None
         if told is None:
             return 0
-        self.drawing(told)
         pitch = self._scene.blur.cell_mm * self._refine
         self.found = tuple(
             Point(column * pitch, row * pitch, 1e-3 * force * pitch**2)
@@ -257,7 +264,25 @@ class Points:
         places = self._within(fit.places + np.stack(shift, axis=1))
         spread = np.sqrt(np.maximum(known[:, 1:], NEAREST**2) + common)
         force = np.maximum(fit.force + force, 0)
-        return Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
+        told = Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
+        self.drawing(told)
+        return None if self._wary and self._may_harm(fit, sqrt(variance), reach) else told
+
+    def _may_harm(self, fit: "_Fit", noise: float, reach: float) -> bool:
+        """Whether the points just drawn may be further from the truth than the raw image, were one of them two."""
+        y, image, k = self._frame, self.drawing.image, self._refine
+        rows, columns = self._scene.blur.frame_shape
+        square = float(np.vdot(image, image))
+        both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
+        missed = k**2 * float(y.dot(y)) - 2 * both + square
+        return missed < (MISSED / reach) ** 2 * square and self._widest(fit, noise) > reach * PAIR
+
+    def _widest(self, fit: "_Fit", noise: float) -> float:
+        """Width (square pitches) that a load may have along an axis, by a deviation of noise and model more."""
+        own, known = _widths(fit)
+        miss = noise + MISS * MODEL * fit.force * np.sqrt(fit.normal.diagonal()[: len(fit.force)])
+        doubt = np.sqrt(np.maximum(np.einsum("ai,injn,aj->an", AXES, known, AXES), 1e-30))
+        return float((AXES @ own + miss * doubt).max())
 
     def _leaves(self, fit: "_Fit", last: Floats, reach: float) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
@@ -278,14 +303,12 @@ class Points:
 
         `seen`: how many deviations of a noise of 1 count as more than noise.
         """
-        n = len(fit.force)
-        inverse = np.linalg.inv(_ridged(fit.normal))[3 * n :]
-        own = (inverse @ fit.right).reshape(3, n)
+        own, known = _widths(fit)
         _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
         u, v = axes[..., -1].T
         along = np.stack([u * u, v * v, 2 * u * v])
-        known = np.einsum("in,injn,jn->n", along, inverse[:, 3 * n :].reshape(3, n, 3, n), along)
-        return float(((own * along).sum(axis=0) - seen * np.sqrt(np.maximum(known, 1e-30))).max())
+        doubt = np.sqrt(np.maximum(np.einsum("in,injn,jn->n", along, known, along), 1e-30))
+        return float(((own * along).sum(axis=0) - seen * doubt).max())
 
     def _held(self, normal: Floats, right: Floats, common: float) -> Floats:
         """The last step of all unknowns, every width held near the common one."""
@@ -319,6 +342,14 @@ class _Fit(NamedTuple):
         stiff[n:] *= damping * np.tile(self.force**2, 2)
         damped.flat[:: 3 * n + 1] += stiff
         return np.asarray(np.linalg.solve(damped, self.right[: 3 * n])[n:].reshape(2, n).T, float)
+
+
+def _widths(fit: _Fit) -> tuple[Floats, Floats]:
+    """Give each load's own widths (3, n), down, across and both, and their covariance for a noise of 1."""
+    n = len(fit.force)
+    inverse = np.linalg.inv(_ridged(fit.normal))[3 * n :]
+    covariance = np.asarray(inverse[:, 3 * n :], float)
+    return np.asarray(inverse @ fit.right).reshape(3, n), covariance.reshape(3, n, 3, n)
 
 
 def _window(image: Image, middle: Floats, reach: int) -> Image:

@@ -55,7 +55,7 @@ def test_auto_does_no_harm_under_thin_covers():
     found = accuracy(presses(16, (0.2, 0.35, 0.5), (0.002, 0.01), seed=77))
     assert len(found.presses) == 42
     assert found.slips("auto") == 0
-    assert found.mean("auto") < 0.75 * found.mean("raw")
+    assert found.mean("auto") < 0.8 * found.mean("raw")
 
 
 @pytest.mark.parametrize(("seed", "least"), [(11, 0.75), (14, 0.8)])
