@@ -45,10 +45,14 @@ _Film = tuple[float, NDArray[np.float32]]  # a taxel's noise (kPa), and frames
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """Median microseconds a frame of everything timed at one size."""
+    """Median microseconds of one frame over and over, of everything timed at one size.
+
+    Jitter is the 99.9th percentile over the median of all runs, whatever else the machine did meanwhile.
+    """
 
     size: int
     times: dict[str, float]
+    jitter: dict[str, float]
 
     def ratio(self, slow: str, fast: str) -> float:
         """How many times `fast` is as fast as `slow`."""
@@ -112,10 +116,9 @@ def speed(size: int, seconds: float) -> Speed:
     for method in OURS:
         restorer = make(method, press.blur, press.sigma)
         runs[method] = lambda restorer=restorer: restorer(press.frame)  # type: ignore[misc]
-    rounds = [
-        {name: float(np.median(timed(run, seconds / ROUNDS))) for name, run in runs.items()} for _ in range(ROUNDS)
-    ]
-    return Speed(size, {name: min(each[name] for each in rounds) for name in runs})
+    rounds = [{name: timed(run, seconds / ROUNDS) for name, run in runs.items()} for _ in range(ROUNDS)]
+    medians = {name: min(float(np.median(each[name])) for each in rounds) for name in runs}
+    return Speed(size, medians, {name: _jitter(np.concatenate([each[name] for each in rounds])) for name in runs})
 
 
 def _skimage(press: Press) -> dict[str, Callable[[], Any]]:

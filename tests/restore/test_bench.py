@@ -78,6 +78,8 @@ def test_speed_is_measured_side_by_side():
     assert set(found.times) == {"skimage wiener", "skimage rl", "FFT pair", *OURS}
     assert found.ratio("skimage wiener", "wiener") > 0
     assert found.ratio("skimage rl", "rl") > 0
+    assert set(found.jitter) == set(found.times)
+    assert min(found.jitter.values()) >= 1
 
 
 def test_moving_scenes_and_an_idle_pad():
