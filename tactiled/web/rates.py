@@ -126,7 +126,7 @@ class Turns:
 
     async def _come(self, request: Request) -> bool:
         """Wait for a turn, which holds the lock; False, and it does not, where the client leaves before."""
-        if not self._lock.locked():
+        if not self._lock.locked() and self._waiting.total() == 1:  # nor is anyone else about to take it
             return await self._lock.acquire()
         turn, left = asyncio.ensure_future(self._lock.acquire()), asyncio.ensure_future(_left(request))
         try:

@@ -180,6 +180,29 @@ def test_who_leaves_amid_the_queue_takes_nobodys_turn():
     assert [*answers[:1], *answers[2:]] == [0, 2, 3]
 
 
+def test_who_comes_between_two_turns_and_leaves_gives_its_place_back_at_once():
+    turns, go_on, gone = Turns(Rates(0)), threading.Event(), asyncio.Queue()
+
+    async def go():
+        await turns._lock.acquire()
+        next_ = asyncio.create_task(turns.one(asked("10.0.0.1"), partial(go_on.wait, 30)))
+        while not turns._lock._waiters:
+            await asyncio.sleep(0)
+        late = Request({"type": "http", "client": ("10.0.0.2", 1)}, gone.get)
+        turns._lock.release()  # and the next one has not taken it up yet
+        try:
+            gone.put_nowait({"type": "http.disconnect"})
+            async with asyncio.timeout(10):  # no task of its own, which would come too late
+                await turns.one(late, partial(pytest.fail, "made for nobody"))
+            assert not turns._waiting["10.0.0.2"]
+        finally:
+            go_on.set()
+        return await next_
+
+    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
+        assert other.submit(asyncio.run, go()).result(30)
+
+
 def test_a_wait_that_is_ended_from_outside_leaves_the_queue_as_it_was():
     turns, go_on = Turns(Rates(0)), threading.Event()
 
