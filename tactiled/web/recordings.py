@@ -181,13 +181,14 @@ class Recordings:
             raise Problem(409, f"recording {name}: runs: stop it first")
 
     def _told(self, path: Path) -> Recorded:
-        run, size = self._runs.get(path.name), _bytes(path)
+        run = self._runs.get(path.name)
         if run is None:
-            return Recorded(name=path.name, bytes=size, running=False)
+            return Recorded(name=path.name, bytes=_bytes(path), running=False)
+        running, size = run.running, _bytes(path)  # in this order: it grows until it has ended
         return Recorded(
             name=path.name,
             bytes=size,
-            running=run.running,
+            running=running,
             bus=run.bus,
             messages=run.recorder.written,
             error=run.error,

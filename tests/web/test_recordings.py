@@ -12,8 +12,8 @@ from fastapi import FastAPI
 
 from tactiled.bus import record, recording
 from tactiled.events import Events
-from tactiled.web import problems
-from tactiled.web.recordings import make
+from tactiled.web import problems, recordings
+from tactiled.web.recordings import Recordings, make
 from tests.conftest import BUSY_S, until
 
 ROOT = "/api/v1/recordings"
@@ -255,6 +255,25 @@ def test_a_recording_whose_file_is_renamed_is_listed_until_it_is_stopped_and_say
         assert act(f"{ROOT}/a.log").status_code == 404
     assert api.post(ROOT, json={"bus": "can0", "name": "c.log"}).status_code == 201
     assert len(list(recording.read(folder / "b.log"))) == 10
+
+
+def test_what_is_told_as_ended_is_told_whole(folder, request, monkeypatch):
+    """It may end while its size is looked at: an end that is written last is missing then."""
+    of = Recordings(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}, Events(), 0.0)
+    of.start("can0", "a.log.gz")
+    size_of = recordings._bytes
+
+    def slowly(path):
+        size = size_of(path)
+        of._runs["a.log.gz"].stop()
+        return size
+
+    with monkeypatch.context() as patched:
+        patched.setattr(recordings, "_bytes", slowly)
+        told = of._told(folder / "a.log.gz")
+    whole = of.listed(None, 1).recordings[0]
+    assert not whole.running
+    assert told.running or told.bytes == whole.bytes
 
 
 def test_a_link_in_the_place_of_a_recordings_file_is_not_its_file(api, folder):
