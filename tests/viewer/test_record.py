@@ -129,5 +129,7 @@ def test_a_recording_whose_file_was_moved_away_says_so_and_can_be_ended(recordin
     path.rename(folder / "kept.log")
     wait(page, f"{LIST}.includes('recording can0, file moved or removed')")
     page.locator("#record", has_text="Stop").click()
+    says = f"{path.name}: file moved or removed, 0 messages."
+    wait(page, f"document.getElementById('notice').innerText === '{says}'")
     page.locator("#record", has_text="Record").wait_for()
     wait(page, f"!{LIST}.includes('moved') && {LIST}.includes('kept.log')")

@@ -58,7 +58,11 @@ export class Recorder {
 
   /** @param {string} name */
   async _stop(name) {
-    if (await control(() => api.stopRecording(name), "Recording not ended")) notice(`Recorded: ${name}.`);
+    await control(async () => {
+      const told = await api.stopRecording(name);
+      const whole = told.bytes !== null && told.error === null;
+      notice(whole ? `Recorded: ${name}.` : `${name}: ${about(told)}.`, !whole);
+    }, "Recording not ended");
   }
 
   async _look() {
