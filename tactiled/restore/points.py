@@ -38,7 +38,6 @@ DOUBT = 3.0  # standard deviations that the width found must stay below that by
 SURPLUS = 0.03  # square pitches of width by which points may differ
 LENGTH = 0.02  # square pitches of width that a point may have along one axis above that: a longer one may be two
 PAIR = 0.0625  # square pitches of width, at most, that two loads half a pitch apart have
-MISS = 0.25  # of what the model may miss, that may look like a width
 MISSED = 0.6  # of the points' image, that the raw one misses: if more, points hardly do worse, though one were two
 SEEN = 2.0  # standard deviations beyond these: one so wide is two
 FIRM = 0.25  # pitches that the last step may move a point: it is linear, and holds no further
@@ -230,7 +229,7 @@ class Points:
         return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
 
     def _told(self, fit: "_Fit | None", reach: float = 1.0) -> Told | None:
-        """Places, forces and places' deviations, each load given a width of its own; None where unsure."""
+        """Draw and give what stands, each load allowed a width of its own; None where anything is unsure."""
         if fit is None:
             return None
         n = len(fit.force)
@@ -278,11 +277,10 @@ class Points:
         return missed < (MISSED / reach) ** 2 * square and self._widest(fit, noise) > reach * PAIR
 
     def _widest(self, fit: "_Fit", noise: float) -> float:
-        """Width (square pitches) that a load may have along an axis, by a deviation of noise and model more."""
+        """Width (square pitches) that a load may have along an axis: what is found and a deviation of noise."""
         own, known = _widths(fit)
-        miss = noise + MISS * MODEL * fit.force * np.sqrt(fit.normal.diagonal()[: len(fit.force)])
         doubt = np.sqrt(np.maximum(np.einsum("ai,injn,aj->an", AXES, known, AXES), 1e-30))
-        return float((AXES @ own + miss * doubt).max())
+        return float((AXES @ own + noise * doubt).max())
 
     def _leaves(self, fit: "_Fit", last: Floats, reach: float) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""

@@ -28,7 +28,7 @@ from tactiled.web.session import NOT_FOUND, heard, serve
 
 NONE_HERE = "no sensor here has the codec xela"
 DECIMALS = 5  # of a force in N, as that server gives them
-REST_OF_SPECIAL = (0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0)  # a public note has that server send these
+SPECIAL_TAIL = (0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0)  # a public note has that server send these
 
 
 class Module(Form):
@@ -76,7 +76,7 @@ class Routine(Form):
                         "calibrated": [0.09405, -0.15298, 0.45],
                         "temp": [0.0],
                         "ups": [83.0],
-                        "special": [[16536, 16140, 37201, *REST_OF_SPECIAL]],
+                        "special": [[16536, 16140, 37201, *SPECIAL_TAIL]],
                     },
                 }
             ]
@@ -161,7 +161,7 @@ class _Skin:
             calibrated=None if forces is None else forces.round(DECIMALS).ravel().tolist(),
             temp=[0.0] * size,
             ups=[round(self.feed.status().rate_hz, 2)] * size,
-            special=[(*taxel, *REST_OF_SPECIAL) for taxel in counts.tolist()],
+            special=[(*taxel, *SPECIAL_TAIL) for taxel in counts.tolist()],
         )
 
 
