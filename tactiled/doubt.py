@@ -95,8 +95,9 @@ class Doubt:
         expected = float(np.hypot(noise, MODEL * np.abs(pressure).max()))
         if np.count_nonzero(pressure == peak) >= LEVEL and peak > CLEAR * expected:
             found.append(PLATEAU)
-        # The image of points shows cells, and their fit, which stood, was of what lies between them.
-        if method != "points":
+        # The image of points shows cells, and their fit, which stood, was of what lies between them. A raw one has
+        # the cover's blur in it, and explains no frame.
+        if method not in ("points", "raw"):
             found += _unexplained(np.abs(predicted[sound] - pressure) / expected)
             if LIFTED not in found and self._moved(whole, predicted, noise):
                 found.append(LIFTED)
