@@ -250,7 +250,8 @@ class Points:
             return None
         if (width - SEEN * unsure).max() > common + reach * SURPLUS:
             return None
-        if self._longest(fit, reach * SEEN * sqrt(variance)) > common + reach * LENGTH:
+        widths = _widths(fit)
+        if _longest(*widths, reach * SEEN * sqrt(variance)) > common + reach * LENGTH:
             return None
         if self._leaves(fit, last, reach):
             return None
@@ -265,22 +266,17 @@ class Points:
         force = np.maximum(fit.force + force, 0)
         told = Told(places, force, np.asarray(spread), np.asarray(known), doubt, noise / variance)
         self.drawing(told)
-        return None if self._wary and self._may_harm(fit, sqrt(variance), reach) else told
+        harmful = self._wary and self._raw_is_near(reach) and _widest(*widths, sqrt(variance)) > reach * PAIR
+        return None if harmful else told
 
-    def _may_harm(self, fit: "_Fit", noise: float, reach: float) -> bool:
-        """Whether the points just drawn may be further from the truth than the raw image, were one of them two."""
+    def _raw_is_near(self, reach: float) -> bool:
+        """Whether the raw image may be nearer to the truth than the points just drawn, were one of them two."""
         y, image, k = self._frame, self.drawing.image, self._refine
         rows, columns = self._scene.blur.frame_shape
         square = float(np.vdot(image, image))
         both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
         missed = k**2 * float(y.dot(y)) - 2 * both + square
-        return missed < (MISSED / reach) ** 2 * square and self._widest(fit, noise) > reach * PAIR
-
-    def _widest(self, fit: "_Fit", noise: float) -> float:
-        """Width (square pitches) that a load may have along an axis: what is found and a deviation of noise."""
-        own, known = _widths(fit)
-        doubt = np.sqrt(np.maximum(np.einsum("ai,injn,aj->an", AXES, known, AXES), 1e-30))
-        return float((AXES @ own + noise * doubt).max())
+        return missed < (MISSED / reach) ** 2 * square
 
     def _leaves(self, fit: "_Fit", last: Floats, reach: float) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
@@ -295,18 +291,6 @@ class Points:
             float(np.vdot(each, each)) > noise * (each.size + reach * NEAR * sqrt(2 * each.size)) + self._model
             for each in about
         )
-
-    def _longest(self, fit: "_Fit", seen: float) -> float:
-        """Width (square pitches) that a load surely has along its longest axis; much of it, and it may be two.
-
-        `seen`: how many deviations of a noise of 1 count as more than noise.
-        """
-        own, known = _widths(fit)
-        _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
-        u, v = axes[..., -1].T
-        along = np.stack([u * u, v * v, 2 * u * v])
-        doubt = np.sqrt(np.maximum(np.einsum("in,injn,jn->n", along, known, along), 1e-30))
-        return float(((own * along).sum(axis=0) - seen * doubt).max())
 
     def _held(self, normal: Floats, right: Floats, common: float) -> Floats:
         """The last step of all unknowns, every width held near the common one."""
@@ -348,6 +332,24 @@ def _widths(fit: _Fit) -> tuple[Floats, Floats]:
     inverse = np.linalg.inv(_ridged(fit.normal))[3 * n :]
     covariance = np.asarray(inverse[:, 3 * n :], float)
     return np.asarray(inverse @ fit.right).reshape(3, n), covariance.reshape(3, n, 3, n)
+
+
+def _longest(own: Floats, known: Floats, seen: float) -> float:
+    """Width (square pitches) that a load surely has along its longest axis; much of it, and it may be two.
+
+    `seen`: how many deviations of a noise of 1 count as more than noise.
+    """
+    _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
+    u, v = axes[..., -1].T
+    along = np.stack([u * u, v * v, 2 * u * v])
+    doubt = np.sqrt(np.maximum(np.einsum("in,injn,jn->n", along, known, along), 1e-30))
+    return float(((own * along).sum(axis=0) - seen * doubt).max())
+
+
+def _widest(own: Floats, known: Floats, noise: float) -> float:
+    """Width (square pitches) that a load may have along an axis: what is found and a deviation of noise."""
+    doubt = np.sqrt(np.maximum(np.einsum("ai,injn,aj->an", AXES, known, AXES), 1e-30))
+    return float((AXES @ own + noise * doubt).max())
 
 
 def _window(image: Image, middle: Floats, reach: int) -> Image:

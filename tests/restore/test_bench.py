@@ -3,6 +3,7 @@ import pytest
 from typer.testing import CliRunner
 
 import tactiled.cli
+from tactiled.bench import restore as bench
 from tactiled.bench.restore import OURS, accuracy, moving, nrmse, speed
 from tactiled.bench.truth import DRAWN, PEAK, presses
 from tactiled.cli.app import app
@@ -80,6 +81,14 @@ def test_speed_is_measured_side_by_side():
     assert found.ratio("skimage rl", "rl") > 0
     assert set(found.jitter) == set(found.times)
     assert min(found.jitter.values()) >= 1
+
+
+def test_jitter_of_one_frame_is_that_of_all_runs(monkeypatch):
+    """Two runs in a thousand that take a hundred times as long, in every round."""
+    monkeypatch.setattr(bench, "timed", lambda *_: np.repeat([1.0, 100.0], [998, 2]))
+    found = speed(16, 0.05)
+    assert set(found.times.values()) == {1.0}
+    assert set(found.jitter.values()) == {100.0}
 
 
 def test_moving_scenes_and_an_idle_pad():
