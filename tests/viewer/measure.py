@@ -1,19 +1,21 @@
 """python -m tests.viewer.measure [SECONDS] [--apart]: what the viewer costs the browser at 64 x 64; prints only.
 
 CPU is the page's main thread's own time, of one core; garbage is what V8's sampling profiler saw allocated, the
-viewer's own functions apart from what the browser and the measuring itself allocate. The frames are made before:
-to simulate them meanwhile would make them late. What limits the frame rate is told apart by the screen's turns:
-how many the browser gave, how many of them brought nothing new, and how many a page gets that does no more than
-fill two canvases of the maps' size. `--apart` keeps the service on one core and the browser on the others.
+viewer's own functions apart from what the browser and the measuring itself allocate, and how long collecting it
+held the page up. The frames are made before: to simulate them meanwhile would make them late. What limits the
+frame rate is told apart by the screen's turns: how many the browser gave, how many of them brought nothing new,
+and how many a page gets that does no more than fill two canvases of the maps' size. `--apart` keeps the service
+on one core and the browser on the others.
 """
 
+import json
 import os
 import shutil
 import sys
 from collections import Counter
 from threading import Event, Thread
 
-from playwright.sync_api import CDPSession, Page, sync_playwright
+from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.reader import open_bus
@@ -118,6 +120,18 @@ def limits(page: Page, seconds: float) -> None:
     )
 
 
+def pauses(browser: Browser, page: Page, seconds: float) -> None:
+    """Print how often and for how long the page stood still while garbage was collected."""
+    browser.start_tracing(page=page, categories=["devtools.timeline"])
+    page.wait_for_timeout(1000 * seconds)
+    events = json.loads(browser.stop_tracing())["traceEvents"]
+    found = [each["dur"] / 1000 for each in events if each["name"] in ("MinorGC", "MajorGC")]
+    print(
+        f"collections in {seconds:.0f} s: {len(found)}, longest {max(found, default=0.0):.2f} ms, "
+        f"together {sum(found):.2f} ms"
+    )
+
+
 def measure(page: Page, restored: list[int], seconds: float) -> None:
     """Watch a page that is live for some seconds and print what it did."""
     session = page.context.new_cdp_session(page)
@@ -184,6 +198,7 @@ def watch(url: str, service: Service, seconds: float) -> None:
         page.goto(url)
         service.sensor("palm").hub.subscribe(lambda image: restored.append(image.sequence))
         measure(page, restored, seconds)
+        pauses(browser, page, seconds)
         limits(page, seconds)
         browser.close()
 
