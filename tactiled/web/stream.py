@@ -86,18 +86,34 @@ def due_after(due: float, now: float, rate_hz: float) -> float:
     return max(due, now - 1 / rate_hz) + 1 / rate_hz
 
 
+class _Gate:
+    """What is sent to a client once in a while only."""
+
+    def __init__(self) -> None:
+        self.due = 0.0  # when the next may be sent
+        self._alarm = 0.0
+
+    def shut(self, now: float, wake: asyncio.Event) -> bool:
+        """Whether it is too early; if so, `wake` is set when it no longer is."""
+        if now >= self.due - EARLY_S:
+            return False
+        if self._alarm < self.due:
+            self._alarm = self.due
+            asyncio.get_running_loop().call_at(self.due, wake.set)
+        return True
+
+
 class _Line:
-    """One sensor as one client sees it: what it has been sent and told, and when."""
+    """One sensor as one client sees it: what it has been sent and told, and when more may be."""
 
     def __init__(self, feed: Feed, kinds: tuple[Kind, ...]) -> None:
         self.feed, self.kinds = feed, kinds
         self.credit = 0  # images of each kind that it has asked for
         self.sent: Image | None = None
-        self.due = self.alarm = 0.0  # when it may be sent the next image; and is woken for it
+        self.images, self.changes, self.searches = _Gate(), _Gate(), _Gate()
         self.told: tuple[object, ...] = ()
         self.told_at = 0.0
         self.touched = -1
-        self.touched_at = 0.0
         self.looking: asyncio.Task[Contacts | None] | None = None
 
 
@@ -153,14 +169,10 @@ class Stream:
         if image is None or image is line.sent or (self._wish.credit and not line.credit):
             return
         if self._wish.rate_hz:
-            loop = asyncio.get_running_loop()
-            now = loop.time()
-            if now < line.due - EARLY_S:
-                if line.alarm < line.due:
-                    line.alarm = line.due
-                    loop.call_at(line.due, self._wake.set)
+            now = asyncio.get_running_loop().time()
+            if line.images.shut(now, self._wake):
                 return
-            line.due = due_after(line.due, now, self._wish.rate_hz)
+            line.images.due = due_after(line.images.due, now, self._wish.rate_hz)
         feed, binary = line.feed, self._wish.form == "binary"
         messages = [feed.binary(kind, self._named) if binary else feed.text(kind) for kind in line.kinds]
         line.sent, line.credit = image, max(0, line.credit - 1)
@@ -173,14 +185,16 @@ class Stream:
     async def _send_status(self, line: _Line) -> None:
         status, now = line.feed.status(), asyncio.get_running_loop().time()
         told = (status.state, status.method, status.ran, status.warnings)
-        if now - line.told_at < (STATUS_S if told == line.told else CHANGE_S):
+        if told == line.told and now - line.told_at < STATUS_S:
             return
-        line.told, line.told_at = told, now
+        if line.changes.shut(now, self._wake):
+            return
+        line.told, line.told_at, line.changes.due = told, now, now + CHANGE_S
         await self._socket.send_text(status.model_dump_json())
 
     async def _send_contacts(self, line: _Line) -> None:
-        now = asyncio.get_running_loop().time()
-        if now - line.touched_at < CONTACTS_S:
+        image, now = line.feed.image, asyncio.get_running_loop().time()
+        if image is None or image.sequence == line.touched or line.searches.shut(now, self._wake):
             return
         if line.looking is None:  # for longer than an image may wait
             line.looking = line.feed.contacts()
@@ -191,5 +205,5 @@ class Stream:
         looked, line.looking = line.looking, None  # before it may raise: a search that failed is not kept
         found = looked.result()
         if found is not None and found.sequence != line.touched:
-            line.touched, line.touched_at = found.sequence, now
+            line.touched, line.searches.due = found.sequence, now + CONTACTS_S
             await self._socket.send_text(found.model_dump_json())

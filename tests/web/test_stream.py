@@ -138,6 +138,23 @@ def test_an_image_held_back_by_the_limit_is_sent_when_it_is_due_though_nothing_e
             assert images(client, 1)[0].sequence == sequence
 
 
+def test_contacts_held_back_by_the_limit_are_sent_when_they_are_due_though_nothing_else_happens(rig, monkeypatch):
+    monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
+    with running(rig.service) as url, stream(url, "?contacts=1") as client:
+        for _ in range(8):
+            sequence = rig.show(pressed()).sequence
+            assert told(client, lambda said: said["type"] == "contacts")["sequence"] == sequence
+
+
+def test_a_change_held_back_by_the_limit_is_told_when_it_is_due_though_nothing_else_happens(rig, monkeypatch):
+    monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
+    with running(rig.service) as url, stream(url) as client:
+        for method in ("rl", "wiener") * 4:
+            rig.sensor.set_method(method)
+            rig.show(pressed())
+            told(client, lambda said, method=method: said["type"] == "status" and said["ran"] == method)
+
+
 def test_contacts_on_request(rig, url):
     rig.show(pressed())
     with stream(url, "?contacts=1") as client:
