@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from shutil import disk_usage
@@ -150,10 +151,12 @@ class Recorder:
 
     `put` never waits for the disk. Where the disk fails, falls behind by more than `waiting` messages or has less
     than `leave_mb` left, `put` and `close` raise TactileError, and the file holds all messages up to a point,
-    which the error names.
+    which the error names. ConfigError for a `leave_mb` that is no bound.
     """
 
     def __init__(self, path: Path, waiting: int = WAITING, leave_mb: float = 0.0) -> None:
+        if not 0 <= leave_mb < inf:
+            raise ConfigError(f"recordings_leave_mb = {leave_mb:g}: give 0 (no bound) or more, in MB")
         self.path, self._most, self._leave_mb = path, waiting, leave_mb
         self.written = 0  # messages that are on the disk
         self._taken = 0
