@@ -57,6 +57,7 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     problems.install(app)
     app.state.service, app.state.server = service, server
+    app.state.films = film.Films()
     app.state.streams = Streams(server.streams_per_client, server.streams)
     app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):

@@ -47,7 +47,7 @@ SIGMA = "a taxel's standard deviation; measured if left out"
 Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
 
 
-class Work:
+class Progress:
     """A film that is being restored: how much of it is done, and since when."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -68,25 +68,22 @@ class Work:
         return max(1, ceil(elapsed * (self._frames - self._done) / self._done if self._done else elapsed))
 
 
-class Desk:
-    """Where films are restored, one at a time."""
+class Films:
+    """The films that clients have restored: one at a time."""
 
     def __init__(self) -> None:
-        self.work: Work | None = None
+        self.now: Progress | None = None
 
     @contextmanager
-    def one(self) -> Iterator[Work]:
+    def one(self) -> Iterator[Progress]:
         """One film; Problem 429 while there is another."""
-        if self.work is not None:
-            raise Problem(429, "another film is being restored: wait", {"Retry-After": str(self.work.wait())})
-        self.work = Work()
+        if self.now is not None:
+            raise Problem(429, "another film is being restored: wait", {"Retry-After": str(self.now.wait())})
+        self.now = Progress()
         try:
-            yield self.work
+            yield self.now
         finally:
-            self.work = None
-
-
-desk = Desk()
+            self.now = None
 
 
 class _Done(NamedTuple):
@@ -103,13 +100,14 @@ async def restore(
     The answer's headers say the noise (kPa) and how often each method ran.
     """
     service: Service = request.app.state.service
+    films: Films = request.app.state.films
     plan = service.sensor(sensor).plan
-    with desk.one() as work:
+    with films.one() as progress:
         folder = TemporaryDirectory(prefix="tactiled-")
         try:
             film, images = Path(folder.name) / "frames.npy", Path(folder.name) / "restored.npy"
             await _receive(request, film)
-            done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa, work)
+            done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa, progress)
         except BaseException:
             folder.cleanup()
             raise
@@ -130,7 +128,7 @@ async def _receive(request: Request, path: Path) -> None:
 
 
 def _restore(
-    plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None, work: Work
+    plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None, progress: Progress
 ) -> _Done:
     try:
         frames = opened(film, plan)
@@ -141,7 +139,7 @@ def _restore(
         raise Problem(
             413, f"{len(frames)} frames make images of more than {MOST_OUT >> 20} MiB: send them in parts"
         )
-    work.begin(len(frames))
+    progress.begin(len(frames))
     offline = Offline(plan, method, noise_kpa)
     noise, chosen = offline.begin(frames), Counter[str]()
 
@@ -150,5 +148,5 @@ def _restore(
             chosen.update(each.method for each in told)
             yield restored
 
-    write(pieces(), shape, images, work.add)
+    write(pieces(), shape, images, progress.add)
     return _Done(noise, dict(chosen))

@@ -14,6 +14,7 @@ from tactiled import offline
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
 from tactiled.web import body, film
+from tactiled.web.server import running
 from tests.conftest import until
 
 
@@ -92,13 +93,13 @@ def test_an_empty_film_gives_an_empty_one(url):
 )
 def test_who_comes_while_a_film_is_restored_is_told_how_long_that_will_take(elapsed, done, wait):
     now = [100.0]
-    work = film.Work(lambda: now[0])
+    progress = film.Progress(lambda: now[0])
     now[0] += 1000.0  # in which it comes in
-    assert work.wait() == 1000
-    work.begin(20)
+    assert progress.wait() == 1000
+    progress.begin(20)
     now[0] += elapsed
-    work.add(done)
-    assert work.wait() == wait
+    progress.add(done)
+    assert progress.wait() == wait
 
 
 def test_a_second_film_is_refused_until_the_first_is_restored(url, frames, monkeypatch):
@@ -128,11 +129,14 @@ def test_a_second_film_is_refused_until_the_first_is_restored(url, frames, monke
     assert post(url, npy(frames)).status_code == 200
 
 
-def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(url, caplog):
-    with socket.create_connection(url[7:].split(":")) as leaves:
-        head = f"POST /api/v1/restore?sensor=palm HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 5000\r\n\r\n"
-        leaves.sendall(head.encode() + b"\x93NUMPY")
-        until(lambda: film.desk.work is not None)
-    until(lambda: film.desk.work is None)
-    assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
+def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(rig, monkeypatch, caplog):
+    films = film.Films()
+    monkeypatch.setattr(film, "Films", lambda: films)
+    with running(rig.service) as url:
+        with socket.create_connection(url[7:].split(":")) as leaves:
+            head = f"POST /api/v1/restore?sensor=palm HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 5000\r\n\r\n"
+            leaves.sendall(head.encode() + b"\x93NUMPY")
+            until(lambda: films.now is not None)
+        until(lambda: films.now is None)
+        assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
     assert not caplog.records
