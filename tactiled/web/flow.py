@@ -9,14 +9,16 @@ import asyncio
 from typing import Any
 
 from fastapi import WebSocket
+from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
-from websockets.frames import Frame
+from websockets.frames import CloseCode, Frame
 from websockets.http11 import Request
 
 EVERY = 4  # messages a ping
 WINDOW = 2  # pings that may be unanswered: at most EVERY * WINDOW messages are on their way, and the next few
 MARK = b"tactiled"
 ROOM = "tactiled.room"
+ENDS = "the service ends"
 CLOSE_S = 5.0  # that a client has left to read what is on its way when it is closed for answering no ping
 
 
@@ -44,7 +46,11 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
             self.scope["state"][ROOM] = self._room
 
     async def send(self, message: Any) -> None:
-        """Send one ASGI message, and a ping after every few."""
+        """Send one ASGI message, and a ping after every few; to a client that was closed meanwhile, nothing."""
+        if self.close_sent and message["type"] == "websocket.close":
+            return
+        if self.close_sent and message["type"] == "websocket.send":
+            raise ClientDisconnected
         await super().send(message)
         if message["type"] != "websocket.send":
             return
@@ -66,6 +72,18 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
         if self._pinged - self._answered < WINDOW:
             self._room.set()
 
+    def send_receive_event_to_app(self) -> None:
+        """Close a client whose text is none: uvicorn would log it as a failure of its own."""
+        if self.curr_msg_data_type == "text":
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError:
+                self.frames = []
+                self.conn.fail(CloseCode.INVALID_DATA, "text that is not UTF-8")
+                self.handle_parser_exception()
+                return
+        super().send_receive_event_to_app()
+
     def keepalive_timeout(self) -> None:
         """Close, and wait CLOSE_S at most for a client that reads nothing: uvicorn itself waits for ever."""
         super().keepalive_timeout()
@@ -77,6 +95,11 @@ class PacedWebSocket(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     def shutdown(self) -> None:
-        """Let an application that waits end when the server does."""
+        """Let an application that waits end when the server does, and tell the client why."""
         self._room.set()
+        if self.handshake_complete and not self.close_sent and not self.transport.is_closing():
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": int(CloseCode.SERVICE_RESTART)})
+            self.conn.fail(CloseCode.SERVICE_RESTART, ENDS)
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.close_sent = True
         super().shutdown()

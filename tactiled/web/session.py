@@ -7,15 +7,18 @@ from typing import Any
 from fastapi import WebSocket, WebSocketDisconnect
 
 from tactiled.errors import NoShearError, UnknownSensorError
+from tactiled.web.flow import ENDS
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
-TOO_BIG, FAILED, RESTART = 1009, 1011, 1012
+PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
 PING_S = 20.0  # between two pings of the service, and until one must be answered
 CLOSES = {
+    PROTOCOL: "bytes that are no WebSocket's",
+    NO_TEXT: "a text message that is not UTF-8",
     TOO_BIG: "a message of more than 64 KiB",
     FAILED: "the service failed, which its log explains; or the client has answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
-    RESTART: "the service ends",
+    RESTART: ENDS,
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "no token, or one that is not known",
     FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",

@@ -9,16 +9,17 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.events import Faults
 from tactiled.frames import Image
-from tactiled.web.feed import Feed
+from tactiled.web.feed import TICK_S, Feed
 from tactiled.web.flow import room
 from tactiled.web.forms import Contacts
 from tactiled.web.session import NOT_FOUND, fitting, heard, refuse, serve
 from tactiled.web.wire import Kind
 from tactiled.web.wish import Wish, asked_for, next_of, once, sheared, wish
 
-STATUS_S = 1.0  # a client hears of the sensor's state at least this often
+STATUS_S = 1.0  # a client hears of the sensor's state at least this often, at ticks or between
 CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
+LATE_S = 0.02  # that an image may come too late and make no other late: more would let two go at once
 EARLY_S = 1e-3  # that an alarm may come too soon: uvloop's clock and its timers count whole milliseconds
 AHEAD = 2  # images of each kind that a client may have asked for and not been sent
 
@@ -83,7 +84,7 @@ def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish, too: Seque
 
 def due_after(due: float, now: float, rate_hz: float) -> float:
     """When the next image is due (s), if one that was due at `due` is sent now: late, it makes no other late."""
-    return max(due, now - 1 / rate_hz) + 1 / rate_hz
+    return max(due, now - min(LATE_S, 1 / rate_hz)) + 1 / rate_hz
 
 
 class _Gate:
@@ -153,8 +154,8 @@ class Stream:
             for line in self._lines.values():
                 await self._room.wait()
                 with self._turn(line):
+                    await self._send_status(line)  # before the image, which may be an old one
                     await self._send_image(line)
-                    await self._send_status(line)
                     if self._wish.contacts:
                         await self._send_contacts(line)
 
@@ -185,7 +186,7 @@ class Stream:
     async def _send_status(self, line: _Line) -> None:
         status, now = line.feed.status(), asyncio.get_running_loop().time()
         told = (status.state, status.method, status.ran, status.warnings)
-        if told == line.told and now - line.told_at < STATUS_S:
+        if told == line.told and now - line.told_at < STATUS_S - TICK_S:
             return
         if line.changes.shut(now, self._wake):
             return

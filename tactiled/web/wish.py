@@ -1,5 +1,6 @@
 """What a client of a stream asks for in the address, and may say."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from starlette.datastructures import QueryParams
 from tactiled.web.forms import Next
 from tactiled.web.wire import KINDS, PRESSURES, Kind
 
+NUMBER = r"[0-9]+(\.[0-9]*)?([eE][+-]?[0-9]{1,2})?"
 PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts")
 NEXT = '{"type": "next"}, or with "sensor": its name'
 
@@ -43,10 +45,8 @@ def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
     kinds = tuple(query.get("kinds", ",".join(PRESSURES)).split(","))
     if not set(kinds) <= set(KINDS) or len(set(kinds)) < len(kinds):
         raise ValueError(f"kinds={query['kinds']}: give some of {','.join(KINDS)}, each once")
-    try:
-        rate_hz = float(query.get("rate_hz", "0"))
-    except ValueError:
-        rate_hz = -1.0
+    given = query.get("rate_hz", "0")
+    rate_hz = float(given) if re.fullmatch(NUMBER, given) else -1.0
     if not 0 <= rate_hz <= 1e4:
         raise ValueError(f"rate_hz={query['rate_hz']}: give 0 (every frame) to 10000")
     return Wish(

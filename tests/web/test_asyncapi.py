@@ -186,6 +186,10 @@ def test_every_close_code_described_is_the_one_used(rig, document, monkeypatch):
             with connect(address) as client:
                 client.send("x" * 70_000)
                 seen["1009"] = closed(client)
+            for name, raw in ("1002", b"\x81\x00"), ("1007", b"\x81\x81\0\0\0\0\xff"):  # not masked; not UTF-8
+                with connect(address) as client:
+                    client.socket.sendall(raw)
+                    seen[name] = closed(client)
             ending = stack.enter_context(connect(address))
             ending.recv(timeout=BUSY_S)
         seen["1012"] = closed(ending)

@@ -73,6 +73,24 @@ def test_from_can_messages_to_a_websocket_client(rig, url):
         assert restored.values.max() > raw.values.max()  # the cover's blur undone
 
 
+def test_the_state_is_told_before_an_image_that_may_be_an_old_one(rig, url):
+    rig.stale_after(0.01)
+    rig.show(pressed())
+    until(lambda: rig.sensor.status().state == "stale")
+    with stream(url) as client:
+        assert json.loads(client.recv(timeout=BUSY_S))["state"] == "stale"
+        assert {each.sequence for each in images(client, 2)} == {0}
+
+
+def test_the_state_of_a_silent_sensor_is_told_once_a_second(url):
+    with stream(url) as client:
+        times = []
+        for _ in range(6):
+            told(client, lambda said: said["type"] == "status")
+            times.append(time.monotonic())
+    assert max(np.diff(times)) < 1.2  # 1.5 where a tick comes just too early
+
+
 def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
     rig.stale_after(600)
     for _ in range(3):
@@ -126,8 +144,10 @@ def test_an_image_that_is_late_makes_no_other_late():
 def test_no_more_are_sent_than_asked_for_whatever_comes():
     sent = paced(1 + np.arange(2000) / 1000, 20)
     assert np.diff(sent)[2:] == pytest.approx(0.05)
-    rest = np.diff(paced([1, 9, 9.001, 9.002], 20))  # a rest saves up no more than one
-    assert rest == pytest.approx([8, 0.001, 0.049])
+    rest = np.diff(paced([1, 9, 9.001, 9.002], 20))  # a rest saves up next to nothing
+    assert rest == pytest.approx([8, 0.03, 0.05])
+    first = np.diff(paced([1000, 1000.01, 1000.02], 1))
+    assert first == pytest.approx([0.98, 1])
 
 
 def test_an_image_held_back_by_the_limit_is_sent_when_it_is_due_though_nothing_else_happens(rig, monkeypatch):
@@ -230,6 +250,8 @@ def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
         ("palm/stream?kinds=raw&kinds=restored", 4400, "kinds: given 2 times"),
         ("palm/stream?rate_hz=nan", 4400, "rate_hz=nan"),
         ("palm/stream?rate_hz=fast", 4400, "rate_hz=fast"),
+        ("palm/stream?rate_hz=1_0", 4400, "rate_hz=1_0"),
+        ("palm/stream?rate_hz=٣", 4400, "rate_hz=٣"),
         ("palm/stream?format=xml", 4400, "format=xml"),
         ("palm/stream?flow=all", 4400, "flow=all"),
         ("palm/stream?contacts=yes", 4400, "contacts=yes"),
@@ -335,6 +357,37 @@ def test_what_a_client_may_not_say(url, said):
         assert caught.value.rcvd.reason.startswith("message ")
 
 
+def frame(opcode, data, first=0x80):
+    """A WebSocket frame of a client, masked with zeros."""
+    return bytes([first | opcode, 0x80 | len(data)]) + bytes(4) + data
+
+
+@pytest.mark.parametrize(
+    ("said", "code"),
+    [
+        (b"\x81\x02{}", 1002),  # not masked
+        (frame(1, b"{}", first=0xC0), 1002),
+        (frame(3, b"{}"), 1002),
+        (frame(0, b"{}"), 1002),
+        (frame(8, b"\x01"), 1002),
+        (frame(1, b"\xff\xfe"), 1007),
+    ],
+    ids=["unmasked", "reserved", "opcode", "continued", "closed", "text"],
+)
+def test_what_is_no_websocket_is_closed_and_is_no_fault_of_the_service(rig, url, caplog, said, code):
+    assert code in session.CLOSES
+    rig.show(pressed())
+    with handshake(url, "") as plug:
+        plug.settimeout(BUSY_S)
+        until(lambda: rig.sensor.hub._listeners)
+        plug.sendall(said)
+        rig.show(pressed(1))
+        heard = b"".join(iter(lambda: plug.recv(1 << 16), b""))
+    until(lambda: not rig.sensor.hub._listeners)
+    assert code.to_bytes(2, "big") in heard[-130:]
+    assert [each.message for each in caplog.records if each.levelname == "ERROR"] == []
+
+
 def test_a_message_without_end_is_refused_unread(url):
     with stream(url) as client:
         client.send("x" * 70_000)
@@ -385,7 +438,7 @@ def test_a_service_that_ends_says_so(rig):
             client.recv(timeout=BUSY_S)
         with pytest.raises(ConnectionClosed) as caught:
             images(client, 1)
-    assert caught.value.rcvd.code == 1012
+    assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1012, session.CLOSES[1012])
 
 
 def test_a_fault_of_the_service_is_told_as_one(url, monkeypatch, caplog):

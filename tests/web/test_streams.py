@@ -153,7 +153,7 @@ def test_json_names_the_sensor_too(rig, url):
     touch_tip(rig, 0)
     with streams(url, "?sensors=tip&format=json&kinds=raw&contacts=1") as client:
         got = heard(client, lambda got: {each["type"] for each in got} >= {"frame", "status", "contacts"})
-    assert [(each["type"], each["sensor"]) for each in got][:2] == [("frame", "tip"), ("status", "tip")]
+    assert [(each["type"], each["sensor"]) for each in got][:2] == [("status", "tip"), ("frame", "tip")]
     assert {each["type"] for each in got} == {"frame", "status", "contacts"}
     assert {each["sensor"] for each in got} == {"tip"}
 
