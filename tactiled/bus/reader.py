@@ -14,6 +14,7 @@ from can.interfaces.socketcan import SocketcanBus
 
 from tactiled.bus import faults
 from tactiled.bus.burst import ERROR, EXTENDED, REMOTE, Burst
+from tactiled.bus.secrecy import hide
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -162,7 +163,7 @@ class Reader:
 
 def open_bus(interface: str, **settings: Any) -> Reader:
     """Open a bus by python-can's own names; BusError, one line that says what to do, where it cannot be."""
-    label = f"{interface} {settings.get('channel', '')}".strip()
+    label = hide(f"{interface} {settings.get('channel', '')}".strip())
     if interface not in can.VALID_INTERFACES:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise BusError(f"bus {label}: python-can has no interface of that name: choose one of {known}")
@@ -205,8 +206,8 @@ def _burst(bus: can.BusABC, found: socket.socket | None) -> Burst | None:
 
 
 def _blame(error: Exception, label: str) -> BusError:
-    """One line: the bus, what its driver says, what to do."""
+    """One line: the bus, what its driver says, what to do; no login."""
     code = getattr(error, "errno", None) or getattr(error, "error_code", None)
     hint = HINTS.get(code, "") if isinstance(code, int) else ""
-    says = " ".join(str(error).split()) or type(error).__name__
+    says = hide(" ".join(str(error).split())) or type(error).__name__
     return BusError(f"bus {label}: {says}{': ' + hint if hint else ''}")

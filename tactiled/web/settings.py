@@ -1,20 +1,17 @@
 """`GET /api/v1/config`: what the service runs with, without its secrets."""
 
-import re
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import Field
 
+from tactiled.bus.secrecy import bare
 from tactiled.config import Server, parse, schema
 from tactiled.config.example import EXAMPLE
 from tactiled.service import Service
 from tactiled.web import forms
 from tactiled.web.common import Served
 
-HIDDEN = "hidden"
-SECRET = re.compile("token|pass|pwd|secret|key|credential|auth", re.IGNORECASE)  # in names of settings
-LOGIN = re.compile("(?<=://)[^/@]*(?=@)")  # in an address
 EXEMPLARY = parse(EXAMPLE.replace("# noise", "noise")).sensor["palm"]
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -76,7 +73,7 @@ def config(request: Request, service: Served) -> ConfigForm:
     """The configuration as read, with every default, and what clients have changed; no secret."""
     return ConfigForm(
         server=_server(request.app.state.server, service),
-        bus={name: _open(settings) for name, settings in service.buses.items()},
+        bus={name: bare(settings) for name, settings in service.buses.items()},
         sensor={name: _bare(sensor) for name, sensor in service.config.sensor.items()},
         overrides=tuple(_overrides(service)),
     )
@@ -103,20 +100,11 @@ def _server(server: Server, service: Service) -> ServerForm:
     )
 
 
-def _open(setting: Any) -> Any:
-    """A setting, or a table or list of them, without its secrets."""
-    if isinstance(setting, dict):
-        return {key: HIDDEN if SECRET.search(str(key)) else _open(value) for key, value in setting.items()}
-    if isinstance(setting, list | tuple):
-        return [_open(each) for each in setting]
-    return LOGIN.sub(HIDDEN, setting) if isinstance(setting, str) else setting
-
-
 def _bare(sensor: schema.Sensor) -> schema.Sensor:
     """A sensor without what may be a secret in the settings of another package's codec."""
     if not isinstance(sensor.codec, schema.Plugin):
         return sensor
-    return sensor.model_copy(update={"codec": schema.Plugin.model_construct(**_open(sensor.codec.model_dump()))})
+    return sensor.model_copy(update={"codec": schema.Plugin.model_construct(**bare(sensor.codec.model_dump()))})
 
 
 def _overrides(service: Service) -> list[Override]:

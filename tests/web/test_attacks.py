@@ -9,21 +9,24 @@ from contextlib import ExitStack
 from itertools import product
 from pathlib import Path
 
+import can
 import httpx
 import numpy as np
 import pytest
+from can.interfaces.virtual import VirtualBus
 from pydantic import SecretStr
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import tactiled
-from tactiled.config import Server
+from tactiled.config import Server, parse
 from tactiled.errors import TactileError
 from tactiled.sensor import Sensor
+from tactiled.service import Service
 from tactiled.web import body, patience
 from tactiled.web.keys import Keys
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, until
+from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
 from tests.web.test_rest import problem
 
 TOUCHED = Path("/tmp/was-here-by-a-film")
@@ -423,6 +426,31 @@ def test_no_answer_holds_a_secret(rig, place):
                     assert not any(token in answer.text + str(answer.headers) for token in tokens), address
                     seen += 1
     assert seen >= 30
+
+
+def test_no_answer_holds_the_login_of_a_bus(place, monkeypatch):
+    channel = "socket://palm:hush-hush@adapter:1?pin=hush"
+    service = Service(parse(CONFIG.format(channel=channel)))
+
+    def gone(*_, **__):
+        raise OSError(f"no answer from {channel}")
+
+    with ExitStack() as stack:
+        service.start()
+        stack.callback(service.stop)
+        url = stack.enter_context(running(service, Server(port=0, recordings=place / "recordings")))
+        stream = stack.enter_context(connect(url.replace("http", "ws", 1) + "/api/v1/sensors/palm/stream"))
+        monkeypatch.setattr(can, "Bus", gone)
+        monkeypatch.setattr(VirtualBus, "recv", gone)
+        until(lambda: service.sensors["palm"].status().state == "down" and service.events.newest)
+        started = ask("POST", url + "/api/v1/recordings", json={"bus": "can0"})
+        told = [problem(started, 503), next(each for each in stream if '"down"' in each)]
+        told += [
+            ask("GET", f"{url}/api/v1/{path}").text for path in ("health", "sensors/palm", "events", "config")
+        ]
+    for each in told:
+        assert "socket://hidden@adapter:1?pin=hidden" in each
+        assert "hush" not in each
 
 
 def test_a_fault_of_our_own_is_a_problem_that_tells_nothing_and_carries_the_headers(rig, url, monkeypatch):

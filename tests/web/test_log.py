@@ -118,7 +118,10 @@ def test_the_configuration_is_told_without_its_secrets(rig):
         "password": "hush-bus",
         "login": {"user": "palm", "passphrase": "hush-deep"},
         "nodes": [{"auth": "hush-listed"}, 5],
-        "host": "ws://palm:hush-in-address@elsewhere:1",
+        "host": "ws://palm:hush-in-@ddress@elsewhere:1",
+        "url": "https://elsewhere/x?api=hush-asked&id=hush-too#there",
+        "dongle_pin": "hush-pin",
+        "pinky": "http://elsewhere/a?b",
     }
     with running(rig.service, Server(port=0, control_token=token)) as url:
         answer = ask(
@@ -129,6 +132,8 @@ def test_the_configuration_is_told_without_its_secrets(rig):
     bus = told["bus"]["can0"]
     assert (bus["password"], bus["login"]) == ("hidden", {"user": "palm", "passphrase": "hidden"})
     assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://hidden@elsewhere:1")
+    assert bus["url"] == "https://elsewhere/x?api=hidden&id=hidden#there"
+    assert (bus["dongle_pin"], bus["pinky"]) == ("hidden", "http://elsewhere/a?b")
     assert (told["server"]["control_token"], told["server"]["tls"]) == (True, False)
     assert told["sensor"]["palm"]["codec"]["name"] == "packed"
     assert told["sensor"]["palm"]["cover"][0]["thickness_mm"] == 0.8
