@@ -6,8 +6,8 @@ import pytest
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import keep, wait
+from tests.conftest import ask, meanwhile, pressed, until
+from tests.viewer.conftest import THUMB, Pair, keep, wait
 
 PIXELS = """id => {
   const canvas = document.getElementById(id);
@@ -22,6 +22,11 @@ def pixels(page, name):
     return np.array(got["data"]).reshape(got["height"], got["width"], 4)
 
 
+# Whether anything is drawn on a canvas.
+INKED = """(id => {
+  const canvas = document.getElementById(id);
+  return canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(each => each);
+})"""
 PAINTINGS = "Number(document.documentElement.dataset.painted)"
 
 
@@ -122,6 +127,29 @@ def test_it_finds_the_service_again(rig, open_page):
     with running(rig.service, Server(port=port)) as again:
         assert again == url
         keep(lambda: rig.show(pressed()), page, f"{PAINTINGS} > {painted(page)}")
+        page.close()
+        page.faults.clear()
+
+
+def test_a_sensor_left_while_the_service_is_away_leaves_nothing_behind(open_page):
+    with meanwhile(Pair("left", THUMB)) as pair:
+        pair.stale_after(600)
+        with running(pair.service) as url:
+            for _ in range(3):
+                pair.both()
+            page = open_page(url)
+            charts = ("section", "forces", "latencies", "colorbar", "kernel")
+            for name in charts:
+                wait(page, f"{INKED}('{name}')")
+            wait(page, "/[µm]s/.test(document.getElementById('jitter').innerText)")
+        page.locator("#banner").get_by_text(re.compile("disconnected", re.IGNORECASE)).wait_for()
+        page.keyboard.press("2")
+        page.locator("#notice", has_text="thumb").wait_for()
+        for name in charts[:-1]:
+            assert not page.evaluate(f"{INKED}('{name}')"), name
+        told = {name: page.locator(f"#{name}").inner_text() for name in ("jitter", "skew", "rate", "force-raw")}
+        assert set(told.values()) == {"\u2013"}, told
+        page.faults.clear()  # the browser itself reports every attempt that fails
         page.close()
         page.faults.clear()
 

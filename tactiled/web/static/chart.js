@@ -75,6 +75,12 @@ export class Chart {
     this._ink = inks();
   }
 
+  /** Show nothing. */
+  clear() {
+    this._pen.setTransform(1, 0, 0, 1, 0, 0);
+    this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+  }
+
   /**
    * @param {Axes} axes
    * @param {Line[]} lines
@@ -93,8 +99,7 @@ export class Chart {
     this._sy = this._h / (axes.top - axes.bottom);
     this._axes(axes, ratio);
     const draw = this._pen;
-    draw.setTransform(1, 0, 0, 1, 0, 0);
-    draw.clearRect(0, 0, canvas.width, canvas.height);
+    this.clear();
     draw.drawImage(this._ground.canvas, 0, 0);
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (cursor >= axes.left && cursor <= axes.right) this._cursor(SIDE + (cursor - axes.left) * this._sx, cursorText);

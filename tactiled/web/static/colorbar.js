@@ -29,6 +29,14 @@ export class Colorbar {
     this._width = 0;
   }
 
+  /** Show nothing. */
+  clear() {
+    this.forget();
+    this._pen.setTransform(1, 0, 0, 1, 0, 0);
+    this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.canvas.setAttribute("aria-label", "Colour scale");
+  }
+
   /**
    * Draw, where the range or the size is another than the last time; tall boxes get a standing bar.
    * @param {Scale} scale

@@ -43,6 +43,7 @@ export class Maps {
     this._plane = null;
     for (const each of [this.raw, this.restored, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
+    this.colorbar.clear();
   }
 
   /**

@@ -90,8 +90,6 @@ export class Readings {
 
   /** @param {Sensor} sensor */
   about(sensor) {
-    say(this._at.jitter, sensor.jitter_s === null ? "\u2013" : time(sensor.jitter_s * 1e6));
-    say(this._at.skew, sensor.skew_s === null ? "\u2013" : time(sensor.skew_s * 1e6));
     const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
     say(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
     this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;
@@ -122,6 +120,8 @@ export class Readings {
     say(at.ran, status?.ran ? methodTitle(status.ran) : "\u2013");
     say(at.why, status?.why ?? "");
     say(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
+    say(at.jitter, time((status?.jitter_s ?? NaN) * 1e6));
+    say(at.skew, time((status?.skew_s ?? NaN) * 1e6));
     for (const [kind, element] of this._loss) {
       const count = status ? status.loss[/** @type {keyof import("./api.js").Loss} */ (kind)] : 0;
       say(element, status ? String(count) : "\u2013");
@@ -167,9 +167,10 @@ function tell(at, of) {
 }
 
 /**
- * @param {number} microseconds
+ * @param {number} microseconds NaN where it is not known
  * @returns {string}
  */
 function time(microseconds) {
+  if (Number.isNaN(microseconds)) return "\u2013";
   return microseconds < 1000 ? `${fixed(microseconds, 0)} µs` : `${fixed(microseconds / 1000, 2)} ms`;
 }

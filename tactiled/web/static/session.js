@@ -89,7 +89,6 @@ export class Session {
    * @param {boolean} shear whether it is, where the skin feels it
    */
   ask(contacts, shear) {
-    if (!contacts) this.contacts.clear();
     this._shear = this.feels && shear;
     this.stream.move(api.streamUrl(this.name, contacts, this._shear), this._shear ? ALL : PRESSURES);
   }

@@ -16,6 +16,8 @@ import { kindOf, packet, parse } from "./wire.js";
  * @property {import("./api.js").State} state
  * @property {number|null} age_s
  * @property {number} rate_hz
+ * @property {number|null} jitter_s
+ * @property {number|null} skew_s
  * @property {string} detail
  * @property {Loss} loss
  * @property {string} method

@@ -166,6 +166,7 @@ export class Viewer {
     this.probe.clear();
     this.scale.reset();
     this.maps.clear();
+    for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
     this.kernel.use(null);
   }
 
