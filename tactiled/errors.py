@@ -25,6 +25,10 @@ class UnknownSensorError(TactileError):
     """A sensor name that the configuration does not have."""
 
 
+class NotLiveError(TactileError):
+    """What needs frames that come, asked of a sensor that gets none."""
+
+
 class NoShearError(TactileError):
     """Shear asked of a sensor whose skin feels none."""
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate import Calibration, Calibrator
 from tactiled.doubt import Doubt
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts, Image, RawFrame
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
 from tactiled.geometry import Array, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make, require
@@ -25,7 +25,8 @@ TARE_FRAMES = 16  # frames that a tare averages
 class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
-    `set_method` and `tare` may be called from any thread; they take effect with the next frame. So may `forces`.
+    `set_method`, `tare` and `lapse` may be called from any thread; they take effect with the next frame. So may
+    `forces`.
     """
 
     def __init__(
@@ -42,10 +43,9 @@ class Pipeline:
         self._warnings, self._clock = warnings, clock
         self._calibrator = Calibrator(calibration, array.size)
         self._noise = _Noise(calibration)
-        self._tare = _Tare((array.size,))
-        self._shear_tare = _Tare((2, array.size))
+        self._tare = _Tare(array.size)
         self._no_shear = np.full((2, array.size), np.nan, np.float32)  # NaN until tared
-        self.tared = 0  # times
+        self.tared = self.lapsed = 0  # times
         self._doubt = Doubt(blur, calibration.floor_kpa)
         self._method = ""
         self.set_method(method)
@@ -76,7 +76,11 @@ class Pipeline:
     def tare(self) -> None:
         """Take the mean of the next frames as the unloaded array."""
         self._tare.ask()
-        self._shear_tare.ask()
+
+    def lapse(self) -> None:
+        """Give up a tare that has not all of its frames yet; `lapsed` counts it."""
+        if self._tare.lapse():
+            self.lapsed += 1
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation (kPa) of every cell of `image.restored`, this pipeline's newest; any thread."""
@@ -118,8 +122,9 @@ class Pipeline:
         """Image of one frame; never NaN in `restored`, and nothing known against it is left out."""
         began = self._clock()
         known = frame.flags & (MISSING | BAD) == 0
-        if (mean := self._tare.add(frame.counts, known)) is not None:
-            self._calibrator.tare(mean)
+        if (mean := self._tare.add(frame, known)) is not None:
+            self._calibrator.tare(mean[0])
+            self._no_shear = np.where(np.isfinite(mean[1:]), mean[1:], self._no_shear).astype(np.float32)
             self._restorer.reset()
             self.tared += 1
         pressure, flags = self._calibrator(frame.counts, frame.flags)
@@ -153,8 +158,6 @@ class Pipeline:
         if shear is None:
             return None
         unknown = flags.ravel() & (MISSING | BAD | DEAD) > 0
-        if (mean := self._shear_tare.add(shear, ~unknown)) is not None:
-            self._no_shear = np.where(np.isfinite(mean), mean, self._no_shear).astype(np.float32)
         tared = shear - np.nan_to_num(self._no_shear)
         tared[:, unknown] = np.nan
         return tared.reshape((2, *self.array.frame_shape))
@@ -208,27 +211,35 @@ class _Noise:
 
 
 class _Tare:
-    """Averages counts over a few whole frames after it is asked to."""
+    """Averages counts, and shear where it is felt, over a few frames after it is asked to; any thread may ask."""
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self._sum = np.zeros(shape)
-        self._seen = np.zeros(shape[-1])
+    def __init__(self, taxels: int) -> None:
+        self._lock = Lock()
+        self._sum = np.zeros((3, taxels))  # of the counts, and of shear along x and y
+        self._seen = np.zeros(taxels)
         self._left = 0
-        self._asked = False
 
     def ask(self) -> None:
-        self._asked = True
-
-    def add(self, counts: Counts, known: NDArray[np.bool]) -> NDArray[np.float64] | None:
-        """Mean counts (..., N), NaN where a taxel was never `known` (N,), once enough frames are in; else None."""
-        if self._asked:
-            self._asked, self._left = False, TARE_FRAMES
+        with self._lock:
             self._sum[:], self._seen[:] = 0, 0
-        if not self._left:
-            return None
-        self._sum[..., known] += counts[..., known]
-        self._seen += known
-        self._left -= 1
-        if self._left:
-            return None
-        return np.where(self._seen > 0, self._sum / np.maximum(self._seen, 1), np.nan)
+            self._left = TARE_FRAMES
+
+    def lapse(self) -> bool:
+        """Be asked no longer; whether it was."""
+        with self._lock:
+            asked, self._left = self._left > 0, 0
+        return asked
+
+    def add(self, frame: RawFrame, known: NDArray[np.bool]) -> NDArray[np.float64] | None:
+        """Mean (3, N), NaN where a taxel was never `known` (N,), once enough frames are in; else None."""
+        felt = (frame.counts, *(() if frame.shear is None else frame.shear))
+        with self._lock:
+            if not self._left:
+                return None
+            for each, counts in zip(self._sum, felt, strict=False):
+                each[known] += counts[known]
+            self._seen += known
+            self._left -= 1
+            if self._left:
+                return None
+            return np.where(self._seen > 0, self._sum / np.maximum(self._seen, 1), np.nan)

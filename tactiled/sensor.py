@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.config.build import SensorPlan
 from tactiled.contacts import APART, Contact, Finder, Tracker
-from tactiled.errors import NoShearError
+from tactiled.errors import NoShearError, NotLiveError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.history import History
 from tactiled.hub import Hub
@@ -115,8 +115,16 @@ class Sensor:
         return self._pipeline.forces(frame)
 
     def tare(self) -> None:
-        """Take the mean of the next frames as the unloaded array."""
+        """Take the mean of the next frames as the unloaded array; NotLiveError where none come."""
+        status = self.status()
+        if status.state != "live":
+            raise NotLiveError(f"sensor {self.name!r}: {status.state}, {status.detail}: a tare needs frames")
         self._pipeline.tare()
+
+    def lapse(self) -> None:
+        """Give up a tare under way if frames no longer come: what lies there later is no zero."""
+        if self.status().state != "live":
+            self._pipeline.lapse()
 
     @property
     def no_load(self) -> NDArray[np.float32]:
@@ -132,6 +140,11 @@ class Sensor:
     def tared(self) -> int:
         """How often it was tared."""
         return self._pipeline.tared
+
+    @property
+    def lapsed(self) -> int:
+        """How often a tare was given up."""
+        return self._pipeline.lapsed
 
     def start(self) -> None:
         """Start restoring."""
@@ -170,6 +183,8 @@ class Sensor:
         now = self._clock()
         if self._last is not None:
             gap = now - self._last
+            if gap > self.plan.stale_after_s:
+                self._pipeline.lapse()
             self._period += (gap - self._period) * min(1.0, max(gap, 0.02)) if self._period else gap
         self._last = now
 

@@ -63,7 +63,7 @@ class Service:
             self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
 
     def tare(self, name: str) -> None:
-        """Take the mean of a sensor's next frames as the unloaded array."""
+        """Take the mean of a sensor's next frames as the unloaded array; NotLiveError where none come."""
         self.sensor(name).tare()
         self.events.add("tare_asked", "the next frames are taken as no load", name)
 

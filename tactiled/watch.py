@@ -59,6 +59,13 @@ class Watched(Protocol):
     def tared(self) -> int:
         """How often it was tared."""
 
+    @property
+    def lapsed(self) -> int:
+        """How often a tare was given up."""
+
+    def lapse(self) -> None:
+        """Give up a tare under way if frames no longer come."""
+
     def status(self) -> Health:
         """How it is doing."""
 
@@ -71,7 +78,7 @@ class Watch:
         self._states = {each.name: "silent" for each in self._sensors}
         self._down: dict[str, str | None] = {each.bus_name: None for each in self._sensors}
         self._warned: dict[str, dict[str, tuple[str, float]]] = {each.name: {} for each in self._sensors}
-        self._tared = {each.name: 0 for each in self._sensors}
+        self._tares = {each.name: (0, 0) for each in self._sensors}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
@@ -101,9 +108,13 @@ class Watch:
         self._faults.clear()
 
     def _tare(self, sensor: Watched) -> None:
-        if sensor.tared != self._tared[sensor.name]:
-            self._tared[sensor.name] = sensor.tared
+        sensor.lapse()
+        (tared, lapsed), now = self._tares[sensor.name], (sensor.tared, sensor.lapsed)
+        self._tares[sensor.name] = now
+        if now[0] != tared:
             self._events.add("tare_done", "the load of the last frames is the new zero", sensor.name)
+        if now[1] != lapsed:
+            self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)
 
     def _bus(self, bus: str) -> None:
         down = next((each.down for each in self._sensors if each.bus_name == bus and each.down), None)

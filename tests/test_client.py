@@ -146,6 +146,10 @@ def test_a_refusal_is_told_though_the_next_attempt_hears_nothing():
 
 def test_asking(rig, url):
     client = connect(url + "/")
+    with pytest.raises(TactileError, match="silent, no frame yet on can0: a tare needs frames"):
+        client.tare("palm")
+    rig.stale_after(600)
+    rig.show(pressed())
     assert [each["name"] for each in client.sensors()] == ["palm"]
     client.set_method("palm", "raw")
     until(lambda: rig.sensor.method == "raw")
@@ -160,6 +164,7 @@ def test_refusals_are_in_the_services_own_words(url, streamed):
 
 
 def test_a_token_is_shown(rig):
+    rig.stale_after(600)
     rig.show(pressed())
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
         assert next(connect(url, "c" * 16).stream("palm", patience_s=BUSY_S)).sequence == 0

@@ -46,14 +46,19 @@ class Sensor:
     bus_name: str = "can0"
     down: str | None = None
     tared: int = 0
+    lapsed: int = 0
     state: str = "silent"
     detail: str = ""
+    taring: bool = False
 
     def __post_init__(self):
         self.heard = Heard()
 
     def status(self):
         return SimpleNamespace(state=self.state, detail=self.detail)
+
+    def lapse(self):
+        self.lapsed += self.taring and self.state != "live"
 
     def warn(self, *texts):
         self.heard.add(SimpleNamespace(warnings=texts))
@@ -100,6 +105,15 @@ def test_a_bus_that_goes_and_comes_is_told_once_for_all_its_sensors(palm, told):
 def test_a_tare_that_is_done(palm, told):
     palm.tared = 1
     assert [kind for kind, *_ in told()] == ["tare_done"]
+    assert told() == []
+
+
+def test_a_tare_lapses_when_the_sensor_is_no_longer_live(palm, told):
+    palm.state, palm.taring = "live", True
+    assert [kind for kind, *_ in told()] == ["sensor_live"]
+    palm.state = "stale"
+    assert [kind for kind, *_ in told()] == ["sensor_stale", "tare_lapsed"]
+    palm.taring = False
     assert told() == []
 
 

@@ -125,6 +125,21 @@ def test_tare_takes_the_mean_of_the_next_frames(make):
     assert pipeline.process(frame(tilted)).raw[0, 0] == 0
 
 
+def test_a_tare_that_has_lapsed_takes_no_frame_and_the_next_begins_anew(make):
+    pipeline = make("raw", no_load=100, noise_kpa=0.5)
+    pipeline.tare()
+    for _ in range(TARE_FRAMES - 1):
+        pipeline.process(frame(np.full(SHAPE, 900)))
+    pipeline.lapse()
+    pipeline.lapse()  # of none
+    assert pipeline.process(frame(pressed())).raw[2, 2] == 400
+    pipeline.tare()
+    for _ in range(TARE_FRAMES):
+        pipeline.process(frame(pressed()))
+    assert pipeline.process(frame(pressed())).raw[2, 2] == 0
+    assert (pipeline.tared, pipeline.lapsed) == (1, 1)
+
+
 def sheared(counts, x, y, flags=None):
     plain = frame(counts, flags=flags)
     return replace(plain, shear=np.stack([np.full(30, x), np.full(30, y)]).astype(np.float32))

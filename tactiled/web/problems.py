@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from tactiled.errors import ConfigError, NoShearError, UnknownSensorError
+from tactiled.errors import ConfigError, NoShearError, NotLiveError, UnknownSensorError
 from tactiled.web import forms
 
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -46,6 +46,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(NoShearError)
     async def _unknown(_: Request, error: UnknownSensorError | NoShearError) -> Response:
         return response(404, str(error))
+
+    @app.exception_handler(NotLiveError)
+    async def _not_live(_: Request, error: NotLiveError) -> Response:
+        return response(409, str(error))
 
     @app.exception_handler(ConfigError)
     async def _config(_: Request, error: ConfigError) -> Response:

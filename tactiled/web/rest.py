@@ -118,9 +118,15 @@ def calibration(sensor: Found) -> forms.CalibrationForm:
     return answers.calibration(sensor)
 
 
-@router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | CONTROL)
+NOT_LIVE: Responses = {409: problem("the sensor is not live")}
+
+
+@router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | NOT_LIVE | CONTROL)
 def tare(sensor: Found, service: Served) -> forms.Tare:
-    """Take the mean of the next 16 frames as the unloaded array; an event tells when it is done."""
+    """Take the mean of the next 16 frames as the unloaded array; an event tells when it is done.
+
+    It lapses, as an event tells, too, if the sensor is not live until they have come.
+    """
     service.tare(sensor.name)
     return forms.Tare(frames=TARE_FRAMES)
 

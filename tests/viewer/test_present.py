@@ -138,6 +138,7 @@ def test_the_theme_is_the_systems_until_another_is_chosen(rig, url, open_page, s
 
 
 def test_a_tare_from_the_page_takes_the_load_away(rig, url, open_page):
+    rig.stale_after(600)
     rig.show(pressed(2))
     page = open_page(url)
     page.keyboard.press("t")

@@ -30,18 +30,21 @@ def test_what_happens_to_a_sensor_is_told_in_order(rig, client):
     client.put("/sensors/palm/method", json={"method": "raw"})
     client.put("/sensors/palm/method", json={"method": "sharpen"})
     client.post("/sensors/palm/tare")
-    rig.stale_after(0.3)
-    until(lambda: kinds(client)[-1] == "sensor_stale")
-    told = client.get("/events").json()
-    assert kinds(client) == ["sensor_live", "method_set", "tare_asked", "sensor_stale"]
-    assert [each["id"] for each in told["events"]] == [1, 2, 3, 4]
-    assert {each["sensor"] for each in told["events"]} == {"palm"}
-    assert (told["newest"], told["missed"]) == (4, 0)
-    assert told["events"][1]["text"] == "raw"
-    assert abs(told["events"][3]["time"] - time.time()) < BUSY_S
     for _ in range(16):
         rig.show(pressed())
-    until(lambda: "tare_done" in kinds(client, after=4))
+    until(lambda: kinds(client)[-1] == "tare_done")
+    client.post("/sensors/palm/tare")
+    rig.stale_after(0.3)
+    until(lambda: kinds(client)[-1] == "tare_lapsed")
+    told = client.get("/events").json()
+    assert kinds(client) == [
+        "sensor_live", "method_set", "tare_asked", "tare_done", "tare_asked", "sensor_stale", "tare_lapsed"
+    ]  # fmt: skip
+    assert [each["id"] for each in told["events"]] == [1, 2, 3, 4, 5, 6, 7]
+    assert {each["sensor"] for each in told["events"]} == {"palm"}
+    assert (told["newest"], told["missed"]) == (7, 0)
+    assert told["events"][1]["text"] == "raw"
+    assert abs(told["events"][5]["time"] - time.time()) < BUSY_S
 
 
 def test_pages_lead_on_and_what_has_fallen_out_is_counted(rig, client):
@@ -144,6 +147,8 @@ def test_the_calibration_is_told_as_it_is_now(rig, client):
     told = client.get("/sensors/palm/calibration").json()
     assert (told["kpa_per_count"], told["noise_kpa"], told["saturation"], told["tared"]) == (0.5, 0.5, 4000, 0)
     assert told["no_load"] == [100.0] * 64
+    rig.stale_after(600)
+    rig.show(pressed())
     client.post("/sensors/palm/tare")
     for _ in range(17):
         rig.show(pressed())

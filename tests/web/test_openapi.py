@@ -17,7 +17,7 @@ from schemathesis.engine import events, from_schema
 from tactiled.config import Server
 from tactiled.state import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask
+from tests.conftest import BUSY_S, ask, until
 
 ELSEWHERE = {"/api/v1/sensors/{name}/frames/shear"}  # of other skins than this one
 ORDER = ("post", "put", "get", "delete")
@@ -37,7 +37,9 @@ schemathesis.openapi.media_type("application/x-npy", st.integers(0, 3).map(film)
 def whole(rig, tmp_path):
     """The URL of a service that has all that a service can have, with frames that come all the time."""
     stop = threading.Event()
+    rig.stale_after(BUSY_S)
     player = rig.play(50, stop)
+    until(lambda: rig.sensor.hub.latest())
     rig.service.state = State(tmp_path / "state.json")
     with running(rig.service, Server(port=0, recordings=tmp_path / "recordings", control_per_minute=0)) as url:
         yield url

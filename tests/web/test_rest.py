@@ -178,11 +178,53 @@ def test_the_method_is_changed_within_a_frame_and_a_wrong_one_changes_nothing(ri
 
 
 def test_tare_takes_the_load_off(rig, client):
+    rig.stale_after(600)
+    rig.show(pressed())
     client.put("/sensors/palm/method", json={"method": "raw"})
     assert client.post("/sensors/palm/tare").status_code == 202
     for _ in range(17):
         image = rig.show(pressed())
     assert np.abs(image.raw).max() == 0
+
+
+def test_no_tare_is_begun_while_no_frame_comes(rig, client):
+    says = problem(client.post("/sensors/palm/tare"), 409)
+    assert says == "sensor 'palm': silent, no frame yet on can0: a tare needs frames"
+    rig.stale_after(0.01)
+    rig.show(pressed())
+    until(lambda: rig.sensor.status().state == "stale")
+    says = problem(client.post("/sensors/palm/tare"), 409)
+    assert re.fullmatch(r"sensor 'palm': stale, no frame for \d+\.\d s: a tare needs frames", says)
+    rig.sensor.down = "unplugged"
+    says = problem(client.post("/sensors/palm/tare"), 409)
+    assert says == "sensor 'palm': down, unplugged: a tare needs frames"
+    rig.sensor.down = None
+    rig.stale_after(600)
+    for _ in range(20):
+        image = rig.show(pressed())
+    assert np.abs(image.raw).max() == 400 * GAIN
+    assert "tare_asked" not in [each.kind for each in rig.service.events.after(0)]
+
+
+@pytest.mark.parametrize("looked", [True, False])
+def test_a_tare_under_way_lapses_when_the_sensor_is_no_longer_live(rig, client, looked):
+    """Whether or not it was seen before the frames came back."""
+    rig.stale_after(600)
+    rig.show(pressed())
+    if not looked:
+        rig.service._watch.stop()
+    assert client.post("/sensors/palm/tare").status_code == 202
+    rig.show(pressed())
+    rig.stale_after(0.05)
+    until(lambda: rig.sensor.status().state == "stale")
+    if looked:
+        until(lambda: rig.service.events.after(0)[-1].kind == "tare_lapsed")
+    rig.show(pressed())
+    rig.stale_after(600)
+    for _ in range(20):
+        image = rig.show(pressed())
+    assert np.abs(image.raw).max() == 400 * GAIN
+    assert (rig.sensor.tared, rig.sensor.lapsed) == (0, 1)
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,7 @@ def test_a_taxel_that_did_not_come_has_no_shear(skin):
 
 def test_a_tare_takes_shear_off_as_well(skin):
     show, client = skin
+    show(X, Y)
     assert client.post("/skin/tare").status_code == 202
     for _ in range(TARE_FRAMES):
         show(X, Y)

@@ -85,6 +85,8 @@ class Skins(Rig):
 
     def tare(self):
         """Take the counts of step 0 as no load."""
+        self.send()
+        until(lambda: all(self.service.sensor(name).hub.latest() for name in self.modules))
         for name in self.modules:
             self.service.sensor(name).tare()
         self.rest()
