@@ -16,6 +16,7 @@ import { Ticks } from "./ticks.js";
  * @property {number} zero the x that is drawn as 0
  * @property {"raw"|"restored"|"accent"} ink
  * @property {"plain"|"steps"|"dots"} style
+ * @property {number} step how wide one of the steps is, in units of x
  * @property {Float64Array|null} spread half the height of the band about the line, at each point; null for none
  */
 
@@ -23,10 +24,13 @@ import { Ticks } from "./ticks.js";
  * @param {number} capacity
  * @param {"raw"|"restored"|"accent"} ink
  * @param {"plain"|"steps"|"dots"} style
+ * @param {number} step
  * @returns {Line}
  */
-export function line(capacity, ink, style = "plain") {
-  return { x: new Float64Array(capacity), y: new Float64Array(capacity), first: 0, length: 0, zero: 0, ink, style, spread: null };
+export function line(capacity, ink, style = "plain", step = 0) {
+  const x = new Float64Array(capacity);
+  const y = new Float64Array(capacity);
+  return { x, y, first: 0, length: 0, zero: 0, ink, style, step, spread: null };
 }
 
 /**
@@ -65,7 +69,7 @@ export class Chart {
     /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
     this._ground = pen(document.createElement("canvas"));
     /** What is painted there. */
-    this._shown = { left: NaN, right: NaN, bottom: NaN, top: NaN, ratio: NaN, ink: this._ink };
+    this._shown = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", ratio: NaN, ink: this._ink };
     /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
     this._w = this._h = this._sx = this._sy = 0;
   }
@@ -141,12 +145,12 @@ export class Chart {
    * @param {number} ratio device px a CSS px
    */
   _axes(axes, ratio) {
-    const { left, right, bottom, top } = axes;
+    const { left, right, bottom, top, x } = axes;
     const { _ground: draw, _shown: shown, _ink: ink, canvas } = this;
     const size = draw.canvas.width === canvas.width && draw.canvas.height === canvas.height;
     if (size && shown.left === left && shown.right === right && shown.bottom === bottom && shown.top === top
-      && shown.ratio === ratio && shown.ink === ink) return;
-    this._shown = { left, right, bottom, top, ratio, ink };
+      && shown.x === x && shown.ratio === ratio && shown.ink === ink) return;
+    this._shown = { left, right, bottom, top, x, ratio, ink };
     draw.canvas.width = canvas.width; // which clears it, too
     draw.canvas.height = canvas.height;
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -203,7 +207,7 @@ export class Chart {
     const { spread } = of;
     if (!spread) return;
     const floor = FINE * (HEAD + this._h) + axes.bottom * sy;
-    const wide = of.style === "steps" ? Math.ceil(((of.x[1] - of.x[0]) / 2) * sx) : of.style === "dots" ? 2 * FINE : 0;
+    const wide = of.style === "steps" ? Math.ceil((of.step / 2) * sx) : of.style === "dots" ? 2 * FINE : 0;
     draw.fillStyle = this._ink[of.ink];
     draw.globalAlpha = 0.28;
     draw.beginPath();
@@ -227,7 +231,7 @@ export class Chart {
     const sy = FINE * this._sy;
     const floor = FINE * (HEAD + this._h);
     const from = of.zero + axes.left;
-    const half = (of.style === "steps" ? ((of.x[1] - of.x[0]) / 2) * sx : 0) | 0;
+    const half = ((of.step / 2) * sx) | 0;
     draw.strokeStyle = draw.fillStyle = this._ink[of.ink];
     draw.lineWidth = 2 * FINE;
     draw.lineJoin = "round";

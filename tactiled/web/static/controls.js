@@ -8,6 +8,7 @@ import { control } from "./control.js";
 import { keys } from "./keys.js";
 import { notice } from "./notice.js";
 import { byId } from "./paint.js";
+import { ACROSS } from "./plane.js";
 import { methodTitle } from "./readings.js";
 import { saveCsv, savePng } from "./save.js";
 
@@ -51,6 +52,7 @@ function buttons(viewer, rooms) {
   press("pause", () => viewer.pause(!viewer.session?.paused));
   press("back", () => viewer.step(-1));
   press("forward", () => viewer.step(1));
+  press("section-turn", () => turn(viewer));
   press("tare", () => tare(viewer));
   press("save-png", () => save("png", viewer, rooms));
   press("save-csv", () => save("csv", viewer, rooms));
@@ -153,6 +155,11 @@ function arrow(viewer, dx, dy, event) {
 }
 
 /** @param {Viewer} viewer */
+function turn(viewer) {
+  if (viewer.session) viewer.cut(ACROSS[viewer.marks.along]);
+}
+
+/** @param {Viewer} viewer */
 function pin(viewer) {
   const { session } = viewer;
   const of = session?.frame?.ofRestored;
@@ -183,6 +190,7 @@ function keyboard(viewer, rooms) {
     w: rooms.toggleWall,
     d: rooms.nextTheme,
     m: () => picker.focus(),
+    x: () => turn(viewer),
     p: () => pin(viewer),
     "?": showHelp,
     Escape: () => viewer.probe.clear(),

@@ -5,6 +5,7 @@
  */
 
 import { fit, pen } from "./paint.js";
+import { ACROSS } from "./plane.js";
 import { SATURATED } from "./wire.js";
 
 /** @typedef {import("./plane.js").Plane} Plane */
@@ -13,7 +14,8 @@ import { SATURATED } from "./wire.js";
 /**
  * What is to be marked.
  * @typedef {object} Marks
- * @property {number} lineY mm, of the cross-section; NaN for none
+ * @property {import("./plane.js").Axis} along what the cross-section runs along
+ * @property {number} lineAt mm, where it crosses the other axis; NaN for none
  * @property {number} probeX mm; NaN for none
  * @property {number} probeY mm
  * @property {boolean} pinned
@@ -42,7 +44,7 @@ export class Overlay {
     this._labels = 0;
     /** What is drawn, but for crosses on saturated taxels; `known` is false where that must be drawn anew. */
     this._drawn = {
-      known: false, lineY: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
+      known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
       contacts: /** @type {Contact[]|null} */ (null),
     };
   }
@@ -76,7 +78,7 @@ export class Overlay {
     if (!plane || this._same(marks, measures, flags !== null)) return;
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (flags) this._saturated(flags, plane);
-    if (Number.isFinite(marks.lineY)) this._line((marks.lineY - plane.top) * this._px);
+    if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
     if (marks.contacts) this._contacts(marks.contacts, plane);
     else if (measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
     if (!Number.isFinite(marks.probeX)) return;
@@ -100,12 +102,13 @@ export class Overlay {
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
     if (drawn.known && !crossed && drawn.contacts === marks.contacts && drawn.pinned === marks.pinned
-      && Object.is(drawn.lineY, marks.lineY) && Object.is(drawn.ringX, ringX) && Object.is(drawn.ringY, ringY)
+      && drawn.along === marks.along && Object.is(drawn.lineAt, marks.lineAt) && Object.is(drawn.ringX, ringX) && Object.is(drawn.ringY, ringY)
       && Object.is(drawn.probeX, marks.probeX) && Object.is(drawn.probeY, marks.probeY)) return true;
     drawn.known = !crossed;
     drawn.contacts = marks.contacts;
     drawn.pinned = marks.pinned;
-    drawn.lineY = marks.lineY;
+    drawn.along = marks.along;
+    drawn.lineAt = marks.lineAt;
     drawn.ringX = ringX;
     drawn.ringY = ringY;
     drawn.probeX = marks.probeX;
@@ -212,12 +215,16 @@ export class Overlay {
     this._twoTone(1.5);
   }
 
-  /** @param {number} y device px */
-  _line(y) {
+  /**
+   * @param {Marks} marks
+   * @param {Plane} plane
+   */
+  _line({ along, lineAt }, plane) {
     const draw = this._pen;
+    const at = (lineAt - plane.start(ACROSS[along])) * this._px;
     draw.beginPath();
-    draw.moveTo(0, y);
-    draw.lineTo(this.canvas.width, y);
+    draw.moveTo(along === "x" ? 0 : at, along === "x" ? at : 0);
+    draw.lineTo(along === "x" ? this.canvas.width : at, along === "x" ? at : this.canvas.height);
     this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
   }
 

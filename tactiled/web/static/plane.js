@@ -17,6 +17,12 @@
  * @property {Float64Array} area mm^2 that each cell's pressure acts on
  */
 
+/** @typedef {"x"|"y"} Axis */
+
+/** The other axis of each: what runs along one crosses it. */
+export const ACROSS = /** @type {const} */ ({ x: "y", y: "x" });
+const TALL = 2; // heights of a plane in its width, from which its cross-section runs along y at first
+
 export class Plane {
   /** @param {Geometry} geometry */
   constructor(geometry) {
@@ -44,8 +50,32 @@ export class Plane {
       this.raw = scattered(xs, ys, this.aperture, areas);
       this.restored = scattered(xs, ys, this.aperture, areas);
     }
-    /** Cells of a scattered layout from left to right, for cross-sections. */
-    this.order = Int32Array.from(xs.keys()).sort((a, b) => xs[a] - xs[b]);
+    /** Cells of a scattered layout as they lie along each axis, for cross-sections. */
+    this.order = {
+      x: Int32Array.from(xs.keys()).sort((a, b) => xs[a] - xs[b]),
+      y: Int32Array.from(ys.keys()).sort((a, b) => ys[a] - ys[b]),
+    };
+  }
+
+  /** @returns {Axis} what a cross-section runs along at first */
+  get along() {
+    return this.height > TALL * this.width ? "y" : "x";
+  }
+
+  /**
+   * @param {Axis} axis
+   * @returns {number} mm, where the plane begins
+   */
+  start(axis) {
+    return axis === "x" ? this.left : this.top;
+  }
+
+  /**
+   * @param {Axis} axis
+   * @returns {number} mm, how far it reaches from there
+   */
+  extent(axis) {
+    return axis === "x" ? this.width : this.height;
   }
 
   /**

@@ -5,6 +5,7 @@
 
 import { ContactList } from "./contactlist.js";
 import { byId, fixed, say } from "./paint.js";
+import { ACROSS } from "./plane.js";
 import { Readings } from "./readings.js";
 import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
 
@@ -25,6 +26,7 @@ export class Screen {
     this.readings = new Readings();
     this.contacts = new ContactList(byId("contact-list"));
     this._level = "";
+    this._along = ""; // as the section's words tell it
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
     this._shear = byId("shear-choice");
     this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
@@ -58,8 +60,26 @@ export class Screen {
     this._playback(session, frame, live);
     this.range(viewer.scale);
     this.contacts.show(viewer.marks.contacts, viewer.contacts);
-    const lineY = viewer.marks.lineY;
-    say(byId("section-where"), Number.isFinite(lineY) && frame ? `y ${fixed(lineY, 1)} mm${viewer.probe.pinned ? ", pinned" : ""}` : "");
+    this._section(viewer, frame);
+  }
+
+  /**
+   * @param {Viewer} viewer
+   * @param {Frame|null} frame
+   */
+  _section(viewer, frame) {
+    const { along, lineAt } = viewer.marks;
+    const known = frame && Number.isFinite(lineAt);
+    const where = known ? `${ACROSS[along]} ${fixed(lineAt, 1)} mm${viewer.probe.pinned ? ", pinned" : ""}` : "";
+    say(byId("section-where"), where);
+    if (this._along === along) return;
+    this._along = along;
+    const turn = byId("section-turn");
+    turn.textContent = along === "x" ? "\u2194" : "\u2195";
+    turn.setAttribute("aria-label", `Cross-section along ${along}. Change`);
+    const way = along === "x" ? "from left to right" : "from top to bottom";
+    const what = "raw and restored, with a band of two standard deviations";
+    byId("section").setAttribute("aria-label", `Pressure along ${along}, ${way}, ${what}`);
   }
 
   /**

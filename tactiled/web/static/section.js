@@ -1,17 +1,21 @@
 /**
- * The cross-section: pressure along a horizontal line, raw and restored.
+ * The cross-section: pressure along a line, raw and restored.
  * @module
  */
 
 import { Chart, line } from "./chart.js";
 import { fixed } from "./paint.js";
+import { ACROSS } from "./plane.js";
 
 /** @typedef {import("./plane.js").Plane} Plane */
+/** @typedef {import("./plane.js").Axis} Axis */
 /** @typedef {import("./plane.js").Cells} Cells */
 /** @typedef {import("./history.js").Frame} Frame */
 /** @typedef {import("./scale.js").Scale} Scale */
 /** @typedef {import("./chart.js").Line} Line */
+/** @typedef {import("./overlay.js").Marks} Marks */
 
+const UNITS = { x: "x, mm", y: "y, mm" };
 const SPREAD = 2; // standard deviations to either side of the restored line
 const MARGIN = 0.06; // of the range, drawn below it
 const DEEP = 0.4; // of the range, drawn below it while something is there
@@ -29,53 +33,54 @@ export class Section {
     this._lines = [this._raw, this._restored];
     this._deviation = line(0, "restored"); // along the same cells
     /** @type {import("./chart.js").Axes} */
-    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "x, mm", y: "kPa" };
+    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: UNITS.x, y: "kPa" };
   }
 
   /** @param {Plane} plane */
   use(plane) {
     this._plane = plane;
-    const style = plane.isGrid ? "steps" : "dots";
-    this._raw = line(plane.raw.columns, "raw", style);
-    this._restored = line(plane.restored.columns, "restored", style);
+    this._raw = through(plane, plane.raw, "raw");
+    this._restored = through(plane, plane.restored, "restored");
     this._lines = [this._raw, this._restored];
-    this._deviation = line(plane.restored.columns, "restored");
-    this._axes.left = plane.left;
-    this._axes.right = plane.left + plane.width;
+    this._deviation = through(plane, plane.restored, "restored");
   }
 
   /**
    * @param {Frame|null} frame
-   * @param {number} y mm, height of the line
-   * @param {number} probeX mm; NaN for none
+   * @param {Marks} marks where the line and the probe are
    * @param {Scale} scale
    * @param {Float32Array|null} deviation kPa, of each restored cell; null where it is not known
    */
-  draw(frame, y, probeX, scale, deviation) {
+  draw(frame, marks, scale, deviation) {
     const plane = this._plane;
     if (!plane) return;
+    const { along } = marks;
     const span = scale.high - scale.low;
+    this._axes.left = plane.start(along);
+    this._axes.right = plane.start(along) + plane.extent(along);
+    this._axes.x = UNITS[along];
     this._axes.top = scale.high;
     this._raw.length = this._restored.length = 0;
     if (frame) {
-      cut(plane, plane.raw, frame.raw, y, this._raw);
-      cut(plane, plane.restored, frame.restored, y, this._restored);
+      cut(plane, plane.raw, frame.raw, marks, this._raw);
+      cut(plane, plane.restored, frame.restored, marks, this._restored);
     }
-    this._restored.spread = frame && deviation ? this._spread(plane, deviation, y) : null;
+    this._restored.spread = frame && deviation ? this._spread(plane, deviation, marks) : null;
     const least = scale.low - MARGIN * span;
     this._deep = goesBelow(this._raw, least) || goesBelow(this._restored, least) ? HOLD : Math.max(0, this._deep - 1);
     this._axes.bottom = scale.low - (this._deep ? DEEP : MARGIN) * span;
-    this.chart.draw(this._axes, this._lines, probeX, Number.isFinite(probeX) ? `x ${fixed(probeX, 1)} mm` : "");
+    const probe = along === "x" ? marks.probeX : marks.probeY;
+    this.chart.draw(this._axes, this._lines, probe, Number.isFinite(probe) ? `${along} ${fixed(probe, 1)} mm` : "");
   }
 
   /**
    * @param {Plane} plane
    * @param {Float32Array} deviation
-   * @param {number} y mm
+   * @param {Marks} marks
    * @returns {Float64Array} kPa, half the height of the band
    */
-  _spread(plane, deviation, y) {
-    cut(plane, plane.restored, deviation, y, this._deviation);
+  _spread(plane, deviation, marks) {
+    cut(plane, plane.restored, deviation, marks, this._deviation);
     for (let i = 0; i < this._deviation.length; i += 1) this._deviation.y[i] *= SPREAD;
     return this._deviation.y;
   }
@@ -92,18 +97,28 @@ function goesBelow(of, least) {
 }
 
 /**
- * The largest pressure along a horizontal line.
  * @param {Plane} plane
- * @param {number} y mm
+ * @param {Cells} cells
+ * @param {"raw"|"restored"} ink
+ * @returns {Line} with room for the cells along either axis
+ */
+const through = (plane, cells, ink) =>
+  line(Math.max(cells.rows, cells.columns), ink, plane.isGrid ? "steps" : "dots", plane.isGrid ? cells.side : 0);
+
+/**
+ * The largest pressure along a cross-section.
+ * @param {Plane} plane
+ * @param {Marks} marks where it is
  * @param {Float32Array} kpa of the restored image
  * @returns {number} kPa
  */
-export function highest(plane, y, kpa) {
+export function highest(plane, { along, lineAt }, kpa) {
   const cells = plane.restored;
+  const across = cells[ACROSS[along]];
   const reach = (plane.isGrid ? cells.side : plane.pitch) / 2;
   let most = -Infinity;
   for (let i = 0; i < cells.count; i += 1) {
-    if (kpa[i] > most && Math.abs(cells.y[i] - y) <= reach) most = kpa[i];
+    if (kpa[i] > most && Math.abs(across[i] - lineAt) <= reach) most = kpa[i];
   }
   return most;
 }
@@ -112,22 +127,29 @@ export function highest(plane, y, kpa) {
  * @param {Plane} plane
  * @param {Cells} cells
  * @param {Float32Array} kpa
- * @param {number} y mm
+ * @param {Marks} marks
  * @param {Line} into
  */
-function cut(plane, cells, kpa, y, into) {
+function cut(plane, cells, kpa, { along, lineAt }, into) {
+  const places = cells[along];
+  const across = cells[ACROSS[along]];
   let n = 0;
   if (plane.isGrid) {
-    const row = Math.max(0, Math.min(cells.rows - 1, Math.floor((y - plane.top) / cells.side)));
-    const first = row * cells.columns;
-    for (; n < cells.columns; n += 1) {
-      into.x[n] = cells.x[first + n];
-      into.y[n] = kpa[first + n];
+    const { rows, columns, side } = cells;
+    const upright = along === "y";
+    const last = (upright ? columns : rows) - 1;
+    const which = Math.max(0, Math.min(last, Math.floor((lineAt - plane.start(ACROSS[along])) / side)));
+    const count = upright ? rows : columns;
+    const step = upright ? columns : 1;
+    for (let i = upright ? which : which * columns; n < count; i += step) {
+      into.x[n] = places[i];
+      into.y[n] = kpa[i];
+      n += 1;
     }
   } else {
-    for (const i of plane.order) {
-      if (Math.abs(cells.y[i] - y) > plane.pitch / 2) continue;
-      into.x[n] = cells.x[i];
+    for (const i of plane.order[along]) {
+      if (Math.abs(across[i] - lineAt) > plane.pitch / 2) continue;
+      into.x[n] = places[i];
       into.y[n] = kpa[i];
       n += 1;
     }

@@ -9,7 +9,7 @@ import { Maps } from "./maps.js";
 import { notice, words } from "./notice.js";
 import { Pace } from "./pace.js";
 import { byId } from "./paint.js";
-import { Plane } from "./plane.js";
+import { ACROSS, Plane } from "./plane.js";
 import { Probe } from "./probe.js";
 import { Scale } from "./scale.js";
 import { Section, highest } from "./section.js";
@@ -53,7 +53,7 @@ export class Viewer {
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {import("./overlay.js").Marks} */
-    this.marks = { lineY: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null };
+    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
@@ -78,7 +78,7 @@ export class Viewer {
     this.maps.colorbar.draw(this.scale, palette);
     if (frame) this._mark(frame, session);
     if (frame) this.maps.paint(frame, this.scale, palette, this.marks, this.shear);
-    this.section.draw(frame, this.marks.lineY, this.probe.x, this.scale, frame && this._deviation(frame, session, now));
+    this.section.draw(frame, this.marks, this.scale, frame && this._deviation(frame, session, now));
     if (!this._fresh || now - this._trendsAt >= TRENDS_MS) {
       this._trendsAt = now;
       this.forces.draw(session.history, session.back);
@@ -100,12 +100,13 @@ export class Viewer {
     const { marks, probe } = this;
     const { ofRestored } = frame;
     const { plane } = session;
-    if (Number.isFinite(probe.y)) marks.lineY = probe.y;
+    const across = ACROSS[marks.along];
+    if (Number.isFinite(probe[across])) marks.lineAt = probe[across];
     else if (ofRestored.contact) {
       // The line stays until the peak has clearly moved: noise alone must not make it jump between equal rows.
-      const stays = highest(plane, marks.lineY, frame.restored) >= STAYS * ofRestored.peak;
-      if (!stays) marks.lineY = plane.restored.y[ofRestored.peakIndex];
-    } else if (!Number.isFinite(marks.lineY)) marks.lineY = plane.top + plane.height / 2;
+      const stays = highest(plane, marks, frame.restored) >= STAYS * ofRestored.peak;
+      if (!stays) marks.lineAt = plane.restored[across][ofRestored.peakIndex];
+    } else if (!Number.isFinite(marks.lineAt)) marks.lineAt = plane.start(across) + plane.extent(across) / 2;
     marks.probeX = probe.x;
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
@@ -153,6 +154,17 @@ export class Viewer {
     this.refresh();
   }
 
+  /**
+   * Let the cross-section run along an axis.
+   * @param {import("./plane.js").Axis} axis
+   */
+  cut(axis) {
+    this.marks.along = axis;
+    this.marks.lineAt = NaN;
+    this.refresh();
+    this._listener.onChange();
+  }
+
   /** Watch no sensor. */
   leave() {
     this._selection += 1;
@@ -160,7 +172,7 @@ export class Viewer {
     this.session = null;
     this.name = "";
     this._fresh = false;
-    this.marks.lineY = NaN;
+    this.marks.lineAt = NaN;
     this.marks.contacts = null;
     this.pace.reset();
     this.probe.clear();
@@ -214,6 +226,7 @@ export class Viewer {
   _open(name, plane, feels) {
     this.maps.use(plane);
     this.section.use(plane);
+    this.marks.along = plane.along;
     this.session = new Session(name, plane, feels, this.contacts, this.shear, {
       onFrame: (frame, anew) => {
         this._take(frame);
