@@ -1,6 +1,6 @@
 """The last images of one sensor, in memory that is taken once and never grows."""
 
-from math import ceil, prod
+from math import ceil, floor, prod
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,8 @@ class Kept(NamedTuple):
     values: NDArray[np.float32]  # (T, *image) kPa; of shear (T, 2, *raw image) counts
     flags: NDArray[np.uint8]  # (T, *raw image)
     older: bool  # whether there are more of them before these
+    since: float  # s, where the window that they are of begins; whole microseconds
+    cut: bool  # whether images of the window's beginning may be kept no longer
 
 
 class History:
@@ -59,16 +61,21 @@ class History:
         self._method[slot] = image.method
         self._count += 1
 
-    def __call__(self, kind: str, last: float, before: int | None, most: int, most_values: int) -> Kept:
+    def __call__(
+        self, kind: str, last: float, before: int | None, most: int, most_values: int, since: float | None = None
+    ) -> Kept:
         """The newest `most` images of the `last` s that are older than number `before`.
 
-        Fewer, but one at least, where they hold more than `most_values` numbers. Time counts back from the newest.
+        Fewer, but one at least, where they hold more than `most_values` numbers. Time counts back from the newest
+        that there is now, or the window begins at `since` (s, of an answer before) whatever has come meanwhile.
         """
         count, images = self._count, self._images[kind]
         kept = np.arange(max(0, count - self.capacity), count)
         slots = kept % (self.capacity + 1)
         sequence, time = self._sequence[slots], self._time[slots]
-        wanted = np.flatnonzero(time >= time[-1] - last) if count else kept
+        if since is None:
+            since = floor((time[-1] - last) * 1e6) / 1e6 if count else 0.0
+        wanted = np.flatnonzero(time >= since)
         if before is not None:
             wanted = wanted[sequence[wanted] < before]
         page = wanted[-min(most, max(1, most_values // prod(images.shape[1:]))) :]
@@ -83,4 +90,6 @@ class History:
             values[gone:],
             flags[gone:],
             len(wanted) > len(page) and not gone,
+            since,
+            gone > 0 or (count > self.capacity and bool(time[0] > since)),
         )

@@ -66,8 +66,12 @@ class Frames(forms.Form):
     sensor: forms.Name
     kind: Kind = Field(examples=["restored"])
     unit: Unit = Field(description="counts of shear", examples=["kPa"])
-    before: int | None = Field(
-        description="ask for these next: older images of the same time; null: there are none", examples=[None]
+    before: str | None = Field(
+        description="ask for these next: older images of the same window, NUMBER@SINCE; null: there are none",
+        examples=["5073@1763711998.250000"],
+    )
+    cut: bool = Field(
+        description="whether images of the window's beginning may be kept no longer", examples=[False]
     )
     frames: list[KeptFrame] | list[KeptShear]
 
@@ -77,11 +81,12 @@ HEADERS = {
     "X-Tactiled-Sequence": "numbers of the images, as ranges: 5-9,12 where 10 and 11 were lost",
     "X-Tactiled-Timestamp": "s, of the first image and of the last",
     "X-Tactiled-Before": "ask for these next; absent: there are none",
+    "X-Tactiled-Cut": "true: images of the window's beginning may be kept no longer; else absent",
 }
 RESPONSES: Responses = {
     200: {
         "description": "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
-        ".npz with sequence, time, flags and values",
+        ".npz with sequence, time, method, flags and values",
         "content": {MEDIA["npy"]: BINARY, MEDIA["npz"]: BINARY},
         "headers": documented(HEADERS),
     }
@@ -89,7 +94,15 @@ RESPONSES: Responses = {
 Last = Annotated[
     str, Query(pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$", description="back from the newest image", examples=["2s"])
 ]
-Before = Annotated[int | None, Query(ge=0, le=2**62, description="only images of a lower number")]
+Before = Annotated[
+    str | None,
+    Query(
+        pattern=r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$",
+        description="only images of a lower number, of a window that begins at a time (s): as the answer before "
+        "told; of a number alone the window is the `last` seconds",
+        examples=["5073@1763711998.250000"],
+    ),
+]
 Limit = Annotated[int, Query(ge=1, le=MOST, description="images; fewer come where they are large")]
 
 router = APIRouter(prefix="/api/v1", tags=["frames"])
@@ -111,26 +124,41 @@ async def frames(
 ) -> Response:
     """The images of the last seconds, kPa, or their shear, counts, from as far back as the configured `history_s`.
 
-    The newest come first, page by page; within a page they are in order.
+    The newest come first, page by page; within a page they are in order. Pages that follow `before` cover the
+    window as it was first asked for; `cut` says if images of its beginning may be kept no longer.
     """
     form = form or accepted(request, MEDIA)
     if kind == "shear":
         sensor.need_shear()
 
+    number, since = _place(before)
+    seconds, most = float(last[:-1]), MOST_VALUES[form]
+
     def answer() -> Response:
-        return _answer(
-            sensor, kind, form, sensor.history(kind, float(last[:-1]), before, limit, MOST_VALUES[form])
-        )
+        return _answer(sensor, kind, form, sensor.history(kind, seconds, number, limit, most, since))
 
     return await in_turn(request, answer)
+
+
+def _before(kept: Kept) -> str | None:
+    """Where the next page begins: the number that it stays below, and the beginning of the window."""
+    return f"{kept.sequence[0]}@{kept.since:.6f}" if kept.older else None
+
+
+def _place(before: str | None) -> tuple[int | None, float | None]:
+    """What `_before` says."""
+    number, _, since = (before or "").partition("@")
+    return int(number) if number else None, float(since) if since else None
 
 
 def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Kept) -> Response:
     headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
     if len(kept.time):
         headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"
-    if kept.older:
-        headers["X-Tactiled-Before"] = str(kept.sequence[0])
+    if before := _before(kept):
+        headers["X-Tactiled-Before"] = before
+    if kept.cut:
+        headers["X-Tactiled-Cut"] = "true"
     return Response(_content(sensor, kind, kept, form), media_type=MEDIA[form], headers=headers)
 
 
@@ -140,14 +168,14 @@ def _content(sensor: Sensor, kind: Kind, kept: Kept, form: Format) -> bytes:
     if form == "npy":
         return answers.npy(kept.values)
     out = BytesIO()
-    np.savez(out, sequence=kept.sequence, time=kept.time, flags=kept.flags, values=kept.values)
+    method = np.array(kept.method, str)
+    np.savez(out, sequence=kept.sequence, time=kept.time, method=method, flags=kept.flags, values=kept.values)
     return out.getvalue()
 
 
 def _json(sensor: Sensor, kind: Kind, kept: Kept) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
-    before = int(kept.sequence[0]) if kept.older else None
-    head = Frames(sensor=sensor.name, kind=kind, unit=UNITS[kind], before=before, frames=[])
+    head = Frames(sensor=sensor.name, kind=kind, unit=UNITS[kind], before=_before(kept), cut=kept.cut, frames=[])
     yield head.model_dump_json().encode().removesuffix(b"]}")
     for n in range(len(kept.time)):
         yield (b"," if n else b"") + _one(kind, kept, n).model_dump_json().encode()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tactiled.web import window
-from tests.conftest import ask, pressed, until
+from tactiled.web.server import running
+from tests.conftest import Rig, ask, meanwhile, pressed, until
 from tests.web.test_rest import problem
 
 PATH = "/api/v1/sensors/palm/frames"
@@ -36,7 +37,7 @@ def test_the_last_seconds_are_the_same_in_every_format(url, images, kind):
     assert [each["timestamp"] for each in told["frames"]] == [image.time for image in images]
     assert {each["method"] for each in told["frames"]} == {"wiener"}
     assert [each["flags"] for each in told["frames"]] == [None] * 12
-    assert told["before"] is None
+    assert (told["before"], told["cut"]) == (None, False)
     np.testing.assert_allclose([each["values"] for each in told["frames"]], expected, atol=6e-5)
     window.Frames.model_validate(told)
     npy = get(url, kind=kind, last="60s", format="npy")
@@ -47,6 +48,7 @@ def test_the_last_seconds_are_the_same_in_every_format(url, images, kind):
     npz = np.load(io.BytesIO(get(url, kind=kind, last="60s", format="npz").content))
     np.testing.assert_array_equal(npz["values"], expected)
     np.testing.assert_array_equal(npz["time"], [image.time for image in images])
+    assert npz["method"].tolist() == ["wiener"] * 12
     np.testing.assert_array_equal(npz["sequence"], [image.sequence for image in images])
     assert npz["flags"].shape == (12, 8, 8)
 
@@ -57,7 +59,7 @@ def test_pages_lead_back_in_every_format(url, images):
         told = get(url, last="60s", limit=5, **before).json()
         npy = get(url, last="60s", limit=5, format="npy", **before)
         assert len(np.load(io.BytesIO(npy.content))) == len(told["frames"])
-        assert npy.headers.get("x-tactiled-before") == (str(told["before"]) if told["before"] else None)
+        assert npy.headers.get("x-tactiled-before") == told["before"]
         seen = [each["sequence"] for each in told["frames"]] + seen
         if told["before"] is None:
             break
@@ -65,12 +67,53 @@ def test_pages_lead_back_in_every_format(url, images):
     assert seen == [image.sequence for image in images]
 
 
+@pytest.mark.parametrize("form", ["json", "npy"])
+def test_pages_cover_the_window_that_was_asked_for_though_images_come_meanwhile(rig, url, images, form):
+    wanted = [image.sequence for image in images[4:]]
+    last = f"{images[-1].time - images[4].time + 1e-5:.6f}s"
+    seen, before = [], {}
+    while before is not None:
+        answer = get(url, last=last, limit=3, format=form, **before)
+        if form == "json":
+            seen = [each["sequence"] for each in answer.json()["frames"]] + seen
+            told = answer.json()["before"]
+        else:
+            first, _, newest = answer.headers["x-tactiled-sequence"].partition("-")
+            seen = [*range(int(first), int(newest or first) + 1), *seen]
+            told = answer.headers.get("x-tactiled-before")
+        before = told and {"before": told}
+        for _ in range(5):
+            rig.show(pressed())
+    assert seen == wanted
+
+
+def test_a_window_of_which_images_are_kept_no_longer_says_so(request):
+    with meanwhile(Rig(request.node.name, "[server]\nhistory_s = 0.05")) as rig, running(rig.service) as url:
+        keeps = rig.sensor.history.capacity
+        for _ in range(keeps):
+            oldest = rig.show(pressed())
+        assert not get(url, last="60s").json()["cut"]
+        page = get(url, last="60s", limit=5).json()
+        assert not page["cut"]
+        rig.show(pressed())
+        rest = get(url, last="60s", limit=5, before=page["before"])
+        assert [each["sequence"] for each in rest.json()["frames"]] == [1, 2, 3]
+        assert (rest.json()["before"], rest.json()["cut"]) == (None, True)
+        assert get(url, last="60s", format="npy").headers["x-tactiled-cut"] == "true"
+        kept = get(url, last=f"{rig.sensor.hub.latest().time - oldest.time:.6f}s", format="npy")
+        assert "x-tactiled-cut" not in kept.headers
+        for _ in range(keeps):
+            rig.show(pressed())
+        gone = get(url, before=page["before"]).json()
+        assert (gone["frames"], gone["before"], gone["cut"]) == ([], None, True)
+
+
 def test_a_page_is_cut_where_its_images_are_large(rig, url, monkeypatch):
     for _ in range(5):
         rig.show(pressed())
     monkeypatch.setitem(window.MOST_VALUES, "json", 3 * 64)
     told = get(url, last="60s").json()
-    assert (len(told["frames"]), told["before"]) == (3, told["frames"][0]["sequence"])
+    assert (len(told["frames"]), told["before"].split("@")[0]) == (3, str(told["frames"][0]["sequence"]))
 
 
 def test_only_what_is_asked_for_comes_back_in_time(url, images):
@@ -106,6 +149,8 @@ def test_before_the_first_frame_there_are_none(url):
         ({"limit": 0}, "limit = '0'"),
         ({"limit": 1001}, "limit = '1001'"),
         ({"before": -1}, "before = '-1'"),
+        ({"before": "5@"}, "before = '5@'"),
+        ({"before": "5@nan"}, "before = '5@nan'"),
         ({"format": "png"}, "format = 'png'"),
     ],
 )
