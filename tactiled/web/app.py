@@ -31,6 +31,7 @@ from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
 from tactiled.web.head import Head
 from tactiled.web.keys import Keys
+from tactiled.web.ranges import Ranges
 from tactiled.web.rates import Rates, Streams
 
 STATIC = Path(__file__).parent / "static"
@@ -80,6 +81,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.add_middleware(
         GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
     )
+    app.add_middleware(Ranges)
     app.add_middleware(Head)
     bounds = {"rates": Rates(server.control_per_minute), "streams": app.state.streams}
     app.add_middleware(Guard, server=server, **bounds)  # the last added is the first met

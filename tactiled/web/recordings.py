@@ -18,7 +18,7 @@ from tactiled.bus.record import Recorder, open_tap, record
 from tactiled.errors import TactileError
 from tactiled.events import Events
 from tactiled.web import forms
-from tactiled.web.common import BODY, CONTROL, WRONG, Responses, problem
+from tactiled.web.common import BODY, CONTROL, WRONG, Responses, documented, problem
 from tactiled.web.problems import Problem
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
@@ -27,6 +27,16 @@ BUSY: Responses = {409: problem("it runs, or is there already")}
 NO_BUS: Responses = {
     404: problem("no such bus"),
     503: problem("the bus cannot be opened, the file cannot be written, or too little room is left"),
+}
+BYTES = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+PART: Responses = {
+    200: {"description": "the whole file", "content": BYTES},
+    206: {
+        "description": "the part of it that Range asks for; of several parts multipart/byteranges",
+        "content": BYTES,
+        "headers": documented({"Content-Range": "which bytes of how many"}),
+    },
+    416: problem("Range begins behind the end", Content_Range="of how many bytes"),
 }
 Name = Annotated[str, Part(pattern=NAME, description="a recording's file name")]
 
@@ -240,9 +250,9 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, l
         """End a recording; one that has ended already stays as it is."""
         return recordings.stop(name)
 
-    @router.get("/{name}", response_class=FileResponse, responses=GONE | BUSY)
+    @router.get("/{name}", response_class=FileResponse, responses=GONE | BUSY | PART)
     def download(name: Name) -> FileResponse:
-        """The file of a recording that does not run."""
+        """The file of a recording that does not run, or a part of it."""
         return FileResponse(recordings.ended(name), media_type="application/octet-stream", filename=name)
 
     @router.delete("/{name}", status_code=204, responses=GONE | BUSY | CONTROL)

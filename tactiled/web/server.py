@@ -17,8 +17,7 @@ from tactiled.service import Service
 from tactiled.web import session, xela
 from tactiled.web.app import create
 from tactiled.web.bridge import bridge
-from tactiled.web.flow import PacedWebSocket
-from tactiled.web.patience import PatientHttp
+from tactiled.web.refused import TellingHttp, TellingWebSocket
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
@@ -54,8 +53,8 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     return uvicorn.Server(
         uvicorn.Config(
             app,
-            http=PatientHttp,
-            ws=PacedWebSocket,
+            http=TellingHttp,
+            ws=TellingWebSocket,
             ws_max_size=session.MOST,
             ws_ping_interval=session.PING_S,
             ws_ping_timeout=session.PING_S,

@@ -55,16 +55,14 @@ def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
     return router
 
 
-def nowhere() -> APIRouter:
+def nowhere(told: str = "/api/v1/asyncapi.json tells which are") -> APIRouter:
     """The close of a WebSocket at any address that no other route has."""
     router = APIRouter()
 
     @router.websocket("/{path:path}")
     async def _nowhere(socket: WebSocket) -> None:
         await socket.accept()
-        await socket.close(
-            NOT_FOUND, fitting(f"{socket.url.path}: no stream is there: /api/v1/asyncapi.json tells which are")
-        )
+        await socket.close(NOT_FOUND, fitting(f"{socket.url.path}: no stream is there: {told}"))
 
     return router
 

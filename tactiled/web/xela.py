@@ -19,12 +19,14 @@ from tactiled.bus.codecs.xela import REST, Xela
 from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
 from tactiled.service import Service
+from tactiled.web import problems
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.flow import room
 from tactiled.web.forms import Form
 from tactiled.web.guard import Guard
 from tactiled.web.rates import Rates, Streams
 from tactiled.web.session import NOT_FOUND, heard, serve
+from tactiled.web.stream import nowhere
 
 NONE_HERE = "no sensor here has the codec xela"
 DECIMALS = 5  # of a force in N, as that server gives them
@@ -120,7 +122,9 @@ def alone(service: Service, server: Server) -> FastAPI:
     """An application that has nothing but this WebSocket, for a port of its own."""
     feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
     app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
+    problems.install(app)
     app.include_router(make(feeds))
+    app.include_router(nowhere("/xela is"))
     streams = Streams(server.streams_per_client, server.streams)
     app.add_middleware(Guard, server=server, rates=Rates(server.control_per_minute), streams=streams)
     return app
