@@ -2,7 +2,8 @@
 
 from importlib.metadata import version
 
-from tactiled.client import connect
+from tactiled.client import Client, Image, connect
+from tactiled.errors import TactileError
 
-__all__ = ["__version__", "connect"]
+__all__ = ["Client", "Image", "TactileError", "__version__", "connect"]
 __version__ = version("tactiled")

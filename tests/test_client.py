@@ -1,20 +1,35 @@
 import asyncio
+import logging
 import re
+import socket
+import ssl
+import subprocess
+import sys
 import threading
+import time
+from collections.abc import AsyncGenerator, Generator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 from pydantic import SecretStr
+from websockets.exceptions import ConnectionClosedError
+from websockets.frames import Close
 from websockets.sync.server import serve
 
+import tactiled
+from tactiled import client as module
 from tactiled.client import TOO_MANY, connect
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
+from tactiled.frames import Image as Frame
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, pressed, until
-from tests.skin import X, Y, rigged
+from tactiled.web.wire import pack
+from tests.conftest import BUSY_S, Clock, pressed, until
+from tests.skin import PALM, X, Y, rigged
 
 FEW = 8  # images that may be on their way to a client
 README = Path(__file__).parents[1] / "README.md"
@@ -35,7 +50,7 @@ def test_live_images_as_arrays(rig, url):
     sender = rig.play(100, stop)
     for image in connect(url).stream("palm", patience_s=BUSY_S):
         assert image.raw.shape == image.restored.shape == (8, 8)
-        assert image.flags.shape == (64,)
+        assert image.flags.shape == (8, 8)
         seen.append(image.sequence)
         if len(seen) == 20:
             stop.set()
@@ -47,12 +62,124 @@ def test_live_images_as_arrays(rig, url):
 
 
 @pytest.mark.usefixtures("playing")
-def test_the_status_comes_with_the_images(url):
-    for image in connect(url).stream("palm", patience_s=BUSY_S):
-        if image.status:
-            assert image.status["state"] == "live"
-            assert image.status["sensor"] == "palm"
-            break
+def test_the_status_comes_with_every_image(url):
+    image = next(connect(url).stream("palm", patience_s=BUSY_S))
+    assert (image.status["sensor"], image.status["state"], image.status["method"]) == ("palm", "live", "wiener")
+    assert image.status["ran"]
+
+
+KEPT = """
+import sys, tactiled
+images = tactiled.connect(sys.argv[1]).stream("palm")
+next(images)
+"""
+
+
+@pytest.mark.usefixtures("playing")
+@pytest.mark.parametrize(("more", "code"), [("", 0), ("sys.exit(3)", 3)])
+def test_a_program_that_keeps_a_stream_ends(url, more, code):
+    ended = subprocess.run(
+        [sys.executable, "-c", KEPT + more, url], timeout=BUSY_S, capture_output=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (code, b"")
+
+
+def test_a_loop_that_pauses_sees_what_is_newest_then(playing, url):
+    stream = connect(url).stream("palm", patience_s=BUSY_S)
+    for _ in range(3):
+        time.sleep(0.3)
+        newest = playing.sensor.hub.latest()
+        assert next(stream).sequence >= (newest.sequence - 1 if newest else 0)
+    stream.close()
+
+
+def test_one_that_blocks_asyncio_does_too(playing, url):
+    async def look():
+        stream = connect(url).astream("palm", patience_s=BUSY_S)
+        for _ in range(3):
+            time.sleep(0.3)
+            newest = playing.sensor.hub.latest()
+            assert (await anext(stream)).sequence >= (newest.sequence - 1 if newest else 0)
+        await stream.aclose()
+
+    with ThreadPoolExecutor(1) as other:
+        other.submit(asyncio.run, look()).result()
+
+
+@pytest.fixture
+def inbox(monkeypatch):
+    """What several sensors send, and a clock."""
+    monkeypatch.setattr(module, "time", clock := Clock())
+    made = module._Inbox({"palm": ("raw", "restored"), "tip": ("raw", "restored")})
+    for name in ("palm", "tip"):
+        made.take(f'{{"sensor": "{name}", "state": "live"}}')
+    made.clock = clock
+    return made
+
+
+def come(inbox, name, sequence):
+    zero = np.zeros((2, 2), np.float32)
+    frame = Frame(name, sequence, 0.0, zero, zero, np.zeros((2, 2), np.uint8), "raw", "", 0, 9.0, 0.1, 1.0, 1.0)
+    for kind in ("raw", "restored"):
+        inbox.take(pack(frame, kind, 0.0, name))
+
+
+def given(inbox):
+    image = inbox.ready()
+    return image and (image.sensor, image.sequence)
+
+
+def test_of_several_sensors_what_waited_for_a_slow_loop_gives_way_to_what_is_newer(inbox):
+    assert len(inbox.asks()) == 2
+    come(inbox, "palm", 1)
+    assert given(inbox) == ("palm", 1)
+    inbox.clock.wait(5)
+    inbox.wanted()
+    assert inbox.asks() == ['{"type": "next", "sensor": "palm"}']
+    come(inbox, "tip", 1)
+    assert given(inbox) is None
+    assert inbox.asks() == ['{"type": "next", "sensor": "tip"}']
+    come(inbox, "palm", 500)
+    assert given(inbox) is None  # or the tip would never have its turn
+    come(inbox, "tip", 500)
+    assert given(inbox) == ("tip", 500)
+    inbox.wanted()
+    assert given(inbox) == ("palm", 500)
+
+
+def test_of_several_sensors_a_slow_one_has_its_turn_in_a_slow_loop(inbox):
+    inbox.asks()
+    come(inbox, "palm", 1)
+    assert given(inbox) == ("palm", 1)
+    inbox.clock.wait(0.3)
+    inbox.wanted()
+    come(inbox, "tip", 1)
+    assert given(inbox) is None
+    inbox.clock.wait(inbox.newer_within())
+    assert given(inbox) == ("tip", 1)
+
+
+def test_of_several_sensors_a_fast_loop_waits_for_none(inbox):
+    inbox.asks()
+    for name in ("palm", "tip"):
+        come(inbox, name, 1)
+        inbox.clock.wait(0.01)
+        inbox.wanted()
+        assert given(inbox) == (name, 1)
+
+
+@pytest.mark.usefixtures("playing")
+def test_a_loop_that_pauses_a_minute_costs_no_connection(url, monkeypatch, caplog):
+    """Told a thousand times how the sensor is, the client still reads."""
+    monkeypatch.setattr("tactiled.web.stream.STATUS_S", 0.0)
+    monkeypatch.setattr("tactiled.web.stream.CHANGE_S", 0.0)
+    stream = connect(url).stream("palm", patience_s=BUSY_S)
+    before = next(stream)
+    time.sleep(1)  # some hundred messages
+    assert next(stream).sequence > before.sequence
+    stream.close()
+    assert not caplog.records
+    assert module.WAITING > 600
 
 
 def test_as_in_the_readme(playing, url, capsys):
@@ -92,6 +219,15 @@ def test_shear_comes_with_the_images_where_it_is_asked_for(request, sensor):
         assert next(connect(url).stream(sensor, patience_s=BUSY_S)).shear is None
 
 
+def test_shear_comes_of_those_named(request):
+    with rigged(request.node.name, PALM) as rig, running(rig.service) as url:
+        shown = rig.show(X, Y)
+        image = next(connect(url).stream(["palm", "skin"], patience_s=BUSY_S, shear="skin"))
+        np.testing.assert_array_equal(image.shear, shown.shear)
+        with pytest.raises(TactileError, match="sensor 'palm': its codec packed carries no shear"):
+            next(connect(url).stream(["palm", "skin"], patience_s=BUSY_S, shear=True))
+
+
 def test_shear_as_in_the_readme(request, capsys):
     said = next(
         each for each in re.findall(r"```python\n(.*?)```", README.read_text(), re.S) if "shear=True" in each
@@ -118,12 +254,134 @@ def test_a_stream_goes_on_when_the_service_is_back(playing):
     stream.close()
 
 
-def test_a_silent_sensor_ends_patience(rig, url):
+def test_a_silent_sensor_ends_patience_and_its_state_is_told(rig, url, caplog):
     rig.show(pressed())
-    stream = connect(url).stream("palm", patience_s=2.0)
+    stream = connect(url).stream("palm", patience_s=4.0)
     next(stream)
-    with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 2.0 s"):
+    told = r"palm is stale: no frame for [\d.]+ s"
+    with pytest.raises(TactileError, match=f"sensor 'palm' at {url}: no image for 4.0 s: {told}"):
         next(stream)
+    (said,) = [each.getMessage() for each in caplog.records if each.name == "tactiled.client"]
+    assert re.fullmatch(f"sensor 'palm' at {url}: no image: {told}: waiting", said)
+
+
+def test_patience_begins_when_the_loop_asks(playing, url):
+    stream = connect(url).stream("palm", patience_s=2.0)
+    for _ in range(2):
+        time.sleep(2.5)
+        next(stream)
+    stream.close()
+    assert playing.sensor.status().state == "live"
+
+
+@contextmanager
+def answering(said):
+    """A server that says the same to each, or nothing."""
+    done = threading.Event()
+
+    def go():
+        with suppress(OSError), ExitStack() as kept:
+            while not done.is_set():
+                client = kept.enter_context(server.accept()[0])
+                if said is not None:
+                    client.recv(10000)
+                    client.sendall(said)
+                    client.close()
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=go)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.getsockname()[1]}"
+        finally:
+            done.set()
+            socket.create_connection(server.getsockname()).close()
+            thread.join()
+
+
+def test_patience_ends_at_a_server_that_says_nothing():
+    async def first(url):
+        await anext(connect(url).astream("palm", patience_s=1.0))
+
+    with answering(None) as url, ThreadPoolExecutor(1) as other:
+        for ask in (
+            lambda: next(connect(url).stream("palm", patience_s=1.0)),
+            lambda: other.submit(asyncio.run, first(url)).result(),
+        ):
+            began = time.monotonic()
+            with pytest.raises(TactileError, match=r"no image for 1\.0 s: timed out"):
+                ask()
+            assert 1 <= time.monotonic() - began < module.ANSWER_S / 2
+
+
+def test_no_attempt_waits_longer_than_patience(monkeypatch):
+    monkeypatch.setattr(module, "time", clock := Clock())
+    stream = module._Stream(connect("http://127.0.0.1:9"), "palm", 0.0, 7.0, False)
+    stream.wanted()
+    refused, began = ConnectionRefusedError(111, "Connection refused"), clock.now
+    while clock.now - began < 7.0:
+        clock.wait(stream.failed(refused))
+    with pytest.raises(TactileError, match=r"7\.0 s: Connection refused: is the service running\?"):
+        stream.failed(refused)
+    assert clock.now - began == 7.0
+    assert stream.options()["open_timeout"] == module.LAST_S
+
+
+GARBAGE = {
+    b"": "closed connection without response",
+    b"SSH-2.0-OpenSSH_9.2\r\n": "SSH",
+    b"HTTP/1.1 200 OK\r\nContent-Length: 10\r\n\r\n{": "IncompleteRead",
+    b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\n\r\nhello": "no service of tactiled: its answer is no JSON",
+    b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\n{}": "no service of tactiled: it names no sensors",
+    b"HTTP/1.1 500 No\r\nContent-Length: 50\r\n\r\n{": "HTTP 500",
+}
+
+
+@pytest.mark.parametrize(("said", "told"), GARBAGE.items())
+def test_what_is_no_service_is_told(said, told):
+    with answering(said) as url, pytest.raises(TactileError, match=told):
+        connect(url).sensors()
+
+
+@pytest.mark.parametrize("said", ["hello", '{"type": "status"}', b"hello"])
+def test_a_message_that_no_service_sends_is_told(said):
+    with serve(lambda socket: socket.send(said), "127.0.0.1", 0) as service:
+        threading.Thread(target=service.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{service.socket.getsockname()[1]}"
+        with pytest.raises(TactileError, match="no message of this version of tactiled"):
+            next(connect(url).stream("palm", patience_s=BUSY_S))
+
+
+WRONG = {
+    "sensor = None": (None, {}),
+    "sensor = ''": ("", {}),
+    r"sensor = \[\]": ([], {}),
+    "sensor = 'palm,tip'": ("palm,tip", {}),
+    "patience_s = 0": ("palm", {"patience_s": 0}),
+    "patience_s = nan": ("palm", {"patience_s": float("nan")}),
+    "patience_s = '3'": ("palm", {"patience_s": "3"}),
+    "shear = 3": ("palm", {"shear": 3}),
+}
+
+
+@pytest.mark.parametrize(("told", "asked"), WRONG.items())
+def test_wrong_arguments_are_refused_at_once(told, asked):
+    sensor, more = asked
+    for stream in (connect("http://h").stream, connect("http://h").astream):
+        with pytest.raises(ConfigError, match=told):
+            stream(sensor, **more)
+
+
+def test_a_sensor_without_a_name_is_refused_at_once():
+    for ask in (connect("http://h").tare, lambda sensor: connect("http://h").set_method(sensor, "raw")):
+        with pytest.raises(ConfigError, match="sensor = None: give a sensor's name"):
+            ask(None)
+
+
+def test_what_comes_back_can_be_closed():
+    assert get_type_hints(tactiled.Client.stream)["return"] == Generator[tactiled.Image, None, None]
+    assert get_type_hints(tactiled.Client.astream)["return"] == AsyncGenerator[tactiled.Image, None]
+    assert issubclass(ConfigError, tactiled.TactileError)
 
 
 def test_a_refusal_is_told_though_the_next_attempt_hears_nothing():
@@ -169,14 +427,78 @@ def test_a_token_is_shown(rig):
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
         assert next(connect(url, "c" * 16).stream("palm", patience_s=BUSY_S)).sequence == 0
         connect(url, "c" * 16).tare("palm")
+        connect(f"{url.upper()}/?token={'c' * 16}").tare("palm")
         with pytest.raises(TactileError, match="a token is needed"):
             next(connect(url).stream("palm", patience_s=BUSY_S))
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8000", "file:///etc/passwd", "http://", ""])
+NONE = (
+    "127.0.0.1:8000",
+    "file:///etc/passwd",
+    "ws://h",
+    "http://",
+    "",
+    None,
+    b"http://h",
+    "http://h:99999",
+    "http://h:x",
+    "http://h:0",
+    "http://u:p@h",
+    "http://h ost",
+    "http://a..b",
+    "http://[::1",
+    "http://h/\n",
+    "http://h/é",
+)
+
+
+@pytest.mark.parametrize("url", NONE)
 def test_an_address_that_is_none_is_refused(url):
-    with pytest.raises(ConfigError, match="give the service's address"):
+    with pytest.raises(ConfigError, match=re.escape(f"url = {url!r}: give the service's address")):
         connect(url)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [("?x=1", "no x"), ("#palm", "no #palm"), ("?token=a&y=2", "no y"), ("?token=a&token=b", "no second")],
+)
+def test_what_else_follows_an_address_is_refused(more, told):
+    with pytest.raises(ConfigError, match=rf"may follow it, {told}$"):
+        connect("http://h/" + more)
+
+
+@pytest.mark.parametrize("token", ["a\nb", "€", "ä", 3])
+def test_a_token_that_no_header_carries_is_refused_and_not_shown(token):
+    with pytest.raises(ConfigError, match=r"^token: give printable ASCII characters$"):
+        connect("http://h", token)
+
+
+def test_a_token_is_given_once():
+    with pytest.raises(ConfigError, match="token: given twice"):
+        connect("http://h/?token=a", "b")
+    assert connect("http://h/?token=a", "").headers == {"Authorization": "Bearer a"}
+
+
+def test_a_certificate_that_is_not_trusted_is_told_at_once():
+    stream = module._Stream(connect("https://h"), "palm", 0.0, None, False)
+    error = ssl.SSLCertVerificationError(1, "certificate verify failed: self-signed certificate")
+    with pytest.raises(TactileError, match="https://h: certificate verify failed: self-signed certificate"):
+        stream.failed(error)
+
+
+def test_tls_where_there_is_none_is_told(url, caplog):
+    stream = connect(url.replace("http", "https")).stream("palm", patience_s=1.0)
+    with pytest.raises(TactileError, match=r"no image for 1\.0 s: .*WRONG_VERSION_NUMBER"):
+        next(stream)
+    assert "is the service running" not in caplog.text
+
+
+def test_what_tls_must_show_can_be_said():
+    context = ssl.create_default_context()
+    client = connect("https://h", ssl_context=context)
+    assert module._Stream(client, "palm", 0.0, None, False).options()["ssl"] is context
+    with pytest.raises(ConfigError, match="ssl_context: url = 'http://h' is not https"):
+        connect("http://h", ssl_context=context)
 
 
 def test_a_service_that_is_not_there_is_told():
@@ -192,3 +514,28 @@ def test_what_a_stream_waits_for_is_logged_once(caplog):
     why = "Connection refused: is the service running?"
     said = f"sensor 'palm' at http://127.0.0.1:9: no connection: {why}: trying again"
     assert [each.getMessage() for each in caplog.records if each.name == "tactiled.client"] == [said]
+
+
+def test_why_a_connection_ended_is_logged(playing, caplog):
+    with running(playing.service) as url:
+        stream = connect(url).stream("palm", patience_s=1.0)
+        next(stream)
+    with pytest.raises(TactileError, match=r"Connection refused|the service ends \(1012\)"):
+        for _ in stream:
+            pass
+    assert "no connection: the service ends (1012): trying again" in caplog.text
+
+
+def test_a_connection_that_breaks_is_told():
+    stream = module._Stream(connect("http://h"), "palm", 0.0, None, False)
+    for error, told in (
+        (ConnectionClosedError(None, None), "the connection broke"),
+        (ConnectionClosedError(None, Close(1011, "keepalive ping timeout")), "keepalive ping timeout"),
+        (ConnectionClosedError(Close(1009, ""), None), "closed (1009)"),
+    ):
+        stream.failed(error)
+        assert stream._refused == told
+
+
+def test_what_websockets_says_of_an_end_is_not_shown():
+    assert not module.QUIET.isEnabledFor(logging.ERROR)
