@@ -1,5 +1,6 @@
 import re
 
+import can
 import pytest
 from pydantic import SecretStr
 
@@ -113,8 +114,11 @@ def test_counts_events_and_times_of_the_bus_are_shown(rig, url, open_page):
     assert state["loss"]["lost"] == 1
     wait(page, "/\\nlost\\s+1\\n/.test('\\n' + document.getElementById('loss').innerText)")
     text = page.locator("#side").inner_text()
-    for count in ("dropped", "error frames", "bus-off", "incomplete"):
+    for count in ("dropped", "error frames", "bus-off", "incomplete", "unsent"):
         assert re.search(rf"{count}\s+\d", text), count
+    assert page.locator("#loss dd").count() == len(state["loss"])
+    rig.bus._bus.send(can.Message(is_error_frame=True))
+    wait(page, "/error frames\\s+1\\s[^]*\\bother 1$/.test(document.getElementById('loss').innerText)")
     wait(page, "/skew\\s+[\\d.]+ (µs|ms)/.test(document.getElementById('side').innerText)")
     wait(page, "/\\d+:\\d\\d:\\d\\d\\s+palm: sensor stale/.test(document.getElementById('events').innerText)")
 
@@ -133,3 +137,39 @@ def test_a_recording_whose_file_was_moved_away_says_so_and_can_be_ended(recordin
     wait(page, f"document.getElementById('notice').innerText === '{says}'")
     page.locator("#record", has_text="Record").wait_for()
     wait(page, f"!{LIST}.includes('moved') && {LIST}.includes('kept.log')")
+
+
+FOCUSED = "document.activeElement.innerText"
+ROW = "document.activeElement.closest('li')?.innerText"
+
+
+def delete(page, wait_for):
+    """Press what has the focus twice, and wait."""
+    for text in ("Delete", "Really delete"):
+        assert page.evaluate(FOCUSED) == text
+        page.keyboard.press("Enter")
+    wait(page, wait_for)
+
+
+def test_the_focus_goes_from_a_recording_that_is_deleted_to_its_neighbour_and_the_loss_is_told(
+    recording, rig, open_page
+):
+    url, folder = recording
+    for name in ("a", "b", "c"):
+        (folder / f"{name}.log").touch()
+    rig.show(pressed())
+    page = open_page(url)
+    page.locator("#recordings li", has_text="b.log").get_by_role("button").focus()
+    delete(page, f"{ROW}?.startsWith('c.log')")
+    assert page.locator("#notice").inner_text() == "Deleted: b.log."
+    delete(page, f"{ROW}?.startsWith('a.log')")
+    (folder / "d.log").touch()
+    wait(page, f"{LIST}.includes('d.log')")
+    assert page.evaluate(ROW).startswith("a.log")
+    (folder / "d.log").unlink()
+    wait(page, f"!{LIST}.includes('d.log')")
+    delete(page, "document.activeElement.id === 'record'")
+    page.keyboard.press("Enter")
+    page.locator("#recordings").get_by_role("button", name="Stop").focus()
+    page.keyboard.press("Enter")
+    wait(page, f"{FOCUSED} === 'Delete'")

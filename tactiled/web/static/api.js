@@ -12,8 +12,8 @@ const TIMEOUT_MS = 8000;
 
 /**
  * What went wrong on the way in, counted since the service started.
- * @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"dropped"|"incomplete"|"skipped"|"errors"|"bus_off",
- *   number>} Loss
+ * @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"dropped"|"incomplete"|"skipped"|"errors"|"bus_off"
+ *   |"unsent", number>} Loss
  */
 
 /**
@@ -35,6 +35,7 @@ const TIMEOUT_MS = 8000;
  * @property {number|null} skew_s from a frame's first message to its last
  * @property {string} detail
  * @property {Loss} loss
+ * @property {Record<string, number>} error_kinds what the bus's error frames told
  * @property {number|null} sequence
  */
 

@@ -25,7 +25,7 @@ const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const screen = new Screen();
 const tabs = new Tabs((name) => choose(name));
 const log = new Log();
-const viewer = new Viewer({ onChange: () => read(), onStatus: hear });
+const viewer = new Viewer({ onChange: () => read(), onStatus: hear, onProbe: () => screen.tellProbe(viewer) });
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
 /** @type {import("./api.js").Sensor[]} */

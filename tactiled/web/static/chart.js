@@ -49,6 +49,7 @@ const HEAD = 20;
 const FOOT = 34;
 const TAIL = 12;
 const FINE = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
+const DASHES = [6 * FINE, 4 * FINE]; // of the raw line, where colours are few
 const FAR = 2 ** 24; // of such units, out of sight
 
 /**
@@ -250,7 +251,10 @@ export class Chart {
       if (half) draw.lineTo(x + half, y);
       down = true;
     }
+    const dashed = this._ink.forced && of.ink === "raw";
+    if (dashed) draw.setLineDash(DASHES);
     draw.stroke();
+    if (dashed) draw.setLineDash([]);
     if (of.style === "dots") this._dots(of, axes, sx, sy);
   }
 

@@ -7,7 +7,7 @@ import * as api from "./api.js";
 import { control } from "./control.js";
 import { keys } from "./keys.js";
 import { notice } from "./notice.js";
-import { byId } from "./paint.js";
+import { byId, say } from "./paint.js";
 import { ACROSS } from "./plane.js";
 import { methodTitle } from "./readings.js";
 import { saveCsv, savePng } from "./save.js";
@@ -132,7 +132,7 @@ async function tare(viewer) {
 function save(kind, viewer, rooms) {
   const { session, palette } = viewer;
   if (!session?.frame || !palette) {
-    notice("There is no frame to save yet.", true);
+    notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
     return;
   }
   if (kind === "csv") saveCsv(session, session.frame);
@@ -156,7 +156,9 @@ function arrow(viewer, dx, dy, event) {
 
 /** @param {Viewer} viewer */
 function turn(viewer) {
-  if (viewer.session) viewer.cut(ACROSS[viewer.marks.along]);
+  if (!viewer.session) return;
+  viewer.cut(ACROSS[viewer.marks.along]);
+  say(byId("told"), `Cross-section along ${viewer.marks.along}.`);
 }
 
 /** @param {Viewer} viewer */
@@ -198,7 +200,7 @@ function keyboard(viewer, rooms) {
       const name = rooms.sensors()[i];
       if (name) rooms.choose(name);
     }])),
-  });
+  }, /** @type {HTMLInputElement} */ (byId("keys-on")));
   document.addEventListener("keydown", (event) => {
     if (!event.altKey || !viewer.probe.pinned || (event.key !== "ArrowUp" && event.key !== "ArrowDown")) return;
     event.preventDefault();

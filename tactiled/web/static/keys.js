@@ -3,16 +3,25 @@
  * @module
  */
 
+import { keep, recall } from "./store.js";
+
+const KEY = "tactiled.keys";
+const TYPED_IN = "input:not([type=checkbox], [type=range]), select, textarea";
+
 /**
  * Call an action for each key that names one; keys meant for a field, a button or a dialog stay theirs.
  * @param {Record<string, (event: KeyboardEvent) => void>} actions by `event.key`, letters in lower case
+ * @param {HTMLInputElement} on box that is checked where keys of one character act; the browser keeps it so
  */
-export function keys(actions) {
+export function keys(actions, on) {
+  on.checked = recall(KEY) !== "off";
+  on.addEventListener("change", () => keep(KEY, on.checked ? "on" : "off"));
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || document.querySelector("dialog[open]")) return;
     const target = event.target instanceof Element ? event.target : null;
-    if (target?.closest("input:not([type=checkbox]), select, textarea") && event.key !== "Escape") return;
-    if (event.key === " " && target?.closest("button, input, a")) return;
+    if (event.key.length === 1 && !on.checked) return;
+    if (target?.closest(TYPED_IN) && event.key !== "Escape") return;
+    if (event.key === " " && target?.closest("button, [type=checkbox], a")) return;
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action) return;
     event.preventDefault();

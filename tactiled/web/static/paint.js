@@ -60,6 +60,7 @@ export function fit(canvas, width, height) {
  * @property {string} restored
  * @property {string} accent
  * @property {string} font
+ * @property {boolean} forced the system allows few colours: they alone tell nothing apart
  */
 
 /** @returns {Inks} */
@@ -75,6 +76,7 @@ export function inks() {
   const found = {
     text: of("text"), muted: of("muted"), line: of("line"), panel: of("panel"), raw: of("raw"),
     restored: of("restored"), accent: of("accent"), font: getComputedStyle(document.body).fontFamily,
+    forced: matchMedia("(forced-colors: active)").matches,
   };
   swatch.remove();
   return found;

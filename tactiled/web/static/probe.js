@@ -11,7 +11,7 @@ const TAP_PX = 10; // that a tap may slip, and within which a pinned place is th
 export class Probe {
   /**
    * @param {Heatmap[]} maps
-   * @param {() => void} onMove
+   * @param {(meant: boolean) => void} onMove whether it was pinned, moved by keys or released, not just pointed
    */
   constructor(maps, onMove) {
     /** Place, mm; NaN when nothing is asked about. */
@@ -68,13 +68,14 @@ export class Probe {
       return;
     }
     this.pinned = !same;
-    this._follow(map, event);
+    this._follow(map, event, true);
   }
 
   clear() {
+    const { pinned } = this;
     this.pinned = false;
     this.x = this.y = NaN;
-    this._onMove();
+    this._onMove(pinned);
   }
 
   /**
@@ -86,7 +87,7 @@ export class Probe {
     this.pinned = true;
     this.x = x;
     this.y = y;
-    this._onMove();
+    this._onMove(true);
   }
 
   /**
@@ -99,17 +100,18 @@ export class Probe {
     if (!this.pinned) return;
     this.x = Math.max(plane.left, Math.min(plane.left + plane.width, this.x + dx));
     this.y = Math.max(plane.top, Math.min(plane.top + plane.height, this.y + dy));
-    this._onMove();
+    this._onMove(true);
   }
 
   /**
    * @param {Heatmap} map
    * @param {PointerEvent} event
+   * @param {boolean} [meant]
    */
-  _follow(map, event) {
+  _follow(map, event, meant = false) {
     map.locate(event, this._at);
     this.x = this._at.x;
     this.y = this._at.y;
-    this._onMove();
+    this._onMove(meant);
   }
 }

@@ -34,6 +34,7 @@ const LOSSES = /** @type {const} */ ({
   "on the bus": [
     ["errors", "error frames", "what the bus interface says went wrong on the wire"],
     ["bus_off", "bus-off", "times that the bus interface left the bus because of errors"],
+    ["unsent", "unsent", "messages to skins that the bus did not take"],
   ],
 });
 
@@ -53,6 +54,10 @@ export class Readings {
     /** @type {Map<string, HTMLElement>} */
     this._loss = new Map();
     for (const [unit, kinds] of Object.entries(LOSSES)) byId("loss").append(...this._counts(unit, kinds));
+    this._kinds = document.createElement("p");
+    this._kinds.className = "sub";
+    this._kinds.title = "What the error frames told";
+    byId("loss").append(this._kinds);
     this._raw = measured("raw");
     this._restored = measured("restored");
     this._at = Object.fromEntries([
@@ -90,6 +95,8 @@ export class Readings {
 
   /** @param {Sensor} sensor */
   about(sensor) {
+    const told = Object.entries(sensor.error_kinds).filter(([, count]) => count);
+    say(this._kinds, told.map(([kind, count]) => `${kind.replaceAll("_", " ")} ${count}`).join(", "));
     const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
     say(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
     this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;

@@ -78,12 +78,26 @@ export class Recorder {
     const shown = JSON.stringify(this._recordings.map((each) => [each.name, each.running, each.error]));
     if (shown !== this._shown) {
       this._shown = shown;
-      this._list.replaceChildren(...this._recordings.map((each) => this._row(each)));
+      this._fill();
     }
     for (const [i, each] of this._recordings.entries()) {
       say(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), about(each));
     }
     byId("recordings-none").hidden = !this.offered || this._recordings.length > 0;
+  }
+
+  /** Make the list anew; what had the focus keeps it, or gives it to what stands there now. */
+  _fill() {
+    const focused = document.activeElement;
+    const row = focused?.closest("#recordings li");
+    const place = row ? [...this._list.children].indexOf(row) : -1;
+    const name = row?.firstChild?.textContent;
+    this._list.replaceChildren(...this._recordings.map((each) => this._row(each)));
+    if (!focused || !row) return;
+    const kept = this._recordings.findIndex((each) => each.name === name);
+    const now = this._list.children[kept < 0 ? Math.min(place, this._recordings.length - 1) : kept];
+    const heir = now?.querySelector(focused.localName) ?? now?.querySelector("button") ?? this._button;
+    /** @type {HTMLElement} */ (heir).focus();
   }
 
   /**
@@ -134,7 +148,7 @@ export class Recorder {
         }, SURE_MS);
         return;
       }
-      await control(() => api.deleteRecording(name), "Not deleted");
+      if (await control(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
       await this._look();
     });
     return button;

@@ -56,7 +56,7 @@ export class Screen {
     this.readings.frame(frame);
     this.readings.status(session?.status ?? null, live);
     this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
-    this._probe(viewer, frame);
+    say(byId("probe"), probed(viewer, frame) || "Point at a map to read it; click or tap to pin.");
     this._playback(session, frame, live);
     this.range(viewer.scale);
     this.contacts.show(viewer.marks.contacts, viewer.contacts);
@@ -106,13 +106,12 @@ export class Screen {
   }
 
   /**
+   * Say what the pinned probe reads to whom cannot see it.
    * @param {Viewer} viewer
-   * @param {Frame|null} frame
    */
-  _probe(viewer, frame) {
-    const plane = viewer.session?.plane;
-    const { x, y } = viewer.probe;
-    say(byId("probe"), frame && plane && Number.isFinite(x) ? reading(plane, frame, x, y) : "Point at a map to read it; click or tap to pin.");
+  tellProbe(viewer) {
+    const read = viewer.probe.pinned ? probed(viewer, viewer.session?.frame ?? null) : "";
+    say(byId("told"), read || "Probe released.");
   }
 
   /** @param {import("./scale.js").Scale} scale */
@@ -142,6 +141,15 @@ export class Screen {
     say(byId("when"), text);
     if (this._scrub.getAttribute("aria-valuetext") !== text) this._scrub.setAttribute("aria-valuetext", text);
   }
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {Frame|null} frame
+ * @returns {string} what the probe reads; "" where nothing is asked about
+ */
+function probed({ session, probe: { x, y } }, frame) {
+  return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y) : "";
 }
 
 /**

@@ -3,6 +3,8 @@
  * @module
  */
 
+import { keep, recall } from "./store.js";
+
 const KEY = "tactiled.theme";
 const NEXT = { system: "light", light: "dark", dark: "system" };
 const TITLE = { system: "as the system", light: "light", dark: "dark" };
@@ -27,21 +29,15 @@ export function theme(button, onChange) {
   };
   const take = () => {
     now = /** @type {any} */ (NEXT[now]);
-    try {
-      localStorage.setItem(KEY, now);
-    } catch {
-      // A browser that keeps nothing still shows the theme.
-    }
+    keep(KEY, now);
     show();
   };
-  try {
-    const kept = localStorage.getItem(KEY);
-    if (kept === "light" || kept === "dark") now = kept;
-  } catch {
-    // As above.
-  }
+  const kept = recall(KEY);
+  if (kept === "light" || kept === "dark") now = kept;
   button.addEventListener("click", take);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", onChange);
+  for (const query of ["(prefers-color-scheme: dark)", "(forced-colors: active)"]) {
+    matchMedia(query).addEventListener("change", onChange);
+  }
   show();
   return take;
 }

@@ -25,6 +25,7 @@ const TRENDS_MS = 100; // between two drawings of what changes slowly
 /**
  * @typedef {object} Listener
  * @property {() => void} onChange something that is told in words has changed
+ * @property {() => void} onProbe somebody has pinned the probe, moved it by keys, or released it
  * @property {(status: import("./stream.js").Status) => void} onStatus
  */
 
@@ -39,7 +40,10 @@ export class Viewer {
     this.latencies = new Trend(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new Pace();
-    this.probe = new Probe([this.maps.raw, this.maps.restored], () => this.refresh());
+    this.probe = new Probe([this.maps.raw, this.maps.restored], (meant) => {
+      this.refresh();
+      if (meant) listener.onProbe();
+    });
     /** @type {Palette|null} */
     this.palette = null;
     /** @type {Session|null} */
@@ -271,7 +275,8 @@ export class Viewer {
    * @param {number} steps back where negative
    */
   step(steps) {
-    this.show((this.session?.back ?? 0) - steps);
+    const { session } = this;
+    if (session && (session.paused || steps < 0)) this.show(session.back - steps); // nothing is newer than live
   }
 
   /** @param {number} back from the newest frame */
