@@ -55,6 +55,7 @@ def create(service: Service, server: Server) -> FastAPI:
         openapi_url="/api/v1/openapi.json",
         docs_url=None,  # its page needs the internet
         redoc_url=None,
+        redirect_slashes=False,  # which would tell where to by the client's own Host, and hand its token on
     )
     problems.install(app)
     app.state.service, app.state.server = service, server

@@ -2,7 +2,9 @@
 
 import logging
 import re
+from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.requests import ClientDisconnect
@@ -12,7 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.web import problems, session
-from tactiled.web.body import bounded
+from tactiled.web.body import Body
 from tactiled.web.keys import COOKIE, Keys
 from tactiled.web.rates import Rates, Streams
 
@@ -35,6 +37,7 @@ HEADERS = {
 }
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 ALONE = "; HttpOnly; SameSite=Strict; Path=/"
+STAY = {"Strict-Transport-Security": "max-age=31536000"}  # with TLS for a year; a browser has it for all ports
 
 
 class Guard:
@@ -43,6 +46,7 @@ class Guard:
     def __init__(self, app: ASGIApp, server: Server, rates: Rates, streams: Streams) -> None:
         self._app, self._server, self._keys = app, server, Keys(server)
         self._rates, self._streams = rates, streams
+        self._headers = HEADERS | (STAY if server.tls_certificate and not server.loopback else {})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -50,27 +54,34 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers, query = Headers(scope=scope), QueryParams(scope["query_string"])
-        refusal = self._stranger(headers) or self._keyless(scope, headers, query)
-        if scope["type"] == "websocket":
+        refusal = self._stranger(scope, headers) or self._keyless(scope, headers, query)
+        if scope["type"] == "http":
+            await self._request(partial(self._answer, refusal, scope, query), scope, receive, send)
+        else:
             await (_close(refusal, receive, send) if refusal else self._stream(scope, receive, send))
-            return
 
-        started = False
+    async def _request(self, answer: Callable[[], ASGIApp], scope: Scope, receive: Receive, send: Send) -> None:
+        """Have a request answered, once its body is in."""
+        started, body = False, Body(scope, receive)
 
         async def guarded(message: Message) -> None:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                answer = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    answer.setdefault(name, value)
+                headers = MutableHeaders(scope=message)
+                for name, value in self._headers.items():
+                    headers.setdefault(name, value)
+                if not body.whole:  # it is not waited for
+                    headers["Connection"] = "close"
             await send(message)
 
         try:
-            app = self._answer(refusal, scope, query)
-            await app(scope, bounded(scope, receive), guarded)
+            app = answer()
+            await app(scope, await body.taken(), guarded)
         except ClientDisconnect:  # amid its body: there is nobody left to tell
             return
+        except problems.Problem as error:
+            await problems.response(error.status_code, error.detail, error.headers)(scope, receive, guarded)
         except Exception:
             LOG.exception("%s %s failed", scope["method"], scope["path"])
             if started:
@@ -88,19 +99,16 @@ class Guard:
                 await self._app(scope, receive, send)
 
     def _answer(self, refusal: Refusal | None, scope: Scope, query: QueryParams) -> ASGIApp:
-        """Who answers a request."""
+        """Who answers a request; Problem where nobody does."""
         if refusal:
-            return problems.response(*refusal, {"WWW-Authenticate": "Bearer"} if refusal[0] == 401 else None)
+            raise problems.Problem(*refusal, {"WWW-Authenticate": "Bearer"} if refusal[0] == 401 else None)
         if scope["method"] not in SAFE:
-            try:
-                self._rates.count(scope)
-            except problems.Problem as error:
-                return problems.response(error.status_code, error.detail, error.headers)
+            self._rates.count(scope)
         if scope["path"] == "/" and self._keys.scopes(query.get("token", "")):
             return self._welcome(query["token"])
         return self._app
 
-    def _stranger(self, headers: Headers) -> Refusal | None:
+    def _stranger(self, scope: Scope, headers: Headers) -> Refusal | None:
         """Why a request from elsewhere is refused."""
         hosts, host = headers.getlist("host"), headers.get("host", "")
         if self._server.loopback and (len(hosts) != 1 or not HOME.fullmatch(host)):
@@ -108,8 +116,9 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return 403, f"Origin: {origin:.80}: pages of another site may not use this service"
-        site, mode = headers.get("sec-fetch-site", "none"), headers.get("sec-fetch-mode")
-        if site not in ("none", "same-origin") and mode != "navigate":
+        site = headers.get("sec-fetch-site", "none")
+        link = headers.get("sec-fetch-mode") == "navigate" and scope.get("method") in SAFE
+        if site not in ("none", "same-origin") and not link:
             return 403, f"Sec-Fetch-Site: {site:.80}: pages of another site may not use this service"
         return None
 

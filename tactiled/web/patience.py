@@ -1,12 +1,24 @@
-"""HTTP connections that waste the service's time: a request whose head is slow or endless is cut off."""
+"""Connections that waste the service's time are cut off: slow handshakes, slow or endless heads, late bodies."""
 
 import asyncio
+from functools import partial
 from typing import Any
 
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.loops.auto import auto_loop_factory
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
-HEAD_S = 10.0  # that a request line and its headers may take
+HEAD_S = 10.0  # that a request line and its headers may take, and a TLS handshake before them
 MOST_HEAD = 64 << 10  # bytes of them
+GRACE_S = 2.0  # that a client has to read an answer which it got amid its request's body
+MOST_LATE = 1 << 20  # bytes that it may go on sending meanwhile
+
+
+def tls_loop() -> asyncio.AbstractEventLoop:
+    """The event loop that uvicorn itself takes, but one that waits no longer for a handshake than for a head."""
+    loop = auto_loop_factory()()
+    bounds = {"ssl_handshake_timeout": HEAD_S, "ssl_shutdown_timeout": GRACE_S}
+    loop.create_server = partial(loop.create_server, **bounds)  # type: ignore[method-assign]
+    return loop
 
 
 class PatientHttp(HttpToolsProtocol):
@@ -16,6 +28,7 @@ class PatientHttp(HttpToolsProtocol):
         super().__init__(*args, **kwargs)
         self._late: asyncio.TimerHandle | None = None
         self._head = 0  # bytes of it that came after those with which it began
+        self._over: int | None = None  # bytes that came after the last answer
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for the first head."""
@@ -28,7 +41,12 @@ class PatientHttp(HttpToolsProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes in, and cut off a head that has grown too long."""
+        """Take bytes in, and cut off a head that has grown too long, or what comes after the last answer."""
+        if self._over is not None:
+            self._over += len(data)
+            if self._over > MOST_LATE:
+                self.transport.abort()
+            return
         waited = self._late
         super().data_received(data)
         if self._late is not None and self._late is waited:  # else these bytes are of the request before, too
@@ -46,6 +64,15 @@ class PatientHttp(HttpToolsProtocol):
         """Take note that a head has come."""
         self._come()
         super().on_headers_complete()
+        if self.cycle is not None:
+            self.cycle.transport = _Answered(self, self.cycle)
+
+    def end(self) -> None:
+        """Close, but let the client, which still sends, read its answer before."""
+        self._over = 0
+        if self.transport.can_write_eof():
+            self.transport.write_eof()
+        self.loop.call_later(GRACE_S, self.transport.abort)
 
     def _wait(self) -> None:
         self._head = 0
@@ -62,3 +89,18 @@ class PatientHttp(HttpToolsProtocol):
         if self._late is not None:
             self._late.cancel()
             self._late = None
+
+
+class _Answered(asyncio.Transport):
+    """A transport as the answer to one request sees it."""
+
+    def __init__(self, connection: PatientHttp, cycle: RequestResponseCycle) -> None:
+        self._connection, self._cycle = connection, cycle
+        self.write, self.is_closing = connection.transport.write, connection.transport.is_closing  # type: ignore
+
+    def close(self) -> None:
+        """Close, at once if the whole request has come: else the system would take the answer back."""
+        if self._cycle.more_body and not self.is_closing():
+            self._connection.end()
+        else:
+            self._connection.transport.close()

@@ -21,6 +21,7 @@ from tactiled.web.refused import TellingHttp, TellingWebSocket
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
+UNREAD_S = 20.0  # that a client may take nothing of what it is sent
 
 
 def _listen(at: Server) -> socket.socket:
@@ -32,6 +33,8 @@ def _listen(at: Server) -> socket.socket:
         raise TactileError(f"host {host}: {error.strerror}: give an address of this machine") from error
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if sys.platform == "linux":  # of each connection, in TLS as well
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * UNREAD_S))
     try:
         listener.bind(address)
     except OSError as error:
@@ -53,6 +56,7 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     return uvicorn.Server(
         uvicorn.Config(
             app,
+            loop="tactiled.web.patience:tls_loop" if at.tls_certificate else "auto",
             http=TellingHttp,
             ws=TellingWebSocket,
             ws_max_size=session.MOST,

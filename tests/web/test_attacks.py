@@ -3,6 +3,7 @@
 import io
 import secrets
 import socket
+import subprocess
 import tempfile
 import time
 from contextlib import ExitStack
@@ -23,7 +24,7 @@ from tactiled.config import Server, parse
 from tactiled.errors import TactileError
 from tactiled.sensor import Sensor
 from tactiled.service import Service
-from tactiled.web import body, patience
+from tactiled.web import body, patience, server
 from tactiled.web.keys import Keys
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
@@ -48,7 +49,7 @@ def url(rig, place):
 
 
 def plug(url):
-    host, port = url.removeprefix("http://").split(":")
+    host, port = url.split("/")[2].split(":")
     return socket.create_connection((host, int(port)), timeout=BUSY_S)
 
 
@@ -144,6 +145,14 @@ def test_no_page_of_another_site_controls_anything(rig, url):
 def test_a_link_from_another_site_opens_the_viewer(url):
     headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
     assert ask("GET", url, headers=headers).status_code == 200
+
+
+def test_a_form_of_another_site_is_no_link(rig, url):
+    headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    problem(ask("POST", url + "/api/v1/sensors/palm/tare", headers=headers), 403)
+    with connect(url.replace("http", "ws", 1) + "/api/v1/stream", additional_headers=headers) as client:
+        assert ended(client)[0] == 4403
+    assert rig.service.events.newest == 0
 
 
 @pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
@@ -311,6 +320,126 @@ def test_a_body_that_never_comes_is_given_up_on_and_blocks_nobody(url, monkeypat
     assert ask("POST", url + "/api/v1/restore?sensor=palm", content=film).status_code == 200
 
 
+@pytest.fixture
+def guarded(rig):
+    """A service that asks for a token."""
+    with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as address:
+        yield address
+
+
+TARE = "/api/v1/sensors/palm/tare"
+LENGTHS = {"Content-Length: 1000000000": b"z", "Transfer-Encoding: chunked": b"1\r\nz\r\n"}
+
+
+def trickle(end, piece):
+    for _ in range(1000):
+        end.sendall(piece)
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("line", [f"POST {TARE}", "GET /api/v1/health", "POST /api/v1/restore?sensor=palm"])
+def test_who_is_refused_cannot_go_on_sending_a_body(guarded, monkeypatch, line, length):
+    monkeypatch.setattr(patience, "GRACE_S", 0.5)
+    with plug(guarded) as end:
+        end.sendall(f"{line} HTTP/1.1\r\nHost: {guarded[7:]}\r\n{length}\r\n\r\n".encode())
+        answer = end.recv(1 << 16)
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            trickle(end, LENGTHS[length])
+    assert answer.startswith(b"HTTP/1.1 401")
+    assert b"\r\nconnection: close\r\n" in answer
+
+
+def test_who_is_refused_amid_a_body_still_hears_why(guarded, monkeypatch):
+    monkeypatch.setattr(patience, "MOST_LATE", 10 << 20)
+    with plug(guarded) as end:
+        end.sendall(f"POST {TARE} HTTP/1.1\r\nHost: {guarded[7:]}\r\nContent-Length: 8000000\r\n\r\n".encode())
+        time.sleep(0.2)  # in which it is refused
+        end.sendall(bytes(8_000_000))
+        assert b"a token is needed" in said(end)
+        assert not end.recv(1)
+
+
+def test_more_than_a_little_behind_a_refusal_is_cut_off(guarded):
+    with plug(guarded) as end:
+        end.sendall(f"POST {TARE} HTTP/1.1\r\nHost: {guarded[7:]}\r\nContent-Length: 1000000000\r\n\r\n".encode())
+        with pytest.raises((BrokenPipeError, ConnectionResetError)):
+            end.sendall(bytes(80 << 20))
+
+
+def test_a_connection_is_kept_where_the_body_has_come(url):
+    with httpx.Client(base_url=url, timeout=BUSY_S) as client:
+        for answer in (client.post(TARE, content=b"x" * 1000), client.put(METHOD, content=b"{"), client.get("/")):
+            assert "connection" not in answer.headers
+
+
+def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
+    chunk = b"10000\r\n" + bytes(1 << 16) + b"\r\n"
+    for length, data in (("Content-Length: 65537", b""), ("Transfer-Encoding: chunked", 5 * chunk + b"0\r\n\r\n")):
+        assert raw(url, f"POST {TARE}", length, data=data)[0] == 413
+    with plug(url) as end:
+        end.sendall(f"POST {TARE} HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 9\r\n\r\nx".encode())
+    monkeypatch.setattr(body, "IN_TIME_S", 0.5)
+    assert raw(url, f"POST {TARE}", "Content-Length: 9", data=b"x")[0] == 408
+    assert rig.service.events.newest == 0
+    assert raw(url, f"POST {TARE}", "Content-Length: 9", data=b"x" * 9)[0] == 202
+
+
+def test_an_answer_that_nobody_reads_is_given_up_on(rig, place, monkeypatch):
+    size = 64 << 20
+    with (place / "big.log").open("wb") as file:
+        file.truncate(size)
+    monkeypatch.setattr(server, "UNREAD_S", 1.0)
+    with running(rig.service, Server(port=0, recordings=place)) as url, plug(url) as slow, plug(url) as silent:
+        for end in (slow, silent):
+            end.sendall(f"GET /api/v1/recordings/big.log HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
+        taken = 0
+        for _ in range(20):
+            taken += len(slow.recv(1 << 18))
+            time.sleep(0.2)
+        assert len(said(silent)) < size
+        while taken < size and (piece := slow.recv(1 << 20)):
+            taken += len(piece)
+    assert taken > size
+
+
+def test_an_address_with_a_slash_behind_it_hands_no_token_on(url):
+    for path in ("sensors/", "health/", "sensors/palm/"):
+        for host in ("localhost", f"{url[7:]}"):
+            answer = ask("GET", f"{url}/api/v1/{path}", params={"token": "hush"}, headers={"Host": host})
+            assert problem(answer, 404) == f"GET /api/v1/{path}: not found"
+            assert "location" not in answer.headers
+
+
+@pytest.fixture
+def certificate(tmp_path):
+    """Keys of a server with TLS."""
+    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost -out certificate.pem -keyout key.pem"
+    subprocess.run(command, shell=True, cwd=tmp_path, check=True, capture_output=True)
+    return {"tls_certificate": tmp_path / "certificate.pem", "tls_key": tmp_path / "key.pem"}
+
+
+def test_a_tls_handshake_that_does_not_come_is_given_up_on(rig, certificate, monkeypatch):
+    monkeypatch.setattr(patience, "HEAD_S", 0.5)
+    with running(rig.service, Server(port=0, **certificate)) as url, plug(url) as end:
+        answer, seconds = closed_after(end)
+        assert answer == b""
+        assert seconds < 30  # asyncio itself waits a minute
+        assert ask("GET", url + "/api/v1/health", verify=False).status_code == 200
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_a_browser_stays_with_tls_where_other_machines_come_by(rig, certificate, host):
+    """On loopback every other server of this machine would have to have it."""
+    bearer = {"Authorization": "Bearer " + "c" * 16}
+    for tls in (certificate, {}):
+        with running(rig.service, Server(host=host, port=0, control_token=SecretStr("c" * 16), **tls)) as url:
+            answer = ask("GET", url + "/api/v1/health", headers=bearer, verify=False)
+            assert answer.status_code == 200
+            told = answer.headers.get("strict-transport-security")
+            assert told == ("max-age=31536000" if tls and host == "0.0.0.0" else None)
+
+
 def test_control_is_bounded_for_each_client_and_reading_is_not(rig):
     rig.show(pressed())
     with running(rig.service, Server(port=0, control_per_minute=1)) as url:
@@ -412,11 +541,11 @@ def test_every_token_is_compared_in_full_whatever_is_shown(monkeypatch):
 def test_no_answer_holds_a_secret(rig, place):
     rig.show(pressed())
     tokens = "hush-hush-reader", "hush-hush-master"
-    server = Server(
+    asked = Server(
         port=0, read_token=SecretStr(tokens[0]), control_token=SecretStr(tokens[1]), recordings=place / "r"
     )
     seen = 0
-    with running(rig.service, server) as url, httpx.Client(base_url=url, timeout=BUSY_S) as client:
+    with running(rig.service, asked) as url, httpx.Client(base_url=url, timeout=BUSY_S) as client:
         client.headers["Authorization"] = f"Bearer {tokens[1]}"
         for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
             if "get" in operations:
