@@ -1,31 +1,31 @@
 """Where something touches: contacts in a restored image, and the same contact from frame to frame."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from skimage import measure, morphology, segmentation
 
 from tactiled.geometry import Array, Cells
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-CLEAR = 5.0  # noise standard deviations from which a cell is pressed
-SHARE = 0.1  # of the image's peak below which a cell is the skirt of a contact
-DIP = 0.2  # of the image's peak that two contacts must dip between them to be two
-NEAR = 1.5  # pitches between neighbours of a layout that is no grid
-APART = 3.0  # pitches that a contact may move between two frames and be the same
-# scikit-image has no types.
-label: Callable[..., Labels] = measure.label
-h_maxima: Callable[..., Labels] = morphology.h_maxima
-expand_labels: Callable[..., Labels] = segmentation.expand_labels
-watershed: Callable[..., Labels] = segmentation.watershed
+CLEAR = 5.0  # noise standard deviations from which a contact begins
+HARDLY = 3.0  # down to which it may fall and go on; and of a dip that is none by chance
+NEAR = 8.0  # pitches within which a peak counts whole, and restoration may ring round it
+AWAY = 0.2  # of a peak that counts further off
+SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
+DIP = 0.2  # of the same, that two contacts must dip between them to be two
+
+APART = 3.0  # pitches that a contact may be from where it was, or should be by its speed
+STILL = 1.0  # the same of one that has become faint
+SWIFT = 100.0  # pitches a second that one may go beyond that where no other is near
+TURN = 0.5  # share of a look's surprise that changes the speed
+LOST_S = 0.2  # that a contact may be gone and come back
+FORBIDDEN = 1e6  # for more than any number of ways within reach add up to
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,39 +44,63 @@ class Contact:
 
 
 class Finder:
-    """Finds the contacts in the restored images of one array, whose surface has these cells."""
+    """Finds the contacts in the restored images of one array, whose surface has these cells.
+
+    Cells are neighbours where they touch, be they a grid's or not.
+    """
 
     def __init__(self, array: Array, cells: Cells) -> None:
-        self._array, self._cells = array, cells
-        if array.shape is None:
-            pairs = cKDTree(array.positions).query_pairs(NEAR * array.pitch, output_type="ndarray")
-            links = np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])
-            self._near = sparse.coo_array(links, shape=(array.size, array.size)).tocsr()
+        self._cells = cells
+        self._beside, self._near = _table(cells, 1.1), _table(cells, 1.5)  # corner to corner, too
+        self._steps = round(NEAR * max(1.0, array.pitch / float(np.sqrt(np.median(cells.areas)))))
 
-    def __call__(self, image: NDArray[np.float32], noise_kpa: float) -> list[Contact]:
-        """Contacts of an image (kPa), the strongest first, all with id 0; `noise_kpa` is a cell's."""
-        pressure = np.asarray(image, float)
+    def __call__(self, image: NDArray[np.float32], noise_kpa: float, faint: bool = False) -> list[Contact]:
+        """Contacts of an image (kPa), the strongest first, all with id 0; `noise_kpa` is a cell's.
+
+        With `faint` also those too faint to begin, which one that has begun may have become.
+        """
+        pressure = np.asarray(image, float).ravel()
+        clear, hardly = CLEAR * noise_kpa, HARDLY * noise_kpa
         peak = float(pressure.max(initial=0.0))
-        pressed = pressure > max(CLEAR * noise_kpa, SHARE * peak)
-        if not pressed.any():
+        if peak <= (hardly if faint else clear):
             return []
-        if self._array.shape is None:
-            parts = skirts = self._scattered(pressed)
-        else:
-            parts = _split(pressure, pressed, peak)
-            skirts = expand_labels(parts, 1)
-        numbers = range(1, int(parts.max()) + 1)
-        both = parts.ravel(), skirts.ravel()
-        found = [self._measure(pressure.ravel(), *(np.flatnonzero(each == n) for each in both)) for n in numbers]
+        highest = np.maximum(pressure, AWAY * peak)
+        for _ in range(self._steps):
+            highest = highest[self._near].max(axis=0)
+        parts = self._split(pressure, pressure > hardly, SHARE * highest, np.maximum(hardly, DIP * highest))
+        tops = np.full(int(parts.max()) + 1, -np.inf)
+        np.maximum.at(tops, parts, pressure)
+        tops[0] = np.inf
+        least = np.where(tops > clear, clear, hardly if faint else np.inf)
+        parts[pressure <= np.maximum(SHARE * np.maximum(highest, tops[parts]), least[parts])] = 0
+        skirts = self._skirted(pressure, parts)
+        numbers = np.unique(parts[parts > 0])
+        found = [
+            self._measure(pressure, *(np.flatnonzero(each == n) for each in (parts, skirts))) for n in numbers
+        ]
         return sorted(found, key=lambda contact: -contact.force_n)
 
-    def _scattered(self, pressed: NDArray[np.bool_]) -> Labels:
-        """Number the groups of neighbouring taxels that are pressed."""
-        taxels = np.flatnonzero(pressed)
-        _, group = connected_components(self._near[taxels][:, taxels], directed=False)
-        parts = np.zeros(pressed.shape, np.int64)
-        parts[taxels] = group + 1
+    def _split(self, pressure: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floats) -> Labels:
+        """Number the pressed cells by contact, from 1 on: basins that a dip or a skirt parts; all others 0."""
+        cells = np.flatnonzero(pressed)
+        peak = np.arange(len(pressure))
+        peak[cells] = _upwards(pressure, self._near[:, cells])
+        peak = _ends(peak)
+        here, there = np.broadcast_to(cells, self._near[:, cells].shape), self._near[:, cells]
+        meet = pressed[there] & (peak[there] != peak[here])
+        here, there = here[meet], there[meet]
+        ways = _ways(peak[here], peak[there], np.minimum(pressure[here], pressure[there]))
+        for low, high in _merged(pressure, skirt, dip, ways):
+            peak[low] = high
+        parts = np.zeros(len(pressure), np.int64)
+        parts[cells] = np.unique(_ends(peak)[cells], return_inverse=True)[1] + 1
         return parts
+
+    def _skirted(self, pressure: Floats, parts: Labels) -> Labels:
+        """The same with a skirt one cell wide, each cell of it to the highest that it touches."""
+        touched = np.where(parts[self._beside] > 0, pressure[self._beside], -np.inf)
+        nearest = self._beside[touched.argmax(axis=0), np.arange(len(parts))]
+        return np.where(parts > 0, parts, parts[nearest])
 
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
@@ -103,43 +127,135 @@ class Finder:
         )
 
 
-def _split(pressure: Floats, pressed: NDArray[np.bool_], peak: float) -> Labels:
-    """Number the contacts of a grid: basins round the peaks that a dip parts."""
-    tops = label(h_maxima(np.where(pressed, pressure, 0.0), DIP * peak) > 0)
-    reached = watershed(-pressure, tops, mask=pressed)
-    rest = label(pressed & (reached == 0))  # a low contact beside a high one has no peak that stands out
-    return np.asarray(np.where(rest > 0, rest + reached.max(), reached), np.int64)
+def _table(cells: Cells, reach: float) -> Labels:
+    """Give each cell (columns) itself and all whose squares lie within `reach` of their side, padded."""
+    pairs = cells.owner[cKDTree(cells.pieces).query_pairs(reach * cells.side, output_type="ndarray")]
+    own = np.arange(len(cells.areas))
+    links = np.unique(np.concatenate([pairs, pairs[:, ::-1], np.column_stack([own, own])]), axis=0)
+    first = np.searchsorted(links[:, 0], own)
+    place = np.arange(len(links)) - first[links[:, 0]]
+    table = np.broadcast_to(own, (place.max() + 1, len(own))).copy()
+    table[place, links[:, 0]] = links[:, 1]
+    return table
+
+
+def _upwards(pressure: Floats, near: Labels) -> Labels:
+    """Of the cells near each (columns) the highest; of equal ones one, so that no plain has two ends by chance."""
+    rank = np.empty(len(pressure), np.int64)
+    rank[np.argsort(pressure, kind="stable")] = np.arange(len(pressure))
+    return np.asarray(near[rank[near].argmax(axis=0), np.arange(near.shape[1])])
+
+
+def _ends(way: Labels) -> Labels:
+    """Where each ends that goes from cell to cell by `way`, which ends where it stays."""
+    while not np.array_equal(further := way[way], way):
+        way = further
+    return way
+
+
+def _ways(one: Labels, other: Labels, saddle: Floats) -> list[tuple[int, int, float]]:
+    """Of each two basins that meet the way over the highest saddle, the highest first."""
+    order = np.argsort(-saddle, kind="stable")
+    low, high = np.minimum(one, other)[order], np.maximum(one, other)[order]
+    _, first = np.unique(low * (high.max(initial=0) + 1) + high, return_index=True)
+    first.sort()
+    return list(zip(low[first].tolist(), high[first].tolist(), saddle[order][first].tolist(), strict=True))
+
+
+def _merged(
+    pressure: Floats, skirt: Floats, dip: Floats, ways: list[tuple[int, int, float]]
+) -> Iterator[tuple[int, int]]:
+    """Give each peak that neither a dip nor a skirt (kPa, at it) parts from a higher one, and that one."""
+    into: dict[int, int] = {}
+    for one, other, saddle in ways:
+        while one in into:
+            one = into[one]
+        while other in into:
+            other = into[other]
+        low, high = (one, other) if (pressure[one], one) < (pressure[other], other) else (other, one)
+        parted = pressure[low] - saddle >= dip[low] or saddle < skirt[low] < pressure[low]
+        if low != high and not parted:
+            into[low] = high
+            yield low, high
+
+
+@dataclass(slots=True)
+class _Track:
+    """A contact from look to look."""
+
+    id: int
+    place: Floats  # (2,) mm, where it was last seen
+    speed: Floats  # (2,) mm/s
+    age: float = 0.0  # s since then
+
+    def ahead(self) -> Floats:
+        """Where it should be now, mm."""
+        return self.place + self.speed * self.age if self.age <= LOST_S else self.place
+
+    def move(self, place: Floats) -> None:
+        """It is seen again."""
+        if self.age > LOST_S:
+            self.speed = np.zeros(2)
+        elif self.age > 0:
+            self.speed = self.speed + TURN * (place - self.ahead()) / self.age
+        self.place, self.age = place, 0.0
 
 
 class Tracker:
-    """Gives a contact the same id from frame to frame, by the shortest way from the last frame's contacts."""
+    """Gives a contact the same id from look to look.
 
-    def __init__(self, reach_mm: float) -> None:
-        self._reach = reach_mm
-        self._last: list[Contact] = []
+    Linked are as many as can be within a reach of where they were or should be, by the shortest ways; what is
+    left, and alone, over the way that swift ones go. A contact that is gone may come back for LOST_S.
+    """
+
+    def __init__(self, pitch: float) -> None:
+        """`pitch` (mm) is the array's."""
+        self._pitch = pitch
+        self._tracks: list[_Track] = []
+        self._time = 0.0
         self._next = 1
 
-    def __call__(self, found: list[Contact]) -> list[Contact]:
-        """The contacts of the next frame, with ids."""
-        ids = dict(self._pairs(found))
+    @property
+    def holds(self) -> bool:
+        """Whether there is a contact that may go on."""
+        return bool(self._tracks)
+
+    def __call__(self, found: list[Contact], time: float, clear_kpa: float) -> list[Contact]:
+        """The contacts of a look at `time` (s), with ids; of those with a peak below `clear_kpa` none begins."""
+        gone, self._time = max(0.0, time - self._time), time
+        for each in self._tracks:
+            each.age += gone
+        clear = np.array([contact.peak_kpa > clear_kpa for contact in found], bool)
+        places = np.array([(contact.x_mm, contact.y_mm) for contact in found]).reshape(-1, 2)
+        linked = self._linked(places, clear, gone)
         named = []
-        for place, contact in enumerate(found):
-            if place not in ids:
-                ids[place], self._next = self._next, self._next + 1
-            named.append(replace(contact, id=ids[place]))
-        self._last = named
+        for number in range(len(found)):
+            track = linked.get(number)
+            if track is None and clear[number]:
+                track = self._begin(places[number])
+            if track is not None:
+                track.move(places[number])
+                named.append(replace(found[number], id=track.id))
+        self._tracks = [each for each in self._tracks if each.age < LOST_S]
         return named
 
-    def _pairs(self, found: list[Contact]) -> list[tuple[int, int]]:
-        """(place in `found`, id) of every contact that was there before."""
-        if not found or not self._last:
-            return []
-        new = np.array([(each.x_mm, each.y_mm) for each in found])
-        old = np.array([(each.x_mm, each.y_mm) for each in self._last])
-        distance = np.linalg.norm(new[:, None] - old[None], axis=-1)
-        rows, columns = linear_sum_assignment(distance)
-        return [
-            (int(row), self._last[column].id)
-            for row, column in zip(rows, columns, strict=True)
-            if distance[row, column] <= self._reach
-        ]
+    def _begin(self, place: Floats) -> _Track:
+        track, self._next = _Track(self._next, place, np.zeros(2)), self._next + 1
+        self._tracks.append(track)
+        return track
+
+    def _linked(self, places: Floats, clear: NDArray[np.bool_], gone: float) -> dict[int, _Track]:
+        """The tracks that these contacts go on, by the contacts' numbers; `gone` (s) since the last look."""
+        if not len(places) or not self._tracks:
+            return {}
+        ways = [[each.place for each in self._tracks], [each.ahead() for each in self._tracks]]
+        away = np.linalg.norm(places[:, None] - np.array(ways)[:, None], axis=-1).min(axis=0) / self._pitch
+        within = away <= np.where(clear, APART, STILL)[:, None]
+        pairs = zip(*linear_sum_assignment(np.where(within, away, FORBIDDEN)), strict=True)
+        linked = {int(row): int(column) for row, column in pairs if within[row, column]}
+        if gone <= LOST_S:
+            swift = (away <= APART + SWIFT * gone) & clear[:, None]
+            lone = swift & (swift.sum(axis=0) == 1) & (swift.sum(axis=1, keepdims=True) == 1)
+            seen = np.array([each.age <= gone for each in self._tracks])
+            linked |= {int(row): int(column) for row, column in np.argwhere(lone & seen)}
+        return {row: self._tracks[column] for row, column in linked.items()}

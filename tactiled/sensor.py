@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.config.build import SensorPlan
-from tactiled.contacts import APART, Contact, Finder, Tracker
+from tactiled.contacts import Contact
 from tactiled.errors import NoShearError, NotLiveError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.history import History
 from tactiled.hub import Hub
 from tactiled.pipeline import Pipeline
 from tactiled.restore.methods import METHODS
+from tactiled.touch import Touch
 from tactiled.watch import Heard
 
 State = Literal["live", "stale", "silent", "down"]
@@ -61,11 +62,7 @@ class Sensor:
         self.errors: Callable[[], Mapping[str, int]] = dict  # what its bus's error frames have told by now
         self.plan, self._clock = plan, clock
         self._pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
-        self._finder = Finder(plan.array, plan.cells)
-        self._tracker = Tracker(APART * plan.array.pitch)
-        self._looking = threading.Lock()
-        self._looked_at: Image | None = None
-        self._contacts: tuple[Contact, ...] = ()
+        self._touch = Touch(plan.name, self.hub, plan.array, plan.cells)
         self._wake = threading.Condition()
         self._waiting: RawFrame | None = None
         self._stopping = False
@@ -102,13 +99,8 @@ class Sensor:
         return self._pipeline.deviation(image)
 
     def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
-        """The newest image and the contacts in it, tracked from call to call; any thread."""
-        with self._looking:
-            image = self.hub.latest()
-            if image is not None and image is not self._looked_at:
-                found = self._finder(image.restored, image.noise_kpa * max(image.noise_gain, 1.0))
-                self._looked_at, self._contacts = image, tuple(self._tracker(found))
-            return image, self._contacts
+        """The newest image and the contacts in it, tracked while anybody asks; any thread."""
+        return self._touch.contacts()
 
     def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
         """Force (N, 3) in N on each taxel, along x and y and into the skin; None unless all are known."""
@@ -149,13 +141,15 @@ class Sensor:
     def start(self) -> None:
         """Start restoring."""
         self._thread.start()
+        self._touch.start()
 
     def stop(self) -> None:
-        """Stop restoring; returns when the thread has ended."""
+        """Stop restoring; returns when its threads have ended."""
         with self._wake:
             self._stopping = True
             self._wake.notify()
         self._thread.join()
+        self._touch.stop()
 
     def offer(self, frame: RawFrame) -> None:
         """Take a new frame; one that still waits for its turn is skipped and counted."""
