@@ -1,21 +1,21 @@
-"""`POST /api/v1/restore`: a film of frames as .npy in, restored as .npy out, one film at a time."""
+"""`POST /api/v1/restore`: a film of frames as .npy in, restored as .npy out, one at a time, a few in transit."""
 
 import asyncio
 import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from math import ceil, prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from numpy.typing import NDArray
-from starlette.background import BackgroundTask
+from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.config.build import SensorPlan
 from tactiled.errors import ConfigError
@@ -26,8 +26,10 @@ from tactiled.web.common import BODY as BODIES
 from tactiled.web.common import CONTROL, WAIT, Responses, problem
 from tactiled.web.forms import MethodName
 from tactiled.web.problems import Problem
+from tactiled.web.rates import client
 
 MOST_OUT = 256 << 20  # bytes of its images
+MOST_HELD = 4  # films that come in or go out, and lie on the disk meanwhile
 NPY = "application/x-npy"
 RESPONSES: Responses = (
     BODIES
@@ -37,7 +39,11 @@ RESPONSES: Responses = (
         404: problem("no such sensor"),
         413: problem(f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB"),
         422: problem("no .npy of frames of this sensor's shape, or a wrong parameter"),
-        429: problem("another film is being restored, or more than control_per_minute", Retry_After=WAIT),
+        429: problem(
+            "another film is being restored, one of this client or too many of others come in or go out, or more "
+            "than control_per_minute",
+            Retry_After=WAIT,
+        ),
     }
 )
 BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "string", "format": "binary"}}}}}
@@ -69,21 +75,58 @@ class Progress:
 
 
 class Films:
-    """The films that clients have restored: one at a time."""
+    """The films that clients have restored, one at a time; one of a client, a few of all come in or go out."""
 
     def __init__(self) -> None:
-        self.now: Progress | None = None
+        self.now: Progress | None = None  # the one that is being restored
+        self._held: dict[str, Progress] = {}  # by client, from the body's first byte to the answer's last
 
     @contextmanager
-    def one(self) -> Iterator[Progress]:
-        """One film; Problem 429 while there is another."""
-        if self.now is not None:
-            raise Problem(429, "another film is being restored: wait", {"Retry-After": str(self.now.wait())})
-        self.now = Progress()
+    def held(self, scope: Scope) -> Iterator[Progress]:
+        """One film from its body to the end of its answer; Problem 429 where it is one too many."""
+        who = client(scope)
+        self._refuse("another film is being restored", self.now)
+        self._refuse(f"another film of {who or 'this client'} comes in or goes out", self._held.get(who))
+        if len(self._held) >= MOST_HELD:
+            self._refuse(f"{MOST_HELD} films come in or go out", min(self._held.values(), key=Progress.wait))
+        self._held[who] = Progress()
         try:
-            yield self.now
+            yield self._held[who]
+        finally:
+            del self._held[who]
+
+    @contextmanager
+    def one(self, film: Progress) -> Iterator[None]:
+        """Restore this one, which has come in; Problem 429 while it is another's turn."""
+        self._refuse("another film is being restored", self.now)
+        self.now = film
+        try:
+            yield
         finally:
             self.now = None
+
+    def _refuse(self, why: str, other: Progress | None) -> None:
+        if other is not None:
+            raise Problem(429, f"{why}: wait", {"Retry-After": str(other.wait())})
+
+
+class _Sent(FileResponse):
+    """A file, and what is held until it is sent, or its client cut off."""
+
+    def __init__(self, path: Path, held: ExitStack, **options: Any) -> None:
+        super().__init__(path, **options)
+        self._held = held
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send it; who has all of it may have the next film restored at once."""
+
+        async def sending(message: Message) -> None:
+            await send(message)
+            if message["type"] == "http.response.body" and not message.get("more_body"):
+                self._held.close()
+
+        with self._held:
+            await super().__call__(scope, receive, sending)
 
 
 class _Done(NamedTuple):
@@ -102,22 +145,17 @@ async def restore(
     service: Service = request.app.state.service
     films: Films = request.app.state.films
     plan = service.sensor(sensor).plan
-    with films.one() as progress:
-        folder = TemporaryDirectory(prefix="tactiled-")
-        try:
-            film, images = Path(folder.name) / "frames.npy", Path(folder.name) / "restored.npy"
-            await _receive(request, film)
+    with ExitStack() as stack:
+        progress = stack.enter_context(films.held(request.scope))
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="tactiled-")))
+        film, images = folder / "frames.npy", folder / "restored.npy"
+        await _receive(request, film)
+        with films.one(progress):
             done = await asyncio.to_thread(_restore, plan, film, images, method, noise_kpa, progress)
-        except BaseException:
-            folder.cleanup()
-            raise
+        film.unlink()
+        held = stack.pop_all()
     headers = {"X-Tactiled-Noise": f"{done.noise_kpa:.6g}", "X-Tactiled-Methods": json.dumps(done.methods)}
-    return FileResponse(
-        images,
-        headers=headers | {"X-Tactiled-Unit": "kPa"},
-        media_type=NPY,
-        background=BackgroundTask(folder.cleanup),
-    )
+    return _Sent(images, held, headers=headers | {"X-Tactiled-Unit": "kPa"}, media_type=NPY)
 
 
 async def _receive(request: Request, path: Path) -> None:

@@ -2,9 +2,11 @@ import io
 import json
 import math
 import socket
+import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import httpx
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 from tactiled import offline
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
-from tactiled.web import body, film
+from tactiled.web import body, film, server
 from tactiled.web.server import running
 from tests.conftest import until
 
@@ -129,6 +131,53 @@ def test_a_second_film_is_refused_until_the_first_is_restored(url, frames, monke
     assert post(url, npy(frames)).status_code == 200
 
 
+def begun(url, who, body=b"", length=5000):
+    """A connection on which a client sends the beginning of a film."""
+    end = socket.create_connection(url[7:].split(":"), timeout=60)
+    head = f"POST /api/v1/restore?sensor=palm&method=raw HTTP/1.1\r\nHost: {url[7:]}\r\nX-Forwarded-For: {who}\r\n"
+    end.sendall(f"{head}Content-Length: {length}\r\n\r\n".encode() + body)
+    return end
+
+
+def refused(url, who):
+    answer = httpx.post(f"{url}/api/v1/restore?sensor=palm", headers={"X-Forwarded-For": who}, timeout=60)
+    assert answer.status_code == 429
+    assert int(answer.headers["retry-after"]) >= 1
+    return answer.json()["detail"]
+
+
+def test_a_film_that_comes_in_slowly_keeps_only_its_client_waiting(rig, monkeypatch):
+    films = film.Films()
+    monkeypatch.setattr(film, "Films", lambda: films)
+    with running(rig.service) as url, ExitStack() as stack:
+        for n in range(1, film.MOST_HELD):
+            stack.enter_context(begun(url, f"10.0.0.{n}"))
+        until(lambda: len(films._held) == film.MOST_HELD - 1)
+        assert refused(url, "10.0.0.1") == "another film of 10.0.0.1 comes in or goes out: wait"
+        for _ in range(3):
+            assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
+        last = stack.enter_context(begun(url, "10.0.0.9"))
+        until(lambda: len(films._held) == film.MOST_HELD)
+        assert refused(url, "10.0.0.10") == "4 films come in or go out: wait"
+        last.close()
+        until(lambda: len(films._held) == film.MOST_HELD - 1)
+        assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
+
+
+def test_a_film_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, tmp_path, monkeypatch):
+    films, body = film.Films(), npy(np.zeros((80_000, 8, 8), np.float32))
+    monkeypatch.setattr(film, "Films", lambda: films)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(server, "UNREAD_S", 3.0)
+    with running(rig.service) as url, begun(url, "10.0.0.1", body, len(body)) as end:
+        assert end.recv(12) == b"HTTP/1.1 200"
+        assert refused(url, "10.0.0.1") == "another film of 10.0.0.1 comes in or goes out: wait"
+        assert [each.name for each in tmp_path.glob("tactiled-*/*")] == ["restored.npy"]
+        assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
+        until(lambda: not films._held)
+        assert not list(tmp_path.iterdir())
+
+
 def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(rig, monkeypatch, caplog):
     films = film.Films()
     monkeypatch.setattr(film, "Films", lambda: films)
@@ -136,7 +185,7 @@ def test_a_client_that_leaves_amid_its_film_is_no_failure_of_the_service(rig, mo
         with socket.create_connection(url[7:].split(":")) as leaves:
             head = f"POST /api/v1/restore?sensor=palm HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 5000\r\n\r\n"
             leaves.sendall(head.encode() + b"\x93NUMPY")
-            until(lambda: films.now is not None)
-        until(lambda: films.now is None)
+            until(lambda: films._held)
+        until(lambda: not films._held)
         assert post(url, npy(np.zeros((1, 8, 8)))).status_code == 200
     assert not caplog.records
