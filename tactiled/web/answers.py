@@ -150,6 +150,8 @@ def stream_status(sensor: Sensor, image: Image | None, status: Status) -> Stream
         {}
         if image is None
         else {
+            "sequence": image.sequence,
+            "timestamp": image.time,
             "ran": image.method,
             "why": image.why,
             "iterations": image.iterations,

@@ -152,6 +152,12 @@ class StreamStatus(Form):
     detail: str = Field(examples=[""])
     loss: Loss
     method: str = Field(examples=["auto"])
+    sequence: int | None = Field(
+        None, description="of the newest image, which all that follows is of", examples=[5123]
+    )
+    timestamp: float | None = Field(
+        None, description="s, of its frame's first CAN message", examples=[1763712000.25]
+    )
     ran: str | None = Field(None, examples=["nnls"])
     why: str | None = Field(None, examples=["as asked"])
     iterations: int | None = Field(None, examples=[3])

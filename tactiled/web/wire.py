@@ -14,6 +14,7 @@ KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
 PRESSURES = KINDS[:2]  # what every sensor has
 Unit = Literal["kPa", "counts"]
 UNITS: dict[Kind, Unit] = {"raw": "kPa", "restored": "kPa", "shear": "counts"}
+RAN = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points")  # methods, by the number sent
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
 LAYOUT = (  # offset, type, meaning
@@ -33,7 +34,7 @@ LAYOUT = (  # offset, type, meaning
     (48, "f32", "resolution, mm: finest half-period above the noise"),
     (52, "f32", "microseconds from counts to restored image"),
     (56, "u32", "iterations"),
-    (60, "u32", "0"),
+    (60, "u32", f"method that ran: {', '.join(f'{n} {name}' for n, name in enumerate(RAN) if n)}; 0 another"),
     (64, "f32 x rows x columns", "pressure, kPa, row by row; NaN: unknown; of shear: counts along x"),
     (None, "f32 x rows x columns", "only of shear: counts along y"),
     (None, "u8 x F", "flags: 1 missing, 2 called faulty by the sensor, 4 dead, 8 saturated"),
@@ -57,6 +58,7 @@ class Unpacked(NamedTuple):
     resolution_mm: float
     microseconds: float
     iterations: int
+    method: str  # that ran; "" where it is not told
     sensor: str  # "" on a stream of one sensor
 
 
@@ -91,7 +93,7 @@ def pack(image: Image, kind: Kind, sent: float, sensor: str = "") -> bytes:
         image.resolution_mm,
         image.microseconds,
         image.iterations,
-        0,
+        RAN.index(image.method) if image.method in RAN else 0,
     )
     return b"".join((head, values.astype("<f4", copy=False).tobytes(), flags, name))
 
@@ -101,7 +103,7 @@ def unpack(data: bytes) -> Unpacked:
     if len(data) < HEADER.size or data[:4] != MAGIC or data[4] != VERSION:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
     _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)
-    sequence, timestamp, sent, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, _ = rest
+    sequence, timestamp, sent, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, ran = rest
     shape = (rows, columns) if kind < len(PRESSURES) else (2, rows, columns)
     end = HEADER.size + 4 * prod(shape)
     if len(data) != end + flagged + named or kind >= len(KINDS):
@@ -110,5 +112,6 @@ def unpack(data: bytes) -> Unpacked:
     flags = np.frombuffer(data, np.uint8, flagged, end)
     return Unpacked(
         KINDS[kind], sequence, timestamp, sent, values, flags,
-        noise_kpa, noise_gain, resolution_mm, microseconds, iterations, data[end + flagged :].decode(),
+        noise_kpa, noise_gain, resolution_mm, microseconds, iterations,
+        RAN[ran] if ran < len(RAN) else "", data[end + flagged :].decode(),
     )  # fmt: skip

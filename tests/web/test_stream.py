@@ -104,6 +104,8 @@ def test_the_state_is_told_in_text_and_staleness_comes_without_frames(rig, url):
     assert first["jitter_s"] > 0
     assert (last["skew_s"], last["jitter_s"]) == (first["skew_s"], None)
     assert (first["state"], first["method"], first["ran"]) == ("live", "wiener", "wiener")
+    newest = rig.sensor.hub.latest()
+    assert (first["sequence"], first["timestamp"]) == (newest.sequence, newest.time)
     assert last["state"] == "stale"
     assert last["age_s"] > 0.3
     assert last["loss"]["lost"] == 0

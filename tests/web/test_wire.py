@@ -6,7 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tactiled.frames import MISSING, Image
-from tactiled.web.wire import HEADER, pack, unpack
+from tactiled.restore.methods import METHODS
+from tactiled.web.wire import HEADER, RAN, pack, unpack
 
 
 def image(raw, restored):
@@ -32,6 +33,7 @@ def test_the_bytes_are_as_the_readme_says(grid):
     assert np.frombuffer(data, "<f8", 2, 24).tolist() == [1763712000.125, 1763712000.5]
     assert np.frombuffer(data, "<f4", 4, 40).tolist() == [0.25, 1.5, 0.75, 61.5]
     assert int.from_bytes(data[56:60], "little") == 9
+    assert int.from_bytes(data[60:64], "little") == 6
     assert np.frombuffer(data, "<f4", 3, 64).tolist() == [0, 1, 2]
     assert data[64 + 24 :] == bytes((0, 0, 0, 0, 0, MISSING))
 
@@ -44,9 +46,20 @@ def test_what_is_packed_is_unpacked(grid):
     assert restored.flags.size == 0
     assert (raw.kind, restored.kind) == ("raw", "restored")
     assert (raw.sequence, raw.timestamp, raw.sent) == (grid.sequence, grid.time, 2.0)
+    assert raw.method == "nnls"
     assert (raw.noise_kpa, raw.noise_gain, raw.resolution_mm, raw.microseconds, raw.iterations) == (
         0.25, 1.5, 0.75, 61.5, 9,
     )  # fmt: skip
+
+
+def test_every_method_has_a_number_and_none_is_made_up(grid):
+    assert {*RAN} == {*METHODS} - {"auto"} | {"", "idle"}
+    for method in RAN[1:]:
+        assert unpack(pack(replace(grid, method=method), "raw", 2.0)).method == method
+    assert unpack(pack(replace(grid, method="another"), "raw", 2.0)).method == ""
+    data = bytearray(pack(grid, "raw", 2.0))
+    data[60:64] = len(RAN).to_bytes(4, "little")  # of a later version
+    assert unpack(bytes(data)).method == ""
 
 
 def test_shear_is_x_and_then_y_behind_the_same_header(grid):

@@ -3,7 +3,7 @@
  * @module
  */
 
-import { nearest } from "./nearest.js";
+import { Told } from "./nearest.js";
 import { fixed } from "./paint.js";
 
 /**
@@ -33,33 +33,18 @@ import { fixed } from "./paint.js";
 const KEPT = 256; // messages: more than ten seconds at twenty a second
 const HOLDS_S = 0.25; // between the frame that contacts are of and one that they are drawn on
 
-export class Contacts {
+/** @extends {Told<Found>} */
+export class Contacts extends Told {
   constructor() {
-    /** @type {Found[]} */
-    this._kept = [];
-    this._newest = -1;
-    /** @param {number} back */
-    this._back = (back) => this._kept[(this._newest - back + this._kept.length) % this._kept.length];
-  }
-
-  /** Keep nothing. */
-  clear() {
-    this._kept = [];
-    this._newest = -1;
-  }
-
-  /** @param {Found} found */
-  push(found) {
-    for (const each of found.contacts) each.label = `${each.id}: ${fixed(each.force_n, 2)} N`;
-    this._newest = (this._newest + 1) % KEPT;
-    this._kept[this._newest] = found;
+    super(KEPT, HOLDS_S);
   }
 
   /**
-   * @param {number} timestamp of a frame
-   * @returns {Contact[]|null} in it, or in the one nearest in time; null where none is near
+   * @override
+   * @param {Found} found
    */
-  at(timestamp) {
-    return nearest(this._kept.length, this._back, timestamp, HOLDS_S)?.contacts ?? null;
+  push(found) {
+    for (const each of found.contacts) each.label = `${each.id}: ${fixed(each.force_n, 2)} N`;
+    super.push(found);
   }
 }

@@ -6,6 +6,7 @@
 import * as api from "./api.js";
 import { control } from "./control.js";
 import { keys } from "./keys.js";
+import { apart } from "./nearest.js";
 import { notice } from "./notice.js";
 import { byId, say } from "./paint.js";
 import { ACROSS } from "./plane.js";
@@ -137,7 +138,9 @@ function save(kind, viewer, rooms) {
   }
   if (kind === "csv") saveCsv(session, session.frame);
   else {
-    const state = session.paused ? "paused" : rooms.screen.level;
+    const { found } = viewer;
+    const away = found?.contacts.length ? apart(found, session.frame) : "";
+    const state = (session.paused ? "paused" : rooms.screen.level) + (away && `, contacts of ${away}`);
     savePng(session, session.frame, viewer.maps, viewer.scale, palette, state, viewer.shear && session.frame.sheared);
   }
 }

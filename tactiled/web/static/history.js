@@ -4,6 +4,7 @@
  */
 
 import { measure, measures } from "./measures.js";
+import { RAN } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
 /** @typedef {import("./plane.js").Plane} Plane */
@@ -28,6 +29,7 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
+ * @property {string} ran the method that did; "" where it is not told
  * @property {boolean} saturated any taxel is
  * @property {Float32Array} shear counts along x of all taxels, then along y; empty where the skin feels none
  * @property {boolean} sheared its shear is known
@@ -62,7 +64,7 @@ export class History {
       flags: flags.subarray(i * n, (i + 1) * n),
       // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
       sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
-      iterations: 0, saturated: false, ofRaw: measures(), ofRestored: measures(),
+      iterations: 0, ran: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
       shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
     this._head = 0;
@@ -116,6 +118,7 @@ export class History {
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
+    frame.ran = RAN[restored.ran] ?? "";
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);

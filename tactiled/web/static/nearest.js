@@ -24,3 +24,54 @@ export function nearest(count, at, timestamp, within) {
   }
   return best;
 }
+
+/**
+ * @param {{sequence: number, timestamp: number}} told of a frame
+ * @param {{sequence: number, timestamp: number}} frame
+ * @returns {string} how far that frame is from this one; "" where it is the same
+ */
+export function apart(told, frame) {
+  if (told.sequence === frame.sequence) return "";
+  const away = Math.max(1, Math.round(1000 * Math.abs(told.timestamp - frame.timestamp)));
+  return `${away} ms ${told.timestamp < frame.timestamp ? "before" : "after"}`;
+}
+
+/**
+ * What was told last, of one frame after another.
+ * @template {{timestamp: number}} T
+ */
+export class Told {
+  /**
+   * @param {number} most that are kept
+   * @param {number} within s, between the frame that something was told of and one that it may be shown with
+   */
+  constructor(most, within) {
+    this._most = most;
+    this._within = within;
+    /** @type {T[]} */
+    this._kept = [];
+    this._newest = -1;
+    /** @param {number} back */
+    this._back = (back) => this._kept[(this._newest - back + this._kept.length) % this._kept.length];
+  }
+
+  /** Keep nothing. */
+  clear() {
+    this._kept = [];
+    this._newest = -1;
+  }
+
+  /** @param {T} told */
+  push(told) {
+    this._newest = (this._newest + 1) % this._most;
+    this._kept[this._newest] = told;
+  }
+
+  /**
+   * @param {number} timestamp of a frame
+   * @returns {T|null} what was told of it, or of the one nearest in time; null where none is near
+   */
+  at(timestamp) {
+    return nearest(this._kept.length, this._back, timestamp, this._within);
+  }
+}

@@ -66,6 +66,7 @@ export class Readings {
     ].map((id) => [id, byId(id)]));
     this._warnings = byId("warnings");
     this._warned = "";
+    this._of = byId("made-of");
     /** @type {Status|null} */
     this._told = null;
     this._live = false;
@@ -124,8 +125,6 @@ export class Readings {
     this._told = status;
     this._live = live;
     const at = this._at;
-    say(at.ran, status?.ran ? methodTitle(status.ran) : "\u2013");
-    say(at.why, status?.why ?? "");
     say(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
     say(at.jitter, time((status?.jitter_s ?? NaN) * 1e6));
     say(at.skew, time((status?.skew_s ?? NaN) * 1e6));
@@ -134,7 +133,19 @@ export class Readings {
       say(element, status ? String(count) : "\u2013");
       element.classList.toggle("some", count > 0 && !HARMLESS.has(kind));
     }
-    const warnings = status?.warnings ?? [];
+  }
+
+  /**
+   * How the image that is shown was made.
+   * @param {string} ran the method; "" where it is not known
+   * @param {Status|null} told of it, or of another image
+   * @param {string} of which, where that is another
+   */
+  made(ran, told, of) {
+    say(this._at.ran, ran ? methodTitle(ran) : "\u2013");
+    say(this._at.why, told && told.ran === ran ? told.why : "");
+    say(this._of, of);
+    const warnings = told?.warnings ?? [];
     const joined = warnings.join("\n");
     if (joined === this._warned) return;
     this._warned = joined;

@@ -51,9 +51,9 @@ const moment = (timestamp) => new Date(timestamp * 1000).toISOString();
  * @param {Session} session
  * @param {Frame} frame
  */
-export function saveCsv({ name, plane, status }, frame) {
+export function saveCsv({ name, plane }, frame) {
   const lines = [
-    `# sensor ${name}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${status?.ran ?? ""}`,
+    `# sensor ${name}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${frame.ran}`,
     "# kpa is empty where nothing is known; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
     `image,row,column,x_mm,y_mm,kpa,flags${frame.sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];

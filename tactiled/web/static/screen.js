@@ -4,6 +4,7 @@
  */
 
 import { ContactList } from "./contactlist.js";
+import { apart } from "./nearest.js";
 import { byId, fixed, say } from "./paint.js";
 import { ACROSS } from "./plane.js";
 import { Readings } from "./readings.js";
@@ -25,6 +26,7 @@ export class Screen {
   constructor() {
     this.readings = new Readings();
     this.contacts = new ContactList(byId("contact-list"));
+    this._found = byId("contacts-of");
     this._level = "";
     this._along = ""; // as the section's words tell it
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
@@ -54,12 +56,16 @@ export class Screen {
     this._shear.hidden = !session?.feels;
     const live = health.level === "live";
     this.readings.frame(frame);
+    this._made(session, frame);
     this.readings.status(session?.status ?? null, live);
     this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
     say(byId("probe"), probed(viewer, frame) || "Point at a map to read it; click or tap to pin.");
     this._playback(session, frame, live);
     this.range(viewer.scale);
-    this.contacts.show(viewer.marks.contacts, viewer.contacts);
+    const { found } = viewer;
+    this.contacts.show(found?.contacts ?? null, viewer.contacts);
+    const away = paused && found && frame ? apart(found, frame) : "";
+    say(this._found, away ? `of ${away}` : "in the restored image");
     this._section(viewer, frame);
   }
 
@@ -80,6 +86,20 @@ export class Screen {
     const way = along === "x" ? "from left to right" : "from top to bottom";
     const what = "raw and restored, with a band of two standard deviations";
     byId("section").setAttribute("aria-label", `Pressure along ${along}, ${way}, ${what}`);
+  }
+
+  /**
+   * @param {Session|null} session
+   * @param {Frame|null} frame
+   */
+  _made(session, frame) {
+    const told = session?.told ?? null;
+    if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "");
+    else if (!told) this.readings.made(frame.ran, null, "words not told");
+    else {
+      const away = apart(told, frame);
+      this.readings.made(frame.ran, told, away && `words of ${away}`);
+    }
   }
 
   /**

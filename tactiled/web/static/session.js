@@ -8,6 +8,7 @@ import { Contacts } from "./contacts.js";
 import { Deviations } from "./deviations.js";
 import { judge } from "./health.js";
 import { History } from "./history.js";
+import { Told } from "./nearest.js";
 import { Present } from "./present.js";
 import { Stream } from "./stream.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
@@ -28,6 +29,8 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
 const PRESSURES = [RAW, RESTORED];
 const ALL = [RAW, RESTORED, SHEAR];
 const AHEAD = 2; // frames under way or not painted: with one, each would wait for the asking to cross the network
+const TOLD = 128; // statuses: more than ten seconds, at ten a second
+const TOLD_S = 1; // between the frame that a status is of and one that it is shown with
 const FAR_S = 60; // between a frame and the next, from which they are not of one play
 
 export class Session {
@@ -45,6 +48,8 @@ export class Session {
     this.feels = feels;
     this.history = new History(plane, feels);
     this.contacts = new Contacts();
+    /** @type {Told<Status>} */
+    this._told = new Told(TOLD, TOLD_S);
     this.deviations = new Deviations(name, plane);
     this.present = new Present();
     this.paused = false;
@@ -72,6 +77,15 @@ export class Session {
   /** @returns {Frame|null} the one that is shown */
   get frame() {
     return this.history.at(this.back + this.present.held);
+  }
+
+  /**
+   * @returns {Status|null} while paused what was told of the frame that is shown, or of the one nearest in time; null where
+   *   none is near; else the newest
+   */
+  get told() {
+    const { frame } = this;
+    return this.paused && frame ? this._told.at(frame.timestamp) : this.status;
   }
 
   /** @returns {import("./health.js").Health} */
@@ -152,6 +166,7 @@ export class Session {
     if (newest && (restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + FAR_S)) {
       this.history.clear();
       this.contacts.clear();
+      this._told.clear();
       this.deviations.clear();
     }
     this._frameAt = performance.now();
@@ -169,6 +184,7 @@ export class Session {
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
     this.status = status;
     this._toldAt = performance.now();
+    if (status.ran && !this.paused) this._told.push(status);
     const newest = this.history.at(0);
     if (newest && status.state !== "live" && this.present.held) {
       this.present.shown();

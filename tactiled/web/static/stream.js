@@ -21,6 +21,8 @@ import { kindOf, packet, parse } from "./wire.js";
  * @property {string} detail
  * @property {Loss} loss
  * @property {string} method
+ * @property {number} sequence of the newest image, which what follows is of
+ * @property {number} timestamp Unix s, of the same
  * @property {string} ran
  * @property {string} why
  * @property {number} iterations

@@ -72,6 +72,12 @@ export class Viewer {
     requestAnimationFrame(this._paint);
   }
 
+  /** @returns {import("./contacts.js").Found|null} contacts to show: of the frame that is shown, or of one near it */
+  get found() {
+    const frame = this.session?.frame;
+    return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
+  }
+
   /** @param {number} now ms */
   _paint(now) {
     this._dirty = false;
@@ -114,7 +120,7 @@ export class Viewer {
     marks.probeX = probe.x;
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
-    marks.contacts = this.contacts ? session.contacts.at(frame.timestamp) : null;
+    marks.contacts = this.found?.contacts ?? null;
   }
 
   /**

@@ -14,6 +14,9 @@ export const BAD = 2;
 export const DEAD = 4;
 export const SATURATED = 8;
 
+/** Methods by the number that an image bears; "" where it is not told. */
+export const RAN = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
+
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;
 const NONE = new Float32Array(0);
@@ -34,6 +37,7 @@ const NO_BYTES = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
+ * @property {number} ran which of RAN
  * @property {Float32Array} kpa rows * columns; NaN where nothing is known; of SHEAR empty
  * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
@@ -47,7 +51,7 @@ const NO_BYTES = new Uint8Array(0);
 export function packet() {
   return {
     kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN,
-    resolutionMm: NaN, microseconds: NaN, iterations: 0, kpa: NONE, shear: NONE, flags: null,
+    resolutionMm: NaN, microseconds: NaN, iterations: 0, ran: 0, kpa: NONE, shear: NONE, flags: null,
     bytes: NO_BYTES, view: new DataView(NO_BYTES.buffer), nameAt: 0, nameBytes: 0,
   };
 }
@@ -89,6 +93,7 @@ export function parse(bytes, into) {
   into.resolutionMm = view.getFloat32(48, true);
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
+  into.ran = view.getUint32(60, true);
   const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
   into.nameAt = HEADER_BYTES + 4 * count + flagsBytes;
   into.nameBytes = view.getUint16(12, true);
