@@ -1,6 +1,7 @@
 """What a configuration file may say: every key, its unit in its name, its bounds."""
 
 import difflib
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,7 +31,19 @@ class Section(BaseModel):
 
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-Token = Annotated[SecretStr, Field(min_length=16, max_length=200)]
+SHOWN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # all that header, cookie and address carry as it is
+
+
+def _shown(token: SecretStr) -> SecretStr:
+    """Refuse a token that no client could show."""
+    if not SHOWN.fullmatch(token.get_secret_value()):
+        raise ValueError(
+            'holds what a client cannot show: give visible ASCII characters, none of " # % & + , ; \\'
+        )
+    return token
+
+
+Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_shown)]
 
 
 class Server(Section):

@@ -1,6 +1,6 @@
 import httpx
 import pytest
-from pydantic import SecretStr
+from pydantic import SecretStr, ValidationError
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -8,6 +8,7 @@ from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, ask, pressed
+from tests.web.test_attacks import raw
 
 READ, CONTROL = "r" * 16, "c" * 16
 
@@ -72,6 +73,7 @@ def test_streams_need_a_token_too(guarded):
         ('host = "0.0.0.0"', "server: other machines could reach it: give control_token"),
         ('read_token = "0123456789abcdef"', "server: read_token without control_token"),
         ('control_token = "short"', "server.control_token: "),
+        ("control_token = 'short; of sixteen'", "server.control_token: holds what a client cannot show"),
         ('tls_key = "key.pem"', "server: tls_certificate and tls_key: give both or neither"),
     ],
 )
@@ -80,3 +82,24 @@ def test_a_server_that_is_open_by_mistake_is_refused(server, says):
         parse(f"[server]\n{server}\n{CONFIG.format(channel='none')}")
     assert says in str(caught.value)
     assert "short" not in str(caught.value).removeprefix("config: server.control_token")
+
+
+WORKS = "".join(set(map(chr, range(33, 127))) - set('"#%&+,;\\'))
+
+
+def test_a_token_that_is_accepted_can_be_shown_in_every_way(rig):
+    """As it is: not even encoded in an address."""
+    with running(rig.service, Server(port=0, control_token=SecretStr(WORKS))) as url:
+        line = "GET /api/v1/health"
+        assert raw(url, f"{line}?token={WORKS}")[0] == 200
+        assert raw(url, line, f"Authorization: Bearer {WORKS}")[0] == 200
+        assert raw(url, line, f"Cookie: a=b; tactiled={WORKS}; c=d")[0] == 200
+        assert raw(url, line, f"Cookie: tactiled=x{WORKS}")[0] == 401
+        answer = ask("GET", url, params={"token": WORKS})
+        assert answer.headers["set-cookie"].startswith(f"tactiled={WORKS}; ")
+
+
+@pytest.mark.parametrize("character", ["ü", "\u2028", " ", "\t", "\0", "\x7f", *'"#%&+,;\\'])
+def test_a_token_that_could_not_be_shown_is_refused(character):
+    with pytest.raises(ValidationError, match="holds what a client cannot show"):
+        Server(control_token=SecretStr("x" * 16 + character))
