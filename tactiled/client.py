@@ -111,9 +111,9 @@ def _patience(given: object) -> float | None:
 class _Inbox:
     """What of one connection's messages is for the loop: the newest image of each sensor that it has not had.
 
-    An image is asked for when the loop asks for one, so that it is the newest; of several sensors those that do
-    not answer first answer while the loop is busy. Where that took long, what came meanwhile waits FRESH_S for a
-    newer one of the same sensor, and is itself the newest if none comes.
+    Images are asked for when the loop asks for one, so that they are the newest. Of several sensors one has its
+    turn, and the others are asked again each time; where the loop was away for long, what came meanwhile waits
+    FRESH_S for a newer one of the same sensor, and is itself the newest if none comes.
     """
 
     def __init__(self, kinds: dict[str, Sequence[Kind]]) -> None:
@@ -122,33 +122,35 @@ class _Inbox:
         self.asked: dict[str, float] = {}  # sensors whose next image is asked for, and since when (s)
         self._parts: dict[str, dict[Kind, Unpacked]] = {name: {} for name in kinds}
         self._images: dict[str, Image] = {}  # the first to be handed out first
-        self._old: dict[str, int] = {}  # how many images of a sensor must come until one has not waited
-        self._newer_by = self._gave = time.monotonic()
+        self._came: set[str] = set()  # sensors whose image did not wait for the loop
+        self._old: set[str] = set()  # sensors whose image may have waited for long, or may when it comes
+        self._newer_by = self._gave = self._called = time.monotonic()
 
     def wanted(self) -> None:
         """The loop asks for an image."""
-        now = time.monotonic()
-        if now - self._gave > FRESH_S:
-            self._old = dict.fromkeys(self.asked, 2) | dict.fromkeys(self._images.keys() - self.asked, 1)
-            self._newer_by = now + FRESH_S
+        self._called = time.monotonic()
+        if self._called - self._gave > FRESH_S:
+            self._old = self.asked.keys() | self._images.keys()
+            self._newer_by = self._called + FRESH_S
+        self._came.clear()
 
     def asks(self) -> list[str]:
-        """The messages that ask for what is not asked for."""
-        names = [name for name in self._kinds if name not in self.asked]
+        """The messages that ask for what is not asked for, but of what came in time."""
+        names = [name for name in self._kinds if name not in self.asked and name not in self._came]
         self.asked |= dict.fromkeys(names, time.monotonic())
         return [json.dumps({"type": "next", "sensor": name}) for name in names]
 
+    def waits(self) -> float:
+        """How long (s) to wait for a further message before there is one to hand out; inf: there is none."""
+        left = self._newer_by - time.monotonic() if self._old & self._images.keys() else 0.0
+        return max(0.0, left) if self._images else math.inf
+
     def ready(self) -> Image | None:
         """The image to hand out."""
-        if not self._images or self.newer_within() is not None:
+        if self.waits():
             return None
         self._gave = time.monotonic()
         return self._images.pop(next(iter(self._images)))
-
-    def newer_within(self) -> float | None:
-        """How long (s) to wait for a newer image than one there is, if that may be old."""
-        left = self._newer_by - time.monotonic()
-        return left if left > 0 and self._old.keys() & self._images.keys() else None
 
     def take(self, data: str | bytes) -> str | None:
         """Take a message; the sensor whose image it completes."""
@@ -161,12 +163,12 @@ class _Inbox:
         parts[part.kind] = part
         if {each.sequence for each in parts.values()} != {part.sequence} or len(parts) < len(self._kinds[name]):
             return None
-        self.asked.pop(name, None)
+        asked = self.asked.pop(name, 0.0)
         if name not in self.status:
             return None  # of a service before 0.4.2, which tells it afterwards
-        self._old[name] = self._old.get(name, 1) - 1
-        if not self._old[name]:
-            del self._old[name]
+        if asked >= self._called:
+            self._came.add(name)
+            self._old.discard(name)
         raw, shear = parts["raw"], parts.get("shear")
         self._images[name] = Image(
             raw.values, parts["restored"].values, raw.flags.reshape(raw.values.shape), raw.sequence, raw.timestamp,
@@ -233,11 +235,9 @@ class _Stream:
 
     def waits(self) -> float | None:
         """How long (s) the next message may take, None: for ever; TactileError where patience is at its end."""
-        if (left := self._left()) == 0:
+        if (wait := self._inbox.waits()) == math.inf and (wait := self._left()) == 0:
             raise self._over()
-        if (newer := self._inbox.newer_within()) is not None:
-            return min(left, newer)
-        return None if self._patience_s is None else left
+        return None if wait == math.inf else wait
 
     def take(self, data: str | bytes) -> None:
         """Take a message; TactileError where it is none of this version's."""
@@ -303,13 +303,14 @@ def _read(stream: _Stream) -> Generator[Image, None, None]:
             with connect_sync(stream.address, **stream.options()) as socket:
                 stream.connected()
                 while True:
-                    if (image := stream.ready()) is not None:
-                        yield image
-                        stream.wanted()
                     for ask in stream.asks():
                         socket.send(ask)
-                    with suppress(TimeoutError):
+                    try:
                         stream.take(socket.recv(timeout=stream.waits()))
+                    except TimeoutError:
+                        if (image := stream.ready()) is not None:
+                            yield image
+                            stream.wanted()
         except LOST as error:
             time.sleep(stream.failed(error))
 
@@ -321,15 +322,16 @@ async def _aread(stream: _Stream) -> AsyncGenerator[Image, None]:
             async with connect_async(stream.address, **stream.options()) as socket:
                 stream.connected()
                 while True:
-                    if (image := stream.ready()) is not None:
-                        yield image
-                        stream.wanted()
                     for ask in stream.asks():
                         await socket.send(ask)
-                    with suppress(TimeoutError):
+                    try:
                         async with asyncio.timeout(stream.waits()):
                             data = await socket.recv()
                         stream.take(data)
+                    except TimeoutError:
+                        if (image := stream.ready()) is not None:
+                            yield image
+                            stream.wanted()
         except LOST as error:
             await asyncio.sleep(stream.failed(error))
 

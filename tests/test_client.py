@@ -1,5 +1,6 @@
 import asyncio
 import logging
+import math
 import re
 import socket
 import ssl
@@ -155,17 +156,24 @@ def test_of_several_sensors_a_slow_one_has_its_turn_in_a_slow_loop(inbox):
     inbox.wanted()
     come(inbox, "tip", 1)
     assert given(inbox) is None
-    inbox.clock.wait(inbox.newer_within())
+    inbox.clock.wait(inbox.waits())
     assert given(inbox) == ("tip", 1)
 
 
-def test_of_several_sensors_a_fast_loop_waits_for_none(inbox):
+def test_of_several_sensors_a_fast_loop_waits_for_none_and_what_waits_is_renewed(inbox):
+    assert inbox.waits() == math.inf
     inbox.asks()
     for name in ("palm", "tip"):
         come(inbox, name, 1)
-        inbox.clock.wait(0.01)
-        inbox.wanted()
-        assert given(inbox) == (name, 1)
+    assert inbox.asks() == []  # before the loop asks
+    assert given(inbox) == ("palm", 1)
+    inbox.clock.wait(0.05)
+    inbox.wanted()
+    assert len(inbox.asks()) == 2
+    come(inbox, "palm", 5)
+    come(inbox, "tip", 2)
+    assert given(inbox) == ("tip", 2)
+    assert given(inbox) == ("palm", 5)
 
 
 @pytest.mark.usefixtures("playing")
