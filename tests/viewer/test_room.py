@@ -15,7 +15,8 @@ FINGERS = "".join(
     THUMB.replace("thumb", name).replace("array_id = 1", f"array_id = {number}")
     for number, name in enumerate(("thumb", "index", "middle", "ring"), 1)
 )
-WHOLE = "(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.getElementById('probe'))"
+ROOM = "({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth"
+WHOLE = f"({ROOM})(document.getElementById('probe'))"
 DESK = {"width": 1280, "height": 860}
 
 
@@ -137,3 +138,56 @@ def test_numbers_of_the_past_are_set_in_italics(rig, url, open_page):
     page.locator('[data-level="stale"]').wait_for()
     for each in ("#force-restored", "#contact-list tbody td", "#contact-list tbody th"):
         assert page.locator(each).first.evaluate("each => getComputedStyle(each).fontStyle") == "italic"
+
+
+@pytest.mark.parametrize("size", [(1024, 768), (768, 1024), (960, 540), (1161, 800), (1241, 800)])
+def test_where_the_cross_section_lies_is_not_cut_off(rig, url, open_page, size):
+    rig.show(pressed())
+    page = open_page(url, *size)
+    page.locator("#raw-frame").click()
+    page.locator("#section-where", has_text="pinned").wait_for()
+    for title in page.locator("#charts h2").all():
+        assert title.evaluate(ROOM)
+
+
+@pytest.mark.parametrize(("rows", "columns", "stacked"), [(3, 5, False), (4, 16, True)])
+def test_the_maps_stand_as_they_are_larger(request, open_page, rows, columns, stacked):
+    array = f"array = {{ rows = {rows}, columns = {columns}, pitch_mm = 7, aperture_mm = 5 }}"
+    sensor = re.sub("array = .*", array, THUMB)
+    name = re.sub(r"\W", "-", request.node.name)
+    with meanwhile(Pair(name, sensor)) as made, running(made.service) as url:
+        made.show(pressed())
+        page = open_page(url, 1440, 900)
+        page.keyboard.press("2")
+        wait(page, f"document.getElementById('raw-frame').clientWidth > {480 if not stacked else 600}")
+        raw, restored = box(page, "#raw-frame"), box(page, "#restored-frame")
+        assert (raw["y"] < restored["y"]) == stacked
+        assert (raw["x"] < restored["x"]) != stacked
+        assert box(page, "#charts")["y"] + box(page, "#charts")["height"] <= 900
+        page.close()  # which else misses the service
+
+
+def test_what_stands_above_the_maps_is_not_cut_off_on_a_small_phone(request, open_page):
+    with rigged(request.node.name) as rig, running(rig.service) as url:
+        rig.show(X, Y)
+        page = open_page(url, **{**PHONE, "width": 320, "height": 640})
+        page.locator("#shear-key", has_text="counts").wait_for()
+        for caption in page.locator("#boxes figcaption").all():
+            assert caption.evaluate(ROOM)
+        page.close()  # which else misses the service
+
+
+HELD = """async () => {
+  const { Warnings } = await import("/static/warnings.js");
+  const real = performance.now, held = new Warnings();
+  const at = (ms, ...told) => ((performance.now = () => ms), held.hold(told));
+  const said = [at(0, "2 taxels dead"), at(1000, "1 taxel dead"), at(3900), at(4001)];
+  performance.now = real;
+  return said;
+}"""
+
+
+def test_a_warning_stays_for_a_while_after_it_was_last_told(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url)
+    assert page.evaluate(HELD) == [["2 taxels dead"], ["1 taxel dead"], ["1 taxel dead"], []]

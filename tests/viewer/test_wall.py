@@ -1,5 +1,7 @@
+import itertools
 import re
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -8,8 +10,8 @@ from tactiled.config import Server
 from tactiled.web import answers
 from tactiled.web.feed import Feed
 from tactiled.web.server import running
-from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import keep, turned, wait
+from tests.conftest import NO_LOAD, SIDE, ask, meanwhile, pressed, until
+from tests.viewer.conftest import PHONE, THUMB, Pair, keep, turned, wait
 
 TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
 FORCES = f"{TILES}.map(text => parseFloat(text.match(/([\\d.]+) N/)?.[1]))"
@@ -191,3 +193,68 @@ def test_the_wall_comes_back_with_the_service(pair, open_page):
         keep_showing(rig, page, f"{LEVELS}.join() === 'live,live'")
         page.close()
     page.faults.clear()  # the browser itself reports every failure
+
+
+def test_a_tile_tells_the_warnings_of_its_sensor(pair, open_page):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
+    said = f"{TILES}[0].includes('1 warning: 23 taxels did not arrive')"
+    dots = "[...document.querySelectorAll('.tile .dot')].map(dot => getComputedStyle(dot))"
+    looks = f"{dots}.map(({{ backgroundColor, clipPath }}) => [backgroundColor, clipPath])"
+
+    def send():
+        rig.both()
+        rig.send(pressed(), drop=(1,))
+
+    palm, thumb = keep(send, page, f"{said} && {LEVELS}.join() === 'live,live' && {looks}")
+    assert palm[0] != thumb[0]
+    assert palm[1] != thumb[1] == "none"
+    whole = "23 taxels did not arrive: restored from their neighbours"
+    assert page.get_by_role("button", name=re.compile(f"^palm.*1 warning: {whole}")).count() == 1
+    assert page.locator(".tile .doubt").first.get_attribute("title") == whole
+
+
+def test_nothing_touches_what_is_known_where_taxels_are_unknown(rig, url, open_page):
+    none = np.full((SIDE, SIDE), NO_LOAD)
+    rig.show(none)
+    page = open_page(url)
+    page.get_by_text("Nothing touches.").wait_for()
+    said = "document.getElementById('contact-list').innerText"
+    known = "Nothing touches the 41 of 64 taxels that are known."
+    keep(lambda: rig.send(none, drop=(1,)), page, f"{said}.includes('{known}')")
+
+
+LONG = ("left_index_fingertip", "left_index_finger_distal_phalanx_skin_revision_b")
+NAMES = "[...document.querySelectorAll('.tile b')]"
+
+
+@pytest.fixture
+def long(request):
+    """Sensors with long names."""
+    more = (THUMB.replace("thumb", name).replace("id = 1", f"id = {at}") for at, name in enumerate(LONG, 1))
+    channel = re.sub(r"\W", "-", request.node.name)
+    with meanwhile(Pair(channel, "".join(more))) as made, running(made.service) as url:
+        yield made, url
+
+
+@pytest.mark.parametrize("size", [PHONE, {**PHONE, "width": 320, "height": 640}, {"width": 1024, "height": 768}])
+def test_long_names_take_no_room_from_what_stands_beside_them(long, open_page, size):
+    _rig, url = long
+    page = open_page(f"{url}/#/wall", ready=f"{TILES}.filter(text => /silent/.test(text)).length === 3", **size)
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    assert page.evaluate(f"{NAMES}.map(name => name.title)") == ["palm", *LONG]
+    assert page.evaluate(f"{NAMES}.slice(0, 2).every(name => name.scrollHeight <= name.clientHeight)")
+    tiles, maps = page.locator(".tile").all(), page.locator(".tile .box").all()
+    places = [(tile.bounding_box(), box.bounding_box()) for tile, box in zip(tiles, maps, strict=True)]
+    for (tile, box), (other, beside) in itertools.combinations(places, 2):
+        assert tile["y"] != other["y"] or box["y"] == beside["y"]
+
+
+def test_an_event_of_a_sensor_with_a_long_name_is_not_cut(long, open_page):
+    rig, url = long
+    sensor = rig.service.sensor(LONG[1])
+    for message in sensor.codec.encode(np.full(4, 100, np.uint16), 0, time.time()):
+        rig.bus.send(message)
+    page = open_page(f"{url}/#{LONG[1]}")
+    page.locator("#events").get_by_text(f"{LONG[1]}: sensor live").wait_for()
+    assert page.locator("#events").evaluate("({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth")

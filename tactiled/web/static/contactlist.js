@@ -21,17 +21,30 @@ export class ContactList {
   /**
    * @param {Contact[]|null} contacts null where none are known
    * @param {boolean} asked whether they are asked for
+   * @param {number} taxels
+   * @param {number} unknown of these, nothing is known
    */
-  show(contacts, asked) {
+  show(contacts, asked, taxels, unknown) {
     const count = Math.min(MOST, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    say(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? "Nothing touches." : "–");
+    say(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? untouched(taxels, unknown) : "–");
     while (this._body.rows.length < count) this._body.append(row());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
     for (let i = 0; contacts && i < count; i += 1) fill(this._body.rows[i].cells, contacts[i]);
   }
+}
+
+/**
+ * @param {number} taxels
+ * @param {number} unknown of these, nothing is known
+ * @returns {string} what no contact means
+ */
+function untouched(taxels, unknown) {
+  if (!unknown) return "Nothing touches.";
+  if (unknown >= taxels) return "Nothing is known of any taxel.";
+  return `Nothing touches the ${taxels - unknown} of ${taxels} taxels that are known.`;
 }
 
 /** @returns {HTMLTableRowElement} an empty one */

@@ -15,6 +15,7 @@ import { Arrows } from "./shear.js";
 /** @typedef {import("./history.js").Frame} Frame */
 
 const DESK = matchMedia("(min-width: 900px)"); // where the maps share the window's height
+const LONG = 1.5; // times the height, from which width a map on a phone has the page's whole width
 const CHEAP = 0.94; // of the size there is, from which a cell is made a whole number of pixels
 
 export class Maps {
@@ -75,13 +76,30 @@ export class Maps {
     return Math.ceil(map + other + around);
   }
 
+  /**
+   * @param {Plane} plane
+   * @param {HTMLElement} box of a map
+   * @returns {boolean} one above the other, the maps are larger than side by side
+   */
+  _largerStacked(plane, box) {
+    const gap = parseFloat(getComputedStyle(this._boxes).columnGap);
+    const words = box.offsetTop - /** @type {HTMLElement} */ (box.parentElement).offsetTop;
+    const width = this._boxes.clientWidth;
+    const height = Math.min(this._boxes.clientHeight, window.innerHeight);
+    const beside = Math.min((width - gap) / 2 / plane.width, (height - words) / plane.height);
+    const above = Math.min(width / plane.width, ((height - gap) / 2 - words) / plane.height);
+    return above > beside;
+  }
+
   /** Make both maps as large as their boxes allow, true to scale. */
   layout() {
     const plane = this._plane;
     if (!plane) return;
     const box = /** @type {HTMLElement} */ (this.raw.frame.parentElement);
-    this._boxes.classList.toggle("stacked", plane.width > 1.5 * plane.height);
-    byId("maps").style.setProperty("--most", `${this._most(plane, box)}px`);
+    const maps = byId("maps");
+    maps.style.removeProperty("--most"); // to see what room there is
+    this._boxes.classList.toggle("stacked", DESK.matches ? this._largerStacked(plane, box) : plane.width > LONG * plane.height);
+    maps.style.setProperty("--most", `${this._most(plane, box)}px`);
     const height = DESK.matches ? box.clientHeight : 0.7 * window.innerHeight;
     const zoom = crisp(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
     this.raw.resize(zoom);

@@ -5,6 +5,7 @@
 
 import { measures } from "./measures.js";
 import { byId, fixed, number, say } from "./paint.js";
+import { Warnings } from "./warnings.js";
 
 /** @typedef {import("./history.js").Frame} Frame */
 /** @typedef {import("./stream.js").Status} Status */
@@ -65,6 +66,7 @@ export class Readings {
       "fps", "latency", "jitter", "skew",
     ].map((id) => [id, byId(id)]));
     this._warnings = byId("warnings");
+    this._held = new Warnings();
     this._warned = "";
     this._of = byId("made-of");
     /** @type {Status|null} */
@@ -140,12 +142,14 @@ export class Readings {
    * @param {string} ran the method; "" where it is not known
    * @param {Status|null} told of it, or of another image
    * @param {string} of which, where that is another
+   * @param {boolean} still it does not change: no warning is held that was told of another
    */
-  made(ran, told, of) {
+  made(ran, told, of, still) {
     say(this._at.ran, ran ? methodTitle(ran) : "\u2013");
     say(this._at.why, told && told.ran === ran ? told.why : "");
     say(this._of, of);
-    const warnings = told?.warnings ?? [];
+    if (still || told?.sensor !== this._told?.sensor) this._held.clear();
+    const warnings = this._held.hold(told?.warnings ?? []);
     const joined = warnings.join("\n");
     if (joined === this._warned) return;
     this._warned = joined;

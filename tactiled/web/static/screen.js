@@ -63,7 +63,8 @@ export class Screen {
     this._playback(session, frame, live);
     this.range(viewer.scale);
     const { found } = viewer;
-    this.contacts.show(found?.contacts ?? null, viewer.contacts);
+    const { count = 0 } = session?.plane?.raw ?? {};
+    this.contacts.show(found?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
     const away = paused && found && frame ? apart(found, frame) : "";
     say(this._found, away ? `of ${away}` : "in the restored image");
     this._section(viewer, frame);
@@ -94,11 +95,11 @@ export class Screen {
    */
   _made(session, frame) {
     const told = session?.told ?? null;
-    if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "");
-    else if (!told) this.readings.made(frame.ran, null, "words not told");
+    if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "", false);
+    else if (!told) this.readings.made(frame.ran, null, "words not told", true);
     else {
       const away = apart(told, frame);
-      this.readings.made(frame.ran, told, away && `words of ${away}`);
+      this.readings.made(frame.ran, told, away && `words of ${away}`, true);
     }
   }
 

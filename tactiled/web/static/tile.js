@@ -12,6 +12,7 @@ import { fixed, say } from "./paint.js";
 import { Plane } from "./plane.js";
 import { Present } from "./present.js";
 import { Arrows } from "./shear.js";
+import { Warnings } from "./warnings.js";
 import { SHEAR } from "./wire.js";
 
 /** @typedef {import("./wire.js").Packet} Packet */
@@ -58,16 +59,23 @@ export class Tile {
     this._box = make("span", "box", this._frame);
     this._state = make("span", "sub");
     this._force = make("span", "force");
-    const foot = make("span", "foot", this._force);
-    this._arrows = sheared ? this._over(foot) : null;
-    const title = make("b", "", document.createTextNode(name));
-    this.element = make("button", "tile", make("span", "head", make("span", "dot"), title, this._state), this._box, foot);
+    this._doubt = make("span", "doubt");
+    const under = make("span", "under", this._doubt);
+    this._arrows = sheared ? this._over(under) : null;
+    this._title = make("b", "");
+    this._title.title = name;
+    for (const part of name.split(/(?<=_)/)) this._title.append(part, document.createElement("wbr"));
+    const head = make("span", "head", make("span", "dot"), this._title);
+    this.element = make("button", "tile", head, this._box, make("span", "foot", this._force, this._state), under);
     this.element.setAttribute("type", "button");
     this.element.dataset.level = "connecting";
     this.element.addEventListener("click", onChoose);
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
     this._present = new Present();
+    this._held = new Warnings();
+    /** @type {string[]} */
+    this._warnings = [];
     this._sent = NaN;
     this._unpainted = false;
     this._kpa = new Float32Array(0);
@@ -79,6 +87,7 @@ export class Tile {
       onImage: (image) => this._take(image),
       onStatus: (status) => {
         this._status = status;
+        this._warnings = this._held.hold(status.warnings);
         this._toldAt = performance.now();
         if (status.state !== "live" && this._present.held) this._show();
       },
@@ -94,16 +103,16 @@ export class Tile {
 
   /**
    * Lay arrows over the map.
-   * @param {HTMLElement} foot where their key is to stand
+   * @param {HTMLElement} under where their key is to stand
    * @returns {Arrows}
    */
-  _over(foot) {
+  _over(under) {
     const canvas = layer();
     const key = make("span", "shear-key", layer(), document.createElement("span"));
     key.hidden = true;
     key.title = "Shear: the longest arrow, x to the right, y down";
     this._frame.append(canvas);
-    foot.append(key);
+    under.append(key);
     return new Arrows(canvas, key);
   }
 
@@ -123,6 +132,11 @@ export class Tile {
       return;
     }
     this._ask();
+  }
+
+  /** @returns {boolean} the name has no room on its line */
+  get cut() {
+    return this._title.scrollWidth > this._title.clientWidth;
   }
 
   /** Learn nothing any more. */
@@ -217,8 +231,18 @@ export class Tile {
     const health = judge(this._plane && this._part, this._status, this._toldAt, this._imageAt);
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
+    this._warn(live ? this._warnings : []);
     say(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
     if (!this._plane || (live && this._present.held)) return;
     say(this._force, live ? `${fixed(this._imageAt ? this._of.force : NaN, 2)} N` : health.text);
+  }
+
+  /** @param {string[]} warnings that hold of what is shown */
+  _warn(warnings) {
+    const count = warnings.length;
+    this.element.classList.toggle("warned", count > 0);
+    say(this._doubt, count ? `${count} ${count === 1 ? "warning" : "warnings"}: ${warnings.join("; ")}` : "");
+    const all = warnings.join("\n");
+    if (this._doubt.title !== all) this._doubt.title = all;
   }
 }

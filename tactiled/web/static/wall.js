@@ -15,24 +15,23 @@ const READ_MS = 200; // between two updates of the words
 const RATE_HZ = 15;
 const GAP_PX = 12; // between tiles
 const ASIDE_PX = 26; // of a tile's width beside its map: what the style pads
-const AROUND_PX = 86; // of its height above and below: name and force
-const NARROW_PX = 220; // width of a map, below which what is wrong with a sensor takes two lines
-const LINE_PX = 20;
+const AROUND_PX = 104; // of its height above and below: name, force and warnings
+const LINE_PX = 20; // that a long name takes more
 const LEAST_PX = 100; // side of a map, below which the wall is scrolled instead
 
 /**
  * @param {number} count of tiles, at least one
  * @param {number} width that they share, CSS px
  * @param {number} height
+ * @param {number} around a tile's map, above and below it
  * @returns {{columns: number, side: number}} how many in a row, and the height of a tile's map
  */
-function arrange(count, width, height) {
+function arrange(count, width, height, around) {
   let best = { columns: 1, side: 0 };
   for (let columns = 1; columns <= count; columns += 1) {
     const rows = Math.ceil(count / columns);
     const wide = (width + GAP_PX) / columns - GAP_PX - ASIDE_PX;
-    const words = wide < NARROW_PX ? AROUND_PX + LINE_PX : AROUND_PX;
-    const side = Math.floor(Math.min(wide, (height + GAP_PX) / rows - GAP_PX - words));
+    const side = Math.floor(Math.min(wide, (height + GAP_PX) / rows - GAP_PX - around));
     if (side > best.side) best = { columns, side };
   }
   if (best.side >= LEAST_PX) return best;
@@ -124,12 +123,24 @@ export class Wall {
     this.refresh();
   }
 
-  /** Choose how many tiles stand in a row: as their maps are the largest. */
+  /** Choose how many tiles stand in a row; where a name is cut there, all names have two lines. */
   _arrange() {
     if (!this.open) return;
+    this._grid.classList.remove("long");
+    this._stand(AROUND_PX);
+    if (!this._tiles.some((each) => each.cut)) return;
+    this._grid.classList.add("long");
+    this._stand(AROUND_PX + LINE_PX);
+  }
+
+  /**
+   * Make the maps as large as the window lets them be.
+   * @param {number} around a tile's map, above and below it, CSS px
+   */
+  _stand(around) {
     const legend = /** @type {HTMLElement} */ (byId("wall-legend"));
     const height = window.innerHeight - this._grid.offsetTop - legend.offsetHeight - 2 * GAP_PX;
-    const { columns, side } = arrange(this._tiles.length, this._grid.clientWidth, height);
+    const { columns, side } = arrange(this._tiles.length, this._grid.clientWidth, height, around);
     this._grid.style.setProperty("--columns", String(columns));
     this._grid.style.setProperty("--box", `${side}px`);
   }
