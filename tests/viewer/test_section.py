@@ -171,3 +171,20 @@ def test_of_a_layout_that_is_no_grid_it_runs_along_either_axis(hand, open_page):
     wait(page, f"{WHERE} === 'y 2.5 mm'")  # of the hardest pressed
     page.keyboard.press("x")
     wait(page, f"{WHERE} === 'x 4.5 mm'")
+
+
+def test_where_colours_are_forced_the_raw_line_is_dashed_in_a_colour_of_its_own(hand, open_page):
+    page = open_page(hand[1])
+    fixed_range(page)
+    page.emulate_media(forced_colors="active")
+    turned(page)
+    inks = page.evaluate("async () => (await import('/static/paint.js')).inks()")
+    lengths = []
+    for ink in ("raw", "restored"):
+        colour = [int(each) for each in re.findall(r"\d+", inks[ink])] + [255]
+        got = pixels(page, "section").astype(int)
+        width = got.shape[1] - SIDE - TAIL
+        cell = got[HEAD:-FOOT, SIDE + 4 + width * 3 // 8 : SIDE - 4 + width * 4 // 8]  # where the two lie apart
+        lengths.append((abs(cell - colour) < 5).all(axis=2).sum(axis=1).max() / cell.shape[1])
+    assert 0.4 < lengths[0] < 0.8
+    assert lengths[1] == 1
