@@ -1,12 +1,13 @@
 """Where something touches: contacts in a restored image, and the same contact from frame to frame."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import cKDTree
+from skimage import measure, morphology, segmentation
 
 from tactiled.geometry import Array, Cells
 
@@ -27,6 +28,12 @@ TURN = 0.5  # share of a look's surprise that changes the speed
 LOST_S = 0.2  # that a contact may be gone and come back
 FORBIDDEN = 1e6  # for more than any number of ways within reach add up to
 
+# scikit-image has no types.
+label: Callable[..., Labels] = measure.label
+local_maxima: Callable[..., NDArray[np.bool_]] = morphology.local_maxima
+expand_labels: Callable[..., Labels] = segmentation.expand_labels
+watershed: Callable[..., Labels] = segmentation.watershed
+
 
 @dataclass(frozen=True, slots=True)
 class Contact:
@@ -46,13 +53,23 @@ class Contact:
 class Finder:
     """Finds the contacts in the restored images of one array, whose surface has these cells.
 
-    Cells are neighbours where they touch, be they a grid's or not.
+    They are looked for in a picture of the surface, each cell of which is one square of a grid, or several of a
+    layout that is none.
     """
 
     def __init__(self, array: Array, cells: Cells) -> None:
         self._cells = cells
-        self._beside, self._near = _table(cells, 1.1), _table(cells, 1.5)  # corner to corner, too
-        self._steps = round(NEAR * max(1.0, array.pitch / float(np.sqrt(np.median(cells.areas)))))
+        column, row = np.rint((cells.pieces - cells.pieces.min(axis=0)) / cells.side).astype(np.int64).T
+        self._cell = np.full(
+            (row.max() + 1, column.max() + 1), len(cells.areas)
+        )  # of each square; the last is none
+        self._cell[row, column] = cells.owner
+        away = np.linalg.norm(cells.pieces - cells.positions[cells.owner], axis=1)
+        order = np.lexsort((away, cells.owner))
+        first = order[np.searchsorted(cells.owner[order], np.arange(len(cells.areas)))]
+        self._middle = row[first], column[first]  # of each cell
+        self._wide = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))  # squares a cell
+        self._near = 2 * round(NEAR * array.pitch / cells.side) + 1
 
     def __call__(self, image: NDArray[np.float32], noise_kpa: float, faint: bool = False) -> list[Contact]:
         """Contacts of an image (kPa), the strongest first, all with id 0; `noise_kpa` is a cell's.
@@ -64,43 +81,20 @@ class Finder:
         peak = float(pressure.max(initial=0.0))
         if peak <= (hardly if faint else clear):
             return []
-        highest = np.maximum(pressure, AWAY * peak)
-        for _ in range(self._steps):
-            highest = highest[self._near].max(axis=0)
-        parts = self._split(pressure, pressure > hardly, SHARE * highest, np.maximum(hardly, DIP * highest))
+        picture = np.append(pressure, -np.inf)[self._cell]
+        highest = maximum_filter(np.maximum(picture, AWAY * peak), self._near)
+        parts = _split(picture, picture > hardly, SHARE * highest, np.maximum(hardly, DIP * highest))
         tops = np.full(int(parts.max()) + 1, -np.inf)
-        np.maximum.at(tops, parts, pressure)
+        np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
         least = np.where(tops > clear, clear, hardly if faint else np.inf)
-        parts[pressure <= np.maximum(SHARE * np.maximum(highest, tops[parts]), least[parts])] = 0
-        skirts = self._skirted(pressure, parts)
-        numbers = np.unique(parts[parts > 0])
+        parts[picture <= np.maximum(SHARE * np.maximum(highest, tops[parts]), least[parts])] = 0
+        pressed, skirts = parts[self._middle], expand_labels(parts, self._wide)[self._middle]
         found = [
-            self._measure(pressure, *(np.flatnonzero(each == n) for each in (parts, skirts))) for n in numbers
+            self._measure(pressure, *(np.flatnonzero(each == n) for each in (pressed, skirts)))
+            for n in np.unique(pressed[pressed > 0])
         ]
         return sorted(found, key=lambda contact: -contact.force_n)
-
-    def _split(self, pressure: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floats) -> Labels:
-        """Number the pressed cells by contact, from 1 on: basins that a dip or a skirt parts; all others 0."""
-        cells = np.flatnonzero(pressed)
-        peak = np.arange(len(pressure))
-        peak[cells] = _upwards(pressure, self._near[:, cells])
-        peak = _ends(peak)
-        here, there = np.broadcast_to(cells, self._near[:, cells].shape), self._near[:, cells]
-        meet = pressed[there] & (peak[there] != peak[here])
-        here, there = here[meet], there[meet]
-        ways = _ways(peak[here], peak[there], np.minimum(pressure[here], pressure[there]))
-        for low, high in _merged(pressure, skirt, dip, ways):
-            peak[low] = high
-        parts = np.zeros(len(pressure), np.int64)
-        parts[cells] = np.unique(_ends(peak)[cells], return_inverse=True)[1] + 1
-        return parts
-
-    def _skirted(self, pressure: Floats, parts: Labels) -> Labels:
-        """The same with a skirt one cell wide, each cell of it to the highest that it touches."""
-        touched = np.where(parts[self._beside] > 0, pressure[self._beside], -np.inf)
-        nearest = self._beside[touched.argmax(axis=0), np.arange(len(parts))]
-        return np.where(parts > 0, parts, parts[nearest])
 
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
@@ -127,56 +121,40 @@ class Finder:
         )
 
 
-def _table(cells: Cells, reach: float) -> Labels:
-    """Give each cell (columns) itself and all whose squares lie within `reach` of their side, padded."""
-    pairs = cells.owner[cKDTree(cells.pieces).query_pairs(reach * cells.side, output_type="ndarray")]
-    own = np.arange(len(cells.areas))
-    links = np.unique(np.concatenate([pairs, pairs[:, ::-1], np.column_stack([own, own])]), axis=0)
-    first = np.searchsorted(links[:, 0], own)
-    place = np.arange(len(links)) - first[links[:, 0]]
-    table = np.broadcast_to(own, (place.max() + 1, len(own))).copy()
-    table[place, links[:, 0]] = links[:, 1]
-    return table
-
-
-def _upwards(pressure: Floats, near: Labels) -> Labels:
-    """Of the cells near each (columns) the highest; of equal ones one, so that no plain has two ends by chance."""
-    rank = np.empty(len(pressure), np.int64)
-    rank[np.argsort(pressure, kind="stable")] = np.arange(len(pressure))
-    return np.asarray(near[rank[near].argmax(axis=0), np.arange(near.shape[1])])
-
-
-def _ends(way: Labels) -> Labels:
-    """Where each ends that goes from cell to cell by `way`, which ends where it stays."""
-    while not np.array_equal(further := way[way], way):
-        way = further
-    return way
-
-
-def _ways(one: Labels, other: Labels, saddle: Floats) -> list[tuple[int, int, float]]:
-    """Of each two basins that meet the way over the highest saddle, the highest first."""
-    order = np.argsort(-saddle, kind="stable")
-    low, high = np.minimum(one, other)[order], np.maximum(one, other)[order]
-    _, first = np.unique(low * (high.max(initial=0) + 1) + high, return_index=True)
-    first.sort()
-    return list(zip(low[first].tolist(), high[first].tolist(), saddle[order][first].tolist(), strict=True))
-
-
-def _merged(
-    pressure: Floats, skirt: Floats, dip: Floats, ways: list[tuple[int, int, float]]
-) -> Iterator[tuple[int, int]]:
-    """Give each peak that neither a dip nor a skirt (kPa, at it) parts from a higher one, and that one."""
-    into: dict[int, int] = {}
-    for one, other, saddle in ways:
-        while one in into:
-            one = into[one]
-        while other in into:
-            other = into[other]
-        low, high = (one, other) if (pressure[one], one) < (pressure[other], other) else (other, one)
-        parted = pressure[low] - saddle >= dip[low] or saddle < skirt[low] < pressure[low]
+def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floats) -> Labels:
+    """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0."""
+    peaks = label(local_maxima(np.where(pressed, picture, 0.0)) & pressed)
+    basins = watershed(-picture, peaks, connectivity=2, mask=pressed)
+    square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
+    square[peaks.ravel()] = np.arange(peaks.size)
+    into = np.arange(len(square))
+    top, skirts, dips = (each.ravel()[square] for each in (picture, skirt, dip))
+    for one, other, saddle in _ways(picture, basins):
+        low, high = sorted((into[one], into[other]), key=lambda each: (top[each], each))
+        parted = top[low] - saddle >= dips[low] or saddle < skirts[low] < top[low]
         if low != high and not parted:
-            into[low] = high
-            yield low, high
+            into[into == low] = high
+    return into[basins]
+
+
+def _ways(picture: Floats, basins: Labels) -> list[tuple[int, int, float]]:
+    """Of each two basins that meet the way over the highest saddle, the highest first."""
+    sides = [
+        (basins[here], basins[there], np.minimum(picture[here], picture[there]))
+        for here, there in (
+            (np.s_[:, :-1], np.s_[:, 1:]),
+            (np.s_[:-1], np.s_[1:]),
+            (np.s_[:-1, :-1], np.s_[1:, 1:]),
+            (np.s_[:-1, 1:], np.s_[1:, :-1]),
+        )
+    ]
+    one, other, saddle = (np.concatenate([each[n].ravel() for each in sides]) for n in range(3))
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    meet = np.flatnonzero((low > 0) & (low < high))
+    order = meet[np.argsort(-saddle[meet], kind="stable")]
+    _, first = np.unique(low[order] * (basins.max() + 1) + high[order], return_index=True)
+    kept = order[np.sort(first)]
+    return list(zip(low[kept].tolist(), high[kept].tolist(), saddle[kept].tolist(), strict=True))
 
 
 @dataclass(slots=True)
