@@ -200,12 +200,11 @@ class _Stream:
         self.address = f"ws{client.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
         self._options = {
             "additional_headers": client.headers,
-            "ssl": client.ssl_context,
             "compression": None,
             "max_queue": WAITING,
             "close_timeout": 1,
             "logger": QUIET,
-        }
+        } | ({"ssl": client.ssl_context} if client.ssl_context else {})
         self._wait = BACK_OFF_S[0]
         self._refused = ""  # why the last connection ended
         self._logged: set[str] = set()  # sensors, and why there was no connection

@@ -495,9 +495,17 @@ def test_a_certificate_that_is_not_trusted_is_told_at_once():
 
 
 def test_tls_where_there_is_none_is_told(url, caplog):
-    stream = connect(url.replace("http", "https")).stream("palm", patience_s=1.0)
-    with pytest.raises(TactileError, match=r"no image for 1\.0 s: .*WRONG_VERSION_NUMBER"):
-        next(stream)
+    async def first():
+        await anext(connect(secure).astream("palm", patience_s=1.0))
+
+    secure = url.replace("http", "https")
+    with ThreadPoolExecutor(1) as other:
+        for ask in (
+            lambda: next(connect(secure).stream("palm", patience_s=1.0)),
+            lambda: other.submit(asyncio.run, first()).result(),
+        ):
+            with pytest.raises(TactileError, match=r"no image for 1\.0 s: .*WRONG_VERSION_NUMBER"):
+                ask()
     assert "is the service running" not in caplog.text
 
 
