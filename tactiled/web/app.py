@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -25,7 +25,7 @@ from tactiled.web import (
     window,
     xela,
 )
-from tactiled.web.common import WRONG, turns
+from tactiled.web.common import WRONG, declared, turns
 from tactiled.web.description import complete
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
@@ -56,6 +56,7 @@ def create(service: Service, server: Server) -> FastAPI:
         docs_url=None,  # its page needs the internet
         redoc_url=None,
         redirect_slashes=False,  # which would tell where to by the client's own Host, and hand its token on
+        dependencies=[Depends(declared)],
     )
     problems.install(app)
     app.state.service, app.state.server = service, server

@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from tactiled.web import forms
+from tactiled.web.wish import no_such
 
 Json = dict[str, Any]
 BEARER = {
@@ -29,22 +30,23 @@ def complete(app: FastAPI, guarded: bool) -> Callable[[], Json]:
                 said["security"] = [{"token": []}]
             for content in _bodies(said):
                 content["example"] = example(content["schema"], said["components"]["schemas"])
-            for status, answer in _problems(said):
-                title = HTTPStatus(status).phrase
-                problem = forms.Problem(title=title, status=status, detail=answer["description"])
-                answer["content"]["application/problem+json"]["example"] = problem.model_dump()
+            for status, content, operation in _problems(said):
+                there = [each["name"] for each in operation.get("parameters", ()) if each["in"] == "query"]
+                detail = content["example"] or no_such("colour", there)
+                problem = forms.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
+                content["example"] = problem.model_dump()
         return plain()
 
     return openapi
 
 
-def _problems(said: Json) -> Iterator[tuple[int, Json]]:
-    """Every error by its status."""
+def _problems(said: Json) -> Iterator[tuple[int, Json, Json]]:
+    """Every error by its status, and the operation that it is of."""
     for operations in said["paths"].values():
         for operation in operations.values():
             for status, answer in operation["responses"].items():
-                if "application/problem+json" in answer.get("content", {}):
-                    yield int(status), answer
+                if content := answer.get("content", {}).get("application/problem+json"):
+                    yield int(status), content, operation
 
 
 def _bodies(said: Json) -> Iterator[Json]:

@@ -22,8 +22,7 @@ from tactiled.errors import ConfigError
 from tactiled.offline import Offline, opened, write
 from tactiled.service import Service
 from tactiled.web.body import MOST_FILM as MOST_IN
-from tactiled.web.common import BODY as BODIES
-from tactiled.web.common import CONTROL, WAIT, Responses, problem
+from tactiled.web.common import CONTROL, LATE, NO_SENSOR, WAIT, Responses, problem
 from tactiled.web.forms import MethodName
 from tactiled.web.problems import Problem
 from tactiled.web.rates import client
@@ -32,16 +31,23 @@ MOST_OUT = 256 << 20  # bytes of its images
 MOST_HELD = 4  # films that come in or go out, and lie on the disk meanwhile
 NPY = "application/x-npy"
 RESPONSES: Responses = (
-    BODIES
+    LATE
     | CONTROL
+    | NO_SENSOR
     | {
         200: {"description": "restored images, float32 kPa", "content": {NPY: {"schema": {"type": "string"}}}},
-        404: problem("no such sensor"),
-        413: problem(f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB"),
-        422: problem("no .npy of frames of this sensor's shape, or a wrong parameter"),
+        413: problem(
+            f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB",
+            f"a body of more than {MOST_IN >> 10} KiB: send it in parts",
+        ),
+        422: problem(
+            "no .npy of frames of this sensor's shape, or a wrong parameter",
+            "body: no .npy file of numbers: give frames in kPa as .npy",
+        ),
         429: problem(
             "another film is being restored, one of this client or too many of others come in or go out, or more "
             "than control_per_minute",
+            "another film is being restored: wait",
             Retry_After=WAIT,
         ),
     }
@@ -49,6 +55,7 @@ RESPONSES: Responses = (
 BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "string", "format": "binary"}}}}}
 
 router = APIRouter(prefix="/api/v1")
+Name = Annotated[str, Query(description="a sensor, as in the configuration", examples=["palm"])]
 SIGMA = "a taxel's standard deviation; measured if left out"
 Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
 
@@ -136,7 +143,7 @@ class _Done(NamedTuple):
 
 @router.post("/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra=BODY)
 async def restore(
-    request: Request, sensor: str, method: MethodName = "auto", noise_kpa: Noise = None
+    request: Request, sensor: Name, method: MethodName = "auto", noise_kpa: Noise = None
 ) -> FileResponse:
     """Restore frames (T, rows, columns) or (T, taxels) in kPa, NaN where unknown, as the sensor's own would be.
 

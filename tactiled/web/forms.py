@@ -70,7 +70,7 @@ class SensorState(Form):
     pitch_mm: float = Field(examples=[1.0])
     shear: bool = Field(description="whether the skin feels it", examples=[False])
     method: str = Field(description="asked for", examples=["auto"])
-    methods: tuple[str, ...] = Field(examples=[("auto", "raw", "wiener", "rl", "nnls")])
+    methods: tuple[str, ...] = Field(examples=[tuple(METHODS)])
     state: State = Field(description="live; stale: no new frame; silent: none yet; down: the bus is gone")
     age_s: float | None = Field(description="s since the last frame came in", examples=[0.004])
     rate_hz: float = Field(description="frames a second", examples=[100.0])

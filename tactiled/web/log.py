@@ -38,7 +38,7 @@ class EventsForm(forms.Form):
 
 
 After = Annotated[int, Query(ge=0, le=2**53, description="id of the newest event that is known already")]
-Limit = Annotated[int, Query(ge=1, le=1000)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="events an answer")]
 Wait = Annotated[
     float, Query(ge=0, le=30, allow_inf_nan=False, description="s, for the next event if none is there")
 ]

@@ -56,8 +56,11 @@ def install(app: FastAPI) -> None:
         return response(422, str(error))
 
     @app.exception_handler(RequestValidationError)
-    async def _invalid(_: Request, error: RequestValidationError) -> Response:
+    async def _invalid(request: Request, error: RequestValidationError) -> Response:
         wrong = error.errors()
+        if any(each["loc"] == ("body",) and isinstance(each["input"], bytes) for each in wrong):
+            kind = request.headers.get("content-type", "none")
+            return response(415, f"Content-Type: {kind:.80}: give application/json")
         status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
         return response(status, "; ".join(_say(each) for each in wrong))
 
@@ -89,6 +92,4 @@ def _say_body(error: Mapping[str, Any]) -> str:
     given = error["input"]
     if given is None:
         return "body: none came: give a JSON object"
-    if isinstance(given, bytes):
-        return f"body = {given!r:.80}: is no JSON by its Content-Type: give application/json"
     return f"body = {given!r:.80}: give a JSON object"

@@ -22,11 +22,17 @@ from tactiled.web.common import BODY, CONTROL, WRONG, Responses, documented, pro
 from tactiled.web.problems import Problem
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
-GONE: Responses = {404: problem("no such recording")}
-BUSY: Responses = {409: problem("it runs, or is there already")}
-NO_BUS: Responses = {
-    404: problem("no such bus"),
-    503: problem("the bus cannot be opened, the file cannot be written, or too little room is left"),
+GONE: Responses = {404: problem("no such recording", "recording grasp.log: no such recording")}
+RUNS: Responses = {409: problem("it runs", "recording grasp.log: runs: stop it first")}
+STARTED: Responses = {
+    404: problem("no such bus", "bus can9: no such bus: there are can0"),
+    409: problem(
+        "that bus is being recorded, or the name is there already", "bus can0: is being recorded already"
+    ),
+    503: problem(
+        "the bus cannot be opened, the file cannot be written, or too little room is left",
+        "recording grasp.log: less than 1000 MB of its disk are free (recordings_leave_mb)",
+    ),
 }
 BYTES = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
 PART: Responses = {
@@ -36,7 +42,11 @@ PART: Responses = {
         "content": BYTES,
         "headers": documented({"Content-Range": "which bytes of how many"}),
     },
-    416: problem("Range begins behind the end", Content_Range="of how many bytes"),
+    416: problem(
+        "Range begins behind the end",
+        "Range: bytes=90000-: the file has 48231 bytes",
+        Content_Range="of how many bytes",
+    ),
 }
 Name = Annotated[str, Part(pattern=NAME, description="a recording's file name")]
 
@@ -73,7 +83,7 @@ class Listed(forms.Form):
 
 
 After = Annotated[str | None, Query(max_length=120, description="only names behind this one")]
-Limit = Annotated[int, Query(ge=1, le=1000)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="recordings an answer")]
 
 
 class _Run:
@@ -240,7 +250,7 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, l
         """The recordings in the folder, by name, page by page."""
         return recordings.listed(after, limit)
 
-    @router.post("", status_code=201, responses=NO_BUS | BUSY | CONTROL | BODY)
+    @router.post("", status_code=201, responses=STARTED | CONTROL | BODY)
     def start(what: Start) -> Recorded:
         """Record a bus from now on."""
         return recordings.start(what.bus, what.name)
@@ -250,12 +260,12 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, l
         """End a recording; one that has ended already stays as it is."""
         return recordings.stop(name)
 
-    @router.get("/{name}", response_class=FileResponse, responses=GONE | BUSY | PART)
+    @router.get("/{name}", response_class=FileResponse, responses=GONE | RUNS | PART)
     def download(name: Name) -> FileResponse:
         """The file of a recording that does not run, or a part of it."""
         return FileResponse(recordings.ended(name), media_type="application/octet-stream", filename=name)
 
-    @router.delete("/{name}", status_code=204, responses=GONE | BUSY | CONTROL)
+    @router.delete("/{name}", status_code=204, responses=GONE | RUNS | CONTROL)
     def delete(name: Name) -> None:
         """Delete a recording that does not run."""
         recordings.delete(name)

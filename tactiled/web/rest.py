@@ -16,7 +16,6 @@ from tactiled.web.common import (
     CONTROL,
     NO_FRAME,
     NO_SENSOR,
-    NOT_ACCEPTED,
     TOO_MANY,
     WRONG,
     Found,
@@ -26,6 +25,7 @@ from tactiled.web.common import (
     documented,
     in_turn,
     no_frame,
+    not_accepted,
     problem,
 )
 from tactiled.web.forms import Shown
@@ -97,18 +97,22 @@ def get_method(sensor: Found, service: Served) -> forms.Method:
     return answers.method(service, sensor)
 
 
-KEEP: Responses = {409: problem("this service keeps no state"), 503: problem("the state cannot be written")}
+NO_STATE = "keep = true: this service keeps no state: `tactiled run` does"
+KEEP: Responses = {
+    409: problem("this service keeps no state", NO_STATE),
+    503: problem("the state cannot be written", "state: No space left on device: nothing was kept"),
+}
 
 
 @router.put("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR | KEEP | CONTROL | BODY)
 def put_method(sensor: Found, service: Served, asked: forms.MethodAsked) -> forms.Method:
     """Restore by another method from the next frame on, and after a restart as well with `keep`."""
     if asked.keep and service.state is None:
-        raise Problem(409, "keep = true: this service keeps no state: `tactiled run` does")
+        raise Problem(409, NO_STATE)
     try:
         service.set_method(sensor.name, asked.method, asked.keep)
     except StateError as error:
-        raise Problem(503, str(error)) from error
+        raise Problem(503, str(error).replace(f" {service.state and service.state.path}:", ":")) from error
     return answers.method(service, sensor)
 
 
@@ -118,7 +122,9 @@ def calibration(sensor: Found) -> forms.CalibrationForm:
     return answers.calibration(sensor)
 
 
-NOT_LIVE: Responses = {409: problem("the sensor is not live")}
+NOT_LIVE: Responses = {
+    409: problem("the sensor is not live", "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames")
+}
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | NOT_LIVE | CONTROL)
@@ -150,7 +156,7 @@ Asked = Annotated[Format | None, Query(alias="format", description="over the Acc
     "/sensors/{name}/frames/{kind}",
     tags=["frames"],
     response_model=forms.Frame,
-    responses=NO_SENSOR | NO_FRAME | NOT_ACCEPTED | TOO_MANY | FRAME,
+    responses=NO_SENSOR | NO_FRAME | not_accepted(MEDIA) | TOO_MANY | FRAME,
 )
 async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
     """The newest image, in kPa: raw, restored, or the restored one's standard deviation.

@@ -9,7 +9,7 @@ from pydantic import Field
 from tactiled.frames import Image
 from tactiled.sensor import Sensor, State
 from tactiled.web import answers, forms
-from tactiled.web.common import NO_FRAME, NO_SHEAR, NOT_ACCEPTED, Found, Responses, accepted, documented, no_frame
+from tactiled.web.common import NO_FRAME, NO_SHEAR, Found, Responses, accepted, documented, no_frame, not_accepted
 
 Format = Literal["json", "npy"]
 MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy"}
@@ -52,7 +52,7 @@ def told(sensor: Sensor, image: Image, state: State) -> Shear:
 @router.get(
     "/sensors/{name}/frames/shear",
     response_model=Shear,
-    responses=NO_SHEAR | NO_FRAME | NOT_ACCEPTED | SHEAR,
+    responses=NO_SHEAR | NO_FRAME | not_accepted(MEDIA) | SHEAR,
 )
 def shear(
     sensor: Found,

@@ -14,13 +14,13 @@ from tactiled.sensor import Sensor
 from tactiled.web import answers, forms
 from tactiled.web.common import (
     NO_SHEAR,
-    NOT_ACCEPTED,
     TOO_MANY,
     Found,
     Responses,
     accepted,
     documented,
     in_turn,
+    not_accepted,
 )
 from tactiled.web.wire import UNITS, Kind, Unit
 
@@ -111,7 +111,7 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
 @router.get(
     "/sensors/{name}/frames",
     response_model=Frames,
-    responses=NO_SHEAR | NOT_ACCEPTED | TOO_MANY | RESPONSES,
+    responses=NO_SHEAR | not_accepted(MEDIA) | TOO_MANY | RESPONSES,
 )
 async def frames(
     sensor: Found,

@@ -33,15 +33,21 @@ def once(query: QueryParams) -> QueryParams:
     counts = Counter(name for name, _ in query.multi_items())
     for name, count in counts.items():
         if count > 1:
-            raise ValueError(f"{name}: given {count} times: give it once, several values with commas between")
+            raise ValueError(f"{name:.80}: given {count} times: give it once, several values with commas between")
     return query
+
+
+def no_such(name: str, there: Sequence[str]) -> str:
+    """What is said of a parameter that is none of those there are."""
+    known = f"are {', '.join(there)}" if there else "is none"
+    return f"{name:.80}: no such parameter: there {known}"
 
 
 def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
     """Read the address's query, which may have `more` parameters; ValueError names the parameter and its value."""
     there = (*PARAMETERS, *more)
     if unknown := set(query) - {*there, "token"}:
-        raise ValueError(f"{min(unknown)}: no such parameter: there are {', '.join(there)}")
+        raise ValueError(no_such(min(unknown), there))
     kinds = tuple(query.get("kinds", ",".join(PRESSURES)).split(","))
     if not set(kinds) <= set(KINDS) or len(set(kinds)) < len(kinds):
         raise ValueError(f"kinds={query['kinds']}: give some of {','.join(KINDS)}, each once")

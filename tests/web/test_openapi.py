@@ -1,7 +1,9 @@
 """What the OpenAPI description says is what the service does."""
 
 import io
+import re
 import threading
+from itertools import product
 
 import httpx
 import jsonschema
@@ -15,9 +17,10 @@ from schemathesis.config import SchemathesisConfig
 from schemathesis.engine import events, from_schema
 
 from tactiled.config import Server
+from tactiled.restore.methods import METHODS
 from tactiled.state import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, until
+from tests.conftest import BUSY_S, ask, pressed, until
 
 ELSEWHERE = {"/api/v1/sensors/{name}/frames/shear"}  # of other skins than this one
 ORDER = ("post", "put", "get", "delete")
@@ -144,3 +147,84 @@ def test_a_token_is_described_where_one_is_needed(rig, said):
         told = ask("GET", url + "/api/v1/openapi.json", headers={"Authorization": "Bearer " + "c" * 16}).json()
     assert told["security"] == [{"token": []}]
     assert told["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
+
+
+TOKENS = {"read_token": SecretStr("r" * 16), "control_token": SecretStr("c" * 16)}
+READ, CONTROL = ({"Authorization": f"Bearer {16 * each}"} for each in "rc")
+JSON = {"Content-Type": "application/json"}
+WRONG = (  # error, of which operations, and what is asked beside a control token
+    (401, ".*", {"headers": {"Authorization": ""}}),
+    (403, "get .*", {"headers": {"Origin": "https://elsewhere.example"}}),
+    (403, "(put|post|delete) .*", {"headers": READ}),
+    (404, ".* /sensors/plam(?!/frames$|/frames/shear$).*", {}),
+    (404, "get /sensors/palm/frames$", {"params": {"kind": "shear"}}),
+    (404, "get /sensors/palm/frames/shear$", {}),
+    (404, "post /restore", {"params": {"sensor": "plam"}}),
+    (404, "post /recordings$", {"json": {"bus": "can9"}}),
+    (404, ".* /recordings/grasp.log.*", {}),
+    (406, "get /sensors/palm/frames(/raw)?$", {"headers": {"Accept": "text/html"}}),
+    (409, "put /sensors/palm/method", {"json": {"method": "raw", "keep": True}}),
+    (400, "put /sensors/palm/method|post /recordings$", {"headers": JSON, "content": b"x"}),
+    (413, "put /sensors/palm/method|post /recordings$", {"headers": JSON, "content": bytes(65 << 10)}),
+    (
+        415,
+        "put /sensors/palm/method|post /recordings$",
+        {"headers": {"Content-Type": "text/plain"}, "content": b"{}"},
+    ),
+    (416, "get /recordings/whole.log", {"headers": {"Range": "bytes=90000-"}}),
+    (422, "(?!post /restore).*", {"params": {"colour": "red"}}),
+    (422, "post /restore", {"params": {"sensor": "palm"}, "content": b"x"}),
+    (503, "get /sensors/palm/(contacts|frames/raw)", {}),
+)
+LATER = (  # when a frame has come and no other, and grasp.log is being recorded
+    (409, "post /sensors/palm/tare", {}),
+    (409, "post /recordings$", {"json": {"bus": "can0"}}),
+    (409, "(get|delete) /recordings/grasp.log", {}),
+)
+SELDOM = {"408", "413", "422", "429", "503"}  # of which some are provoked elsewhere
+
+
+def test_the_example_of_an_error_is_what_comes(rig, tmp_path):
+    (tmp_path / "whole.log").write_bytes(bytes(10))
+    with (
+        running(rig.service, Server(port=0, recordings=tmp_path, **TOKENS)) as url,
+        httpx.Client(base_url=url + "/api/v1", timeout=BUSY_S, headers=CONTROL) as client,
+    ):
+        said = client.get("/openapi.json").json()
+        seen = compared(client, said, WRONG)
+        rig.show(pressed())
+        until(lambda: rig.sensor.status().state == "stale")
+        client.post("/recordings", json={"bus": "can0", "name": "grasp.log"})
+        seen |= compared(client, said, LATER)
+    every = {(path, method, status) for path, method, each in operations(said) for status in each["responses"]}
+    assert {status for path, _, status in every - seen if status >= "400" and path not in ELSEWHERE} <= SELDOM
+    assert len(seen) > 70
+
+
+def compared(client, said, rows):
+    """Ask for these errors, and compare what comes with its example; gives path, method and status of each."""
+    seen = set()
+    for (path, method, operation), (status, which, asked) in product(operations(said), rows):
+        for name in ("grasp.log", "whole.log") if "/recordings/" in path else ("palm", "plam"):
+            place = path.removeprefix("/api/v1").format(name=name, kind="raw")
+            if re.fullmatch(which, f"{method} {place}"):
+                answer = client.request(method, place, **asked)
+                content = operation["responses"][str(status)]["content"]["application/problem+json"]
+                assert (method, place, told(answer.json())) == (method, place, told(content["example"]))
+                seen.add((path, method, str(status)))
+    return seen
+
+
+def told(problem):
+    """A problem without the numbers in its detail, which may be others."""
+    return problem | {"detail": re.sub(r"[0-9]+(\.[0-9]+)?", "#", problem["detail"])}
+
+
+def test_every_parameter_of_a_path_or_a_query_says_what_it_is(said):
+    for path, method, operation in operations(said):
+        for each in operation.get("parameters", []):
+            assert each.get("description") or "enum" in each["schema"], (method, path, each["name"])
+            if each["in"] == "path" and "sensors" in path and each["name"] == "name":
+                assert each["schema"]["examples"] == ["palm"]
+    (methods,) = said["components"]["schemas"]["SensorState"]["properties"]["methods"]["examples"]
+    assert methods == list(METHODS)

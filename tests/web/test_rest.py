@@ -173,7 +173,7 @@ def test_the_method_is_changed_within_a_frame_and_a_wrong_one_changes_nothing(ri
         client.put("/sensors/palm/method", json={"method": "sharpen"}), 422
     )
     problem(client.put("/sensors/palm/method", json={"methd": "raw"}), 422)
-    problem(client.put("/sensors/palm/method", content=b"{"), 422)
+    problem(client.put("/sensors/palm/method", content=b"{"), 415)
     assert client.get("/sensors/palm/method").json() == told
 
 
@@ -236,11 +236,24 @@ def test_a_tare_under_way_lapses_when_the_sensor_is_no_longer_live(rig, client, 
         ("/sensors/palm/frames/raw?format=tiff", 422, "format = 'tiff'"),
         ("/sensors/palm/frames/raw?top_kpa=-1", 422, "top_kpa = '-1'"),
         ("/nothing", 404, ""),
+        ("/sensors/palm/frames/raw?fromat=npy", 422, "fromat: no such parameter: there are format, top_kpa"),
+        ("/sensors/palm/frames/raw?format=npy&format=npy", 422, "format: given 2 times: give it once"),
+        ("/events?limit=1&limit=2", 422, "limit: given 2 times"),
+        ("/health?sensor=palm", 422, "sensor: no such parameter: there is none"),
+        (f"/health?{'x' * 5000}=1", 422, f"{'x' * 80}: no such parameter"),
+        (f"/sensors/{'x' * 5000}", 404, f"sensor {'x' * 80!r}: no such sensor: there are palm"),
     ],
 )
 def test_what_is_wrong_is_named(rig, client, path, status, says):
     rig.show(pressed())
     assert says in problem(client.get(path), status)
+
+
+def test_a_token_may_stand_in_every_address_and_the_viewers_own_takes_anything(client):
+    assert client.get("/health?token=x").status_code == 200
+    assert client.get("/sensors/palm/frames?token=x&last=1s").status_code == 200
+    for path in ("/?sensor=palm", "/metrics?x=1", "/static/app.js?1"):
+        assert httpx.get(str(client.base_url.join("/")).rstrip("/") + path, timeout=60).status_code == 200
 
 
 def test_the_kernel_and_the_geometry(client):
