@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fastapi import Depends, FastAPI
+from fastapi import Depends, FastAPI, Request, Response
 from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -26,6 +26,7 @@ from tactiled.web import (
     xela,
 )
 from tactiled.web.common import WRONG, declared, turns
+from tactiled.web.constant import constant, text
 from tactiled.web.description import complete
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
@@ -52,7 +53,7 @@ def create(service: Service, server: Server) -> FastAPI:
         version=__version__,
         description=ABOUT,
         lifespan=lambda _: ticking(feeds),
-        openapi_url="/api/v1/openapi.json",
+        openapi_url=None,  # it is served below, as all that stays the same
         docs_url=None,  # its page needs the internet
         redoc_url=None,
         redirect_slashes=False,  # which would tell where to by the client's own Host, and hand its token on
@@ -61,6 +62,7 @@ def create(service: Service, server: Server) -> FastAPI:
     problems.install(app)
     app.state.service, app.state.server = service, server
     app.state.films = film.Films()
+    app.state.constants = {}
     app.state.streams = Streams(server.streams_per_client, server.streams)
     app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
@@ -74,6 +76,10 @@ def create(service: Service, server: Server) -> FastAPI:
     app.include_router(asyncapi.make())
     app.include_router(xela.make(feeds))
     app.include_router(stream.nowhere())  # behind all other streams
+
+    @app.get("/api/v1/openapi.json", include_in_schema=False)
+    def openapi(request: Request) -> Response:
+        return constant(request, lambda: text(app.openapi()))
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:

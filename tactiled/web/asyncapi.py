@@ -1,14 +1,16 @@
 """`/api/v1/asyncapi.json`: the WebSockets in AsyncAPI 3.0, from the models that their messages are made of."""
 
+from functools import cache
 from itertools import permutations
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import forms, session, xela
+from tactiled.web.constant import Constant, text
 from tactiled.web.description import example
 from tactiled.web.shear import Shear
 from tactiled.web.wire import KINDS, LAYOUT, PRESSURES
@@ -66,15 +68,22 @@ def make() -> APIRouter:
     router = APIRouter(prefix="/api/v1")
 
     @router.get("/asyncapi.json", include_in_schema=False)  # a description is no resource
-    def asyncapi(request: Request) -> Json:
+    def asyncapi(request: Request) -> Response:
         """The WebSockets of this service in AsyncAPI 3.0."""
-        return document(request.url.netloc, secure=request.url.scheme == "https")
+        made = document(request.url.netloc, secure=request.url.scheme == "https")
+        return Constant(text(made)).answer(request)
 
     return router
 
 
 def document(host: str, secure: bool = False) -> Json:
     """The description of the service at `host`."""
+    return _anywhere() | {"servers": {"here": {"host": host, "protocol": "wss" if secure else "ws"}}}
+
+
+@cache
+def _anywhere() -> Json:
+    """The description of the service, wherever it is."""
     models: list[type[BaseModel]] = [*(model for model, _ in (TOLD | XELAS).values()), forms.Next]
     _, schemas = models_json_schema(
         [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
@@ -83,7 +92,6 @@ def document(host: str, secure: bool = False) -> Json:
     return {
         "asyncapi": "3.0.0",
         "info": {"title": "tactiled", "version": __version__, "description": ABOUT},
-        "servers": {"here": {"host": host, "protocol": "wss" if secure else "ws"}},
         "defaultContentType": "application/json",
         "channels": {
             "sensor": _channel(one, "Images of one sensor", QUERY)

@@ -24,10 +24,13 @@ from tactiled.web.common import (
     accepted,
     documented,
     in_turn,
+    named,
     no_frame,
     not_accepted,
     problem,
 )
+from tactiled.web.constant import RESPONSES as CONSTANT
+from tactiled.web.constant import constant
 from tactiled.web.forms import Shown
 from tactiled.web.problems import Problem
 
@@ -61,10 +64,10 @@ def health(service: Served) -> forms.Health:
     return answers.health(service)
 
 
-@router.get("/colormap", tags=["service"])
-def colormap() -> forms.Colormap:
+@router.get("/colormap", tags=["service"], response_model=forms.Colormap, responses=CONSTANT)
+def colormap(request: Request) -> Response:
     """The colours of the viewer and of PNG images."""
-    return forms.Colormap(name=picture.COLORS, colors=picture.colors())
+    return constant(request, lambda: _json(forms.Colormap(name=picture.COLORS, colors=picture.colors())))
 
 
 @router.get("/sensors", tags=["sensors"])
@@ -79,16 +82,20 @@ def sensor_state(sensor: Found) -> forms.SensorState:
     return answers.sensor_state(sensor)
 
 
-@router.get("/sensors/{name}/geometry", tags=["sensors"], responses=NO_SENSOR)
-def geometry(sensor: Found) -> forms.Geometry:
+@router.get(
+    "/sensors/{name}/geometry", tags=["sensors"], response_model=forms.Geometry, responses=NO_SENSOR | CONSTANT
+)
+def geometry(sensor: Found, request: Request) -> Response:
     """Where the taxels and the surface cells are, mm."""
-    return answers.geometry(sensor)
+    return constant(request, lambda: _json(answers.geometry(sensor)))
 
 
-@router.get("/sensors/{name}/kernel", tags=["sensors"], responses=NO_SENSOR)
-def kernel(sensor: Found) -> forms.KernelForm:
+@router.get(
+    "/sensors/{name}/kernel", tags=["sensors"], response_model=forms.KernelForm, responses=NO_SENSOR | CONSTANT
+)
+def kernel(sensor: Found, request: Request) -> Response:
     """The cover: g(r), its gain G(q), and what they mean for this array."""
-    return answers.kernel(sensor)
+    return constant(request, lambda: _json(answers.kernel(sensor)))
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
@@ -165,7 +172,7 @@ async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None
     """
     form = form or accepted(request, MEDIA)
     _, headers = _newest(sensor, kind, form, top_kpa)
-    if _named(headers["ETag"], request.headers.get("if-none-match", "")):
+    if named(headers["ETag"], request.headers.get("if-none-match", "")):
         return Response(status_code=304, headers=headers)
     answer = partial(_answer, sensor, kind, form, top_kpa)
     if form == "png" or kind == "deviation":
@@ -202,7 +209,5 @@ def _answer(sensor: Sensor, kind: Shown, form: Format, top_kpa: float | None) ->
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 
-def _named(tag: str, header: str) -> bool:
-    """Whether an If-None-Match header names a tag; weak and strong ones are the same there."""
-    named = {each.strip().removeprefix("W/") for each in header.split(",")}
-    return bool(named & {tag.removeprefix("W/"), "*"})
+def _json(form: forms.Form) -> bytes:
+    return form.model_dump_json().encode()

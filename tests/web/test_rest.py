@@ -12,7 +12,7 @@ import pytest
 
 from tactiled.bus.faults import KINDS
 from tactiled.config import Server
-from tactiled.web import common, picture, rates
+from tactiled.web import answers, asyncapi, common, picture, rates
 from tactiled.web.server import running as serving
 from tests.conftest import GAIN, NO_LOAD, pressed, until
 
@@ -267,6 +267,26 @@ def test_the_kernel_and_the_geometry(client):
     geometry = client.get("/sensors/palm/geometry").json()
     assert geometry["positions_mm"][9] == [1.0, 1.0]
     assert geometry["restored"] == {"rows": 8, "columns": 8, "cell_mm": 1.0}
+
+
+LASTING = ("colormap", "sensors/palm/geometry", "sensors/palm/kernel", "openapi.json", "asyncapi.json")
+
+
+@pytest.mark.parametrize("path", LASTING)
+def test_what_stays_the_same_is_made_once(client, path, monkeypatch):
+    plain = client.get(f"/{path}", headers={"Accept-Encoding": "identity"})
+    for made in (picture, "colors"), (answers, "geometry"), (answers, "kernel"), (asyncapi, "models_json_schema"):
+        monkeypatch.setattr(*made, lambda *_, **__: pytest.fail("made twice"))
+    packed = client.get(f"/{path}", headers={"Accept-Encoding": "br, gzip"})
+    assert (plain.headers.get("content-encoding"), packed.headers["content-encoding"]) == (None, "gzip")
+    assert packed.json() == plain.json()
+    assert "Accept-Encoding" in packed.headers["vary"]
+    assert "Accept-Encoding" in plain.headers["vary"]
+    tag = packed.headers["etag"]
+    same = client.get(f"/{path}", headers={"If-None-Match": f'"x", {tag}'})
+    assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)
+    assert client.get(f"/{path}", headers={"If-None-Match": '"x"'}).content == plain.content
+    assert client.head(f"/{path}").headers["etag"] == tag
 
 
 def test_every_error_of_every_resource_is_documented_as_a_problem_and_every_field_has_a_type(client):
