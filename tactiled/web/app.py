@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from fastapi import Depends, FastAPI, Request, Response
-from fastapi.middleware.gzip import GZipMiddleware
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
@@ -30,6 +29,7 @@ from tactiled.web.constant import constant, text
 from tactiled.web.description import complete
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.guard import Guard
+from tactiled.web.gzip import Gzip
 from tactiled.web.head import Head
 from tactiled.web.keys import Keys
 from tactiled.web.ranges import Ranges
@@ -86,9 +86,7 @@ def create(service: Service, server: Server) -> FastAPI:
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(
-        GZipMiddleware, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED)
-    )
+    app.add_middleware(Gzip, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED))
     app.add_middleware(Ranges)
     app.add_middleware(Head)
     bounds = {"rates": Rates(server.control_per_minute), "streams": app.state.streams}

@@ -138,7 +138,7 @@ def _none_of(header: str, media: Mapping[F, str]) -> str:
 def accepted(request: Request, media: Mapping[F, str]) -> F:
     """The format that a request's Accept header likes best; Problem 406 where it likes none."""
     header = request.headers.get("accept", "*/*")
-    likes = [_like(part) for part in header.split(",")]
+    likes = [like(part) for part in header.split(",")]
     named = {liked for _, liked in likes}
     for weight, liked in sorted(likes, key=lambda like: -like[0]):
         for form, name in media.items():
@@ -148,8 +148,8 @@ def accepted(request: Request, media: Mapping[F, str]) -> F:
     raise Problem(406, _none_of(header, media))
 
 
-def _like(part: str) -> tuple[float, str]:
-    """How much a part of an Accept header likes which media type."""
+def like(part: str) -> tuple[float, str]:
+    """How much a part of an Accept or Accept-Encoding header likes which media type or coding."""
     media, *parameters = (each.strip().lower() for each in part.split(";"))
     weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
     return (float(weight) if weight.isascii() and weight.replace(".", "", 1).isdigit() else 0.0), media

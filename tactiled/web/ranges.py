@@ -7,7 +7,7 @@ from tactiled.web import problems
 
 
 class Ranges:
-    """Lets an application answer Range, but for what it refuses in plain text; parts are never packed."""
+    """Lets an application answer Range, but for what it refuses in plain text."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -29,17 +29,13 @@ class Ranges:
             if refused is None:
                 await send(message)
 
-        await self._app(_without(b"accept-encoding", scope), receive, heard)
+        await self._app({**scope}, receive, heard)  # which a mounted folder changes
         if refused is None:
             return
         if status == 400:
-            await self._app(_without(b"range", scope), receive, send)
+            headers = [each for each in scope["headers"] if each[0] != b"range"]
+            await self._app({**scope, "headers": headers}, receive, send)
             return
         there = refused["content-range"]
         detail = f"Range: {asked:.80}: the file has {there.removeprefix('bytes */')} bytes"
         await problems.response(416, detail, {"Content-Range": there})(scope, receive, send)
-
-
-def _without(name: bytes, scope: Scope) -> Scope:
-    """The same request without a header."""
-    return {**scope, "headers": [each for each in scope["headers"] if each[0] != name]}

@@ -114,7 +114,7 @@ class _Run:
         try:
             record(self._tap, self.recorder, self._stop)
         except TactileError as error:
-            self.error = str(error)
+            self.error = _here(str(error), self.recorder.path)
         finally:
             self._tap.close()
             ending = self.error or f"{self.recorder.written} messages"
@@ -152,13 +152,17 @@ class Recordings:
             if any(run.bus == bus and run.running for run in self._runs.values()):
                 raise Problem(409, f"bus {bus}: is being recorded already")
             self._need_ended(path.name)
-            if path.exists() or path.is_symlink():
+            if _is_recording(path):
                 raise Problem(409, f"recording {path.name}: is there already")
+            if path.exists() or path.is_symlink():
+                raise Problem(409, f"recording {path.name}: something else of that name is in the folder")
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._runs[path.name] = _Run(bus, self._buses[bus], path, self._events, self._leave_mb)
-            except (TactileError, OSError) as error:
-                raise Problem(503, str(error)) from error
+            except TactileError as error:
+                raise Problem(503, _here(str(error), path)) from error
+            except OSError as error:
+                raise Problem(503, f"recording {path.name}: {error.strerror}") from error
             self._events.add("recording_started", path.name, bus=bus)
             return self._told(path)
 
@@ -213,6 +217,11 @@ class Recordings:
             messages=run.recorder.written,
             error=run.error,
         )
+
+
+def _here(said: str, path: Path) -> str:
+    """What is said of a file, without where the service keeps it."""
+    return said.replace(str(path), f"recording {path.name}")
 
 
 def _is_recording(path: Path) -> bool:

@@ -109,7 +109,7 @@ def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):
     assert (again.status_code, again.json()["detail"]) == (409, "bus can0: is being recorded already")
     api.post(f"{ROOT}/{name}/stop")
     taken = api.post(ROOT, json={"bus": "can0", "name": name})
-    assert taken.status_code == 409
+    assert (taken.status_code, taken.json()["detail"]) == (409, f"recording {name}: is there already")
     assert api.post(ROOT, json={"bus": "can0"}).status_code == 201
 
 
@@ -156,7 +156,11 @@ def test_a_link_out_of_the_folder_is_no_recording(api, folder):
     assert api.get(ROOT).json() == {"recordings": [], "after": None}
     assert api.get(f"{ROOT}/link.log").status_code == 404
     assert api.delete(f"{ROOT}/link.log").status_code == 404
-    assert api.post(ROOT, json={"bus": "can0", "name": "dangling.log"}).status_code == 409
+    (folder / "folder.log").mkdir()
+    for name in ("link.log", "dangling.log", "folder.log"):
+        refused = api.post(ROOT, json={"bus": "can0", "name": name})
+        says = f"recording {name}: something else of that name is in the folder"
+        assert (refused.status_code, refused.json()["detail"]) == (409, says)
     assert not (folder.parent / "new.log").exists()
 
 
@@ -171,7 +175,8 @@ def test_a_bus_that_is_not_there(api):
 
 def test_a_folder_that_cannot_be_made_is_told(api, folder):
     folder.write_text("a file is in the way")
-    assert api.post(ROOT, json={"bus": "can0"}).status_code == 503
+    refused = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
+    assert (refused.status_code, refused.json()["detail"]) == (503, "recording a.log: File exists")
 
 
 def test_a_full_disk_ends_it_and_says_so(api, bus, monkeypatch):
@@ -216,11 +221,13 @@ def test_a_recording_ends_before_the_disk_is_full_and_says_why(folder, request, 
         room[0] = 499e6
         until(lambda: not only(client)["running"])
         why = "less than 500 MB of its disk are free (recordings_leave_mb)"
-        assert f"{why}: the recording ends early, after 50 messages" in only(client)["error"]
+        assert only(client)["error"].startswith(
+            f"recording a.blf: {why}: the recording ends early, after 50 messages"
+        )
         assert why in next(each.text for each in events.after(0) if each.kind == "recording_ended")
         refused = client.post(ROOT, json={"bus": "can0", "name": "b.blf"})
         assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
-        assert refused.json()["detail"] == f"{folder / 'b.blf'}: {why}"
+        assert refused.json()["detail"] == f"recording b.blf: {why}"
         assert not (folder / "b.blf").exists()
         room[0] = 501e6
         assert client.post(ROOT, json={"bus": "can0", "name": "b.blf"}).status_code == 201
