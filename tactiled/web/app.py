@@ -78,8 +78,8 @@ def create(service: Service, server: Server) -> FastAPI:
     app.include_router(stream.nowhere())  # behind all other streams
 
     @app.get("/api/v1/openapi.json", include_in_schema=False)
-    def openapi(request: Request) -> Response:
-        return constant(request, lambda: text(app.openapi()))
+    async def openapi(request: Request) -> Response:
+        return await constant(request, lambda: text(app.openapi()))
 
     @app.get("/", include_in_schema=False)
     def viewer() -> FileResponse:

@@ -77,7 +77,7 @@ WRONG: Responses = {  # of every resource
 }
 
 
-def _service(request: Request) -> Service:
+async def _service(request: Request) -> Service:
     found: Service = request.app.state.service
     return found
 
@@ -88,7 +88,7 @@ Served = Annotated[Service, Depends(_service)]
 SensorName = Annotated[str, Path(description="a sensor, as in the configuration", examples=["palm"])]
 
 
-def _sensor(name: SensorName, service: Served) -> Sensor:
+async def _sensor(name: SensorName, service: Served) -> Sensor:
     return service.sensor(name)
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from fastapi import Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from tactiled.web.common import Responses, documented, named
 
@@ -42,10 +43,10 @@ def text(value: Any) -> bytes:
     return json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode()
 
 
-def constant(request: Request, make: Callable[[], bytes]) -> Response:
+async def constant(request: Request, make: Callable[[], bytes]) -> Response:
     """Answer a request with the JSON that `make` makes the first time that its path is asked for."""
     made: dict[str, Constant] = request.app.state.constants
     path = request.scope["path"]
     if path not in made:
-        made[path] = Constant(make())
+        made[path] = Constant(await run_in_threadpool(make))
     return made[path].answer(request)

@@ -65,9 +65,9 @@ def health(service: Served) -> forms.Health:
 
 
 @router.get("/colormap", tags=["service"], response_model=forms.Colormap, responses=CONSTANT)
-def colormap(request: Request) -> Response:
+async def colormap(request: Request) -> Response:
     """The colours of the viewer and of PNG images."""
-    return constant(request, lambda: _json(forms.Colormap(name=picture.COLORS, colors=picture.colors())))
+    return await constant(request, lambda: _json(forms.Colormap(name=picture.COLORS, colors=picture.colors())))
 
 
 @router.get("/sensors", tags=["sensors"])
@@ -85,17 +85,17 @@ def sensor_state(sensor: Found) -> forms.SensorState:
 @router.get(
     "/sensors/{name}/geometry", tags=["sensors"], response_model=forms.Geometry, responses=NO_SENSOR | CONSTANT
 )
-def geometry(sensor: Found, request: Request) -> Response:
+async def geometry(sensor: Found, request: Request) -> Response:
     """Where the taxels and the surface cells are, mm."""
-    return constant(request, lambda: _json(answers.geometry(sensor)))
+    return await constant(request, lambda: _json(answers.geometry(sensor)))
 
 
 @router.get(
     "/sensors/{name}/kernel", tags=["sensors"], response_model=forms.KernelForm, responses=NO_SENSOR | CONSTANT
 )
-def kernel(sensor: Found, request: Request) -> Response:
+async def kernel(sensor: Found, request: Request) -> Response:
     """The cover: g(r), its gain G(q), and what they mean for this array."""
-    return constant(request, lambda: _json(answers.kernel(sensor)))
+    return await constant(request, lambda: _json(answers.kernel(sensor)))
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
