@@ -268,8 +268,8 @@ def test_two_sensors_that_want_the_same_messages_are_refused():
 
 
 def test_a_bus_that_cannot_be_opened_leaves_nothing_running():
-    service = Service(parse(CONFIG.format(channel="none").replace('"virtual"', '"nonesuch"')))
+    service = Service(parse(CONFIG.format(channel="none").replace('"virtual"', '"slcan"')))
     threads = threading.active_count()
-    with pytest.raises(BusError, match="bus nonesuch none: python-can has no interface of that name"):
+    with pytest.raises(BusError, match="bus slcan none: "):
         service.start()
     assert threading.active_count() == threads

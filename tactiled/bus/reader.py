@@ -161,12 +161,19 @@ class Reader:
             return
 
 
+def no_interface(name: str) -> str | None:
+    """What is wrong with the name of an interface, and which there are; None where nothing is."""
+    if name in can.VALID_INTERFACES:
+        return None
+    known = ", ".join(sorted(can.VALID_INTERFACES))
+    return f"python-can has no interface of that name: choose one of {known}"
+
+
 def open_bus(interface: str, **settings: Any) -> Reader:
     """Open a bus by python-can's own names; BusError, one line that says what to do, where it cannot be."""
     label = hide(f"{interface} {settings.get('channel', '')}".strip())
-    if interface not in can.VALID_INTERFACES:
-        known = ", ".join(sorted(can.VALID_INTERFACES))
-        raise BusError(f"bus {label}: python-can has no interface of that name: choose one of {known}")
+    if fault := no_interface(interface):
+        raise BusError(f"bus {label}: {fault}")
     try:
         return Reader(can.Bus(interface=interface, **settings), label)
     except Exception as error:  # an interface without its driver raises what it likes, NameError included

@@ -47,10 +47,9 @@ def record_(
     tap = open_tap(**settings)
     try:
         with interrupted() as stop:
+            recorder = Recorder(out, leave_mb=leave_mb)
             console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
-            written = record(
-                tap, Recorder(out, leave_mb=leave_mb), stop, float("inf") if seconds is None else seconds
-            )
+            written = record(tap, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()
     console.print(f"{out}: {written} messages", markup=False)

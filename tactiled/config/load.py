@@ -10,7 +10,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tactiled.bus.codecs import plugins
-from tactiled.config.schema import BUILT_IN, Bus, Config, Section
+from tactiled.bus.reader import no_interface
+from tactiled.config.schema import BUILT_IN, Bus, Config, Layer, Section, Sensor
 from tactiled.errors import ConfigError
 
 _SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())
@@ -49,7 +50,7 @@ def _line(fault: ErrorDetails) -> str:
     """One line: the place, what is wrong there, the value."""
     place = _place(fault["loc"])
     if fault["type"] == "extra_forbidden":
-        return f"{place}: unknown key{_meant(str(fault['loc'][-1]))}"
+        return f"{place}: unknown key{_meant(*fault['loc'])}"
     if fault["type"] == "missing":
         return f"{place}: missing"
     if fault["type"] == "value_error":  # of a whole table, whose values may be secrets
@@ -70,12 +71,26 @@ def _place(loc: Sequence[int | str]) -> str:
     return "".join(tagged).lstrip(".")
 
 
-def _meant(key: str) -> str:
-    """The known key that an unknown one comes nearest to; the same stem with another unit comes first."""
+def _meant(*loc: int | str) -> str:
+    """The known key that an unknown one comes nearest to; the same stem with another unit comes first.
+
+    One that only stands in the wrong table is told with the right ones.
+    """
+    key = str(loc[-1])
+    if key in _KNOWN:
+        has = (each for each in _SECTIONS if each is not Config and key in each.model_fields)
+        right = {_table(each) for each in has} - {*loc[2:-1]}
+        return f": did you mean {' or '.join(f'{table}.{key}' for table in sorted(right))}?" if right else ""
     stem = key.rsplit("_", 1)[0]
     same = [known for known in _KNOWN if known.rsplit("_", 1)[0] in (stem, key)]
     near = same or difflib.get_close_matches(key, _KNOWN, 1)
     return f": did you mean {min(near)}?" if near else ""
+
+
+def _table(section: type[BaseModel]) -> str:
+    """The table of a section, without what stands before it."""
+    name = "cover" if section is Layer else section.__name__.lower()
+    return name if name in Sensor.model_fields or name in Config.model_fields else "codec"
 
 
 def _short(value: Any) -> str:
@@ -87,7 +102,10 @@ FD_IF_TOLD = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interface
 
 
 def _crossed(config: Config) -> Iterator[str]:
-    """Faults between sections."""
+    """Faults between sections, and of what other packages know."""
+    for name, each in config.bus.items():
+        if fault := no_interface(each.interface):
+            yield f"bus.{name}.interface = {_short(each.interface)}: {fault}"
     for name, sensor in config.sensor.items():
         if sensor.bus not in config.bus:
             yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"

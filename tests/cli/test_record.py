@@ -128,9 +128,11 @@ def test_it_ends_before_the_disk_is_full(tmp_path, request, monkeypatch, leaves,
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path, monkeypatch, arguments, error, says):
     monkeypatch.chdir(tmp_path)
-    told = run(*arguments.split()).exception
+    done = run(*arguments.split())
+    told = done.exception
     assert isinstance(told, error)
     assert says in str(told)
+    assert "recording to" not in done.output
     assert "\n" not in str(told)
     assert list(tmp_path.iterdir()) == []
 

@@ -30,6 +30,14 @@ def test_the_example_is_valid():
         ("refine = 1 ", "refine = 0 ", "sensor.palm.refine = 0: "),
         ("port = 8000", 'xela_host = "::"', "server: xela_host = '::' without xela: give the port, too"),
         ("port = 8000", "xela = 70000", "server.xela = 70000: "),
+        ("accuracy = ", "no_load = 1\naccuracy = ",
+         "sensor.palm.kernel.no_load: unknown key: did you mean calibration.no_load?"),
+        ("port = 8000", "rows = 8", "server.rows: unknown key: did you mean array.rows or codec.rows?"),
+        ("port = 8000", "thickness_mm = 8", "server.thickness_mm: unknown key: did you mean cover.thickness_mm?"),
+        ("accuracy = ", 'method = "auto"\naccuracy = ',
+         "sensor.palm.kernel.method: unknown key: did you mean sensor.method?"),
+        ('"socketcan"', '"soketcan"',
+         "bus.can0.interface = 'soketcan': python-can has no interface of that name: choose one of canalystii, "),
     ],
 )  # fmt: skip
 def test_a_fault_is_named_with_its_place_and_its_value(old, new, line):
