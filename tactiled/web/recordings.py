@@ -114,7 +114,7 @@ class _Run:
         try:
             record(self._tap, self.recorder, self._stop)
         except TactileError as error:
-            self.error = _here(str(error), self.recorder.path)
+            self.error = str(error).replace(f"{self.recorder.path}: ", "")  # whose name is told beside it
         finally:
             self._tap.close()
             ending = self.error or f"{self.recorder.written} messages"
@@ -160,7 +160,7 @@ class Recordings:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._runs[path.name] = _Run(bus, self._buses[bus], path, self._events, self._leave_mb)
             except TactileError as error:
-                raise Problem(503, _here(str(error), path)) from error
+                raise Problem(503, str(error).replace(str(path), f"recording {path.name}")) from error
             except OSError as error:
                 raise Problem(503, f"recording {path.name}: {error.strerror}") from error
             self._events.add("recording_started", path.name, bus=bus)
@@ -217,11 +217,6 @@ class Recordings:
             messages=run.recorder.written,
             error=run.error,
         )
-
-
-def _here(said: str, path: Path) -> str:
-    """What is said of a file, without where the service keeps it."""
-    return said.replace(str(path), f"recording {path.name}")
 
 
 def _is_recording(path: Path) -> bool:
