@@ -57,6 +57,18 @@ def test_what_is_typed_into_a_field_is_no_shortcut(page):
     assert not page.evaluate(PAUSED)
 
 
+def test_escape_leaves_the_list_of_methods_and_the_next_letter_chooses_none(rig, page):
+    page.keyboard.press("m")
+    wait(page, "document.activeElement.id === 'method'")
+    page.keyboard.press("Escape")
+    wait(page, "document.activeElement === document.body")
+    with page.expect_download():
+        page.keyboard.press("s")
+    page.keyboard.press("r")
+    turned(page)
+    assert rig.sensor.method == "wiener"
+
+
 @pytest.mark.parametrize("how", ["key", "button"])
 def test_forward_of_the_newest_frame_does_not_pause(page, how):
     def forward():

@@ -18,9 +18,12 @@ export function keys(actions, on) {
   on.addEventListener("change", () => keep(KEY, on.checked ? "on" : "off"));
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || document.querySelector("dialog[open]")) return;
-    const target = event.target instanceof Element ? event.target : null;
+    const target = event.target instanceof HTMLElement ? event.target : null;
     if (event.key.length === 1 && !on.checked) return;
-    if (target?.closest(TYPED_IN) && event.key !== "Escape") return;
+    if (target?.closest(TYPED_IN)) {
+      if (event.key === "Escape") target.blur(); // or the next letter would choose in a list of methods
+      return;
+    }
     if (event.key === " " && target?.closest("button, [type=checkbox], a")) return;
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action) return;
