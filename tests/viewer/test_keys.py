@@ -91,6 +91,7 @@ def test_keys_of_one_character_can_be_switched_off_and_stay_so(page):
     page.get_by_label("Keyboard shortcuts on").focus()
     page.keyboard.press("Space")
     page.keyboard.press("Escape")
+    wait(page, "document.activeElement === document.body")  # until then keys are the dialog's
     for key in ("d", "?", "Space"):
         page.keyboard.press(key)
     turned(page)
@@ -107,6 +108,7 @@ def test_keys_of_one_character_can_be_switched_off_and_stay_so(page):
     page.get_by_role("button", name="Keyboard and marks").click()
     page.get_by_label("Keyboard shortcuts on").check()
     page.keyboard.press("Escape")
+    wait(page, "!document.activeElement.closest('dialog')")
     page.keyboard.press("d")
     wait(page, f"{THEME} === 'light'")
 
