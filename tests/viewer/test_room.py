@@ -108,16 +108,6 @@ def test_what_the_probe_reads_is_not_cut_off(rig, url, open_page):
         assert page.evaluate(WHOLE)
 
 
-def test_a_range_that_is_none_is_named_and_changes_nothing(rig, url, open_page):
-    rig.show(pressed())
-    page = open_page(url)
-    page.get_by_label("to", exact=True).fill("50")
-    page.get_by_label("from", exact=True).fill("80")
-    page.get_by_label("from", exact=True).press("Enter")
-    page.get_by_text("From 80 to 50 kPa is no range: the range stays.").wait_for()
-    assert "0 to 50 kPa" in page.locator("#colorbar").get_attribute("aria-label")
-
-
 @pytest.mark.parametrize("width", [900, 1280, 1440, 1600])
 def test_what_the_probe_reads_of_shear_is_not_cut_off(request, open_page, width):
     with rigged(request.node.name) as rig, running(rig.service) as url:

@@ -81,19 +81,23 @@ function range(viewer, rooms) {
   const high = /** @type {HTMLInputElement} */ (byId("range-high"));
   byId("range").addEventListener("submit", (event) => event.preventDefault());
   auto.addEventListener("change", () => setAuto(auto.checked, viewer, rooms));
-  for (const input of [low, high]) {
-    input.addEventListener("input", () => {
-      const fine = viewer.scale.fix(low.valueAsNumber, high.valueAsNumber);
-      for (const each of [low, high]) each.setAttribute("aria-invalid", String(!fine));
-      if (fine) auto.checked = false;
-      viewer.refresh();
-    });
-    input.addEventListener("change", () => {
-      if (input.getAttribute("aria-invalid") === "true") {
-        notice(`From ${low.value || "nothing"} to ${high.value || "nothing"} kPa is no range: the range stays.`, true);
-      }
-    });
-  }
+  low.addEventListener("change", () => fix(low.valueAsNumber, viewer.scale.high, viewer, rooms));
+  high.addEventListener("change", () => fix(viewer.scale.low, high.valueAsNumber, viewer, rooms));
+}
+
+/**
+ * Fix the range, or say why that is none.
+ * @param {number} low kPa; NaN where no number stands there
+ * @param {number} high
+ * @param {Viewer} viewer
+ * @param {Rooms} rooms
+ */
+function fix(low, high, viewer, rooms) {
+  const why = viewer.scale.fix(low, high);
+  const [from, to] = [low, high].map((each) => (Number.isNaN(each) ? "nothing" : String(each)));
+  if (why) notice(`From ${from} to ${to} kPa is no range, ${why}: the range stays.`, true);
+  rooms.screen.range(viewer.scale, true);
+  viewer.refresh();
 }
 
 /**

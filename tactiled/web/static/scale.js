@@ -8,6 +8,7 @@ const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
 const TIGHT = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
 const LEAST_KPA = 1;
+const NARROWEST = 1e-6; // of its larger end, what a range spans at least: ticks and colours are told apart
 
 /**
  * @param {number} value above 0
@@ -68,14 +69,15 @@ export class Scale {
    * Fix the range.
    * @param {number} low kPa
    * @param {number} high kPa
-   * @returns {boolean} false, with nothing changed, where that is no range
+   * @returns {string} why that is no range, with nothing changed; "" where it is one
    */
   fix(low, high) {
-    if (!Number.isFinite(low) || !Number.isFinite(high) || high <= low) return false;
+    const why = fault(low, high);
+    if (why) return why;
     this.auto = false;
     this.low = low;
     this.high = high;
-    return true;
+    return "";
   }
 
   /** Follow the data again. */
@@ -89,15 +91,30 @@ export class Scale {
 /**
  * @param {number} low
  * @param {number} high
+ * @returns {string} why that is no range; "" where it is one
+ */
+function fault(low, high) {
+  if (!Number.isFinite(low) || !Number.isFinite(high)) return "a number is missing";
+  if (high <= low) return "its end is not above its start";
+  if (!Number.isFinite(high - low)) return "it is too wide";
+  return high - low < NARROWEST * Math.max(Math.abs(low), Math.abs(high)) ? "it is too narrow" : "";
+}
+
+/**
+ * @param {number} low
+ * @param {number} high
  * @param {number} most how many at most, about
  * @returns {number[]} round numbers in the range, evenly spaced
  */
 export function ticks(low, high, most) {
-  const rough = (high - low) / Math.max(1, most);
+  const parts = Math.max(1, most);
+  const rough = (high - low) / parts;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 2.5, 5, 10].map((each) => each * power).find((each) => each >= rough * (1 - 1e-9)) ?? 10 * power;
+  const first = Math.ceil(low / step - 1e-9);
+  const count = Math.min(parts + 1, Math.floor(high / step + 1e-9) - first + 1);
   const out = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i += 1) out.push(i === 0 ? 0 : i * step);
+  for (let i = 0; i < count; i += 1) out.push((first + i) * step || 0); // never -0
   return out;
 }
 

@@ -135,11 +135,14 @@ export class Screen {
     say(byId("told"), read || "Probe released.");
   }
 
-  /** @param {import("./scale.js").Scale} scale */
-  range(scale) {
+  /**
+   * @param {import("./scale.js").Scale} scale
+   * @param {boolean} [typed] what somebody typed into its fields was taken or refused: they show the range too
+   */
+  range(scale, typed = false) {
     this._autoRange.checked = scale.auto;
-    showNumber(this._low, scale.low);
-    showNumber(this._high, scale.high);
+    showNumber(this._low, scale.low, typed);
+    showNumber(this._high, scale.high, typed);
   }
 
   /**
@@ -197,10 +200,10 @@ function reading(plane, frame, x, y) {
  * Show a number in a field, unless somebody is typing there.
  * @param {HTMLInputElement} input
  * @param {number} value
+ * @param {boolean} typed it is shown even so
  */
-function showNumber(input, value) {
-  if (document.activeElement === input) return;
+function showNumber(input, value, typed) {
+  if (!typed && document.activeElement === input) return;
   const text = String(+value.toPrecision(4));
   if (input.value !== text) input.value = text;
-  input.removeAttribute("aria-invalid");
 }
