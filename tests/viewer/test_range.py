@@ -6,6 +6,10 @@ from tests.conftest import pressed
 from tests.viewer.conftest import turned
 
 TICKS = """async ([low, high, most]) => (await import("/static/scale.js")).ticks(low, high, most)"""
+CUT = """(() => {
+  const field = document.getElementById("range-high");
+  return field.scrollWidth - field.clientWidth;
+})()"""
 
 
 @pytest.fixture
@@ -85,3 +89,16 @@ def test_ticks_are_never_more_than_asked_for(page, span):
 )
 def test_ticks_are_round_and_in_the_range(page, span, expected):
     assert page.evaluate(TICKS, [*span, 5]) == expected
+
+
+@pytest.mark.parametrize("text", ["123.45", "1234567", "50.00000125"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_field_shows_the_whole_number_that_was_given(page, text, width):
+    page.set_viewport_size({"width": width, "height": 860})
+    enter(page, "to", text)
+    turned(page)
+    page.locator("#maps").focus()
+    page.wait_for_timeout(300)  # the words come again by time
+    assert fields(page) == ["0", text]
+    assert page.evaluate(CUT) == 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= width

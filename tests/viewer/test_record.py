@@ -65,6 +65,19 @@ def test_what_was_recorded_from_the_page_is_what_was_sent_and_replays_as_it_was(
     assert painted(page) >= 3
 
 
+@pytest.mark.parametrize(
+    ("size", "told"), [(0, "0 B"), (999, "999 B"), (1500, "1.50 kB"), (12_340_000, "12.3 MB")]
+)
+def test_a_recording_s_size_is_told_in_whole_bytes_or_three_digits(recording, rig, open_page, size, told):
+    url, folder = recording
+    with (folder / "a.log").open("wb") as file:
+        file.truncate(size)
+    rig.show(pressed())
+    page = open_page(url)
+    page.locator("#recordings .sub", has_text="B").wait_for()
+    assert page.locator("#recordings .sub").inner_text() == told
+
+
 def test_what_is_recorded_can_be_ended_however_many_there_are(recording, rig, open_page):
     url, folder = recording
     for number in range(1001):

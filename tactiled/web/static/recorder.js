@@ -184,6 +184,7 @@ function about(recording) {
  * @returns {string}
  */
 function sized(bytes) {
-  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(Math.max(1, bytes)) / 3));
+  if (bytes < 1000) return `${bytes} B`;
+  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(bytes) / 3));
   return `${number(bytes / 1000 ** power)} ${UNITS[power]}`;
 }

@@ -204,6 +204,6 @@ function reading(plane, frame, x, y) {
  */
 function showNumber(input, value, typed) {
   if (!typed && document.activeElement === input) return;
-  const text = String(+value.toPrecision(4));
+  const text = String(+value.toPrecision(12));
   if (input.value !== text) input.value = text;
 }
