@@ -3,7 +3,7 @@
  * @module
  */
 
-import { fixed, say } from "./paint.js";
+import { fixed, newtons, say } from "./paint.js";
 
 /** @typedef {import("./contacts.js").Contact} Contact */
 
@@ -63,7 +63,7 @@ function row() {
  */
 function fill(cells, contact) {
   say(cells[0], String(contact.id));
-  say(cells[1], fixed(contact.force_n, 2));
+  say(cells[1], newtons(contact.force_n));
   say(cells[2], fixed(contact.peak_kpa, 0));
   say(cells[3], fixed(contact.area_mm2, 0));
   say(cells[4], fixed(contact.x_mm, 1));

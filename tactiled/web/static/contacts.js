@@ -4,7 +4,7 @@
  */
 
 import { Told } from "./nearest.js";
-import { fixed } from "./paint.js";
+import { newtons } from "./paint.js";
 
 /**
  * One contact as the service tells it, with what is written beside it.
@@ -44,7 +44,7 @@ export class Contacts extends Told {
    * @param {Found} found
    */
   push(found) {
-    for (const each of found.contacts) each.label = `${each.id}: ${fixed(each.force_n, 2)} N`;
+    for (const each of found.contacts) each.label = `${each.id}: ${newtons(each.force_n)} N`;
     super.push(found);
   }
 }

@@ -104,3 +104,12 @@ export function fixed(value, decimals) {
   const text = value.toFixed(decimals);
   return Number(text) === 0 ? (0).toFixed(decimals) : text.replace("-", "\u2212");
 }
+
+/**
+ * @param {number} force N
+ * @returns {string} with two decimals from 0.1 N on, with three significant digits below; without its unit
+ */
+export function newtons(force) {
+  const size = Math.abs(force);
+  return size < 0.09995 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : fixed(force, 2);
+}

@@ -4,7 +4,7 @@
  */
 
 import { measures } from "./measures.js";
-import { byId, fixed, number, say } from "./paint.js";
+import { byId, fixed, newtons, number, say } from "./paint.js";
 import { Warnings } from "./warnings.js";
 
 /** @typedef {import("./history.js").Frame} Frame */
@@ -182,7 +182,7 @@ const measured = (kind) =>
  * @param {import("./measures.js").Measures} of an image
  */
 function tell(at, of) {
-  say(at.force, fixed(of.force, 2));
+  say(at.force, newtons(of.force));
   say(at.peak, fixed(of.peak, 1));
   say(at.x, fixed(of.x, 1));
   say(at.y, fixed(of.y, 1));

@@ -3,7 +3,7 @@
  * @module
  */
 
-import { fixed, inks, number, pen } from "./paint.js";
+import { fixed, inks, newtons, number, pen } from "./paint.js";
 import { tickText, ticks } from "./scale.js";
 
 /** @typedef {import("./plane.js").Cells} Cells */
@@ -158,7 +158,7 @@ class Sheet {
     draw.imageSmoothingEnabled = true;
     for (const each of marks) draw.drawImage(each, x, HEAD, w, h);
     const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
-    this.write(`force ${number(of.force)} N   peak ${number(of.peak)} kPa   ${centre}`, x, HEAD + h + 28);
+    this.write(`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa   ${centre}`, x, HEAD + h + 28);
   }
 
   /**

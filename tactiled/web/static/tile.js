@@ -8,7 +8,7 @@ import { judge } from "./health.js";
 import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
 import { words } from "./notice.js";
-import { fixed, say } from "./paint.js";
+import { fixed, newtons, say } from "./paint.js";
 import { Plane } from "./plane.js";
 import { Present } from "./present.js";
 import { Arrows } from "./shear.js";
@@ -234,7 +234,7 @@ export class Tile {
     this._warn(live ? this._warnings : []);
     say(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
     if (!this._plane || (live && this._present.held)) return;
-    say(this._force, live ? `${fixed(this._imageAt ? this._of.force : NaN, 2)} N` : health.text);
+    say(this._force, live ? `${newtons(this._imageAt ? this._of.force : NaN)} N` : health.text);
   }
 
   /** @param {string[]} warnings that hold of what is shown */
