@@ -52,7 +52,7 @@ def test_a_fixed_range_holds_whatever_comes(rig, url, open_page):
 
 STAND = """setTimeout(() => {
   const question = new XMLHttpRequest();
-  question.open("GET", "/api/v1/sensors/palm/geometry", false);
+  question.open("GET", "/api/v1/sensors/palm/calibration", false);
   question.send();
 }, 0)"""
 
@@ -65,14 +65,14 @@ def test_a_tab_that_stood_still_goes_on_with_the_newest_frame(rig, url, open_pag
     session.send("Network.enable")
     session.on("Network.webSocketFrameReceived", lambda seen: frames.append(seen["response"]["opcode"]))
     show(rig, page, pressed(1))
-    geometry, standing, go_on = answers.geometry, threading.Event(), threading.Event()
+    calibration, standing, go_on = answers.calibration, threading.Event(), threading.Event()
 
     def in_the_end(sensor):
         standing.set()
         assert go_on.wait(BUSY_S)
-        return geometry(sensor)
+        return calibration(sensor)
 
-    monkeypatch.setattr(answers, "geometry", in_the_end)
+    monkeypatch.setattr(answers, "calibration", in_the_end)
     page.evaluate(STAND)
     assert standing.wait(BUSY_S)
     before = len([code for code in frames if code == 2])
