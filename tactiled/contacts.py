@@ -234,6 +234,8 @@ class Tracker:
         if gone <= LOST_S:
             swift = (away <= APART + SWIFT * gone) & clear[:, None]
             lone = swift & (swift.sum(axis=0) == 1) & (swift.sum(axis=1, keepdims=True) == 1)
+            lone[list(linked)] = False
+            lone[:, list(linked.values())] = False
             seen = np.array([each.age <= gone for each in self._tracks])
             linked |= {int(row): int(column) for row, column in np.argwhere(lone & seen)}
         return {row: self._tracks[column] for row, column in linked.items()}

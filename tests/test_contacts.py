@@ -197,6 +197,13 @@ def test_a_swift_contact_keeps_its_id_and_so_do_two_that_pass_each_other(every_s
         assert look(at(2 + 25 * time, 5.0), at(27 - 25 * time, 9.0)) == [1, 2]
 
 
+def test_a_newcomer_takes_no_id_from_one_that_has_become_faint():
+    look = Looks()
+    assert look(at(0, 0)) == [1]
+    assert look(at(6, 0), at(0.1, 0, kpa=3.0)) == [2, 1]
+    assert look(at(6, 0), at(0.1, 0, kpa=3.0)) == [2, 1]
+
+
 def test_no_link_is_made_over_a_way_too_long_and_none_is_lost_for_one_that_is():
     look = Looks()
     assert look(at(10, 5), at(15, 5)) == [1, 2]

@@ -16,8 +16,7 @@ MOST_LATE = 1 << 20  # bytes that it may go on sending meanwhile
 def tls_loop() -> asyncio.AbstractEventLoop:
     """The event loop that uvicorn itself takes, but one that waits no longer for a handshake than for a head."""
     loop = auto_loop_factory()()
-    bounds = {"ssl_handshake_timeout": HEAD_S, "ssl_shutdown_timeout": GRACE_S}
-    loop.create_server = partial(loop.create_server, **bounds)  # type: ignore[method-assign]
+    loop.create_server = partial(loop.create_server, ssl_handshake_timeout=HEAD_S)  # type: ignore[method-assign]
     return loop
 
 
@@ -53,6 +52,13 @@ class PatientHttp(HttpToolsProtocol):
             self._head += len(data)
             if self._head > MOST_HEAD:
                 self.transport.abort()
+        elif self._late is None and self._idle():  # blank lines, which are no request yet
+            self._wait()
+
+    def _idle(self) -> bool:
+        """Whether no request is under way: bytes end uvicorn's own wait for the next."""
+        answered = self.cycle is None or self.cycle.response_complete
+        return answered and self.transport.get_protocol() is self and not self.transport.is_closing()
 
     def on_message_begin(self) -> None:
         """Wait for the head of one request more."""

@@ -20,6 +20,7 @@ STATUS_S = 1.0  # a client hears of the sensor's state at least this often, at t
 CONTACTS_S = 0.05  # between two messages on contacts
 CHANGE_S = 0.1  # and of a change no more often than this
 LATE_S = 0.02  # that an image may come too late and make no other late: more would let two go at once
+LONGEST_S = 60.0  # of an alarm, which outlives a client that leaves
 EARLY_S = 1e-3  # that an alarm may come too soon: uvloop's clock and its timers count whole milliseconds
 AHEAD = 2  # images of each kind that a client may have asked for and not been sent
 
@@ -96,9 +97,9 @@ class _Gate:
         """Whether it is too early; if so, `wake` is set when it no longer is."""
         if now >= self.due - EARLY_S:
             return False
-        if self._alarm < self.due:
-            self._alarm = self.due
-            asyncio.get_running_loop().call_at(self.due, wake.set)
+        if self._alarm < min(self.due, now + LONGEST_S):
+            self._alarm = min(self.due, now + LONGEST_S)
+            asyncio.get_running_loop().call_at(self._alarm, wake.set)
         return True
 
 

@@ -31,6 +31,7 @@ def talk():
         made = PatientHttp(uvicorn.Config(app), ServerState(), {})
         end = Mock(asyncio.Transport)
         end.get_extra_info.return_value = None
+        end.get_protocol.return_value, end.is_closing.return_value = made, False
         made.connection_made(end)
         for piece in pieces:
             made.data_received(piece)
@@ -57,6 +58,19 @@ def test_a_head_without_end_is_cut_off_whatever_came_before(talk, before):
     piece = b"X: " + b"x" * 8000 + b"\r\n"
     assert talk(before + HEAD, *[piece] * 8) == (talk(before)[0], False)
     assert talk(before + HEAD, *[piece] * 9) == (talk(before)[0], True)
+
+
+def test_blank_lines_are_a_head_that_never_comes(talk, url, monkeypatch):
+    piece = b"\r\n" * 4000
+    for before in (b"", HEAD + b"\r\n"):
+        assert not talk(before, *[piece] * 8)[1]
+        assert talk(before, *[piece] * 10)[1]
+    monkeypatch.setattr(patience, "HEAD_S", 0.5)
+    with plug(url) as end:
+        end.sendall(f"GET /api/v1/health HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
+        assert end.recv(1 << 16)
+        end.sendall(b"\r\n")
+        assert not end.recv(1 << 16)
 
 
 def test_a_head_is_not_late_while_the_service_itself_reads_nothing(rig, monkeypatch):
