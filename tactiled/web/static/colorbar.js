@@ -4,7 +4,7 @@
  */
 
 import { fit, inks, pen } from "./paint.js";
-import { tickText, ticks } from "./scale.js";
+import { endsAndTicks, tickText } from "./scale.js";
 
 /** @typedef {import("./heatmap.js").Palette} Palette */
 /** @typedef {import("./scale.js").Scale} Scale */
@@ -79,7 +79,7 @@ export class Colorbar {
     draw.lineWidth = 1;
     draw.textAlign = standing ? "left" : "center";
     draw.textBaseline = standing ? "middle" : "top";
-    for (const value of ticks(low, high, length / (standing ? 44 : 52))) {
+    for (const value of endsAndTicks(low, high, length / (standing ? 44 : 52))) {
       const at = ((value - low) / (high - low)) * length;
       const text = tickText(value, high - low);
       draw.beginPath();

@@ -144,7 +144,9 @@ function save(kind, viewer, rooms) {
   else {
     const { found } = viewer;
     const away = found?.contacts.length ? apart(found, session.frame) : "";
-    const state = (session.paused ? "paused" : rooms.screen.level) + (away && `, contacts of ${away}`);
+    const { level } = rooms.screen;
+    const still = level === "live" ? "paused" : `paused, ${level}`;
+    const state = (session.paused ? still : level) + (away && `, contacts of ${away}`);
     savePng(session, session.frame, viewer.maps, viewer.scale, palette, state, viewer.shear && session.frame.sheared);
   }
 }

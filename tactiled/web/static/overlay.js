@@ -145,22 +145,33 @@ export class Overlay {
   }
 
   /**
-   * Write a contact's number and force above it, below it, or beside it: where there is room first.
+   * Write a contact's number and force above it, below it, beside it or on it: where there is room first; else its
+   * number alone.
    * @param {Contact} contact
    * @param {Plane} plane
    */
   _label(contact, plane) {
     const half = Math.round(this._pen.measureText(contact.label).width / 2 + 3 * this._ratio);
     const rise = Math.round((TEXT / 2 + 2) * this._ratio);
-    const reach = Math.round(Math.max(LEAST * this._ratio, OUTLINE * contact.major_mm * this._px));
+    const least = LEAST * this._ratio;
+    const long = OUTLINE * contact.major_mm * this._px;
+    const short = OUTLINE * contact.minor_mm * this._px;
+    const cos = Math.cos(contact.angle_rad);
+    const sin = Math.sin(contact.angle_rad);
+    const wide = Math.round(Math.max(least, Math.hypot(long * cos, short * sin)));
+    const tall = Math.round(Math.max(least, Math.hypot(long * sin, short * cos)));
     const x = Math.round((contact.x_mm - plane.left) * this._px);
     const y = Math.round((contact.y_mm - plane.top) * this._px);
-    const low = y + reach + rise;
-    const high = y - reach - rise;
     const within = Math.max(half, Math.min(this.canvas.width - half, x));
-    if (this._place(contact.label, within, high, half, rise) || this._place(contact.label, within, low, half, rise)
-      || this._place(contact.label, x + reach + half, y, half, rise)) return;
-    this._place(contact.label, x - reach - half, y, half, rise);
+    const { label } = contact;
+    if (this._place(label, within, y - tall - rise, half, rise) || this._place(label, within, y + tall + rise, half, rise)
+      || this._place(label, x + wide + half, y, half, rise) || this._place(label, x - wide - half, y, half, rise)
+      || this._place(label, within, Math.max(rise, y - tall + rise), half, rise)) return;
+    const number = label.slice(0, label.indexOf(":"));
+    const narrow = Math.round(this._pen.measureText(number).width / 2 + this._ratio);
+    const inside = Math.max(narrow, Math.min(this.canvas.width - narrow, x));
+    if (this._place(number, inside, y - tall - rise, narrow, rise)) return;
+    this._place(number, inside, Math.max(rise, y - 2 * rise), narrow, rise);
   }
 
   /**

@@ -4,7 +4,7 @@
  */
 
 import { fixed, inks, newtons, number, pen } from "./paint.js";
-import { tickText, ticks } from "./scale.js";
+import { endsAndTicks, tickText } from "./scale.js";
 
 /** @typedef {import("./plane.js").Cells} Cells */
 /** @typedef {import("./history.js").Frame} Frame */
@@ -15,9 +15,12 @@ import { tickText, ticks } from "./scale.js";
 
 const MAP = 640; // px, a map's longer side
 const EDGE = 32;
-const HEAD = 84;
-const FOOT = 84;
+const HEAD = 108;
+const FOOT = 108;
 const LEGEND = 96;
+const LEAST = 220; // px, that the legend is tall at least
+const APART = 44; // px between two of its ticks
+const [LARGE, SMALL] = [19, 15]; // px, of letters
 const NONE = new Float32Array(0);
 
 /**
@@ -99,27 +102,57 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state, she
   const zoom = MAP / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
-  const canvas = document.createElement("canvas");
-  canvas.width = 3 * EDGE + 2 * w + LEGEND;
-  canvas.height = HEAD + h + FOOT;
-  const sheet = new Sheet(canvas);
-  sheet.write(`${name}, frame ${frame.sequence}`, EDGE, 32, 19);
-  sheet.write(`${moment(frame.timestamp)}, ${state}`, EDGE + 320, 32, 15, sheet.ink.muted);
-  const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
-  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, raw, plane.isGrid, frame.ofRaw);
-  sheet.map("Restored", w + 2 * EDGE, w, h, maps.restored.canvas, restored, plane.isGrid, frame.ofRestored);
-  if (shear) sheet.arrow(maps.arrows, w + 2 * EDGE, HEAD + h + 56, w);
+  const title = `${name}, frame ${frame.sequence}`;
+  const when = `${moment(frame.timestamp)}, ${state}`;
   const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
-  sheet.write(size, EDGE, HEAD + h + 56, 15, sheet.ink.muted);
-  sheet.legend(2 * w + 3 * EDGE, h, scale, palette);
+  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(told);
+  const column = Math.max(w, widest([...ofRaw, ...ofRestored], SMALL));
+  const tall = Math.max(h, LEAST);
+  const canvas = document.createElement("canvas");
+  const text = Math.max(widest([title], LARGE), widest([when, size], SMALL));
+  canvas.width = 2 * EDGE + Math.max(EDGE + 2 * column + LEGEND, text);
+  canvas.height = HEAD + tall + FOOT;
+  const sheet = new Sheet(canvas, tall);
+  sheet.write(title, EDGE, 32, LARGE);
+  sheet.write(when, EDGE, 58, SMALL, sheet.ink.muted);
+  const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
+  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, raw, plane.isGrid, ofRaw);
+  sheet.map("Restored", column + 2 * EDGE, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
+  if (shear) sheet.arrow(maps.arrows, column + 2 * EDGE, HEAD + tall + 84, w);
+  sheet.write(size, EDGE, HEAD + tall + 84, SMALL, sheet.ink.muted);
+  sheet.legend(2 * column + 3 * EDGE, scale, palette);
   canvas.toBlob((blob) => blob && download(`${stem(name, frame)}.png`, blob), "image/png");
+}
+
+/**
+ * @param {import("./measures.js").Measures} of an image
+ * @returns {string[]} what stands below its map, line by line
+ */
+function told(of) {
+  const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
+  return [`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa`, centre];
+}
+
+/**
+ * @param {string[]} texts
+ * @param {number} size px, of their letters
+ * @returns {number} px, of the widest
+ */
+function widest(texts, size) {
+  const draw = pen(document.createElement("canvas"));
+  draw.font = `${size}px ${inks().font}`;
+  return Math.ceil(Math.max(...texts.map((each) => draw.measureText(each).width)));
 }
 
 /** The picture while it is made. */
 class Sheet {
-  /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas) {
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {number} tall px between head and foot
+   */
+  constructor(canvas, tall) {
     this.ink = inks();
+    this._tall = tall;
     this._pen = pen(canvas);
     this._pen.fillStyle = this.ink.panel;
     this._pen.fillRect(0, 0, canvas.width, canvas.height);
@@ -132,7 +165,7 @@ class Sheet {
    * @param {number} size px
    * @param {string} color
    */
-  write(text, x, y, size = 15, color = this.ink.text) {
+  write(text, x, y, size = SMALL, color = this.ink.text) {
     this._pen.font = `${size}px ${this.ink.font}`;
     this._pen.fillStyle = color;
     this._pen.fillText(text, x, y);
@@ -146,9 +179,9 @@ class Sheet {
    * @param {HTMLCanvasElement} cells
    * @param {HTMLCanvasElement[]} marks
    * @param {boolean} grid
-   * @param {import("./measures.js").Measures} of
+   * @param {string[]} below lines
    */
-  map(title, x, w, h, cells, marks, grid, of) {
+  map(title, x, w, h, cells, marks, grid, below) {
     const draw = this._pen;
     this.write(title, x, HEAD - 14, 16);
     draw.fillStyle = grid ? "#8d949c" : "#333c46";
@@ -157,8 +190,7 @@ class Sheet {
     draw.drawImage(cells, x, HEAD, w, h);
     draw.imageSmoothingEnabled = true;
     for (const each of marks) draw.drawImage(each, x, HEAD, w, h);
-    const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
-    this.write(`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa   ${centre}`, x, HEAD + h + 28);
+    below.forEach((each, at) => this.write(each, x, HEAD + h + 28 + 24 * at));
   }
 
   /**
@@ -176,18 +208,18 @@ class Sheet {
 
   /**
    * @param {number} x
-   * @param {number} h
    * @param {Scale} scale
    * @param {Palette} palette
    */
-  legend(x, h, scale, palette) {
+  legend(x, scale, palette) {
+    const h = this._tall;
     this.write("kPa", x, HEAD - 14);
     for (let i = 0; i < 256; i += 1) {
       this._pen.fillStyle = palette.css[i];
       this._pen.fillRect(x, HEAD + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
     }
     const span = scale.high - scale.low;
-    for (const value of ticks(scale.low, scale.high, 8)) {
+    for (const value of endsAndTicks(scale.low, scale.high, h / APART)) {
       this.write(tickText(value, span), x + 28, HEAD + h * (1 - (value - scale.low) / span) + 5);
     }
   }

@@ -119,11 +119,33 @@ export function ticks(low, high, most) {
 }
 
 /**
+ * @param {number} low
+ * @param {number} high
+ * @param {number} most how many at most, about
+ * @returns {number[]} both ends of the range, and between them its ticks, but for those too near to an end
+ */
+export function endsAndTicks(low, high, most) {
+  const near = (0.6 * (high - low)) / Math.max(1, most);
+  return [low, ...ticks(low, high, most).filter((each) => each - low > near && high - each > near), high];
+}
+
+/**
+ * @param {number} value other than 0
+ * @param {number} span
+ * @returns {string} with a power of ten, as 1.5e6
+ */
+function powered(value, span) {
+  const digits = Math.max(2, Math.min(8, 2 + Math.ceil(Math.log10(Math.abs(value) / span))));
+  return value.toExponential(digits).replace(/\.?0*e\+?/, "e").replaceAll("-", "\u2212");
+}
+
+/**
  * @param {number} value
  * @param {number} span of the range it stands in, which sets its decimals
  * @returns {string}
  */
 export function tickText(value, span) {
+  if (value && (span < 1e-3 || Math.abs(value) >= 1e5)) return powered(value, span);
   const decimals = Math.max(0, Math.min(4, 2 - Math.floor(Math.log10(span))));
   return String(Number(value.toFixed(decimals))).replace("-", "\u2212");
 }
