@@ -17,6 +17,7 @@ const MAP = 640; // px, a map's longer side
 const EDGE = 32;
 const HEAD = 108;
 const FOOT = 108;
+const KEY = 28; // more where shear has its key
 const LEGEND = 96;
 const LEAST = 220; // px, that the legend is tall at least
 const APART = 44; // px between two of its ticks
@@ -111,14 +112,14 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state, she
   const canvas = document.createElement("canvas");
   const text = Math.max(widest([title], LARGE), widest([when, size], SMALL));
   canvas.width = 2 * EDGE + Math.max(EDGE + 2 * column + LEGEND, text);
-  canvas.height = HEAD + tall + FOOT;
+  canvas.height = HEAD + tall + FOOT + (shear ? KEY : 0);
   const sheet = new Sheet(canvas, tall);
   sheet.write(title, EDGE, 32, LARGE);
   sheet.write(when, EDGE, 58, SMALL, sheet.ink.muted);
   const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
   sheet.map("Raw", EDGE, w, h, maps.raw.canvas, raw, plane.isGrid, ofRaw);
   sheet.map("Restored", column + 2 * EDGE, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
-  if (shear) sheet.arrow(maps.arrows, column + 2 * EDGE, HEAD + tall + 84, w);
+  if (shear) sheet.arrow(maps.arrows, EDGE, HEAD + tall + 84 + KEY, w);
   sheet.write(size, EDGE, HEAD + tall + 84, SMALL, sheet.ink.muted);
   sheet.legend(2 * column + 3 * EDGE, scale, palette);
   canvas.toBlob((blob) => blob && download(`${stem(name, frame)}.png`, blob), "image/png");
