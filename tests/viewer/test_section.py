@@ -51,6 +51,7 @@ def fixed_range(page):
     page.locator("#range-low").fill("0")
     page.locator("#range-high").fill(str(HIGH))
     page.locator("#maps").focus()
+    turned(page)
 
 
 def drawn(page, cells, below):
