@@ -1,5 +1,7 @@
 """The errors a user can meet, by whose fault they are."""
 
+from collections.abc import Iterable
+
 
 class TactileError(Exception):
     """Anything tactiled refuses or fails at; the text is one line that names the thing and what to do."""
@@ -23,6 +25,11 @@ class BusError(TactileError):
 
 class UnknownSensorError(TactileError):
     """A sensor name that the configuration does not have."""
+
+    @classmethod
+    def among(cls, name: str, there: Iterable[str]) -> "UnknownSensorError":
+        """Of a name that is none of those there are; a long one is cut."""
+        return cls(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(there)}")
 
 
 class NotLiveError(TactileError):

@@ -44,8 +44,7 @@ class Service:
         try:
             return self.sensors[name]
         except KeyError as error:
-            known = ", ".join(self.sensors)
-            raise UnknownSensorError(f"sensor {name[:80]!r}: no such sensor: there are {known}") from error
+            raise UnknownSensorError.among(name, self.sensors) from error
 
     def set_method(self, name: str, method: str, keep: bool = False) -> None:
         """Restore by another method from the next frame on, and with `keep` after a restart, too.

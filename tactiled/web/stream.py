@@ -73,7 +73,7 @@ def _found(feeds: dict[str, Feed], names: Sequence[str], asked: Wish, too: Seque
     lines = []
     for name in names:
         if name not in feeds:
-            raise UnknownSensorError(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(feeds)}")
+            raise UnknownSensorError.among(name, feeds)
         more: tuple[Kind, ...] = ("shear",) if name in too and "shear" not in asked.kinds else ()
         lines.append(_Line(feeds[name], asked.kinds + more))
         if "shear" in lines[-1].kinds:
