@@ -96,17 +96,23 @@ def local(address, url):
     return address.startswith(("blob:", "data:")) or urlsplit(address).netloc == there
 
 
-THUMB = """
-[sensor.thumb]
+def one_more(name, number, array):
+    """The configuration of one more sensor on the palm's bus."""
+    return f"""
+[sensor.{name}]
 bus = "can0"
 method = "raw"
 stale_after_s = 0.3
-codec = { name = "packed", bits = 12, fd = true, array_id = 1 }
-array = { positions_mm = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]], aperture_mm = 1.5, aperture = "round" }
-cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
+codec = {{ name = "packed", bits = 12, fd = true, array_id = {number} }}
+array = {{ {array} }}
+cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
+kernel = {{ model = "layered" }}
+calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }}
 """
+
+
+CORNERS = "positions_mm = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]]"
+THUMB = one_more("thumb", 1, f'{CORNERS}, aperture_mm = 1.5, aperture = "round"')
 
 
 class Pair(Rig):

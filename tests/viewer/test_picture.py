@@ -2,24 +2,16 @@
 
 import itertools
 import re
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from tactiled.web.server import running
 from tests.conftest import Rig, meanwhile, until
-from tests.viewer.conftest import wait
+from tests.viewer.conftest import one_more, wait
 
-ODD = """
-[sensor.a_long_name_of_a_fingertip]
-bus = "can0"
-method = "raw"
-codec = {{ name = "packed", bits = 12, fd = true, array_id = 2 }}
-array = {{ rows = {rows}, columns = {columns}, pitch_mm = 1.0 }}
-cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
-kernel = {{ model = "layered" }}
-calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }}
-"""
+NAME = "a_long_name_of_a_fingertip"
 WRITTEN = """() => {
   const all = window.written = [];
   const { fillText } = CanvasRenderingContext2D.prototype;
@@ -33,22 +25,33 @@ WRITTEN = """() => {
 }"""
 
 
+@contextmanager
+def odd(rows, columns, request):
+    """A rig with one sensor more, of this shape; gives how to send it counts, and its page."""
+    more = one_more(NAME, 2, f"rows = {rows}, columns = {columns}, pitch_mm = 1.0")
+    with meanwhile(Rig(re.sub(r"\W", "-", request.node.name), more)) as rig, running(rig.service) as url:
+        sensor = rig.service.sensor(NAME)
+
+        def send(counts):
+            for message in sensor.codec.encode(counts.astype(np.uint16).ravel(), 0, 0.0):
+                rig.bus.send(message)
+            until(lambda: sensor.hub.latest() is not None)
+
+        yield send, f"{url}/#{NAME}"
+
+
 @pytest.mark.parametrize(("rows", "columns"), [(1, 40), (40, 2), (12, 6), (9, 9)])
 def test_nothing_that_is_written_on_it_leaves_it_or_covers_another(rows, columns, request, open_page):
-    channel = re.sub(r"\W", "-", request.node.name)
-    with meanwhile(Rig(channel, ODD.format(rows=rows, columns=columns))) as rig, running(rig.service) as url:
-        sensor = rig.service.sensor("a_long_name_of_a_fingertip")
-        for message in sensor.codec.encode(np.full(rows * columns, 900, np.uint16), 0, 0.0):
-            rig.bus.send(message)
-        until(lambda: sensor.hub.latest() is not None)
-        page = open_page(f"{url}/#a_long_name_of_a_fingertip")
+    with odd(rows, columns, request) as (send, address):
+        send(np.full(rows * columns, 900))
+        page = open_page(address)
         page.evaluate(WRITTEN)
         with page.expect_download():
             page.keyboard.press("s")
         written = page.evaluate("window.written")
         page.close()
     texts = [each["text"] for each in written]
-    assert texts[0] == "a_long_name_of_a_fingertip, frame 0"
+    assert texts[0] == f"{NAME}, frame 0"
     assert {"Raw", "Restored", "kPa", "0"} <= set(texts)
     for each in written:
         assert 0 <= each["x"] < each["end"] <= each["width"], each
@@ -102,15 +105,12 @@ LABELS = """() => {
     ("rows", "columns", "says", "y"), [(40, 2, "1", 0.3), (2, 2, "1: ", 0.2), (1, 40, "1: ", 0.5)]
 )
 def test_a_contact_is_labelled_on_or_near_it_on_arrays_of_every_shape(rows, columns, says, y, request, open_page):
-    channel = re.sub(r"\W", "-", request.node.name)
     row, column = np.mgrid[:rows, :columns]
     counts = 100 + 800 * np.exp(-((column - columns / 3) ** 2 + (row - rows / 3) ** 2) / 6)
-    with meanwhile(Rig(channel, ODD.format(rows=rows, columns=columns))) as rig, running(rig.service) as url:
-        sensor = rig.service.sensor("a_long_name_of_a_fingertip")
-        page = open_page(f"{url}/#a_long_name_of_a_fingertip", ready="document.readyState === 'complete'")
+    with odd(rows, columns, request) as (send, address):
+        page = open_page(address, ready="document.readyState === 'complete'")
         page.evaluate(LABELS)
-        for message in sensor.codec.encode(counts.astype(np.uint16).ravel(), 0, 0.0):
-            rig.bus.send(message)
+        send(counts)
         text, _, at = wait(page, "window.labels[0]")
         page.close()
     assert text.startswith(says)

@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web.server import running
 from tests.conftest import NO_LOAD, ask, meanwhile
-from tests.viewer.conftest import THUMB, Pair, turned, wait
+from tests.viewer.conftest import THUMB, Pair, one_more, turned, wait
 from tests.viewer.test_viewer import pixels
 
 SIDE, HEAD, FOOT, TAIL = 46, 20, 34, 12  # px that a chart keeps free
@@ -16,17 +16,7 @@ LITTLE, DEEP = 0.06, 0.4  # of the range, that the axis reaches below it: the mo
 RESTORED = (11, 98, 168, 255)  # the light theme's; the band is the same, seen through
 BLOCK = np.full((8, 8), NO_LOAD)
 BLOCK[1:7, 2:5] += 400  # neither its rows nor its columns mirror the other
-STRIP = """
-[sensor.strip]
-bus = "can0"
-method = "raw"
-stale_after_s = 0.3
-codec = { name = "packed", bits = 12, fd = true, array_id = 2 }
-array = { rows = 12, columns = 2, pitch_mm = 1.0 }
-cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
-"""
+STRIP = one_more("strip", 2, "rows = 12, columns = 2, pitch_mm = 1.0")
 WHERE = "document.getElementById('section-where').innerText"
 SAID = "document.getElementById('section').getAttribute('aria-label')"
 
