@@ -148,7 +148,8 @@ class Sensor:
         with self._wake:
             self._stopping = True
             self._wake.notify()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         self._touch.stop()
 
     def offer(self, frame: RawFrame) -> None:

@@ -1,6 +1,7 @@
 """The running service: every sensor and every bus, started and stopped together; methods kept, events told."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
@@ -87,6 +88,15 @@ class Service:
             self.stop()
             raise
         self._watch.start()
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Run meanwhile."""
+        try:
+            self.start()
+            yield
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """Stop everything that runs."""

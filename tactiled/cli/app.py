@@ -43,6 +43,27 @@ def interrupted() -> Iterator[Event]:
             signal.signal(each, handler)
 
 
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """A block that Ctrl-C and SIGTERM end alike; a second one does not disturb what ends it."""
+
+    def stop(*_: object) -> None:
+        for each in handled:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    handled = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    for each in handled:
+        signal.signal(each, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        return
+    finally:
+        for each, handler in handled.items():
+            signal.signal(each, handler)
+
+
 def choose(option: str, name: str | None, known: Collection[str]) -> str:
     """The one of `known` that --`option` names, or the only one there is; ConfigError otherwise."""
     if name is None and len(known) > 1:

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.replay import Replay
-from tactiled.cli.app import app, choose
+from tactiled.cli.app import app, choose, stoppable
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 from tactiled.sensor import Sensor
@@ -32,11 +32,8 @@ def replay(
     with threadpool_limits(1):
         service = replaying(settings, file, speed)
         at = _server(settings.server, host, port)
-        service.start()
-        try:
+        with stoppable(), service.running():
             serve(service, at)
-        finally:
-            service.stop()
 
 
 def replaying(settings: Config, file: Path, speed: float) -> Service:

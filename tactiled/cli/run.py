@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app
+from tactiled.cli.app import app, stoppable
 from tactiled.config import load
 from tactiled.service import Service
 from tactiled.state import State, default
@@ -30,8 +30,5 @@ def run(
     server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = Service(settings, state=State(settings.server.state or default(config)))
-        service.start()
-        try:
+        with stoppable(), service.running():
             serve(service, server)
-        finally:
-            service.stop()

@@ -64,6 +64,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.state.films = film.Films()
     app.state.constants = {}
     app.state.streams = Streams(server.streams_per_client, server.streams)
+    app.state.waiting = Streams(log.WAITING_PER_CLIENT, log.WAITING, "events_waiting")
     app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)

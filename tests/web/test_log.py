@@ -1,5 +1,6 @@
 import threading
 import time
+from contextlib import ExitStack
 
 import httpx
 import pytest
@@ -8,8 +9,10 @@ from pydantic import SecretStr
 from tactiled.config import Server, parse
 from tactiled.service import Service
 from tactiled.state import State
+from tactiled.web import log
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
+from tests.web.test_attacks import plug
 from tests.web.test_rest import problem
 
 
@@ -155,3 +158,18 @@ def test_the_calibration_is_told_as_it_is_now(rig, client):
     told = client.get("/sensors/palm/calibration").json()
     assert told["no_load"] == pressed().ravel().tolist()
     assert told["tared"] == 1
+
+
+def test_a_client_has_a_few_requests_that_wait_and_no_more(rig, url):
+    with ExitStack() as stack:
+        ends = [stack.enter_context(plug(url)) for _ in range(log.WAITING_PER_CLIENT)]
+        for end in ends:
+            end.sendall(b"GET /api/v1/events?wait=30 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        until(lambda: ask("GET", url + "/api/v1/events?wait=0.1").status_code == 429)
+        answer = ask("GET", url + "/api/v1/events?wait=0.1")
+        assert "events_waiting_per_client = 16" in problem(answer, 429)
+        assert answer.headers["retry-after"] == "1"
+        assert ask("GET", url + "/api/v1/events").status_code == 200
+        rig.service.events.add("method_set", "raw", "palm")
+        assert all(end.recv(1 << 16).startswith(b"HTTP/1.1 200") for end in ends)
+    assert ask("GET", url + "/api/v1/events?after=1&wait=0.01").status_code == 200
