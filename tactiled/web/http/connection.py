@@ -56,7 +56,7 @@ class Connection(asyncio.Protocol):
         """Take a place, and begin with the handshake of TLS or the first request."""
         self._transport = transport
         peer = transport.get_extra_info("peername")
-        self._place = Place(network(peer[0]) if peer else "", self._evictable, transport.abort)
+        self._place = Place(network(peer[0]) if peer else "", self._evictable, self._expire)
         if not self._places.take(self._place):
             self._turn_away()
         elif self._tls is None:
@@ -138,6 +138,7 @@ class Connection(asyncio.Protocol):
 
     async def _shake_hands(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
         """Go on in TLS; a client that speaks none, or none in time, is cut off."""
+        made: asyncio.Transport | None = None
         try:
             made = await self._loop.start_tls(
                 raw,
@@ -149,13 +150,12 @@ class Connection(asyncio.Protocol):
             )
         except (OSError, asyncio.CancelledError):
             raw.abort()
-            self._places.free(self._place)
-            self._cancel()
-            return
-        if made is None or made.is_closing():
-            self._places.free(self._place)
-            return
-        self._open(made)
+        finally:
+            if made is None or made.is_closing():
+                self._places.free(self._place)
+                self._cancel()
+        if made is not None and not made.is_closing():
+            self._open(made)
 
     def _turn_away(self) -> None:
         """Say that no place is left; nothing is said in TLS, whose handshake would cost one."""
@@ -185,8 +185,11 @@ class Connection(asyncio.Protocol):
         self._deadline = None if seconds is None else self._loop.call_later(seconds, self._expire)
 
     def _expire(self) -> None:
-        """End a connection whose state has lasted too long."""
-        self._transport.abort()
+        """End a connection whose state has lasted too long; between two requests the last answer is still sent."""
+        if self.state is State.IDLE:
+            self._transport.close()
+        else:
+            self._transport.abort()
 
     def _take(self, piece: bytes) -> None:
         """Hand one piece on, and take note of what it cost."""

@@ -34,9 +34,9 @@ async def app(scope, receive, send):
 
 @pytest.fixture
 def talk():
-    """Hands pieces to a connection as they are; gives what it says, and whether it was cut off."""
+    """Hands pieces to a connection as they are; gives what it says, and whether it is cut off or closed."""
 
-    async def go(pieces):
+    async def go(pieces, seconds):
         made = Connection(
             uvicorn.Config(app, h11_max_incomplete_event_size=MAX_HEAD), ServerState(), {}, places=Places(9)
         )
@@ -46,11 +46,13 @@ def talk():
         for piece in filter(None, pieces):
             made.data_received(piece)
             await asyncio.sleep(0.02)  # the answer
+        await asyncio.sleep(seconds)
+        closed = end.close.called
         made.connection_lost(ConnectionResetError())
-        return b"".join(call.args[0] for call in end.write.call_args_list), end.abort.called
+        return b"".join(call.args[0] for call in end.write.call_args_list), end.abort.called, closed
 
     with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
-        yield lambda *pieces: other.submit(asyncio.run, go(pieces)).result(30)
+        yield lambda *pieces, wait=0.0: other.submit(asyncio.run, go(pieces, wait)).result(30)
 
 
 BODY = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n" % (2 * MAX_HEAD) + bytes(2 * MAX_HEAD)
@@ -58,7 +60,7 @@ HEAD = b"GET / HTTP/1.1\r\nHost: x\r\n"
 
 
 def test_bytes_of_a_request_are_not_counted_to_the_head_of_the_next(talk):
-    answers, cut = talk(BODY + HEAD, b"\r\n")
+    answers, cut, _ = talk(BODY + HEAD, b"\r\n")
     assert (answers.count(b"200"), answers.count(b"<%d>" % (2 * MAX_HEAD)), answers.count(b"<0>")) == (2, 1, 1)
     assert not cut
 
@@ -66,7 +68,7 @@ def test_bytes_of_a_request_are_not_counted_to_the_head_of_the_next(talk):
 @pytest.mark.parametrize("before", [b"", BODY, HEAD + b"\r\n"])
 def test_a_head_without_end_is_refused_whatever_came_before(talk, before):
     piece = b"X: " + b"x" * 8000 + b"\r\n"
-    assert talk(before + HEAD, *[piece] * 8) == (talk(before)[0], False)
+    assert talk(before + HEAD, *[piece] * 8) == (talk(before)[0], False, False)
     assert b"HTTP/1.1 431 " in talk(before + HEAD, *[piece] * 9)[0]
 
 
@@ -237,3 +239,10 @@ def test_a_shutdown_ends_with_a_client_in_every_state(rig):
     for end in (*ends, waits):
         said(end)
         end.close()
+
+
+def test_an_idle_connection_is_closed_behind_what_is_still_to_be_sent(talk, monkeypatch):
+    """Who reads slowly has the end of its answer: to cut it off would throw that away."""
+    bound(monkeypatch, State.IDLE, seconds=0.1)
+    _, cut, closed = talk(HEAD + b"\r\n", wait=0.3)
+    assert (cut, closed) == (False, True)
