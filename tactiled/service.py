@@ -23,8 +23,9 @@ class Service:
         config: Config,
         listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener,
         state: Kept | None = None,
+        replayed: bool = False,  # whether recordings are in the buses' place: none is open then
     ) -> None:
-        self.config, self.state, self.events = config, state, Events()
+        self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults = Faults(self.events)
         self._setting = Lock()  # what is kept is what runs, whoever asks at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}

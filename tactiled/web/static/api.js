@@ -33,6 +33,7 @@ const TIMEOUT_MS = 8000;
  * @property {number} rate_hz
  * @property {number|null} jitter_s standard deviation of the periods from frame to frame
  * @property {number|null} skew_s from a frame's first message to its last
+ * @property {string|null} clock that gives the frames' times; "recording" in a replay
  * @property {string} detail
  * @property {Loss} loss
  * @property {Record<string, number>} error_kinds what the bus's error frames told
