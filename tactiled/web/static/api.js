@@ -92,11 +92,14 @@ export class ApiError extends Error {
   /**
    * @param {number} status HTTP status; 0 where no answer came
    * @param {string} message
+   * @param {{code?: string, seen?: string}} [problem] what a program may act on
    */
-  constructor(status, message) {
+  constructor(status, message, { code = "", seen = "" } = {}) {
     super(message);
     this.name = "ApiError";
     this.status = status;
+    this.code = code;
+    this.seen = seen;
   }
 }
 
@@ -136,7 +139,7 @@ async function succeed(path, options = {}) {
   const response = await answer(ROOT + path, options);
   if (response.ok) return response;
   const body = await json(response);
-  throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`);
+  throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`, body ?? {});
 }
 
 /**
@@ -194,9 +197,10 @@ export const setMethod = (name, method) =>
 
 /**
  * @param {string} name
+ * @param {boolean} force even where a load is seen
  * @returns {Promise<unknown>}
  */
-export const tare = (name) => request(`${at(name)}/tare`, { method: "POST" });
+export const tare = (name, force) => request(`${at(name)}/tare${force ? "?force=true" : ""}`, { method: "POST" });
 
 /**
  * @param {string} name
