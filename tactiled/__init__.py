@@ -3,7 +3,7 @@
 from importlib.metadata import version
 
 from tactiled.client import Client, Image, connect
-from tactiled.errors import TactileError
+from tactiled.errors import LoadedError, TactileError
 
-__all__ = ["Client", "Image", "TactileError", "__version__", "connect"]
+__all__ = ["Client", "Image", "LoadedError", "TactileError", "__version__", "connect"]
 __version__ = version("tactiled")

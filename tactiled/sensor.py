@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.config.build import SensorPlan
 from tactiled.contacts import Contact
-from tactiled.errors import NoShearError, NotLiveError
+from tactiled.errors import LoadedError, NoShearError, NotLiveError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.history import History
 from tactiled.hub import Hub
@@ -106,11 +106,18 @@ class Sensor:
         """Force (N, 3) in N on each taxel, along x and y and into the skin; None unless all are known."""
         return self._pipeline.forces(frame)
 
-    def tare(self) -> None:
-        """Take the mean of the next frames as the unloaded array; NotLiveError where none come."""
+    def tare(self, force: bool = False) -> None:
+        """Take the mean of the next frames as the unloaded array; NotLiveError where none come.
+
+        LoadedError where the newest frames show a load, unless it is by `force`.
+        """
         status = self.status()
         if status.state != "live":
             raise NotLiveError(f"sensor {self.name!r}: {status.state}, {status.detail}: a tare needs frames")
+        if not force and (seen := self._pipeline.load_seen()):
+            raise LoadedError(
+                f"sensor {self.name!r}: {seen}: unload the array, or tare anyway with force=true", seen
+            )
         self._pipeline.tare()
 
     def lapse(self) -> None:

@@ -419,7 +419,11 @@ def test_asking(rig, url):
     assert [each["name"] for each in client.sensors()] == ["palm"]
     client.set_method("palm", "raw")
     until(lambda: rig.sensor.method == "raw")
-    client.tare("palm")
+    with pytest.raises(tactiled.LoadedError, match=r"contact of 200 kPa on 4 taxels: .* force=true") as refused:
+        client.tare("palm")
+    assert refused.value.seen == "contact of 200 kPa on 4 taxels"
+    client.tare("palm", force=True)
+    until(lambda: rig.service.events.after(0)[-1].kind == "tare_asked")
 
 
 @pytest.mark.parametrize("streamed", [True, False])
@@ -431,7 +435,7 @@ def test_refusals_are_in_the_services_own_words(url, streamed):
 
 def test_a_token_is_shown(rig):
     rig.stale_after(600)
-    rig.show(pressed())
+    rig.show(pressed(force=0))
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
         assert next(connect(url, "c" * 16).stream("palm", patience_s=BUSY_S)).sequence == 0
         connect(url, "c" * 16).tare("palm")

@@ -50,7 +50,7 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
         codecs = {name: each.codec for name, each in sensors.items()}
         return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended)
 
-    return Service(settings, listen)
+    return Service(settings, listen, replayed=True)
 
 
 def one_bus(settings: Config, bus: str | None) -> Config:

@@ -69,8 +69,8 @@ def create(service: Service, server: Server) -> FastAPI:
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
-        leave_mb = server.recordings_leave_mb
-        app.include_router(recordings.make(server.recordings, service.buses, service.events, leave_mb))
+        buses, leave_mb = {} if service.replayed else service.buses, server.recordings_leave_mb
+        app.include_router(recordings.make(server.recordings, buses, service.events, leave_mb))
 
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))

@@ -7,11 +7,11 @@ import threading
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from statistics import fmean
 from typing import NoReturn
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
@@ -90,16 +90,20 @@ class Streams:
 
 
 class Turns:
-    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop."""
+    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop.
+
+    They are all made on one thread: for each thread that ever draws, matplotlib keeps its fonts open.
+    """
 
     def __init__(self, rates: Rates, clock: Callable[[], float] = time.monotonic) -> None:
         self._rates, self._clock, self._lock = rates, clock, asyncio.Lock()
         self._waiting: Counter[str] = Counter()
         self._took: deque[float] = deque(maxlen=MEASURED)  # s, of the last turns
         self._began = 0.0  # the newest turn
+        self._thread = ThreadPoolExecutor(1, "turns")
 
     async def one(self, request: Request, make: Callable[[], Response]) -> Response:
-        """Make one on a thread, in its turn, unless its client has left; Problem 429 where it is one too many.
+        """Make one in its turn, unless its client has left; Problem 429 where it is one too many.
 
         One that finds the queue full is not counted.
         """
@@ -120,7 +124,7 @@ class Turns:
             self._began = self._clock()
             if await request.is_disconnected():
                 return Response()
-            made = await run_in_threadpool(make)
+            made = await asyncio.get_running_loop().run_in_executor(self._thread, make)
             self._took.append(self._clock() - self._began)
             return made
         finally:

@@ -130,17 +130,24 @@ def calibration(sensor: Found) -> forms.CalibrationForm:
 
 
 NOT_LIVE: Responses = {
-    409: problem("the sensor is not live", "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames")
+    409: problem(
+        "the sensor is not live; or its newest frames show a load, which code = loaded and seen tell, and "
+        "force=true tares anyway",
+        "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames",
+    )
 }
+Force = Annotated[bool, Query(description="tare even where the newest frames show a load")]
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | NOT_LIVE | CONTROL)
-def tare(sensor: Found, service: Served) -> forms.Tare:
+def tare(sensor: Found, service: Served, force: Force = False) -> forms.Tare:
     """Take the mean of the next 16 frames as the unloaded array; an event tells when it is done.
 
+    It is refused while the newest frames show a load: a contact that stands out of the array's common offset by
+    more than noise and scatter do, or readings that move. `force=true` takes it anyway.
     It lapses, as an event tells, too, if the sensor is not live until they have come.
     """
-    service.tare(sensor.name)
+    service.tare(sensor.name, force)
     return forms.Tare(frames=TARE_FRAMES)
 
 

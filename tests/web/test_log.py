@@ -32,11 +32,11 @@ def test_what_happens_to_a_sensor_is_told_in_order(rig, client):
     until(lambda: kinds(client) == ["sensor_live"])
     client.put("/sensors/palm/method", json={"method": "raw"})
     client.put("/sensors/palm/method", json={"method": "sharpen"})
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     for _ in range(16):
         rig.show(pressed())
     until(lambda: kinds(client)[-1] == "tare_done")
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     rig.stale_after(0.3)
     until(lambda: kinds(client)[-1] == "tare_lapsed")
     told = client.get("/events").json()
@@ -152,7 +152,7 @@ def test_the_calibration_is_told_as_it_is_now(rig, client):
     assert told["no_load"] == [100.0] * 64
     rig.stale_after(600)
     rig.show(pressed())
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     for _ in range(17):
         rig.show(pressed())
     told = client.get("/sensors/palm/calibration").json()
