@@ -1,5 +1,6 @@
 """The command line's one door: a clear line and exit code 2 for every error that is the user's to mend."""
 
+import gc
 import signal
 import sys
 from collections.abc import Collection, Iterator
@@ -45,6 +46,7 @@ def tactiled(
 
 def main() -> None:
     """Run the command line."""
+    gc.disable()  # imports leave no garbage; behind the verb's own it is looked for again
     completion_init()  # tells shells what to complete, when they ask by the environment
     try:
         app()

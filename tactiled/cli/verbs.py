@@ -1,5 +1,6 @@
 """The verbs, each with its line of `--help`: a verb's file is imported when that verb runs, and not before."""
 
+import gc
 from importlib import import_module
 from typing import Any
 
@@ -56,6 +57,9 @@ class Verbs(TyperGroup):
             one = typer.Typer(add_completion=False)
             one.command(verb)(getattr(import_module(self.file.format(verb)), verb))
             command = typer.main.get_command(one)
+            if not gc.isenabled():
+                gc.freeze()  # what is imported stays: no later collection walks through it
+                gc.enable()
         return verb, command, rest
 
 

@@ -67,6 +67,26 @@ def test_verbs_without_a_server_import_none(verb, tmp_path):
     assert not of(names, *HEAVY)
 
 
+def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_draws(tmp_path):
+    config = tmp_path / "palm.toml"
+    config.write_text(EXAMPLE.replace('"socketcan"', '"virtual"'))
+    program = (
+        "import gc, sys; from tactiled.cli import main, run; from tactiled.web.app import create;"
+        "run.serve = lambda service, at: create(service, at) and print(gc.isenabled(), *sys.modules); main()"
+    )
+    for _ in range(2):  # the first solves the cover
+        done = subprocess.run(
+            [sys.executable, "-c", program, "run", str(config)],
+            capture_output=True,
+            text=True,
+            env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path)},
+        )
+        assert done.returncode == 0, done.stderr
+    enabled, *names = done.stdout.split()
+    assert enabled == "True"
+    assert not of(names, "skfem", "skimage", "matplotlib", "scipy.ndimage", "tactiled.bench")
+
+
 @pytest.mark.parametrize("group", [[], ["bench"]])
 def test_help_lists_every_verb_with_the_first_paragraph_of_its_docstring(group):
     listed = " ".join(CliRunner().invoke(app, [*group, "--help"]).output.split())
