@@ -1,6 +1,5 @@
 """One array as it runs: its worker thread, its newest image, and its health."""
 
-import statistics
 import threading
 import time
 from collections import deque
@@ -72,6 +71,7 @@ class Sensor:
         self._loss = Loss()
         self._newest: RawFrame | None = None
         self._periods: deque[float] = deque(maxlen=PERIODS)
+        self._jitter: float | None = None
         self._failed: str | None = None
         self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
 
@@ -182,6 +182,7 @@ class Sensor:
                 self._periods.clear()
             elif frame.sequence == last.sequence + 1:
                 self._periods.append(frame.time - last.time)
+            self._jitter = float(np.std(self._periods, ddof=1)) if len(self._periods) > 1 else None
         now = self._clock()
         if self._last is not None:
             gap = now - self._last
@@ -219,14 +220,8 @@ class Sensor:
         rate = 1 / self._period if state == "live" and self._period else 0.0
         loss = replace(self.counts(), skipped=self._skipped) if self.counts else self._loss
         skew = self._newest.skew if self._newest else None
-        jitter = self._jitter() if state == "live" else None
+        jitter = self._jitter if state == "live" else None
         return Status(state, age, rate, detail, loss, jitter, skew, self.errors())
-
-    def _jitter(self) -> float | None:
-        """Standard deviation (s) of the last periods, by the times that the bus gave; None of fewer than two."""
-        with self._wake:
-            periods = tuple(self._periods)
-        return statistics.stdev(periods) if len(periods) > 1 else None
 
     def _judge(self, age: float | None) -> tuple[State, str]:
         if self.down is not None:

@@ -559,3 +559,19 @@ def test_a_connection_that_breaks_is_told():
 
 def test_what_websockets_says_of_an_end_is_not_shown():
     assert not module.QUIET.isEnabledFor(logging.ERROR)
+
+
+def test_a_client_needs_numpy_and_websockets_alone():
+    program = (
+        "import sys; before = set(sys.modules); import tactiled;"
+        "assert not {'numpy', 'websockets'} & set(sys.modules);"
+        "assert callable(tactiled.connect) and 'connect' in dir(tactiled);"
+        "print(*{name.partition('.')[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert {name for name in done.stdout.split() if not name.startswith("_")} == {
+        "tactiled",
+        "numpy",
+        "websockets",
+    }

@@ -1,32 +1,58 @@
 """The command line's one door: a clear line and exit code 2 for every error that is the user's to mend."""
 
+import gc
 import signal
 import sys
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from threading import Event
+from typing import Annotated
 
 import typer
-from rich.console import Console
+from typer.completion import completion_init  # type: ignore[attr-defined]  # not in its __all__
 
+from tactiled.cli.verbs import BenchVerbs, Verbs
 from tactiled.errors import ConfigError, TactileError
 
 app = typer.Typer(
     name="tactiled",
+    cls=Verbs,
     help="Live deconvolution of covered tactile arrays: CAN frames in, surface pressure out.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-bench = typer.Typer(help="Measure speed and accuracy on this machine.", no_args_is_help=True)
+bench = typer.Typer(cls=BenchVerbs, help="Measure speed and accuracy on this machine.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
+
+
+def _print_version(asked: bool) -> None:
+    """Print the version and exit, if it is asked for."""
+    if asked:
+        from tactiled import __version__  # looked up in the package's metadata
+
+        typer.echo(f"tactiled {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def tactiled(
+    _: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Take the options that stand before a verb."""
 
 
 def main() -> None:
     """Run the command line."""
+    gc.disable()  # imports leave no garbage; behind the verb's own it is looked for again
+    completion_init()  # tells shells what to complete, when they ask by the environment
     try:
         app()
     except TactileError as error:
+        from rich.console import Console  # which only errors need here
+
         Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", str(error), markup=False)
         sys.exit(2)
 

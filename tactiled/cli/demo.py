@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
-from tactiled.cli.app import app, stoppable
+from tactiled.cli.app import stoppable
 from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
 from tactiled.config.build import make_stack
@@ -33,7 +33,6 @@ REAL_BUS, VIRTUAL_BUS = (
 Source = Callable[[Reader, Event], object]
 
 
-@app.command()
 def demo(
     scene: Annotated[str, typer.Option(help="What touches the array: tour, or one scene.")] = "tour",
     record: Annotated[

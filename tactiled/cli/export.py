@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from tactiled import __version__
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
-from tactiled.cli.app import app, choose
+from tactiled.cli.app import choose
 from tactiled.cli.replay import one_bus
 from tactiled.cli.sinks import FORMATS, Sink
 from tactiled.config import Config, load
@@ -34,7 +34,6 @@ SECRET = re.compile(
 )
 
 
-@app.command()
 def export(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],

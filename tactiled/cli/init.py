@@ -5,12 +5,10 @@ from typing import Annotated
 
 import typer
 
-from tactiled.cli.app import app
 from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
 
 
-@app.command()
 def init(
     path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
 ) -> None:

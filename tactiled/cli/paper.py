@@ -6,10 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app
 
-
-@app.command()
 def paper(out_dir: Annotated[Path, typer.Argument(help="Folder for the figures and index.html.")]) -> None:
     """Compute Shimojo's paper again: its figures, and a page that says what agrees and what cannot be right."""
     from tactiled.bench.paper.page import write  # matplotlib takes half a second that no other verb needs

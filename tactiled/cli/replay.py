@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.replay import Replay
-from tactiled.cli.app import app, choose, stoppable
+from tactiled.cli.app import choose, stoppable
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 from tactiled.sensor import Sensor
@@ -16,7 +16,6 @@ from tactiled.service import Service
 from tactiled.web.server import serve
 
 
-@app.command()
 def replay(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app, interrupted
+from tactiled.cli.app import interrupted
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, sensor_plan
 from tactiled.errors import ConfigError, UnknownSensorError
@@ -26,7 +26,6 @@ LONG = 2000  # frames from which there is progress to show
 INTERRUPTED = 130  # exit code
 
 
-@app.command()
 def restore(
     frames: Annotated[Path, typer.Argument(help="Frames (T, rows, columns) or (T, taxels) in kPa, NaN: unknown.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where the restored frames go (.npy, float32).")],

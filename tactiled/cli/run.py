@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app, stoppable
+from tactiled.cli.app import stoppable
 from tactiled.config import load
 from tactiled.service import Service
 from tactiled.state import State, default
@@ -20,7 +20,6 @@ Foxglove = Annotated[
 ]
 
 
-@app.command()
 def run(
     config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")],
     foxglove: Foxglove = None,

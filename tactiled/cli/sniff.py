@@ -10,7 +10,7 @@ from rich.console import Console
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Found, Heard, recognise
-from tactiled.cli.app import app, interrupted
+from tactiled.cli.app import interrupted
 from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
@@ -52,7 +52,6 @@ pitch_mm = {pitch}
 """
 
 
-@app.command()
 def sniff(
     interface: Annotated[
         str, typer.Option(help="python-can's name of the interface: socketcan, slcan, udp_multicast, ...")

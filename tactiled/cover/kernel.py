@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 
-from tactiled.cover import fem, layered
+from tactiled.cover import layered
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
+
+if TYPE_CHECKING:
+    from tactiled.cover import fem
 
 Floats = NDArray[np.float64]
 Model = Literal["fem", "layered"]
@@ -66,6 +69,8 @@ def solve(
         return Kernel(stack, model, q, gain, *radial(q, gain), error_estimate=layered.ROUNDING)
     if model != "fem":
         raise PhysicsError(f"cover model is {model!r}: give 'fem' or 'layered'")
+    from tactiled.cover import fem  # scikit-fem, which a cached kernel does not need
+
     start = clock()
     found = fem.solve(stack, accuracy, profile, late=lambda: clock() - start > budget_s)
     q, gain = _continued(found)
@@ -114,8 +119,10 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
 
 
-def _continued(found: fem.Solution) -> tuple[Floats, Floats]:
+def _continued(found: "fem.Solution") -> tuple[Floats, Floats]:
     """Tabulate the elements' gain evenly in log q, and let it die away past the end as it did before it."""
+    from tactiled.cover import fem
+
     value = fem.interpolant(found.q, found.gain)
     last = float(found.q[np.flatnonzero(np.abs(found.gain) >= fem.FLOOR)[-1]])
     before, at = value(np.array([0.8 * last, last]))
