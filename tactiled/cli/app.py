@@ -11,6 +11,8 @@ from rich.console import Console
 
 from tactiled.errors import ConfigError, TactileError
 
+INTERRUPTED = 130  # exit code
+
 app = typer.Typer(
     name="tactiled",
     help="Live deconvolution of covered tactile arrays: CAN frames in, surface pressure out.",
@@ -23,12 +25,26 @@ app.add_typer(bench, name="bench")
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line; SIGTERM ends it as Ctrl-C does, so that no temporary file stays."""
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         app()
     except TactileError as error:
-        Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", str(error), markup=False)
+        _say(str(error))
         sys.exit(2)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _say("interrupted: unfinished files are removed")
+        raise
+
+
+def _say(line: str) -> None:
+    Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", line, markup=False)
+
+
+def _interrupt(*_: object) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one would end the clearing up
+    raise KeyboardInterrupt
 
 
 @contextmanager
