@@ -14,6 +14,9 @@ from typer.completion import completion_init  # type: ignore[attr-defined]  # no
 from tactiled.cli.verbs import BenchVerbs, Verbs
 from tactiled.errors import ConfigError, TactileError
 
+INTERRUPTED = 130  # exit code
+STOPS = signal.SIGINT, signal.SIGTERM
+
 app = typer.Typer(
     name="tactiled",
     cls=Verbs,
@@ -45,23 +48,38 @@ def tactiled(
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line; SIGTERM ends it as Ctrl-C does, so that no temporary file stays."""
+    signal.signal(signal.SIGTERM, _interrupt)
     gc.disable()  # imports leave no garbage; behind the verb's own it is looked for again
     completion_init()  # tells shells what to complete, when they ask by the environment
     try:
         app()
     except TactileError as error:
-        from rich.console import Console  # which only errors need here
-
-        Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", str(error), markup=False)
+        _say(str(error))
         sys.exit(2)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _say("interrupted: unfinished files are removed")
+        raise
+
+
+def _say(line: str) -> None:
+    from rich.console import Console  # which only errors need here
+
+    Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", line, markup=False)
+
+
+def _interrupt(*_: object) -> None:
+    for each in STOPS:  # a second one would end the clearing up
+        signal.signal(each, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 @contextmanager
 def interrupted() -> Iterator[Event]:
     """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
     stop = Event()
-    before = {each: signal.signal(each, lambda *_: stop.set()) for each in (signal.SIGINT, signal.SIGTERM)}
+    before = {each: signal.signal(each, lambda *_: stop.set()) for each in STOPS}
     try:
         yield stop
     finally:
@@ -71,22 +89,14 @@ def interrupted() -> Iterator[Event]:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """A block that Ctrl-C and SIGTERM end alike; a second one does not disturb what ends it."""
-
-    def stop(*_: object) -> None:
-        for each in handled:
-            signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    handled = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
-    for each in handled:
-        signal.signal(each, stop)
+    """A block that Ctrl-C and SIGTERM end alike, which is no failure."""
+    before = {each: signal.signal(each, _interrupt) for each in STOPS}
     try:
         yield
     except KeyboardInterrupt:
         return
     finally:
-        for each, handler in handled.items():
+        for each, handler in before.items():
             signal.signal(each, handler)
 
 

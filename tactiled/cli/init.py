@@ -7,6 +7,7 @@ import typer
 
 from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
+from tactiled.files import whole
 
 
 def init(
@@ -14,8 +15,8 @@ def init(
 ) -> None:
     """Write a commented configuration."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(EXAMPLE)
+        with whole(path) as part:
+            part.write_text(EXAMPLE, "utf-8")
     except FileExistsError as error:
         raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
     except OSError as error:

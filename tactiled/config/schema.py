@@ -3,7 +3,7 @@
 import difflib
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
@@ -12,13 +12,18 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
+    PlainSerializer,
     SecretStr,
+    SerializationInfo,
     Tag,
     ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
     model_validator,
 )
 
 from tactiled.bus.codecs import plugins
+from tactiled.bus.redact import HARMLESS, reveal, seal, show
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
@@ -89,13 +94,40 @@ class Server(Section):
         return self
 
 
-class Bus(BaseModel):
-    """A CAN interface: these keys and all that python-can's interface takes besides, passed on as they are."""
+def _serialize(value: Any, info: SerializationInfo) -> Any:
+    """As it may be printed, in JSON; as it is, Secrets included, in Python."""
+    return show(value) if info.mode == "json" else value
+
+
+Shown = PlainSerializer(_serialize)
+
+
+class Foreign(BaseModel):
+    """A table whose other keys another package knows, passed on as they are; its texts are secrets."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
+    __pydantic_extra__: dict[str, Annotated[Any, Shown]]
+    harmless: ClassVar[frozenset[str]] = frozenset({"name"})  # keys whose texts are none
+
+    @model_validator(mode="before")
+    @classmethod
+    def _seal(cls, given: Any) -> Any:
+        return seal(given, cls.harmless) if isinstance(given, dict) else given
+
+
+def _channel(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    """A channel, a Secret where it is an address with a login or a query."""
+    check(reveal(value))
+    return value
+
+
+class Bus(Foreign):
+    """A CAN interface: these keys and all that python-can's interface takes besides."""
+
+    harmless = HARMLESS
 
     interface: str
-    channel: str | int | None = None
+    channel: Annotated[str | int | None, WrapValidator(_channel), Shown] = None
 
     def settings(self) -> dict[str, Any]:
         """All of it, by python-can's names."""
@@ -230,10 +262,8 @@ def _offered(name: str) -> str:
     return name
 
 
-class Plugin(BaseModel):
-    """A codec that another package offers; its own settings are passed on as they are."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
+class Plugin(Foreign):
+    """A codec that another package offers."""
 
     name: Annotated[str, AfterValidator(_offered), Field(json_schema_extra={"not": {"enum": list(BUILT_IN)}})]
 

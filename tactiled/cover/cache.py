@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tactiled.files import whole
 
 Floats = NDArray[np.float64]
 
@@ -48,13 +49,7 @@ def _restored(content: bytes, key: bytes) -> Floats:
 
 
 def _store(content: bytes, path: Path) -> None:
-    """Write a file under another name first, so that no reader ever meets half of it; OSError leaves nothing."""
+    """Write a file, of which no reader ever meets half."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        try:
-            part.write(content)
-            part.flush()
-            Path(part.name).replace(path)
-        except OSError:
-            Path(part.name).unlink()
-            raise
+    with whole(path, replace=True) as part:
+        part.write_bytes(content)

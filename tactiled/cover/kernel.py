@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Literal
 from zipfile import BadZipFile
 
@@ -18,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from tactiled.cover import layered
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
+from tactiled.files import whole
 
 if TYPE_CHECKING:
     from tactiled.cover import fem
@@ -103,15 +103,14 @@ def cached(
 
 
 def _store(kernel: Kernel, path: Path) -> None:
-    """Write a kernel under another name first, so that no reader ever meets half a file."""
+    """Write a kernel, of which no reader ever meets half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+    with whole(path, replace=True) as part, part.open("wb") as file:
         np.savez(
-            part,
+            file,
             **{name: getattr(kernel, name) for name in ("q", "gain", "r", "g", "error_estimate")},
             mesh=np.array([*kernel.mesh, kernel.unknowns]),
         )
-    Path(part.name).replace(path)
 
 
 def cache_folder() -> Path:

@@ -7,6 +7,7 @@ import pytest
 from pydantic import SecretStr
 
 from tactiled.config import Server, parse
+from tactiled.config.schema import Bus
 from tactiled.service import Service
 from tactiled.state import State
 from tactiled.web import log
@@ -120,15 +121,19 @@ def test_a_method_is_kept_where_the_service_keeps_state(tmp_path, client):
 
 def test_the_configuration_is_told_without_its_secrets(rig):
     token = SecretStr("hush-hush-hush-1")
-    rig.service.buses["can0"] |= {
+    secrets = {
         "password": "hush-bus",
         "login": {"user": "palm", "passphrase": "hush-deep"},
         "nodes": [{"auth": "hush-listed"}, 5],
         "host": "ws://palm:hush-in-@ddress@elsewhere:1",
-        "url": "https://elsewhere/x?api=hush-asked&id=hush-too#there",
+        "channel": "https://elsewhere/x?api=hush-asked&id=hush-too#there",
         "dongle_pin": "hush-pin",
-        "pinky": "http://elsewhere/a?b",
+        "dongle_key": 123456,
+        "pinky": 5,
+        "url": "https://elsewhere/hush-path",
     }
+    buses = rig.service.config.bus
+    buses["can0"] = Bus(**(buses["can0"].settings() | secrets))
     with running(rig.service, Server(port=0, control_token=token)) as url:
         answer = ask(
             "GET", url + "/api/v1/config", headers={"Authorization": f"Bearer {token.get_secret_value()}"}
@@ -136,10 +141,10 @@ def test_the_configuration_is_told_without_its_secrets(rig):
     told = answer.json()
     assert "hush" not in answer.text
     bus = told["bus"]["can0"]
-    assert (bus["password"], bus["login"]) == ("hidden", {"user": "palm", "passphrase": "hidden"})
-    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://hidden@elsewhere:1")
-    assert bus["url"] == "https://elsewhere/x?api=hidden&id=hidden#there"
-    assert (bus["dongle_pin"], bus["pinky"]) == ("hidden", "http://elsewhere/a?b")
+    assert (bus["password"], bus["login"]) == ("hidden", {"user": "hidden", "passphrase": "hidden"})
+    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://elsewhere:1")
+    assert (bus["channel"], bus["url"]) == ("https://elsewhere/x", "hidden")
+    assert (bus["dongle_pin"], bus["dongle_key"], bus["pinky"]) == ("hidden", "hidden", 5)
     assert (told["server"]["control_token"], told["server"]["tls"]) == (True, False)
     assert told["sensor"]["palm"]["codec"]["name"] == "packed"
     assert told["sensor"]["palm"]["cover"][0]["thickness_mm"] == 0.8
