@@ -63,6 +63,7 @@ class RawFrame:
     flags: NDArray[np.uint8]  # (N,) MISSING | BAD
     loss: Loss
     shear: NDArray[np.float32] | None = None  # counts from rest, (2, N) along x and y; None where none is felt
+    arrived: float = 0.0  # s, when its newest message came, on a clock that never steps: for ages and windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,3 +88,4 @@ class Image:
     shear: NDArray[np.float32] | None = (
         None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
     )
+    arrived: float = 0.0  # s, as of its frame
