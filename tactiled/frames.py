@@ -50,6 +50,7 @@ class Loss:
     errors: int = 0  # error frames: what the bus interface says went wrong on the wire
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
     unsent: int = 0  # messages to skins, requests among them, that the bus did not take
+    unreadable: int = 0  # what came on the bus and its interface could not decode, whosesoever it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,6 +32,11 @@ class Tap:
         self.close = reader.close
         self._before = reader.dropped
 
+    @property
+    def unreadable(self) -> int:
+        """Messages that the bus's interface could not decode, of which the recording has nothing."""
+        return self._reader.unreadable
+
     def check(self) -> None:
         """BusError where the kernel has dropped messages that were not taken in time."""
         if (dropped := self._reader.dropped - self._before) > 0:
