@@ -2,13 +2,12 @@
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Literal
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,7 @@ from tactiled.errors import PhysicsError
 Floats = NDArray[np.float64]
 Model = Literal["fem", "layered"]
 
-FORMAT = 1  # of a cached kernel; another number makes older files strangers
+DIGEST = sha256().digest_size  # bytes of a cached kernel's checksum
 TABLE = 512  # frequencies of a tabulated gain
 NOTHING = 1e-9  # a gain that is as good as 0, and a loss of gain that is as good as none
 
@@ -80,38 +79,70 @@ def cached(
     accuracy: float = 1e-3,
     profile: Profile | None = None,
     folder: Path | None = None,
+    report: Callable[[str], object] = lambda _: None,
 ) -> Kernel:
-    """Give what `solve` gives, from `folder` (by default the user's cache) where it is already there."""
-    key = sha256(repr((FORMAT, stack, model, accuracy, profile)).encode()).hexdigest()
-    path = (folder or cache_folder()) / f"{key}.npz"
-    # A cache that cannot be read, whatever is wrong with it, is no reason to stop: the cover is solved again.
-    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(path) as stored:
-        columns, rows, unknowns = (int(number) for number in stored["mesh"])
-        q, gain, r, g = (np.asarray(stored[name]) for name in ("q", "gain", "r", "g"))
-        return Kernel(
-            stack, model, q, gain, r, g, float(stored["error_estimate"]), (columns, rows), unknowns, profile
-        )
+    """Give what `solve` gives, from `folder` (by default the user's cache) where it is already there.
+
+    A cache that cannot be read or written, whatever is wrong with it, is no reason to stop: `report` gets a line.
+    """
+    key = sha256(repr((version("tactiled"), stack, model, accuracy, profile)).encode())
+    try:
+        path = (folder or cache_folder()) / f"{key.hexdigest()}.kernel"
+    except OSError as error:
+        report(f"solved covers are not kept: {error}")
+        return solve(stack, model, accuracy, profile)
+    try:
+        return _restored(path.read_bytes(), key.digest(), stack, model, profile)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        report(f"cached kernel {path}: {why}: the cover is solved again")
     kernel = solve(stack, model, accuracy, profile)
-    with suppress(OSError):
-        _store(kernel, path)
+    try:
+        _store(_content(kernel, key.digest()), path)
+    except OSError as error:
+        report(f"cached kernel {path}: {error.strerror}: the solved cover is not kept")
     return kernel
 
 
-def _store(kernel: Kernel, path: Path) -> None:
-    """Write a kernel under another name first, so that no reader ever meets half a file."""
+def _content(kernel: Kernel, key: bytes) -> bytes:
+    """Give a kernel's numbers as bytes, a checksum of them and of its key before them."""
+    head = len(kernel.q), len(kernel.r), kernel.error_estimate, *kernel.mesh, kernel.unknowns
+    body = np.concatenate([head, kernel.q, kernel.gain, kernel.r, kernel.g]).astype("<f8").tobytes()
+    return sha256(key + body).digest() + body
+
+
+def _restored(content: bytes, key: bytes, stack: Stack, model: Model, profile: Profile | None) -> Kernel:
+    """Give the kernel whose `_content` this is; ValueError for any other bytes and for another key's."""
+    checksum, body = content[:DIGEST], content[DIGEST:]
+    if sha256(key + body).digest() != checksum:
+        raise ValueError("the checksum is wrong")
+    (n, m, error, *mesh), tables = np.split(np.frombuffer(body, "<f8"), [6])
+    q, gain, r, g = np.split(tables, np.cumsum([int(n), int(n), int(m)]))
+    columns, rows, unknowns = (int(number) for number in mesh)
+    return Kernel(stack, model, q, gain, r, g, float(error), (columns, rows), unknowns, profile)
+
+
+def _store(content: bytes, path: Path) -> None:
+    """Write a file under another name first, so that no reader ever meets half of it; OSError leaves nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-        np.savez(
-            part,
-            **{name: getattr(kernel, name) for name in ("q", "gain", "r", "g", "error_estimate")},
-            mesh=np.array([*kernel.mesh, kernel.unknowns]),
-        )
-    Path(part.name).replace(path)
+        try:
+            part.write(content)
+            part.flush()
+            Path(part.name).replace(path)
+        except OSError:
+            Path(part.name).unlink()
+            raise
 
 
 def cache_folder() -> Path:
-    """Give the folder for solved covers in the user's cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
+    """Give the folder for solved covers in the user's cache; OSError where the user has none."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
+    except RuntimeError as error:
+        raise FileNotFoundError("there is no home directory: set HOME or XDG_CACHE_HOME") from error
 
 
 def _continued(found: fem.Solution) -> tuple[Floats, Floats]:
