@@ -26,12 +26,19 @@ def run(
     foxglove: Foxglove = None,
 ) -> None:
     """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
-    settings = load(config)
-    server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
-        service = Service(settings, state=State(settings.server.state or default(config)))
+        service = prepared(config)
+        server = service.config.server
+        if foxglove is not None:
+            server = server.model_copy(update={"foxglove": foxglove})
         service.start()
         try:
             serve(service, server)
         finally:
             service.stop()
+
+
+def prepared(config: Path) -> Service:
+    """The service of a configuration file, all of it made and nothing started."""
+    settings = load(config)
+    return Service(settings, state=State(settings.server.state or default(config)))

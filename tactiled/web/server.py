@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import uvicorn
 from fastapi import FastAPI
 
+from tactiled import foxglove
 from tactiled.config import Server
 from tactiled.errors import TactileError
 from tactiled.service import Service
@@ -29,8 +30,12 @@ def _listen(at: Server) -> socket.socket:
     host, port = at.host, at.port
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except socket.gaierror as error:
-        raise TactileError(f"host {host}: {error.strerror}: give an address of this machine") from error
+    except (
+        socket.gaierror,
+        ValueError,
+    ) as error:  # ValueError: a name that none can be, such as one of 64 letters
+        why = error.strerror if isinstance(error, OSError) else error
+        raise TactileError(f"host {host}: {why}: give an address of this machine") from error
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sys.platform == "linux":  # of each connection, in TLS as well
@@ -53,24 +58,27 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     for path in (at.tls_certificate, at.tls_key):
         if path is not None and not path.is_file():
             raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
-    return uvicorn.Server(
-        uvicorn.Config(
-            app,
-            loop="tactiled.web.patience:tls_loop" if at.tls_certificate else "auto",
-            http=TellingHttp,
-            ws=TellingWebSocket,
-            ws_max_size=session.MOST,
-            ws_ping_interval=session.PING_S,
-            ws_ping_timeout=session.PING_S,
-            ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
-            log_level="warning",
-            access_log=False,
-            timeout_graceful_shutdown=2,
-            server_header=False,
-            ssl_certfile=at.tls_certificate,
-            ssl_keyfile=at.tls_key,
-        )
+    config = uvicorn.Config(
+        app,
+        loop="tactiled.web.patience:tls_loop" if at.tls_certificate else "auto",
+        http=TellingHttp,
+        ws=TellingWebSocket,
+        ws_max_size=session.MOST,
+        ws_ping_interval=session.PING_S,
+        ws_ping_timeout=session.PING_S,
+        ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=2,
+        server_header=False,
+        ssl_certfile=at.tls_certificate,
+        ssl_keyfile=at.tls_key,
     )
+    try:
+        config.load()
+    except OSError as error:  # also what OpenSSL has to say
+        raise TactileError(f"{at.tls_certificate}, {at.tls_key}: {error.strerror}: no PEM pair") from error
+    return uvicorn.Server(config)
 
 
 def _url(listener: socket.socket, at: Server) -> str:
@@ -79,11 +87,18 @@ def _url(listener: socket.socket, at: Server) -> str:
     return f"{'https' if at.tls_certificate else 'http'}://{shown}:{port}"
 
 
+def ready(service: Service, at: Server) -> uvicorn.Server:
+    """The server of a service, which listens nowhere yet; TactileError where it cannot be made."""
+    if at.foxglove is not None:
+        foxglove.need("server.foxglove")
+    return _server(create(service, at), at)
+
+
 def serve(service: Service, at: Server) -> None:
     """Serve until interrupted; TactileError where the address cannot be had."""
     listener = _listen(at)
     try:
-        server = _server(create(service, at), at)
+        server = ready(service, at)
         with bridge(service, at.foxglove) as port, xelas(service, at) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
