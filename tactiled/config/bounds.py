@@ -1,7 +1,7 @@
 """From where to where a number of the configuration may be: checked, and said with its unit in the error."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
@@ -39,3 +39,9 @@ class Bounds:
         if not (self.low <= size <= self.high or (self.zero and value == 0)):
             raise PydanticCustomError("out_of_bounds", "give {bounds}", {"bounds": str(self)})
         return value
+
+
+Port = Annotated[int, Bounds(0, 65535)]
+Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
+Pitch = Annotated[float, Bounds(0.01, 1000.0, "mm")]  # from an etched sensor's taxels to a floor's tiles
+Place = Annotated[float, Bounds(-1e4, 1e4, "mm")]  # no skin is wider than 20 m

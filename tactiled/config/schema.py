@@ -19,11 +19,9 @@ from pydantic import (
 )
 
 from tactiled.bus.codecs import plugins
-from tactiled.config.bounds import Bounds
+from tactiled.config.bounds import Bounds, Counts, Pitch, Place, Port
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-Port = Annotated[int, Bounds(0, 65535)]
-Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
 
 
 class Section(BaseModel):
@@ -129,10 +127,6 @@ class Kernel(Section):
     accuracy: Annotated[float, Bounds(1e-4, 0.1)] = (
         1e-3  # of the gain; finer needs more elements than there may be
     )
-
-
-Pitch = Annotated[float, Bounds(0.01, 1000.0, "mm")]  # from an etched sensor's taxels to a floor's tiles
-Place = Annotated[float, Bounds(-1e4, 1e4, "mm")]  # no skin is wider than 20 m
 
 
 class Array(Section):
