@@ -15,6 +15,7 @@ Aperture = Literal["square", "round"]
 NEIGHBOURS = 3  # nearest taxels whose mean distance is a layout's spacing
 RIM = 0.7  # spacings that a cell at the rim of a layout reaches out from its taxel
 FINE = 8  # squares a spacing that a layout's cells are made of
+SQUARES = 1_000_000  # over all of a layout: ten times what 1024 taxels need that are evenly spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +70,8 @@ def grid(
 def layout(positions: NDArray[np.float64], width: float | None = None, aperture: Aperture = "round") -> Array:
     """Lay out taxels at `positions` (N, 2) in mm; the pitch is the least distance between two of them."""
     positions = np.asarray(positions, float)
+    if len(positions) == 1 and width is None:
+        raise ConfigError("array has one position and no aperture: give aperture_mm, the size of its taxel")
     if positions.ndim != 2 or len(positions) < 2 or not np.isfinite(positions).all():
         return Array(positions, width or 1.0, width or 1.0, aperture)
     gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
@@ -110,12 +113,25 @@ def tiling(array: Array, refine: int = 1) -> Cells:
         low = array.positions.min(axis=0) - (array.pitch - side) / 2
         return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
     tree = cKDTree(array.positions)
-    near = list(range(2, min(NEIGHBOURS, array.size - 1) + 2))  # the first is the taxel itself
-    spacing = float(np.median(np.mean(tree.query(array.positions, k=near)[0], axis=1)))
+    spacing = _spacing(tree, array)
     reach, side = RIM * spacing, min(spacing, 2 * array.pitch) / FINE
     low, high = array.positions.min(axis=0) - reach, array.positions.max(axis=0) + reach
+    if np.prod((high - low) / side) > SQUARES:
+        wide, high_mm = np.ptp(array.positions, axis=0)
+        raise ConfigError(
+            f"array positions spread over {wide:g} x {high_mm:g} mm, and two are {array.pitch:g} mm apart: "
+            "too far from even; split it into several sensors"
+        )
     x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))
     pieces = np.column_stack([x.ravel(), y.ravel()])
     distance, owner = (np.asarray(each) for each in tree.query(pieces))
     within = distance <= reach
     return Cells(pieces[within], side, owner[within].astype(np.int64))
+
+
+def _spacing(tree: cKDTree, array: Array) -> float:
+    """Median over a layout's taxels of the mean distance (mm) to the nearest; of only one its pitch."""
+    near = list(range(2, min(NEIGHBOURS, array.size - 1) + 2))  # the first is the taxel itself
+    if not near:
+        return array.pitch
+    return float(np.median(np.mean(tree.query(array.positions, k=near)[0], axis=1)))

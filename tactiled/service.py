@@ -7,7 +7,7 @@ from typing import Any
 
 from tactiled.config import Config
 from tactiled.config.build import sensor_plans
-from tactiled.errors import StateError, TactileError, UnknownSensorError
+from tactiled.errors import ConfigError, StateError, TactileError, UnknownSensorError
 from tactiled.events import Events, Faults
 from tactiled.listener import Listener, Listening
 from tactiled.restore.methods import METHODS, require
@@ -31,7 +31,12 @@ class Service:
         self._setting = Lock()  # what is kept is what runs, whoever asks at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
-        self.sensors = {plan.name: Sensor(plan, history=history) for plan in sensor_plans(config)}
+        plans = sensor_plans(config)
+        try:
+            self.sensors = {plan.name: Sensor(plan, history=history) for plan in plans}
+        except MemoryError as error:
+            room = f"server.history_mb = {config.server.history_mb:g}"
+            raise ConfigError(f"{room}: this machine has less memory: give less") from error
         self._watch = Watch(self.sensors.values(), self.events, self.faults)
         self._recall()
         self._listeners = [

@@ -14,10 +14,18 @@ VERSION = 1
 
 
 def default(config: Path) -> Path:
-    """Where the state of a configuration file is kept if it names no place: the user's state directory."""
+    """Where the state of a configuration file is kept if it names no place: the user's state directory.
+
+    ConfigError where the user has none.
+    """
     place = config.resolve()
     named = hashlib.sha256(str(place).encode()).hexdigest()[:8]
-    home = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    try:
+        home = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    except RuntimeError as error:
+        raise ConfigError(
+            "server.state is missing and there is no home directory: set server.state, HOME or XDG_STATE_HOME"
+        ) from error
     return home / "tactiled" / f"{place.stem}-{named}.json"
 
 
@@ -45,7 +53,7 @@ def _read(path: Path) -> dict[str, str]:
         said: Any = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"state {path}: {error}: mend it or delete it") from error
     methods = said.get("methods") if isinstance(said, dict) and said.get("version") == VERSION else None
     if not isinstance(methods, dict) or not all(isinstance(each, str) for each in methods.values()):

@@ -18,7 +18,9 @@ def test_a_layout_has_the_least_distance_as_its_pitch():
 
 
 def test_one_taxel_is_a_layout_too():
-    assert layout(np.zeros((1, 2)), width=3.0).pitch == 3.0
+    array = layout(np.zeros((1, 2)), width=3.0)
+    assert array.pitch == 3.0
+    np.testing.assert_allclose(tiling(array).areas, np.pi * (0.7 * 3.0) ** 2, rtol=0.05)
 
 
 @pytest.mark.parametrize(

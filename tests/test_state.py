@@ -66,7 +66,7 @@ def test_what_no_longer_means_anything_is_told_and_not_applied(path):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "{", "[]", '{"version": 2, "methods": {}}', '{"version": 1, "methods": {"a": 1}}']
+    "text", ["", "{", "[" * 100_000, "[]", '{"version": 2, "methods": {}}', '{"version": 1, "methods": {"a": 1}}']
 )
 def test_a_file_that_is_no_state_is_refused_by_name(path, text):
     path.parent.mkdir()
@@ -91,6 +91,18 @@ def test_what_cannot_be_written_changes_nothing(path, monkeypatch, fails):
     assert found.state.methods == {"palm": "nnls"}
     assert path.read_bytes() == before
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(
+        ConfigError, match=r"server\.state is missing and there is no home directory: set server\.s"
+    ):
+        default(Path("palm.toml"))
 
 
 def test_every_configuration_has_a_state_file_of_its_own(monkeypatch, tmp_path):

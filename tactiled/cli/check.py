@@ -7,23 +7,29 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from threadpoolctl import threadpool_limits
 
-from tactiled.config import load
-from tactiled.config.build import SensorPlan, sensor_plans
+from tactiled.cli.prepare import prepared
+from tactiled.config import tls
+from tactiled.config.build import SensorPlan
 from tactiled.cover.meaning import Meaning, meaning
+from tactiled.foxglove import need
 
 
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
     """Validate CONFIG and say what each cover does to its array."""
-    settings = load(config)
-    plans = sensor_plans(settings)
+    with threadpool_limits(1):
+        service = prepared(config)
+    tls.context(service.config.server)
+    if service.config.server.foxglove is not None:
+        need("server.foxglove")
     console = Console(soft_wrap=True, highlight=False)
-    for plan in plans:
+    for plan in (sensor.plan for sensor in service.sensors.values()):
         console.print(_table(plan, meaning(plan.kernel, plan.array)))
         for warning in plan.warnings:
             console.print(f"  {warning}")
     console.print(
-        f"{config}: right: {_listed('sensor', settings.sensor)}; {_listed('bus', settings.bus)}", markup=False
+        f"{config}: right: {_listed('sensor', service.sensors)}; {_listed('bus', service.buses)}", markup=False
     )
 
 

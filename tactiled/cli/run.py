@@ -7,9 +7,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled.cli.app import stoppable
-from tactiled.config import load
-from tactiled.service import Service
-from tactiled.state import State, default
+from tactiled.cli.prepare import prepared
 from tactiled.web.server import serve
 
 Foxglove = Annotated[
@@ -25,9 +23,10 @@ def run(
     foxglove: Foxglove = None,
 ) -> None:
     """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
-    settings = load(config)
-    server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
-        service = Service(settings, state=State(settings.server.state or default(config)))
+        service = prepared(config)
+        server = service.config.server
+        if foxglove is not None:
+            server = server.model_copy(update={"foxglove": foxglove})
         with stoppable(), service.running():
             serve(service, server)

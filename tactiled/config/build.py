@@ -1,5 +1,6 @@
 """From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -37,6 +38,9 @@ SKINS: dict[str, Callable[..., Codec]] = {
     "cyskin": CySkin,
     "linker": Linker,
 }
+LOG = logging.getLogger(__name__)
+CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
+SIDE = 1024  # of them in a row: as many as an array may have taxels in one
 THICK = 2.0  # pitches: a smallest gap above this is the cover's doing
 UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
 
@@ -93,7 +97,8 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
     calibration = make_calibration(sensor)
     _check_forces(sensor.calibration, codec)
     Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
-    kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy)
+    _check_cells(array, sensor.refine)
+    kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy, report=LOG.warning)
     return SensorPlan(
         name=name,
         bus=sensor.bus,
@@ -108,6 +113,16 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         stale_after_s=sensor.stale_after_s,
         warnings=_standing(sensor, meaning(kernel, array), array),
     )
+
+
+def _check_cells(array: Array, refine: int) -> None:
+    """ConfigError where a surface has too many cells to be restored in time."""
+    cells, side = array.size * refine**2, max(array.frame_shape) * refine
+    if cells > CELLS or side > SIDE:
+        raise ConfigError(
+            f"refine = {refine}: {array.size} taxels then have {cells} cells, up to {side} in a row: "
+            f"give at most {CELLS}, and {SIDE} in a row"
+        )
 
 
 def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:

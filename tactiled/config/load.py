@@ -16,6 +16,7 @@ from tactiled.config.schema import BUILT_IN, Bus, Config, Layer, Section, Sensor
 from tactiled.errors import ConfigError
 
 _SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())
+DEEPEST = 16  # tables in tables; sensor.NAME.array.positions_mm[0] is the fourth
 _KNOWN = {key for section in _SECTIONS for key in section.model_fields}
 
 
@@ -35,9 +36,13 @@ def load(path: Path) -> Config:
 def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     """Read a configuration from TOML text; `source` names it in the ConfigError, its paths begin in `folder`."""
     try:
-        config = Config.model_validate(tomllib.loads(text), context={"folder": folder})
-    except tomllib.TOMLDecodeError as error:
+        said = _shallow(tomllib.loads(text))
+    except ValueError as error:  # no TOML, or a number of more digits than Python reads
         raise ConfigError(f"{source}: not TOML: {error}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{source}: tables or lists are nested too deep: take some of them out") from error
+    try:
+        config = Config.model_validate(said, context={"folder": folder})
     except ValidationError as error:
         lines = (_line(fault) for fault in error.errors())
         raise ConfigError("\n".join(f"{source}: {line}" for line in lines)) from error
@@ -45,6 +50,17 @@ def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     if faults:
         raise ConfigError("\n".join(faults))
     return config
+
+
+def _shallow(said: dict[str, Any]) -> dict[str, Any]:
+    """Give it back; RecursionError where it is nested deeper than any table of ours, or python-can's, is."""
+    level: list[Any] = [said]
+    for _ in range(DEEPEST):
+        pairs = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [child for pair in pairs for child in pair if isinstance(child, (dict, list))]
+        if not level:
+            return said
+    raise RecursionError
 
 
 def _line(fault: ErrorDetails) -> str:

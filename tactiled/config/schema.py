@@ -24,9 +24,9 @@ from pydantic import (
 
 from tactiled.bus.codecs import plugins
 from tactiled.bus.redact import HARMLESS, reveal, seal, show
+from tactiled.config.bounds import Bounds, Counts, Pitch, Place, Port
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
 
 
 class Section(BaseModel):
@@ -55,24 +55,26 @@ class Server(Section):
     """Where HTTP clients find the service, and what they must show."""
 
     host: str = "127.0.0.1"
-    port: int = Field(8000, ge=0, le=65535)
+    port: Port = 8000
     read_token: Token | None = None  # to see images
     control_token: Token | None = None  # to see them and to change methods and tare
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None  # PEM
-    foxglove: int | None = Field(None, ge=0, le=65535)  # port on loopback for Foxglove's apps; None: not served
-    xela: int | None = Field(None, ge=0, le=65535)  # port for XELA's clients alone, without a token; None: none
+    foxglove: Port | None = None  # port on loopback for Foxglove's apps; None: not served
+    xela: Port | None = None  # port for XELA's clients alone, without a token; None: none
     xela_host: str = "127.0.0.1"  # address of that port
     recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
-    recordings_leave_mb: float = Field(1000.0, ge=0, allow_inf_nan=False)  # of their disk, left free; 0: no bound
+    recordings_leave_mb: Annotated[float, Bounds(0, 1e9, "MB")] = 1000.0  # of their disk, left free; 0: no bound
     state: Path | None = None  # file of what clients want kept; None: in the user's state directory
-    history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
-    history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
-    control_per_minute: int = Field(
-        600, ge=0, le=1_000_000
-    )  # changes, as many costly answers, a client; 0: no bound
-    streams_per_client: int = Field(64, ge=0, le=65535)  # WebSockets that a client may have open; 0: no bound
-    streams: int = Field(256, ge=0, le=65535)  # and all clients together; 0: no bound
+    history_s: Annotated[float, Bounds(0, 3600, "s")] = 5.0  # of images kept for clients that ask
+    history_mb: Annotated[float, Bounds(0, 16384, "MB")] = 64.0  # and no more memory than this for all
+    control_per_minute: Annotated[int, Bounds(0, 1_000_000)] = (
+        600  # changes, costly answers, a client; 0: no bound
+    )
+    streams_per_client: Annotated[int, Bounds(0, 65535)] = (
+        64  # WebSockets that a client may have open; 0: no bound
+    )
+    streams: Annotated[int, Bounds(0, 65535)] = 256  # and all clients together; 0: no bound
 
     @property
     def loopback(self) -> bool:
@@ -137,9 +139,9 @@ class Bus(Foreign):
 class Layer(Section):
     """A flat elastic layer."""
 
-    thickness_mm: Length
-    young_mpa: float = Field(gt=0, le=1e7, allow_inf_nan=False)
-    poisson: float = Field(ge=0, lt=0.5, allow_inf_nan=False)
+    thickness_mm: Annotated[float, Bounds(0.001, 100.0, "mm")]  # from a sputtered film to a mattress
+    young_mpa: Annotated[float, Bounds(0.001, 1e7, "MPa")]  # from the softest gel to ten times diamond: rigid
+    poisson: Annotated[float, Bounds(0, 0.49999)]  # rubber: 0.49 to 0.4999; at 0.5 nothing gives way
     bonded: bool = True  # to what lies under it; false: it slides without friction
 
 
@@ -147,24 +149,26 @@ def _listed(value: Any) -> Any:
     return [value] if isinstance(value, dict) else value
 
 
-Layers = Annotated[tuple[Layer, ...], BeforeValidator(_listed)]
+Layers = Annotated[tuple[Layer, ...], Field(max_length=8), BeforeValidator(_listed)]  # 16 are solved in seconds
 
 
 class Kernel(Section):
     """How the cover is solved."""
 
     model: Literal["fem", "layered"] = "fem"
-    accuracy: float = Field(1e-3, ge=1e-5, le=0.1, allow_inf_nan=False)  # of the gain
+    accuracy: Annotated[float, Bounds(1e-4, 0.1)] = (
+        1e-3  # of the gain; finer needs more elements than there may be
+    )
 
 
 class Array(Section):
     """Where the taxels are: rows and columns of a grid, or positions."""
 
-    rows: int | None = Field(None, ge=1, le=1024)
-    columns: int | None = Field(None, ge=1, le=1024)
-    pitch_mm: Length | None = None
-    positions_mm: tuple[tuple[float, float], ...] | None = None
-    aperture_mm: Length | None = None
+    rows: Annotated[int, Bounds(1, 1024)] | None = None
+    columns: Annotated[int, Bounds(1, 1024)] | None = None
+    pitch_mm: Pitch | None = None
+    positions_mm: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=1024)] | None = None
+    aperture_mm: Annotated[float, Bounds(0.001, 1000.0, "mm")] | None = None
     aperture: Literal["square", "round"] | None = None
 
 
@@ -172,10 +176,10 @@ class Packed(Section):
     """The packed layout, in this project's README."""
 
     name: Literal["packed"]
-    array_id: int = Field(0, ge=0, le=15)
-    base_id: int = Field(0x500, ge=0, le=0x1FFFFFF0)
+    array_id: Annotated[int, Bounds(0, 15)] = 0
+    base_id: Annotated[int, Bounds(0, 0x1FFFFFF0)] = 0x500
     extended: bool = False
-    bits: int = Field(12, ge=8, le=16)
+    bits: Annotated[int, Bounds(8, 16)] = 12
     fd: bool = False
 
 
@@ -183,11 +187,11 @@ class Icub(Section):
     """iCub MTB boards."""
 
     name: Literal["icub"]
-    board: int = Field(ge=0, le=15)
-    triangles: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field(min_length=1)
+    board: Annotated[int, Bounds(0, 15)]
+    triangles: tuple[Annotated[int, Bounds(0, 15)], ...] = Field(min_length=1, max_length=16)
     thermal_pads: bool = True  # false: pads 6 and 10 are taxels too, as on a fingertip
     start: bool = False  # set the board up and start it
-    period_ms: int = Field(30, ge=1, le=255)  # that a started board sends at
+    period_ms: Annotated[int, Bounds(1, 255, "ms")] = 30  # that a started board sends at
 
 
 class Xela(Section):
@@ -195,9 +199,9 @@ class Xela(Section):
 
     name: Literal["xela"]
     profile: Literal["current", "4x4-old", "4x4-new", "4x6-old", "single"] = "current"
-    controller: int = Field(1, ge=0, le=15)
-    rows: tuple[Annotated[int, Field(ge=0, le=7)], ...] = Field((4, 3, 2, 1), min_length=1)  # SDAs, top row first
-    columns: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1)  # taxels
+    controller: Annotated[int, Bounds(0, 15)] = 1
+    rows: tuple[Annotated[int, Bounds(0, 7)], ...] = Field((4, 3, 2, 1), min_length=1, max_length=8)  # SDAs
+    columns: tuple[Annotated[int, Bounds(0, 15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1, max_length=16)
     start: bool = False  # start an older board
     model: str = Field("", pattern=r"^[A-Za-z0-9_-]{0,32}$")  # told to XELA's clients; "": as ids and size say
 
@@ -206,14 +210,14 @@ class Barrett(Section):
     """BarrettHand pads."""
 
     name: Literal["barrett"]
-    node: int = Field(ge=0, le=31)
+    node: Annotated[int, Bounds(0, 31)]
 
 
 class PowerOn(Section):
     """PowerON TouchDetect."""
 
     name: Literal["poweron"]
-    base_id: int = Field(0x300, ge=0, le=0x7F4)
+    base_id: Annotated[int, Bounds(0, 0x7F4)] = 0x300
 
 
 class CySkin(Section):
@@ -227,8 +231,10 @@ class Linker(Section):
 
     name: Literal["linker"]
     hand: Literal["right", "left"] = "right"
-    fingers: tuple[Annotated[int, Field(ge=1, le=5)], ...] = Field((1,), min_length=1)  # 1 thumb ... 5 little
-    poll_hz: float = Field(20.0, ge=0, le=1000, allow_inf_nan=False)  # 0: only listen
+    fingers: tuple[Annotated[int, Bounds(1, 5)], ...] = Field(
+        (1,), min_length=1, max_length=5
+    )  # 1 thumb ... 5 little
+    poll_hz: Annotated[float, Bounds(0.01, 1000.0, "Hz", zero=True)] = 20.0  # 0: only listen
 
 
 def _beside(file: Path, info: ValidationInfo) -> Path:
@@ -291,12 +297,14 @@ Codec = Annotated[
 class Calibration(Section):
     """Counts to kPa."""
 
-    kpa_per_count: float | None = Field(None, allow_inf_nan=False)
-    no_load: float | None = Field(None, allow_inf_nan=False)
-    saturation: float | None = Field(None, allow_inf_nan=False)
-    noise_kpa: float | None = Field(None, gt=0, allow_inf_nan=False)
-    dead: tuple[Annotated[int, Field(ge=0)], ...] = ()
-    shear_n_per_count: float | None = Field(None, allow_inf_nan=False)
+    kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, "kPa", signed=True)] | None = (
+        None  # 2^30 counts a Pa to 1 GPa
+    )
+    no_load: Counts | None = None
+    saturation: Counts | None = None
+    noise_kpa: Annotated[float, Bounds(1e-9, 1e6, "kPa")] | None = None  # as fine as the finest count
+    dead: tuple[Annotated[int, Bounds(0, 2**20)], ...] = ()
+    shear_n_per_count: Annotated[float, Bounds(1e-12, 1e6, "N", signed=True)] | None = None
 
 
 class Sensor(Section):
@@ -310,8 +318,8 @@ class Sensor(Section):
     kernel: Kernel = Kernel()
     calibration: Calibration = Calibration()
     method: str = "auto"
-    refine: int = Field(1, ge=1, le=8)  # surface cells a taxel, along each side
-    stale_after_s: float = Field(0.5, gt=0, le=3600, allow_inf_nan=False)
+    refine: Annotated[int, Bounds(1, 8)] = 1  # surface cells a taxel, along each side
+    stale_after_s: Annotated[float, Bounds(0.001, 3600.0, "s")] = 0.5
 
 
 class Config(Section):

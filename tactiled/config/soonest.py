@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tactiled.cover.kernel import cache_folder
+from tactiled.cover.cache import cache_folder
 from tactiled.files import whole
 from tactiled.restore.forms import Forms
 
@@ -22,14 +22,15 @@ def soonest(forms: Forms, folder: Path | None = None, clock: Callable[[], float]
     if len(forms.names) == 1:
         return forms.usual
     size = (forms.shape, forms.surface, forms.parts, forms.names, np.__version__)
-    path = (folder or cache_folder()) / f"{sha256(repr(size).encode()).hexdigest()}.form"
-    if (known := _known(path, forms)) is None:
-        with suppress(OSError), threadpool_limits(1):
+    with suppress(OSError), threadpool_limits(1):
+        path = (folder or cache_folder()) / f"{sha256(repr(size).encode()).hexdigest()}.form"
+        if (known := _known(path, forms)) is None:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.unlink(missing_ok=True)
             _keep(path, forms.fastest(clock))
-        known = _known(path, forms)
-    return known or forms.usual
+            known = _known(path, forms)
+        return known or forms.usual
+    return forms.usual
 
 
 def _known(path: Path, forms: Forms) -> str | None:

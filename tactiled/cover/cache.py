@@ -1,7 +1,7 @@
 """Tables that take long to compute, kept on disk under a key of all that they were computed from."""
 
+import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
@@ -11,23 +11,55 @@ from numpy.typing import NDArray
 from tactiled.files import whole
 
 Floats = NDArray[np.float64]
+Report = Callable[[str], object]
 
 DIGEST = sha256().digest_size  # bytes of a checksum
 
 
-def kept(folder: Path, inputs: Sequence[object], make: Callable[[], Floats]) -> Floats:
+def kept(
+    folder: Path | None,
+    inputs: Sequence[object],
+    make: Callable[[], Floats],
+    report: Report = lambda _: None,
+    kind: str = "table",
+) -> Floats:
     """Give the table (n, m) that `make` computes from `inputs`, out of `folder` where it is already there.
 
-    A cache that cannot be read or written, whatever is wrong with it, is no reason to stop.
+    By default the folder is in the user's cache; `kind` is the ending of the file's name. A cache that cannot be
+    read or written, whatever is wrong with it, is no reason to stop: `report` gets a line.
     """
     key = sha256(b"\0".join(_bytes(each) for each in inputs)).digest()
-    path = folder / f"{key.hex()}.table"
-    with suppress(OSError, ValueError):
+    try:
+        path = (folder or cache_folder()) / f"{key.hex()}.{kind}"
+    except OSError as error:
+        report(f"no {kind} is kept: {error}")
+        return make()
+    try:
         return _restored(path.read_bytes(), key)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:
+        report(f"{path}: {_why(error)}: it is computed again")
     table = make()
-    with suppress(OSError):
-        _store(_content(table, key), path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole(path, replace=True) as part:
+            part.write_bytes(_content(table, key))
+    except OSError as error:
+        report(f"{path}: {_why(error)}: it is not kept")
     return table
+
+
+def cache_folder() -> Path:
+    """Give the folder for tables in the user's cache; OSError where the user has none."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
+    except RuntimeError as error:
+        raise FileNotFoundError("there is no home directory: set HOME or XDG_CACHE_HOME") from error
+
+
+def _why(error: Exception) -> str:
+    return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
 def _bytes(value: object) -> bytes:
@@ -46,10 +78,3 @@ def _restored(content: bytes, key: bytes) -> Floats:
     if sha256(key + body).digest() != checksum:
         raise ValueError("the checksum is wrong")
     return np.frombuffer(body, "<f8", offset=8).reshape(-1, int.from_bytes(body[:8], "little")).astype(float)
-
-
-def _store(content: bytes, path: Path) -> None:
-    """Write a file, of which no reader ever meets half."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path, replace=True) as part:
-        part.write_bytes(content)

@@ -34,6 +34,7 @@ SAMPLES = 48  # frequencies a decade
 FINEST = 1e-6  # the interpolation between frequencies is no better
 PLACES = 301  # where the stress under a footprint is given
 LARGEST = 120_000  # unknowns
+WAVES = 1e5  # across the disc, at most: the transform of so many takes seconds
 WIDEST = 1e5  # radius of the disc over the stack's thickness
 
 
@@ -165,6 +166,11 @@ def _survey(
     reach = radius or NEAR * _extent(stack, profile)
     falling = True
     while reach < WIDEST * _extent(stack, profile):
+        if reach * end > WAVES:
+            raise PhysicsError(
+                f"far field reaches past {reach:.3g} mm, too far for finite elements where stress is sensed "
+                f"{_depth(stack, profile):g} mm deep: use model 'layered'"
+            )
         q = _frequencies(reach, end)
         gain = _gain(stack, _mesh(stack, profile, reach, CORE / end, *LEVELS[0]), FOOTPRINT / end, q)
         last = _last(q, gain, COARSE)

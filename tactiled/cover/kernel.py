@@ -1,13 +1,10 @@
 """The cover as a blur: its gain G(q), and g(r) as G's inverse Hankel transform; cached on disk by content."""
 
-import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +12,9 @@ from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 
 from tactiled.cover import layered
+from tactiled.cover.cache import Report, kept
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
-from tactiled.files import whole
 
 if TYPE_CHECKING:
     from tactiled.cover import fem
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Model = Literal["fem", "layered"]
 
-FORMAT = 1  # of a cached kernel; another number makes older files strangers
 TABLE = 512  # frequencies of a tabulated gain
 NOTHING = 1e-9  # a gain that is as good as 0, and a loss of gain that is as good as none
 
@@ -85,37 +81,23 @@ def cached(
     accuracy: float = 1e-3,
     profile: Profile | None = None,
     folder: Path | None = None,
+    report: Report = lambda _: None,
 ) -> Kernel:
-    """Give what `solve` gives, from `folder` (by default the user's cache) where it is already there."""
-    key = sha256(repr((FORMAT, stack, model, accuracy, profile)).encode()).hexdigest()
-    path = (folder or cache_folder()) / f"{key}.npz"
-    # A cache that cannot be read, whatever is wrong with it, is no reason to stop: the cover is solved again.
-    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(path) as stored:
-        columns, rows, unknowns = (int(number) for number in stored["mesh"])
-        q, gain, r, g = (np.asarray(stored[name]) for name in ("q", "gain", "r", "g"))
-        return Kernel(
-            stack, model, q, gain, r, g, float(stored["error_estimate"]), (columns, rows), unknowns, profile
-        )
-    kernel = solve(stack, model, accuracy, profile)
-    with suppress(OSError):
-        _store(kernel, path)
-    return kernel
+    """Give what `solve` gives, from `folder` (by default the user's cache) where it is already there.
+
+    `report` gets a line on a cache that cannot be read or written.
+    """
+    inputs = version("tactiled"), stack, model, accuracy, profile
+    numbers = kept(folder, inputs, lambda: _numbers(solve(stack, model, accuracy, profile)), report, "kernel")
+    n, m, error, columns, rows, unknowns = numbers[:6, 0]
+    q, gain, r, g, _ = np.split(numbers[6:, 0], np.cumsum([int(n), int(n), int(m), int(m)]))
+    return Kernel(stack, model, q, gain, r, g, float(error), (int(columns), int(rows)), int(unknowns), profile)
 
 
-def _store(kernel: Kernel, path: Path) -> None:
-    """Write a kernel, of which no reader ever meets half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path, replace=True) as part, part.open("wb") as file:
-        np.savez(
-            file,
-            **{name: getattr(kernel, name) for name in ("q", "gain", "r", "g", "error_estimate")},
-            mesh=np.array([*kernel.mesh, kernel.unknowns]),
-        )
-
-
-def cache_folder() -> Path:
-    """Give the folder for solved covers in the user's cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
+def _numbers(kernel: Kernel) -> Floats:
+    """Give all the numbers of a kernel as one column (n, 1)."""
+    head = len(kernel.q), len(kernel.r), kernel.error_estimate, *kernel.mesh, kernel.unknowns
+    return np.concatenate([head, kernel.q, kernel.gain, kernel.r, kernel.g])[:, None]
 
 
 def _continued(found: "fem.Solution") -> tuple[Floats, Floats]:

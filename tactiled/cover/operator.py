@@ -14,7 +14,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
 
 from tactiled.cover.cache import kept
-from tactiled.cover.kernel import Kernel, cache_folder
+from tactiled.cover.kernel import Kernel
 from tactiled.errors import PhysicsError
 from tactiled.geometry import Array, Cells
 
@@ -24,7 +24,7 @@ BAND = 4.0  # ratio of neighbouring bands' cut-offs
 FALL = 4.6  # a Gaussian exp(-x^2) is as good as 0 (1e-9) here
 RANGE = 6.0  # a band from q on reaches this over q in space: four times its Gaussian's own FALL / pi
 CODE = Path(__file__).read_bytes()  # a cached table of other code is not ours
-FINEST = 1000.0  # cycles a cell beyond which cell and aperture leave nothing (1e-7 of the peak)
+FINEST = 1000.0  # cycles a cell or, if wider, its mean with the aperture, beyond which they leave 1e-7 of the peak
 
 
 def stencil(kernel: Kernel, array: Array, refine: int = 1) -> Floats:
@@ -58,13 +58,17 @@ def tiled(kernel: Kernel, array: Array, cells: Cells) -> Floats:
     The response to one of their squares is tabulated in steps of it and interpolated; cover and aperture keep it
     smooth.
     """
-    span = np.abs(array.positions[:, None] - cells.pieces[None]).reshape(-1, 2).max(axis=0)
+    span = np.ptp(np.concatenate([array.positions, cells.pieces]), axis=0)
     x, y = (np.asarray(np.arange(int(end / cells.side) + 5) * cells.side, float) for end in span)
     table = RectBivariateSpline(y, x, _response(kernel, array, cells.side, x, y))
+    (across, column), (down, row) = (np.unique(each, return_inverse=True) for each in cells.pieces.T)
     response = np.empty((array.size, len(cells.areas)))
-    for taxel, place in enumerate(array.positions):
-        away = np.abs(cells.pieces - place)
-        response[taxel] = np.bincount(cells.owner, table.ev(away[:, 1], away[:, 0]))
+    for taxel, (middle_x, middle_y) in enumerate(array.positions):
+        (away_y, of_y), (away_x, of_x) = (
+            np.unique(np.abs(line - middle), return_inverse=True)
+            for line, middle in ((down, middle_y), (across, middle_x))
+        )
+        response[taxel] = np.bincount(cells.owner, table(away_y, away_x)[of_y[row], of_x[column]])
     return response
 
 
@@ -79,7 +83,7 @@ def cached(
     cover = make.__name__, kernel.q, kernel.gain
     taxels = array.positions, array.shape, array.pitch, array.width, array.aperture
     cells = (more.pieces, more.side, more.owner) if isinstance(more, Cells) else (more,)
-    return kept(folder or cache_folder(), (CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
+    return kept(folder, (CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
 
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:
@@ -89,7 +93,7 @@ def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -
     while cuts[-1] > kernel.q[1]:
         cuts.append(min(cuts[-1], kernel.q[-1]) / BAND)
     for high, low in zip(cuts, [*cuts[1:], 0.0], strict=True):
-        cutoff = min(FALL * high, kernel.q[-1], FINEST / side)
+        cutoff = min(FALL * high, kernel.q[-1], FINEST / np.sqrt(side * max(side, array.width)))
         reach = RANGE / (low or high) + (side + array.width) / 2
         frequency = np.arange(int(cutoff * 2 * reach) + 2) / (2 * reach)
         u, v = np.meshgrid(frequency, frequency)

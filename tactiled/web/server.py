@@ -3,7 +3,6 @@
 import errno
 import logging
 import socket
-import ssl
 import sys
 import threading
 import time
@@ -15,7 +14,8 @@ from typing import Any, cast
 import uvicorn
 from fastapi import FastAPI
 
-from tactiled.config import Server
+from tactiled import foxglove
+from tactiled.config import Server, tls
 from tactiled.errors import TactileError
 from tactiled.service import Service
 from tactiled.web import session, xela
@@ -28,6 +28,7 @@ from tactiled.web.http.places import Places, limit
 from tactiled.web.http.protocols import WebSocket
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
+LOG_LIMIT = LogLimit()
 START_S = 10.0  # that a server may take to start
 
 
@@ -36,8 +37,12 @@ def _listen(at: Server) -> socket.socket:
     host, port = at.host, at.port
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except socket.gaierror as error:
-        raise TactileError(f"host {host}: {error.strerror}: give an address of this machine") from error
+    except (
+        socket.gaierror,
+        ValueError,
+    ) as error:  # ValueError: a name that none can be, such as one of 64 letters
+        why = error.strerror if isinstance(error, OSError) else error
+        raise TactileError(f"host {host}: {why}: give an address of this machine") from error
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sys.platform == "linux":  # of each connection, in TLS as well
@@ -58,7 +63,7 @@ def _listen(at: Server) -> socket.socket:
 def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     sys.setswitchinterval(SWITCH_S)
     app.state.places = places = Places(limit(at.streams))
-    protocol = partial(Connection, places=places, tls=_tls(at))
+    protocol = partial(Connection, places=places, tls=tls.context(at))
     server = uvicorn.Server(
         uvicorn.Config(
             app,
@@ -77,25 +82,8 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
             server_header=False,
         )
     )
-    logging.getLogger("uvicorn.error").addFilter(LogLimit())
+    logging.getLogger("uvicorn.error").addFilter(LOG_LIMIT)
     return server
-
-
-def _tls(at: Server) -> ssl.SSLContext | None:
-    """The server's side of TLS, None where it has none; TactileError where its files cannot be used."""
-    if at.tls_certificate is None:
-        return None
-    for path in (at.tls_certificate, at.tls_key):
-        if path is not None and not path.is_file():
-            raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    try:
-        context.load_cert_chain(at.tls_certificate, at.tls_key)
-    except (OSError, ssl.SSLError) as error:
-        raise TactileError(
-            f"{at.tls_certificate}, {at.tls_key}: {error}: give a certificate and its key"
-        ) from error
-    return context
 
 
 def _url(listener: socket.socket, at: Server) -> str:
@@ -104,11 +92,18 @@ def _url(listener: socket.socket, at: Server) -> str:
     return f"{'https' if at.tls_certificate else 'http'}://{shown}:{port}"
 
 
+def ready(service: Service, at: Server) -> uvicorn.Server:
+    """The server of a service, which listens nowhere yet; TactileError where it cannot be made."""
+    if at.foxglove is not None:
+        foxglove.need("server.foxglove")
+    return _server(create(service, at), at)
+
+
 def serve(service: Service, at: Server) -> None:
     """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
     listener = _listen(at)
     try:
-        server = _server(create(service, at), at)
+        server = ready(service, at)
         with bridge(service, at.foxglove) as port, xelas(service, at) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"

@@ -43,9 +43,9 @@ def config(tmp_path):
             "rows = 500",
             "sensor.palm: 16000 taxels of 12 bits need 391 messages a frame",
         ),
-        ("young_mpa = 0.6", "young_mpa = nan", "cover[0].young_mpa = nan: Input should be a finite number"),
-        ("poisson = 0.48", "poisson = 0.5", "cover[0].poisson = 0.5: Input should be less than 0.5"),
-        ("poisson = 0.48", "poisson = 0.7", "cover[0].poisson = 0.7: Input should be less than 0.5"),
+        ("young_mpa = 0.6", "young_mpa = nan", "cover[0].young_mpa = nan: give 0.001 to 1e7 MPa"),
+        ("poisson = 0.48", "poisson = 0.5", "cover[0].poisson = 0.5: give 0 to 0.49999"),
+        ("poisson = 0.48", "poisson = 0.7", "cover[0].poisson = 0.7: give 0 to 0.49999"),
         (
             'method = "auto"',
             'method = "sharpen"',
@@ -61,6 +61,17 @@ def config(tmp_path):
 @pytest.mark.parametrize("verb", ["check", "run"])
 def test_a_wrong_configuration(config, verb, old, new, says):
     refused(tactiled(verb, config(old, new)), says)
+
+
+@pytest.mark.parametrize("key", ["state", "tls"])
+@pytest.mark.parametrize("verb", ["check", "run"])
+def test_a_file_that_the_start_needs_and_that_is_none(tmp_path, verb, key):
+    bad, path = tmp_path / "bad", tmp_path / "a.toml"
+    bad.write_text("[" * 100_000)
+    line = f'state = "{bad}"' if key == "state" else f'tls_certificate = "{bad}"\ntls_key = "{bad}"'
+    text = EXAMPLE.replace("port = 8000", f"port = 0\n{line}").replace('"socketcan"', '"virtual"')
+    path.write_text(text)
+    refused(tactiled(verb, str(path)), f"state {bad}: " if key == "state" else f"{bad}, {bad}: ")
 
 
 @pytest.mark.parametrize("verb", ["check", "run"])

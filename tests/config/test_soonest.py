@@ -1,5 +1,6 @@
 """The form of a blur that is soonest: timed once, then remembered."""
 
+from pathlib import Path
 from threading import Barrier, Thread
 
 import numpy as np
@@ -47,6 +48,16 @@ def test_the_usual_form_where_nothing_can_be_remembered(tmp_path):
     blocked.write_text("")
     made = forms("separable")
     assert soonest(made, blocked / "folder") == made.usual == "dense"
+
+
+def test_the_usual_form_where_there_is_no_home(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    made = forms("separable")
+    assert soonest(made) == made.usual == "dense"
 
 
 @pytest.mark.parametrize("damaged", [b"quantum", b"\xff\xfe", b""])

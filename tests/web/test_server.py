@@ -15,7 +15,7 @@ def test_a_port_in_use_is_told_in_one_line(rig):
             running(rig.service, Server(port=port)).__enter__()
 
 
-@pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.7"])
+@pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.7", "a" * 64])
 def test_a_host_that_is_not_this_machine_is_told_in_one_line(rig, host):
     with pytest.raises(TactileError, match=host) as caught:
         running(rig.service, Server(host=host, control_token=SecretStr("a" * 16))).__enter__()

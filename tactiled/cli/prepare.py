@@ -1,0 +1,13 @@
+"""The service of a configuration file: `run` starts what `check` only makes."""
+
+from pathlib import Path
+
+from tactiled.config import load
+from tactiled.service import Service
+from tactiled.state import State, default
+
+
+def prepared(config: Path) -> Service:
+    """The service of a configuration file, all of it made and nothing started."""
+    settings = load(config)
+    return Service(settings, state=State(settings.server.state or default(config)))

@@ -1,0 +1,47 @@
+"""From where to where a number of the configuration may be: checked, and said with its unit in the error."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """A number from `low` to `high`, both included; with `zero` it may be 0, with `signed` of either sign, too."""
+
+    low: float
+    high: float
+    unit: str = ""
+    zero: bool = False
+    signed: bool = False
+
+    def __str__(self) -> str:
+        """Say what may be given."""
+        low, high = (
+            f"{end:g}".replace("e+0", "e") if isinstance(end, float) else f"{end}" for end in (self.low, self.high)
+        )
+        either = ", of either sign" if self.signed else ""
+        return f"{'0, or ' if self.zero else ''}{low} to {high}{self.unit and ' '}{self.unit}{either}"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        low = -self.high if self.signed else 0 if self.zero else self.low
+        return handler(core) | {"minimum": low, "maximum": self.high}
+
+    def _checked(self, value: float) -> float:
+        """Refuse a number past either end, and one that is none."""
+        size = abs(value) if self.signed else value
+        if not (self.low <= size <= self.high or (self.zero and value == 0)):
+            raise PydanticCustomError("out_of_bounds", "give {bounds}", {"bounds": str(self)})
+        return value
+
+
+Port = Annotated[int, Bounds(0, 65535)]
+Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
+Pitch = Annotated[float, Bounds(0.01, 1000.0, "mm")]  # from an etched sensor's taxels to a floor's tiles
+Place = Annotated[float, Bounds(-1e4, 1e4, "mm")]  # no skin is wider than 20 m

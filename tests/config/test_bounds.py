@@ -1,0 +1,174 @@
+"""Any configuration is refused by name, or runs: nothing that is accepted fails later."""
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from tactiled.config import parse
+from tactiled.config.build import sensor_plans
+from tactiled.errors import ConfigError, PhysicsError
+from tactiled.frames import Loss, RawFrame
+from tactiled.pipeline import Pipeline
+from tactiled.restore.methods import METHODS
+from tactiled.service import Service
+
+WILD = [0, -1, 0.5, 1e-320, 1e-300, 1e-9, 1e9, 1e300, 1e308, float("inf"), float("nan"), 10**30, -1e308]
+TEXT = """
+[bus.can0]
+interface = "virtual"
+[sensor.palm]
+bus = "can0"
+refine = {refine}
+stale_after_s = {stale_after_s}
+codec = {{ name = "packed", fd = true, bits = {bits} }}
+array = {{ rows = {rows}, columns = {columns}, pitch_mm = {pitch_mm} }}
+cover = {{ thickness_mm = {thickness_mm}, young_mpa = {young_mpa}, poisson = {poisson} }}
+substrate = {{ thickness_mm = {thickness}, young_mpa = {young}, poisson = 0.3 }}
+kernel = {{ model = "{model}", accuracy = {accuracy} }}
+[sensor.palm.calibration]
+kpa_per_count = {kpa_per_count}
+no_load = {no_load}
+noise_kpa = {noise_kpa}
+saturation = {saturation}
+"""
+LAYER = "{ thickness_mm = 1.0, young_mpa = 1.0, poisson = 0.3 }, "
+BITS = 12
+USUAL = {
+    "refine": 1, "stale_after_s": 0.5, "bits": BITS, "rows": 5, "columns": 6, "pitch_mm": 1.0, "model": "layered",
+    "thickness_mm": 1.2, "young_mpa": 0.6, "poisson": 0.48, "thickness": 1.6, "young": 2e4, "accuracy": 1e-2,
+    "kpa_per_count": 0.05, "no_load": 80, "noise_kpa": 0.1, "saturation": 4095,
+}  # fmt: skip
+NUMBERS = sorted({*USUAL} - {"model"})
+WILD = [0, -1, 0.5, 1e-320, 1e-300, 1e-20, 1e9, 1e300, 1e308, -1e308, float("inf"), float("nan"), 10**30]
+
+
+def sizes(low, high):
+    """A number of that range: an end of it, or any, even in its logarithm."""
+    inside = st.floats(np.log(low), np.log(high)).map(lambda log: float(np.clip(np.exp(log), low, high)))
+    return st.sampled_from([low, high]) | inside
+
+
+LEGAL = st.fixed_dictionaries({
+    "refine": st.integers(1, 3), "stale_after_s": sizes(0.001, 3600.0), "bits": st.just(BITS),
+    "rows": st.integers(1, 7), "columns": st.integers(1, 7), "pitch_mm": sizes(0.01, 1000.0),
+    "model": st.sampled_from(["layered", "layered", "fem"]), "accuracy": sizes(1e-3, 0.1),
+    "thickness_mm": sizes(0.001, 100.0), "young_mpa": sizes(0.001, 1e7),
+    "poisson": st.sampled_from([0.0, 0.3, 0.48, 0.4999, 0.49999]),
+    "thickness": sizes(0.001, 100.0), "young": sizes(0.001, 1e7),
+    "kpa_per_count": sizes(1e-9, 1e6), "no_load": st.sampled_from([-1e9, 0, 80.0, 1e9]),
+    "noise_kpa": sizes(1e-9, 1e6), "saturation": st.sampled_from([-1e9, 4095, 1e9]),
+})  # fmt: skip
+
+
+def text(numbers):
+    return TEXT.format(**{key: f"{value}" for key, value in numbers.items()})
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+
+
+def runs(numbers, seed):
+    """Restore frames by every method: finite and of the right shape, whatever was told of the noise."""
+    (plan,) = sensor_plans(parse(text(numbers)))
+    counts = np.random.default_rng(seed).integers(0, 2**BITS, (2, plan.array.size)).astype(np.uint16)
+    for method in METHODS:
+        pipeline = Pipeline("palm", plan.array, plan.blur, plan.calibration, method)
+        for at, each in enumerate(counts):
+            image = pipeline.process(
+                RawFrame(at, at * 0.01, 0.0, each, np.zeros(plan.array.size, np.uint8), Loss())
+            )
+            assert np.isfinite(image.restored).all(), method
+            assert image.restored.shape == plan.blur.surface_shape
+    return plan
+
+
+def outcome(numbers, seed):
+    """What a configuration is refused with; nothing where it runs."""
+    try:
+        runs(numbers, seed)
+    except (ConfigError, PhysicsError) as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.timeout(1200)
+@settings(derandomize=True, max_examples=25)
+@given(LEGAL, st.integers(0, 9))
+def test_what_is_within_the_bounds_runs_or_is_refused_by_name(numbers, seed):
+    said = outcome(numbers, seed)
+    contrast = abs(np.log10(numbers["young_mpa"] / numbers["young"]))
+    assert said == "" or (said.startswith("sensor.palm: ") and (numbers["model"] == "fem" or contrast > 6))
+
+
+@pytest.mark.parametrize("key", NUMBERS)
+def test_a_number_that_is_wild_is_refused_with_its_key_or_runs(key):
+    for value in WILD:
+        said = outcome(USUAL | {key: value}, 0)
+        assert said == "" or (key in said and repr(value)[:4] in said)
+
+
+@pytest.mark.parametrize("value", ["1e-300", "-1.0", "0.0", "nan", "inf", "1e308"])
+def test_the_error_says_what_may_be_given(value):
+    with pytest.raises(ConfigError) as caught:
+        parse(text(USUAL | {"thickness_mm": value}))
+    shown = {"1e308": "1e+308"}.get(value, value)
+    assert str(caught.value) == f"config: sensor.palm.cover[0].thickness_mm = {shown}: give 0.001 to 100 mm"
+
+
+@pytest.mark.parametrize(
+    ("numbers", "model"),
+    [
+        ({"thickness_mm": 0.01, "young_mpa": 2500.0, "poisson": 0.4}, "fem"),
+        ({"thickness_mm": 20.0, "young_mpa": 0.01, "poisson": 0.0}, "fem"),
+        ({"thickness_mm": 0.2, "young_mpa": 1e6, "poisson": 0.2}, "fem"),
+        ({"thickness_mm": 2.0, "young_mpa": 0.5, "poisson": 0.4999}, "fem"),
+        ({"thickness_mm": 0.01, "young_mpa": 0.6, "poisson": 0.4999, "thickness": 20.0, "young": 0.01}, "layered"),
+    ],
+)
+def test_skins_that_there_are_run(numbers, model):
+    runs(USUAL | numbers | {"model": model}, 0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("rows = 5", "rows = [" + "[" * 5000, "config: tables or lists are nested too deep"),
+        ("refine = 1", "refine = " + "[" * 200 + "]" * 200, "config: tables or lists are nested too deep"),
+        ('interface = "virtual"', 'interface = "virtual"\n' + "x." * 3000 + "x = 1", "nested too deep"),
+        ("rows = 5", "rows = " + "5" * 5000, "config: not TOML: Exceeds the limit (4300 digits)"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [1e300, 1.0]]",
+         "sensor.palm.array.positions_mm[1][0] = 1e+300: give -10000 to 10000 mm"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0]]", "array has one position"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [0.02, 0.0], [9e3, 9e3]]",
+         "array positions spread over 9000 x 9000 mm, and two are 0.02 mm apart"),
+        ("cover = {", f"cover = [{200 * LAYER}]\nfoam = {{",
+         "at most 8 items"),
+        ("rows = 5, columns = 6", "rows = 100, columns = 100", "refine = 8: 10000 taxels then have 640000 cells"),
+        ("rows = 5, columns = 6", "rows = 1, columns = 1024", "up to 8192 in a row: give at most 65536, and 1024"),
+    ],
+)  # fmt: skip
+def test_what_is_too_much_is_refused_at_once(old, new, says):
+    usual = text(USUAL | ({"refine": 8} if "in a row" in says or "cells" in says else {}))
+    assert old in usual
+    with pytest.raises(ConfigError) as caught:
+        sensor_plans(parse(usual.replace(old, new)))
+    assert says in str(caught.value)
+
+
+def test_a_machine_with_less_memory_than_is_to_be_kept(monkeypatch):
+    def full(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr("tactiled.sensor.History", full)
+    with pytest.raises(ConfigError, match=r"server\.history_mb = 64: this machine has less memory: give less"):
+        Service(parse(text(USUAL)))
+
+
+def test_a_cover_that_elements_would_take_minutes_for_is_refused():
+    far = USUAL | {"model": "fem", "thickness_mm": 0.001, "young_mpa": 1.0, "thickness": 20.0, "young": 0.001}
+    with pytest.raises(PhysicsError, match=r"sensor\.palm: far field reaches past .* mm, .*use model 'layered'"):
+        sensor_plans(parse(text(far)))
+    runs(far | {"model": "layered"}, 0)
