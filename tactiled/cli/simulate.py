@@ -13,8 +13,8 @@ from tactiled.bus.reader import open_bus
 from tactiled.cli.app import app, choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
 from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.config.codecs import Packed
 from tactiled.config.example import EXAMPLE
-from tactiled.config.schema import Packed
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
 from tactiled.simulate import SCENES, Player, answer, play, player

@@ -1,33 +1,16 @@
 """What a configuration file may say: every key, its unit in its name, its bounds."""
 
-import difflib
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    SecretStr,
-    Tag,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
 
-from tactiled.bus.codecs import plugins
+from tactiled.config.codecs import Codec
+from tactiled.config.section import Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
-
-
-class Section(BaseModel):
-    """A table of the file: refuses a key that it does not know."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -50,24 +33,39 @@ class Server(Section):
     """Where HTTP clients find the service, and what they must show."""
 
     host: str = "127.0.0.1"
+    """Address that the service listens on; any address beyond loopback needs `control_token`."""
     port: int = Field(8000, ge=0, le=65535)
-    read_token: Token | None = None  # to see images
-    control_token: Token | None = None  # to see them and to change methods and tare
-    tls_certificate: Path | None = None  # PEM
-    tls_key: Path | None = None  # PEM
-    foxglove: int | None = Field(None, ge=0, le=65535)  # port on loopback for Foxglove's apps; None: not served
-    xela: int | None = Field(None, ge=0, le=65535)  # port for XELA's clients alone, without a token; None: none
-    xela_host: str = "127.0.0.1"  # address of that port
-    recordings: Path | None = None  # folder that clients may record the buses into; None: they may not
-    recordings_leave_mb: float = Field(1000.0, ge=0, allow_inf_nan=False)  # of their disk, left free; 0: no bound
-    state: Path | None = None  # file of what clients want kept; None: in the user's state directory
-    history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)  # of images kept for clients that ask
-    history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)  # and no more memory than this for all
-    control_per_minute: int = Field(
-        600, ge=0, le=1_000_000
-    )  # changes, as many costly answers, a client; 0: no bound
-    streams_per_client: int = Field(64, ge=0, le=65535)  # WebSockets that a client may have open; 0: no bound
-    streams: int = Field(256, ge=0, le=65535)  # and all clients together; 0: no bound
+    """Port; 0: any free one."""
+    read_token: Token | None = None
+    """Secret that a client shows to see images."""
+    control_token: Token | None = None
+    """Secret that a client shows to see images and to change anything."""
+    tls_certificate: Path | None = None
+    """PEM file of the certificate; belongs with `tls_key`."""
+    tls_key: Path | None = None
+    """PEM file of the private key."""
+    foxglove: int | None = Field(None, ge=0, le=65535)
+    """Port on loopback for Foxglove's apps; 0: any free one; left out: not served."""
+    xela: int | None = Field(None, ge=0, le=65535)
+    """Port for clients of XELA's server, without a token; 0: any free one; left out: not served."""
+    xela_host: str = "127.0.0.1"
+    """Address of that port."""
+    recordings: Path | None = None
+    """Folder that clients may record the buses into; left out: they may not record."""
+    recordings_leave_mb: float = Field(1000.0, ge=0, allow_inf_nan=False)
+    """Free space that recordings leave on the disk; 0: no bound."""
+    state: Path | None = None
+    """File of the methods that clients keep; left out: in the user's state directory."""
+    history_s: float = Field(5.0, ge=0, le=3600, allow_inf_nan=False)
+    """Age up to which images are kept for clients that ask for past frames."""
+    history_mb: float = Field(64.0, ge=0, le=16384, allow_inf_nan=False)
+    """Memory for those images, all sensors together."""
+    control_per_minute: int = Field(600, ge=0, le=1_000_000)
+    """Changes per minute and client, and as many costly answers; 0: no bound."""
+    streams_per_client: int = Field(64, ge=0, le=65535)
+    """WebSockets that one client may have open; 0: no bound."""
+    streams: int = Field(256, ge=0, le=65535)
+    """WebSockets that all clients together may have open; 0: no bound."""
 
     @property
     def loopback(self) -> bool:
@@ -92,10 +90,12 @@ class Server(Section):
 class Bus(BaseModel):
     """A CAN interface: these keys and all that python-can's interface takes besides, passed on as they are."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
 
     interface: str
+    """Interface of python-can: `socketcan`, `slcan`, `pcan`, `kvaser`, `udp_multicast`, `virtual`, ..."""
     channel: str | int | None = None
+    """Channel of that interface, such as `can0` or `/dev/ttyUSB0`."""
 
     def settings(self) -> dict[str, Any]:
         """All of it, by python-can's names."""
@@ -106,9 +106,13 @@ class Layer(Section):
     """A flat elastic layer."""
 
     thickness_mm: Length
+    """Thickness."""
     young_mpa: float = Field(gt=0, le=1e7, allow_inf_nan=False)
+    """Young's modulus."""
     poisson: float = Field(ge=0, lt=0.5, allow_inf_nan=False)
-    bonded: bool = True  # to what lies under it; false: it slides without friction
+    """Poisson's ratio."""
+    bonded: bool = True
+    """Bonded to the layer below it; false: it slides without friction."""
 
 
 def _listed(value: Any) -> Any:
@@ -122,157 +126,50 @@ class Kernel(Section):
     """How the cover is solved."""
 
     model: Literal["fem", "layered"] = "fem"
-    accuracy: float = Field(1e-3, ge=1e-5, le=0.1, allow_inf_nan=False)  # of the gain
+    """Finite elements, or the exact solution for flat layers."""
+    accuracy: float = Field(1e-3, ge=1e-5, le=0.1, allow_inf_nan=False)
+    """Largest error of the cover's gain."""
 
 
 class Array(Section):
     """Where the taxels are: rows and columns of a grid, or positions."""
 
     rows: int | None = Field(None, ge=1, le=1024)
+    """Rows of a grid."""
     columns: int | None = Field(None, ge=1, le=1024)
+    """Columns of a grid."""
     pitch_mm: Length | None = None
+    """Distance between neighbouring taxels of a grid."""
     positions_mm: tuple[tuple[float, float], ...] | None = None
+    """Centre `[x, y]` of every taxel of any other layout: x to the right, y down."""
     aperture_mm: Length | None = None
+    """Side, or diameter, of the area that a taxel senses; left out: the pitch."""
     aperture: Literal["square", "round"] | None = None
-
-
-class Packed(Section):
-    """The packed layout, in this project's README."""
-
-    name: Literal["packed"]
-    array_id: int = Field(0, ge=0, le=15)
-    base_id: int = Field(0x500, ge=0, le=0x1FFFFFF0)
-    extended: bool = False
-    bits: int = Field(12, ge=8, le=16)
-    fd: bool = False
-
-
-class Icub(Section):
-    """iCub MTB boards."""
-
-    name: Literal["icub"]
-    board: int = Field(ge=0, le=15)
-    triangles: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field(min_length=1)
-    thermal_pads: bool = True  # false: pads 6 and 10 are taxels too, as on a fingertip
-    start: bool = False  # set the board up and start it
-    period_ms: int = Field(30, ge=1, le=255)  # that a started board sends at
-
-
-class Xela(Section):
-    """XELA uSkin: the normal axis of one module."""
-
-    name: Literal["xela"]
-    profile: Literal["current", "4x4-old", "4x4-new", "4x6-old", "single"] = "current"
-    controller: int = Field(1, ge=0, le=15)
-    rows: tuple[Annotated[int, Field(ge=0, le=7)], ...] = Field((4, 3, 2, 1), min_length=1)  # SDAs, top row first
-    columns: tuple[Annotated[int, Field(ge=0, le=15)], ...] = Field((5, 4, 3, 2, 1, 0), min_length=1)  # taxels
-    start: bool = False  # start an older board
-    model: str = Field("", pattern=r"^[A-Za-z0-9_-]{0,32}$")  # told to XELA's clients; "": as ids and size say
-
-
-class Barrett(Section):
-    """BarrettHand pads."""
-
-    name: Literal["barrett"]
-    node: int = Field(ge=0, le=31)
-
-
-class PowerOn(Section):
-    """PowerON TouchDetect."""
-
-    name: Literal["poweron"]
-    base_id: int = Field(0x300, ge=0, le=0x7F4)
-
-
-class CySkin(Section):
-    """CySkin on a CPM-Finger."""
-
-    name: Literal["cyskin"]
-
-
-class Linker(Section):
-    """LinkerHand fingers."""
-
-    name: Literal["linker"]
-    hand: Literal["right", "left"] = "right"
-    fingers: tuple[Annotated[int, Field(ge=1, le=5)], ...] = Field((1,), min_length=1)  # 1 thumb ... 5 little
-    poll_hz: float = Field(20.0, ge=0, le=1000, allow_inf_nan=False)  # 0: only listen
-
-
-def _beside(file: Path, info: ValidationInfo) -> Path:
-    """A path of the file, relative to the folder it lies in."""
-    folder: Path = (info.context or {}).get("folder", Path())
-    return folder / file
-
-
-class Dbc(Section):
-    """The signals of a DBC file."""
-
-    name: Literal["dbc"]
-    file: Annotated[Path, AfterValidator(_beside)]
-    taxels: str | tuple[str, ...] = Field(min_length=1)  # "Message.Signal" of each, or a template
-    first: Literal[0, 1] = 0  # number of a template's first row, column, taxel
-
-
-BUILT_IN = ("packed", "icub", "xela", "barrett", "poweron", "cyskin", "linker", "dbc")
-
-
-def _offered(name: str) -> str:
-    """Refuse a name that no installed package offers, or two."""
-    offers = [each for each in plugins.offers() if each.name == name]
-    if len(offers) > 1:
-        raise ValueError(f"{name!r}: offered by {' and '.join(map(plugins.package, offers))}: uninstall one")
-    if not offers:
-        known = (*BUILT_IN, *(each.name for each in plugins.offers()))
-        near = difflib.get_close_matches(name, known, 1)
-        meant = f": did you mean {near[0]}?" if near else ""
-        raise ValueError(f"{name!r} is no codec: there are {', '.join(known)}{meant}")
-    return name
-
-
-class Plugin(BaseModel):
-    """A codec that another package offers; its own settings are passed on as they are."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    name: Annotated[str, AfterValidator(_offered), Field(json_schema_extra={"not": {"enum": list(BUILT_IN)}})]
-
-
-def _kind(codec: Any) -> str:
-    """Which of the codecs a table means."""
-    name = codec.get("name") if isinstance(codec, dict) else getattr(codec, "name", None)
-    return name if name in BUILT_IN else "plug-in"
-
-
-Codec = Annotated[
-    Annotated[Packed, Tag("packed")]
-    | Annotated[Icub, Tag("icub")]
-    | Annotated[Xela, Tag("xela")]
-    | Annotated[Barrett, Tag("barrett")]
-    | Annotated[PowerOn, Tag("poweron")]
-    | Annotated[CySkin, Tag("cyskin")]
-    | Annotated[Linker, Tag("linker")]
-    | Annotated[Dbc, Tag("dbc")]
-    | Annotated[Plugin, Tag("plug-in")],
-    Discriminator(_kind),
-]
+    """Shape of that area; left out: square on a grid, round otherwise."""
 
 
 class Calibration(Section):
     """Counts to kPa."""
 
     kpa_per_count: float | None = Field(None, allow_inf_nan=False)
+    """Pressure of one count, negative if counts fall under pressure; left out: 1, and a warning."""
     no_load: float | None = Field(None, allow_inf_nan=False)
+    """Counts of an unloaded taxel; left out: 0."""
     saturation: float | None = Field(None, allow_inf_nan=False)
+    """Counts from which a taxel is saturated; left out: it never is."""
     noise_kpa: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """Standard deviation of one taxel; left out: measured from the first frames."""
     dead: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    """Indices of taxels that do not work: row x columns + column."""
     shear_n_per_count: float | None = Field(None, allow_inf_nan=False)
+    """Force along the skin of one count of shear, for XELA's clients."""
 
 
 class Sensor(Section):
     """One array on one bus."""
 
     bus: Name
+    """Name of the bus that it sends on."""
     codec: Codec
     array: Array = Array()
     cover: Layers
@@ -280,8 +177,11 @@ class Sensor(Section):
     kernel: Kernel = Kernel()
     calibration: Calibration = Calibration()
     method: str = "auto"
-    refine: int = Field(1, ge=1, le=8)  # surface cells a taxel, along each side
+    """Restoration method."""
+    refine: int = Field(1, ge=1, le=8)
+    """Cells of the restored image along each side of a taxel."""
     stale_after_s: float = Field(0.5, gt=0, le=3600, allow_inf_nan=False)
+    """Age of the last frame from which the sensor is stale."""
 
 
 class Config(Section):

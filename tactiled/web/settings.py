@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from pydantic import Field
 
 from tactiled.bus.secrecy import bare
-from tactiled.config import Server, parse, schema
+from tactiled.config import Server, codecs, parse, schema
 from tactiled.config.example import EXAMPLE
 from tactiled.service import Service
 from tactiled.web import forms
@@ -102,9 +102,9 @@ def _server(server: Server, service: Service) -> ServerForm:
 
 def _bare(sensor: schema.Sensor) -> schema.Sensor:
     """A sensor without what may be a secret in the settings of another package's codec."""
-    if not isinstance(sensor.codec, schema.Plugin):
+    if not isinstance(sensor.codec, codecs.Plugin):
         return sensor
-    return sensor.model_copy(update={"codec": schema.Plugin.model_construct(**bare(sensor.codec.model_dump()))})
+    return sensor.model_copy(update={"codec": codecs.Plugin.model_construct(**bare(sensor.codec.model_dump()))})
 
 
 def _overrides(service: Service) -> list[Override]:
