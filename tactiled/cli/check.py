@@ -16,7 +16,7 @@ from tactiled.cover.meaning import Meaning, meaning
 
 @app.command()
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
-    """Validate CONFIG and say what each cover does to its array."""
+    """Check a configuration, and print the effect of each cover on its array."""
     settings = load(config)
     plans = sensor_plans(settings)
     console = Console(soft_wrap=True, highlight=False)

@@ -25,7 +25,7 @@ def run(
     config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")],
     foxglove: Foxglove = None,
 ) -> None:
-    """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
+    """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
     settings = load(config)
     server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives

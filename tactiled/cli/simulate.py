@@ -41,7 +41,7 @@ def simulate(
     seconds: Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)] = None,
     noise_kpa: Annotated[float, typer.Option(help="Standard deviation of one taxel.", min=0)] = 0.1,
 ) -> None:
-    """Send what an array under a cover would, for a service elsewhere to read (32 x 32 without --config)."""
+    """Simulate a covered array on a bus (32 x 32 without --config)."""
     settings = load(config) if config else parse(EXAMPLE, "example")
     name, one = _chosen(settings, sensor, fd)
     bus = _bus(settings, one, interface, {"channel": channel, "bitrate": bitrate}, own=config is not None)

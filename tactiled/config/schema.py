@@ -143,7 +143,7 @@ class Array(Section):
     positions_mm: tuple[tuple[float, float], ...] | None = None
     """Centre `[x, y]` of every taxel of any other layout: x to the right, y down."""
     aperture_mm: Length | None = None
-    """Side, or diameter, of the area that a taxel senses; left out: the pitch."""
+    """Side, or diameter, of the area that a taxel senses; left out: the smallest distance between two taxels."""
     aperture: Literal["square", "round"] | None = None
     """Shape of that area; left out: square on a grid, round otherwise."""
 
@@ -152,11 +152,11 @@ class Calibration(Section):
     """Counts to kPa."""
 
     kpa_per_count: float | None = Field(None, allow_inf_nan=False)
-    """Pressure of one count, negative if counts fall under pressure; left out: 1, and a warning."""
+    """Pressure of one count, negative if counts fall under pressure; left out: 1 (`icub`: -1), with a warning."""
     no_load: float | None = Field(None, allow_inf_nan=False)
-    """Counts of an unloaded taxel; left out: 0."""
+    """Counts of an unloaded taxel; left out: 0 (`icub`: 240)."""
     saturation: float | None = Field(None, allow_inf_nan=False)
-    """Counts from which a taxel is saturated; left out: it never is."""
+    """Counts from which (if counts fall: down to which) a taxel is saturated; left out: never."""
     noise_kpa: float | None = Field(None, gt=0, allow_inf_nan=False)
     """Standard deviation of one taxel; left out: measured from the first frames."""
     dead: tuple[Annotated[int, Field(ge=0)], ...] = ()

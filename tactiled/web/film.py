@@ -145,9 +145,9 @@ class _Done(NamedTuple):
 async def restore(
     request: Request, sensor: Name, method: MethodName = "auto", noise_kpa: Noise = None
 ) -> FileResponse:
-    """Restore frames (T, rows, columns) or (T, taxels) in kPa, NaN where unknown, as the sensor's own would be.
+    """Restore frames, `.npy` of (T, rows, columns) or (T, taxels) in kPa, NaN: unknown, with the sensor's kernel.
 
-    The answer's headers say the noise (kPa) and how often each method ran.
+    The headers of the answer give the noise (kPa) and the number of frames for each method.
     """
     service: Service = request.app.state.service
     films: Films = request.app.state.films

@@ -70,7 +70,7 @@ class ConfigForm(forms.Form):
 
 @router.get("/config")
 def config(request: Request, service: Served) -> ConfigForm:
-    """The configuration as read, with every default, and what clients have changed; no secret."""
+    """The configuration with every default, without secrets, and the changes that clients made."""
     return ConfigForm(
         server=_server(request.app.state.server, service),
         bus={name: bare(settings) for name, settings in service.buses.items()},
