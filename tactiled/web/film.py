@@ -57,6 +57,7 @@ BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "
 router = APIRouter(prefix="/api/v1")
 Name = Annotated[str, Query(description="a sensor, as in the configuration", examples=["palm"])]
 SIGMA = "a taxel's standard deviation; measured if left out"
+Method = Annotated[MethodName, Query(description="restoration method")]
 Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
 
 
@@ -143,7 +144,7 @@ class _Done(NamedTuple):
 
 @router.post("/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra=BODY)
 async def restore(
-    request: Request, sensor: Name, method: MethodName = "auto", noise_kpa: Noise = None
+    request: Request, sensor: Name, method: Method = "auto", noise_kpa: Noise = None
 ) -> FileResponse:
     """Restore frames, `.npy` of (T, rows, columns) or (T, taxels) in kPa, NaN: unknown, with the sensor's kernel.
 

@@ -120,7 +120,7 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
 async def frames(
     sensor: Found,
     request: Request,
-    kind: Kind = "restored",
+    kind: Annotated[Kind, Query(description="which images")] = "restored",
     last: Last = "1s",
     before: Before = None,
     limit: Limit = 100,

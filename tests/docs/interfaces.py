@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer.main
 from pydantic import SecretStr
 
@@ -50,7 +51,7 @@ def parameters() -> Iterator[str]:
         for request, operation in operations():
             for each in operation.get("parameters", ()):
                 if each["in"] == "query":
-                    yield [request, code(each["name"]), *value(each), sentence(each.get("description", ""))]
+                    yield [request, code(each["name"]), *value(each), sentence(each["description"])]
 
     yield from table(("Request", "Parameter", "Value", "Default", "Meaning"), rows())
 
@@ -63,7 +64,8 @@ def value(parameter: Json) -> tuple[str, str]:
     if "enum" in one:
         form = ", ".join(map(code, one["enum"]))
     elif "minimum" in one:
-        form = f"{one['type']}, {one['minimum']:g} to {one['maximum']:.15g}"
+        low, high = (np.format_float_positional(one[bound], trim="-") for bound in ("minimum", "maximum"))
+        form = f"{one['type']}, {low} to {high}"
     else:
         form = one["type"] + (f" such as {code(schema['examples'][0])}" if "examples" in schema else "")
     return form, "required" if parameter["required"] else default
