@@ -30,7 +30,7 @@ from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
-from tactiled.errors import ConfigError, TactileError
+from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.web.wire import PRESSURES, Kind, Unpacked, unpack
 
 LOG = logging.getLogger(__name__)
@@ -363,9 +363,12 @@ class Client:
         """Restore by `method` from the next frame on."""
         self._ask("PUT", f"/sensors/{_quoted(sensor)}/method", {"method": str(method)})
 
-    def tare(self, sensor: str) -> None:
-        """Take the mean of the next frames as the unloaded array."""
-        self._ask("POST", f"/sensors/{_quoted(sensor)}/tare")
+    def tare(self, sensor: str, force: bool = False) -> None:
+        """Take the mean of the next frames as the unloaded array.
+
+        LoadedError, whose `seen` says why, where the newest frames show a load, unless it is by `force`.
+        """
+        self._ask("POST", f"/sensors/{_quoted(sensor)}/tare{'?force=true' if force else ''}")
 
     def stream(
         self,
@@ -404,7 +407,7 @@ class Client:
             with urlopen(request, timeout=ANSWER_S, context=self.ssl_context) as answer:  # http and https alone
                 return json.loads(answer.read() or b"null")
         except HTTPError as error:
-            raise TactileError(f"{self.url}: {_detail(error)}") from error
+            raise _refusal(self.url, error) from error
         except (OSError, HTTPException, ValueError) as error:
             raise TactileError(f"{self.url}: {_why(error)}") from error
 
@@ -444,9 +447,11 @@ def _ended(error: ConnectionClosed) -> str:
     return error.sent.reason if error.sent is not None else "the connection broke"
 
 
-def _detail(error: HTTPError) -> str:
+def _refusal(url: str, error: HTTPError) -> TactileError:
     """What the service says of an error."""
     try:
-        return str(json.loads(error.read())["detail"])
-    except (ValueError, KeyError, TypeError, OSError, HTTPException):
-        return f"HTTP {error.code}"
+        problem = json.loads(error.read())
+        text = f"{url}: {problem['detail']}"
+        return LoadedError(text, problem["seen"]) if problem.get("code") == "loaded" else TactileError(text)
+    except (ValueError, KeyError, TypeError, AttributeError, OSError, HTTPException):
+        return TactileError(f"{url}: HTTP {error.code}")

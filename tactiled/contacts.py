@@ -1,13 +1,10 @@
 """Where something touches: contacts in a restored image, and the same contact from frame to frame."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 from scipy.optimize import linear_sum_assignment
-from skimage import measure, morphology, segmentation
 
 from tactiled.geometry import Array, Cells
 
@@ -27,12 +24,6 @@ SWIFT = 100.0  # pitches a second that one may go beyond that where no other is 
 TURN = 0.5  # share of a look's surprise that changes the speed
 LOST_S = 0.2  # that a contact may be gone and come back
 FORBIDDEN = 1e6  # for more than any number of ways within reach add up to
-
-# scikit-image has no types.
-label: Callable[..., Labels] = measure.label
-local_maxima: Callable[..., NDArray[np.bool_]] = morphology.local_maxima
-expand_labels: Callable[..., Labels] = segmentation.expand_labels
-watershed: Callable[..., Labels] = segmentation.watershed
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +72,9 @@ class Finder:
         peak = float(pressure.max(initial=0.0))
         if peak <= (hardly if faint else clear):
             return []
+        from scipy.ndimage import maximum_filter  # the first contact imports it, and scikit-image
+        from skimage.segmentation import expand_labels
+
         picture = np.append(pressure, -np.inf)[self._cell]
         highest = maximum_filter(np.maximum(picture, AWAY * peak), self._near)
         parts = _split(picture, picture > hardly, SHARE * highest, np.maximum(hardly, DIP * highest))
@@ -123,8 +117,12 @@ class Finder:
 
 def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floats) -> Labels:
     """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0."""
-    peaks = label(local_maxima(np.where(pressed, picture, 0.0)) & pressed)
-    basins = watershed(-picture, peaks, connectivity=2, mask=pressed)
+    from skimage.measure import label
+    from skimage.morphology import local_maxima
+    from skimage.segmentation import watershed
+
+    peaks: Labels = label(local_maxima(np.where(pressed, picture, 0.0)) & pressed)
+    basins: Labels = watershed(-picture, peaks, connectivity=2, mask=pressed)
     square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
     square[peaks.ravel()] = np.arange(peaks.size)
     into = np.arange(len(square))

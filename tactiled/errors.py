@@ -36,6 +36,14 @@ class NotLiveError(TactileError):
     """What needs frames that come, asked of a sensor that gets none."""
 
 
+class LoadedError(TactileError):
+    """A tare asked of an array that shows a load; `seen` says what it shows, and force tares anyway."""
+
+    def __init__(self, text: str, seen: str) -> None:
+        super().__init__(text)
+        self.seen = seen
+
+
 class NoShearError(TactileError):
     """Shear asked of a sensor whose skin feels none."""
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate import Calibration
 from tactiled.config.build import SensorPlan
 from tactiled.errors import ConfigError
+from tactiled.files import whole
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make
@@ -149,7 +150,7 @@ class _Taxels:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[BinaryIO]:
+def created(path: Path) -> Iterator[BinaryIO]:
     """Open a file that gets its name only once it is whole; ConfigError where it cannot be written."""
     try:
         target = path.resolve()
@@ -158,15 +159,11 @@ def whole(path: Path) -> Iterator[BinaryIO]:
         raise ConfigError(f"{path}: {error}: give a file that can be written") from error
     if not plain:
         raise ConfigError(f"{path}: no plain file: give a file that can be written")
-    part = target.with_name(target.name + ".part")
     try:
-        with part.open("wb") as file:
+        with whole(target, replace=True) as part, part.open("wb") as file:
             yield file
-        part.replace(target)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}: give a file that can be written") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def write(
@@ -174,7 +171,7 @@ def write(
 ) -> None:
     """Write images as one .npy array (T, ...) of known shape; ConfigError where that cannot be."""
     header = {"descr": "<f4", "fortran_order": False, "shape": shape}
-    with whole(path) as file:
+    with created(path) as file:
         np.lib.format.write_array_header_2_0(file, header)
         for piece in images:
             file.write(np.ascontiguousarray(piece, "<f4").data)

@@ -15,6 +15,7 @@ from tactiled.geometry import Array, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
+from tactiled.tare import load_seen
 
 NOISE_FRAMES = 32  # frames from which an unknown noise is measured
 PAUSE_FRAMES = 992  # until it is measured again, to see whether it is still as told
@@ -45,6 +46,7 @@ class Pipeline:
         self._noise = _Noise(calibration)
         self._tare = _Tare(array.size)
         self._no_shear = np.full((2, array.size), np.nan, np.float32)  # NaN until tared
+        self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = 0  # times
         self._doubt = Doubt(blur, calibration.floor_kpa)
         self._method = ""
@@ -77,8 +79,13 @@ class Pipeline:
         """Take the mean of the next frames as the unloaded array."""
         self._tare.ask()
 
+    def load_seen(self) -> str:
+        """What of a load the newest frames show, in words; "" for none; any thread."""
+        return load_seen(self._recent, self._noise.kpa)
+
     def lapse(self) -> None:
         """Give up a tare that has not all of its frames yet; `lapsed` counts it."""
+        self._recent = ()
         if self._tare.lapse():
             self.lapsed += 1
 
@@ -126,10 +133,12 @@ class Pipeline:
             self._calibrator.tare(mean[0])
             self._no_shear = np.where(np.isfinite(mean[1:]), mean[1:], self._no_shear).astype(np.float32)
             self._restorer.reset()
+            self._recent = ()
             self.tared += 1
         pressure, flags = self._calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(self.array.frame_shape), flags.reshape(self.array.frame_shape)
         self._noise.add(raw)
+        self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         if self._made != (self._method, self._noise.kpa):
             self._restorer = self._make()
         done = self._restorer(raw, flags)

@@ -1,6 +1,5 @@
 """One array as it runs: its worker thread, its newest image, and its health."""
 
-import statistics
 import threading
 import time
 from collections import deque
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactiled.config.build import SensorPlan
 from tactiled.contacts import Contact
-from tactiled.errors import NoShearError, NotLiveError
+from tactiled.errors import LoadedError, NoShearError, NotLiveError
 from tactiled.frames import Image, Loss, RawFrame
 from tactiled.history import History
 from tactiled.hub import Hub
@@ -72,6 +71,7 @@ class Sensor:
         self._loss = Loss()
         self._newest: RawFrame | None = None
         self._periods: deque[float] = deque(maxlen=PERIODS)
+        self._jitter: float | None = None
         self._failed: str | None = None
         self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
 
@@ -106,11 +106,18 @@ class Sensor:
         """Force (N, 3) in N on each taxel, along x and y and into the skin; None unless all are known."""
         return self._pipeline.forces(frame)
 
-    def tare(self) -> None:
-        """Take the mean of the next frames as the unloaded array; NotLiveError where none come."""
+    def tare(self, force: bool = False) -> None:
+        """Take the mean of the next frames as the unloaded array; NotLiveError where none come.
+
+        LoadedError where the newest frames show a load, unless it is by `force`.
+        """
         status = self.status()
         if status.state != "live":
             raise NotLiveError(f"sensor {self.name!r}: {status.state}, {status.detail}: a tare needs frames")
+        if not force and (seen := self._pipeline.load_seen()):
+            raise LoadedError(
+                f"sensor {self.name!r}: {seen}: unload the array, or tare anyway with force=true", seen
+            )
         self._pipeline.tare()
 
     def lapse(self) -> None:
@@ -148,7 +155,8 @@ class Sensor:
         with self._wake:
             self._stopping = True
             self._wake.notify()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         self._touch.stop()
 
     def offer(self, frame: RawFrame) -> None:
@@ -174,6 +182,7 @@ class Sensor:
                 self._periods.clear()
             elif frame.sequence == last.sequence + 1:
                 self._periods.append(frame.time - last.time)
+            self._jitter = float(np.std(self._periods, ddof=1)) if len(self._periods) > 1 else None
         now = self._clock()
         if self._last is not None:
             gap = now - self._last
@@ -211,14 +220,8 @@ class Sensor:
         rate = 1 / self._period if state == "live" and self._period else 0.0
         loss = replace(self.counts(), skipped=self._skipped) if self.counts else self._loss
         skew = self._newest.skew if self._newest else None
-        jitter = self._jitter() if state == "live" else None
+        jitter = self._jitter if state == "live" else None
         return Status(state, age, rate, detail, loss, jitter, skew, self.errors())
-
-    def _jitter(self) -> float | None:
-        """Standard deviation (s) of the last periods, by the times that the bus gave; None of fewer than two."""
-        with self._wake:
-            periods = tuple(self._periods)
-        return statistics.stdev(periods) if len(periods) > 1 else None
 
     def _judge(self, age: float | None) -> tuple[State, str]:
         if self.down is not None:

@@ -1,6 +1,7 @@
 """The running service: every sensor and every bus, started and stopped together; methods kept, events told."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from threading import Lock
 from typing import Any
 
@@ -23,8 +24,9 @@ class Service:
         config: Config,
         listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener,
         state: Kept | None = None,
+        replayed: bool = False,  # whether recordings are in the buses' place: none is open then
     ) -> None:
-        self.config, self.state, self.events = config, state, Events()
+        self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults = Faults(self.events)
         self._setting = Lock()  # what is kept is what runs, whoever asks at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
@@ -61,10 +63,14 @@ class Service:
             sensor.set_method(method)
             self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
 
-    def tare(self, name: str) -> None:
-        """Take the mean of a sensor's next frames as the unloaded array; NotLiveError where none come."""
-        self.sensor(name).tare()
-        self.events.add("tare_asked", "the next frames are taken as no load", name)
+    def tare(self, name: str, force: bool = False) -> None:
+        """Take the mean of a sensor's next frames as the unloaded array; NotLiveError where none come.
+
+        LoadedError where the newest frames show a load, unless it is by `force`.
+        """
+        self.sensor(name).tare(force)
+        forced = " (forced)" if force else ""
+        self.events.add("tare_asked", f"the next frames are taken as no load{forced}", name)
 
     def _recall(self) -> None:
         """Take over what was kept; what no longer means anything is told, not applied."""
@@ -87,6 +93,15 @@ class Service:
             self.stop()
             raise
         self._watch.start()
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Run meanwhile."""
+        try:
+            self.start()
+            yield
+        finally:
+            self.stop()
 
     def stop(self) -> None:
         """Stop everything that runs."""

@@ -4,11 +4,11 @@ import hashlib
 import json
 import os
 import threading
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from tactiled.errors import ConfigError, StateError
+from tactiled.files import whole
 
 VERSION = 1
 
@@ -55,15 +55,9 @@ def _read(path: Path) -> dict[str, str]:
 
 def _write(path: Path, content: object) -> None:
     """Replace a file at once."""
-    part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8") as file:
-            json.dump(content, file, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
+        with whole(path, replace=True) as part:
+            part.write_text(json.dumps(content, indent=1), "utf-8")
     except OSError as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         raise StateError(f"state {path}: {error.strerror}: nothing was kept") from error

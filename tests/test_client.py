@@ -421,7 +421,11 @@ def test_asking(rig, url):
     assert [each["name"] for each in client.sensors()] == ["palm"]
     client.set_method("palm", "raw")
     until(lambda: rig.sensor.method == "raw")
-    client.tare("palm")
+    with pytest.raises(tactiled.LoadedError, match=r"contact of 200 kPa on 4 taxels: .* force=true") as refused:
+        client.tare("palm")
+    assert refused.value.seen == "contact of 200 kPa on 4 taxels"
+    client.tare("palm", force=True)
+    until(lambda: rig.service.events.after(0)[-1].kind == "tare_asked")
 
 
 @pytest.mark.parametrize("streamed", [True, False])
@@ -433,7 +437,7 @@ def test_refusals_are_in_the_services_own_words(url, streamed):
 
 def test_a_token_is_shown(rig):
     rig.stale_after(600)
-    rig.show(pressed())
+    rig.show(pressed(force=0))
     with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
         assert next(connect(url, "c" * 16).stream("palm", patience_s=BUSY_S)).sequence == 0
         connect(url, "c" * 16).tare("palm")
@@ -557,3 +561,19 @@ def test_a_connection_that_breaks_is_told():
 
 def test_what_websockets_says_of_an_end_is_not_shown():
     assert not module.QUIET.isEnabledFor(logging.ERROR)
+
+
+def test_a_client_needs_numpy_and_websockets_alone():
+    program = (
+        "import sys; before = set(sys.modules); import tactiled;"
+        "assert not {'numpy', 'websockets'} & set(sys.modules);"
+        "assert callable(tactiled.connect) and 'connect' in dir(tactiled);"
+        "print(*{name.partition('.')[0] for name in set(sys.modules) - before} - set(sys.stdlib_module_names))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert {name for name in done.stdout.split() if not name.startswith("_")} == {
+        "tactiled",
+        "numpy",
+        "websockets",
+    }

@@ -236,6 +236,14 @@ def test_jitter_and_skew_are_told_by_the_buss_clock(plan):
     assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, 0.003)
 
 
+def test_a_status_costs_no_look_at_all_the_periods(plan, monkeypatch):
+    sensor = Sensor(plan, lambda: 0.0)
+    for n in range(4):
+        sensor.offer(replace(frame(n), time=5.0 + n / 100 + n**2 / 1000))
+    monkeypatch.setattr(sensor, "_periods", None)
+    assert sensor.status().jitter_s == pytest.approx(0.002)  # of 11, 13 and 15 ms
+
+
 def test_several_sensors_on_several_buses(request):
     names = [f"{request.node.name}-{n}" for n in (0, 1)]
     text = CONFIG.format(channel=names[0]) + CONFIG.format(channel=names[1]).replace("can0", "can1").replace(

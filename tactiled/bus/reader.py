@@ -5,7 +5,7 @@ import os
 import socket
 import sys
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
@@ -14,7 +14,7 @@ from can.interfaces.socketcan import SocketcanBus
 
 from tactiled.bus import faults
 from tactiled.bus.burst import ERROR, EXTENDED, REMOTE, Burst
-from tactiled.bus.secrecy import hide
+from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -40,8 +40,8 @@ STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 class Reader:
     """An open bus: messages out of `batch` or `receive`, messages into `send`."""
 
-    def __init__(self, bus: can.BusABC, label: str) -> None:
-        self._bus, self.label = bus, label
+    def __init__(self, bus: can.BusABC, label: str, redact: Callable[[str], str] = str) -> None:
+        self._bus, self.label, self._redact = bus, label, redact
         self._socket = _socket(bus)
         self._burst = _burst(bus, self._socket)
         self._waiting: deque[Message] = deque()  # taken, and not yet asked for
@@ -65,7 +65,7 @@ class Reader:
         try:
             return self._bus.recv(timeout)
         except Exception as error:  # a driver whose device was unplugged raises what it likes
-            raise _blame(error, self.label) from error
+            raise _blame(error, self.label, self._redact) from error
 
     def receive(self, timeout: float) -> Message | None:
         """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
@@ -80,7 +80,7 @@ class Reader:
         try:
             frames = self._burst.take(timeout)
         except OSError as error:
-            raise _blame(error, self.label) from error
+            raise _blame(error, self.label, self._redact) from error
         taken = []
         for time, id_, data, fd in frames:
             if id_ & (ERROR | REMOTE):
@@ -115,7 +115,7 @@ class Reader:
                 )
             )
         except Exception as error:  # a driver whose device was unplugged raises what it likes
-            raise _blame(error, self.label) from error
+            raise _blame(error, self.label, self._redact) from error
 
     def _special(self, id_: int, data: bytes, error: bool) -> None:
         """Count an error frame, of which only SocketCAN's tell their kinds, or a remote frame."""
@@ -171,13 +171,14 @@ def no_interface(name: str) -> str | None:
 
 def open_bus(interface: str, **settings: Any) -> Reader:
     """Open a bus by python-can's own names; BusError, one line that says what to do, where it cannot be."""
-    label = hide(f"{interface} {settings.get('channel', '')}".strip())
+    settings = seal(settings, HARMLESS)
+    label, redact = f"{interface} {settings.get('channel', '')}".strip(), redactor(settings)
     if fault := no_interface(interface):
         raise BusError(f"bus {label}: {fault}")
     try:
-        return Reader(can.Bus(interface=interface, **settings), label)
+        return Reader(can.Bus(interface=interface, **reveal(settings)), label, redact)
     except Exception as error:  # an interface without its driver raises what it likes, NameError included
-        raise _blame(error, label) from error
+        raise _blame(error, label, redact) from error
 
 
 def only(settings: dict[str, Any], ids: Iterable[tuple[int, bool]]) -> dict[str, Any]:
@@ -212,9 +213,9 @@ def _burst(bus: can.BusABC, found: socket.socket | None) -> Burst | None:
     return Burst(found.fileno())
 
 
-def _blame(error: Exception, label: str) -> BusError:
-    """One line: the bus, what its driver says, what to do; no login."""
+def _blame(error: Exception, label: str, redact: Callable[[str], str]) -> BusError:
+    """One line: the bus, what its driver says, what to do; no secret."""
     code = getattr(error, "errno", None) or getattr(error, "error_code", None)
     hint = HINTS.get(code, "") if isinstance(code, int) else ""
-    says = hide(" ".join(str(error).split())) or type(error).__name__
+    says = " ".join(redact(str(error)).split()) or type(error).__name__
     return BusError(f"bus {label}: {says}{': ' + hint if hint else ''}")

@@ -1,11 +1,5 @@
-"""One file a verb: every file here is imported, which gives the command line its verb."""
-
-from importlib import import_module
-from pkgutil import iter_modules
+"""One file a verb, imported when that verb runs."""
 
 from tactiled.cli.app import main
 
 __all__ = ["main"]
-
-for _found in iter_modules(__path__):
-    import_module(f"{__name__}.{_found.name}")

@@ -9,13 +9,11 @@ from rich.table import Table
 
 from tactiled.bench import bus as measure
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 
 CHANNEL = "tactiled-bench"  # of the virtual bus
 LINKS, VCANS = Path("/sys/class/net"), ("vcan0", "vcan1")
 
 
-@bench.command()
 def bus(
     interface: Annotated[
         str | None,

@@ -9,13 +9,11 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bench.contacts import Found, measure
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 
 THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
 NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
 
 
-@bench.command()
 def contacts(
     repeats: Annotated[
         int, typer.Option(help="Discs at random places; half as many pairs at every gap.", min=4)

@@ -9,10 +9,8 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bench.cover import Times, Trial, sweep, times
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 
 
-@bench.command()
 def cover(
     stacks: Annotated[int, typer.Option(help="How many random stacks.", min=1)] = 200,
     seed: Annotated[int, typer.Option(help="Of the random stacks.", min=0)] = 1,

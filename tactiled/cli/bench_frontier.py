@@ -10,14 +10,12 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 from tactiled.errors import ConfigError
 
 if TYPE_CHECKING:
     from tactiled.bench import frontier as measure
 
 
-@bench.command()
 def frontier(
     config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,

@@ -9,12 +9,10 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bench.latency import Latency, measure
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 from tactiled.cli.demo import demo_config, simulated
 from tactiled.service import Service
 
 
-@bench.command()
 def latency(
     seconds: Annotated[float, typer.Option(help="How long to measure.", min=1)] = 20.0,
     rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=1, max=1000)] = 100.0,

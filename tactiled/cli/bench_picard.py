@@ -7,11 +7,9 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import bench
 from tactiled.cli.bench_frontier import made
 
 
-@bench.command()
 def picard(
     config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to look at.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,

@@ -7,11 +7,9 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import bench
 from tactiled.cli.bench_frontier import made
 
 
-@bench.command()
 def report(
     config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,

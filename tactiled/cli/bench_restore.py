@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from tactiled.bench.machine import describe
 from tactiled.bench.restore import OURS, Accuracy, Moving, Speed, accuracy, moving, speed
 from tactiled.bench.truth import DRAWN, presses
-from tactiled.cli.app import bench
 
 SIZES = (16, 32, 64)
 THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
@@ -25,7 +24,6 @@ WIENER_AIMS = {32: 8.0, 64: 4.0}
 MOVING_AIMS = {16: "median under 40 µs", 32: "median under skimage wiener, p99 under 1 ms", 64: "p99 under 2 ms"}
 
 
-@bench.command()
 def restore(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer presses, shorter timings: under 30 s.")] = False,
     repeats: Annotated[int, typer.Option(help="Random places of every scene.", min=1)] = 3,

@@ -11,7 +11,6 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.bench.machine import describe
-from tactiled.cli.app import bench
 from tactiled.cli.bench_frontier import made
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 SHOWN = 5  # pairs
 
 
-@bench.command()
 def stability(
     config: Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")] = None,
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,

@@ -8,13 +8,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from tactiled.cli.app import app
 from tactiled.config import load
 from tactiled.config.build import SensorPlan, sensor_plans
 from tactiled.cover.meaning import Meaning, meaning
 
 
-@app.command()
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
     """Check a configuration, and print the effect of each cover on its array."""
     settings = load(config)

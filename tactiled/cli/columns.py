@@ -1,5 +1,6 @@
 """Arrays that grow by a frame at a time, on the disk, and the files that they end in."""
 
+import io
 import json
 import shutil
 import zipfile
@@ -67,15 +68,47 @@ def save_hdf5(columns: Columns, path: Path, places: Arrays, about: dict[str, Any
     """Write everything as HDF5: each array with its `units`, `about` as JSON in the file's `provenance`."""
     import h5py
 
-    with h5py.File(path, "w") as file:
-        for name, dtype, shape, column in columns.each():
-            kept = np.dtype(f"S{dtype.itemsize // 4}") if dtype.kind == "U" else dtype
-            made = file.create_dataset(name, shape, kept)
-            values = np.memmap(column, dtype, "r", shape=shape)
-            for start in range(0, shape[0], step := max(1, PIECE // max(1, values[0].nbytes))):
-                made[start : start + step] = values[start : start + step].astype(kept, copy=False)
-        for name, array in places.items():
-            file[name] = array
-        for name, unit in about["units"].items():
-            file[name].attrs["units"] = unit
-        file.attrs["provenance"] = json.dumps(about, indent=1)
+    with _Unfailing(path, "w+") as disk:
+        with h5py.File(disk, "w") as file:
+            _fill(file, columns, places, about)
+        if disk.error is not None:
+            raise disk.error
+
+
+def _fill(file: Any, columns: Columns, places: Arrays, about: dict[str, Any]) -> None:
+    for name, dtype, shape, column in columns.each():
+        kept = np.dtype(f"S{dtype.itemsize // 4}") if dtype.kind == "U" else dtype
+        made = file.create_dataset(name, shape, kept)
+        values = np.memmap(column, dtype, "r", shape=shape)
+        for start in range(0, shape[0], step := max(1, PIECE // max(1, values[0].nbytes))):
+            made[start : start + step] = values[start : start + step].astype(kept, copy=False)
+    for name, array in places.items():
+        file[name] = array
+    for name, unit in about["units"].items():
+        file[name].attrs["units"] = unit
+    file.attrs["provenance"] = json.dumps(about, indent=1)
+
+
+class _Unfailing(io.FileIO):
+    """A file whose errors HDF5 does not see: one as it closes a file would end the process."""
+
+    error: OSError | None = None  # the first, after which nothing more is written
+
+    def write(self, data: Any) -> int:
+        """Write all of it, or nothing more ever."""
+        left = memoryview(data).cast("B")
+        size = len(left)
+        try:
+            while left and self.error is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size, unless a write has failed."""
+        try:
+            return super().truncate(size) if self.error is None else 0
+        except OSError as error:
+            self.error = error
+        return 0

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from tactiled.cli.app import app
 from tactiled.config import load
 from tactiled.config.build import make_array, make_stack
 from tactiled.cover.fem import Press, pressed
@@ -34,7 +33,6 @@ PROFILE_HELP = (
 )
 
 
-@app.command()
 def cover(
     thickness: Annotated[float, typer.Option(help="Cover: thickness, mm.")] = 0.2,
     young: Annotated[float, typer.Option(help="Cover: Young's modulus, MPa.")] = 98.0,

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
-from tactiled.cli.app import app
+from tactiled.cli.app import stoppable
 from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
 from tactiled.config.build import make_stack
@@ -33,7 +33,6 @@ REAL_BUS, VIRTUAL_BUS = (
 Source = Callable[[Reader, Event], object]
 
 
-@app.command()
 def demo(
     scene: Annotated[str, typer.Option(help="What touches the array: tour, or one scene.")] = "tour",
     record: Annotated[
@@ -54,7 +53,7 @@ def demo(
         service = Service(config)
         (sensor,) = service.sensors.values()
         source = _recorded(record) if record else _played(simulated(config, sensor, scene), rate_hz)
-        with running(service, config, source):
+        with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove))
 
 
@@ -82,14 +81,15 @@ def running(service: Service, config: Config, source: Source) -> Iterator[None]:
     (bus,) = config.bus.values()
     sender = open_bus(**bus.settings())
     thread = Thread(target=source, args=(sender, stop), name="sender", daemon=True)
-    service.start()
-    thread.start()
     try:
-        yield
+        with service.running():
+            thread.start()
+            try:
+                yield
+            finally:
+                stop.set()
+                thread.join()
     finally:
-        stop.set()
-        thread.join()
-        service.stop()
         sender.close()
 
 

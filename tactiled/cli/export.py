@@ -1,10 +1,8 @@
 """`tactiled export`: a recording's images as arrays with their units and provenance."""
 
 import hashlib
-import re
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import asdict, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,24 +15,22 @@ from threadpoolctl import threadpool_limits
 from tactiled import __version__
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
-from tactiled.cli.app import app, choose
+from tactiled.cli.app import choose
 from tactiled.cli.replay import one_bus
 from tactiled.cli.sinks import FORMATS, Sink
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, make_codec, sensor_plan
 from tactiled.errors import ConfigError, TactileError
+from tactiled.files import whole
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Loss, Message
 from tactiled.pipeline import Pipeline
 
 FLAGS = {"MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED}
 SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
+THERE = "is there already: name another file, or remove it first"
 LOSS = tuple(each.name for each in fields(Loss))
-SECRET = re.compile(
-    r"""(?s)((?:read_token|control_token)["']?\s*=\s*)(""{2}.*?""{2}|'''.*?'''|"(?:\\.|[^"\\])*"|'[^']*')"""
-)
 
 
-@app.command()
 def export(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
@@ -61,10 +57,13 @@ def _free(out: Path) -> type[Sink]:
     if out.suffix not in FORMATS:
         raise ConfigError(f"{out}: no format of exports: let its name end in {', '.join(FORMATS)}")
     FORMATS[out.suffix].check()
-    if out.exists():
-        raise ConfigError(f"{out} is there already: name another file, or remove it first")
-    if not out.parent.is_dir():
-        raise ConfigError(f"{out}: no such directory: name a file that can be written")
+    try:
+        if out.exists():
+            raise ConfigError(f"{out} {THERE}")
+        if not out.parent.is_dir():
+            raise ConfigError(f"{out}: no such directory: name a file that can be written")
+    except OSError as error:
+        raise ConfigError(f"{out}: {error.strerror}: name a file that can be written") from error
     return FORMATS[out.suffix]
 
 
@@ -75,17 +74,22 @@ def _export(file: Path, settings: Config, config: Path, name: str, out: Path, ma
     router = Router({key: make_codec(each) for key, each in beside.items()})
     recording, count = Recording(file), 0
     try:
-        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as room, ExitStack() as closing:
-            sink = closing.enter_context(make(Path(room), plan))
+        with (
+            TemporaryDirectory(prefix=".tactiled-", dir=out.parent) as room,
+            whole(out) as part,
+            make(part, Path(room), plan) as sink,
+        ):
             for image in _images(_heard(recording, sink), router, plan):
                 sink.image(image)
                 count += 1
             if not count:
                 raise ConfigError(f"recording {file}: holds no frame of sensor {name} ({recording.told()})")
-            about = _about(recording, plan, router.assemblers[name].loss) | {
-                "config": {"file": config.name, "text": SECRET.sub(r'\1"..."', config.read_text("utf-8"))}
-            }
-            sink.end(about).rename(out)
+            about = _about(recording, plan, router.assemblers[name].loss)
+            sink.end(
+                about | {"config": {"file": config.name} | settings.model_dump(mode="json", exclude={"server"})}
+            )
+    except FileExistsError as error:
+        raise ConfigError(f"{out} {THERE}") from error
     except OSError as error:
         raise TactileError(f"{out}: {error.strerror or error}: nothing is exported") from error
     return count, recording.told()
@@ -103,15 +107,22 @@ def _images(messages: Iterator[Message], router: Router, plan: SensorPlan) -> It
     return (pipeline.process(frame) for name, frame in frames(messages, router) if name == plan.name)
 
 
+def _digest(recording: Path) -> str:
+    """SHA-256 of a recording."""
+    try:
+        with recording.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise ConfigError(f"recording {recording}: {error.strerror}") from error
+
+
 def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]:
     """Units and provenance."""
-    with recording.path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {
         "made_by": f"tactiled {__version__}",
         "recording": {
             "file": recording.path.name,
-            "sha256": digest,
+            "sha256": _digest(recording.path),
             "messages": recording.count,
             "end_cut_off": recording.torn,
         },

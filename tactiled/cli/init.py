@@ -5,19 +5,18 @@ from typing import Annotated
 
 import typer
 
-from tactiled.cli.app import app
 from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
+from tactiled.files import whole
 
 
-@app.command()
 def init(
     path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
 ) -> None:
     """Write a commented configuration."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(EXAMPLE)
+        with whole(path) as part:
+            part.write_text(EXAMPLE, "utf-8")
     except FileExistsError as error:
         raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
     except OSError as error:

@@ -6,10 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app
 
-
-@app.command()
 def paper(out_dir: Annotated[Path, typer.Argument(help="Folder for the figures and index.html.")]) -> None:
     """Reproduce the figures of Shimojo's paper, and compare its statements with both models."""
     from tactiled.bench.paper.page import write  # matplotlib takes half a second that no other verb needs

@@ -6,14 +6,14 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from tactiled.bus.record import Recorder, open_tap, record
-from tactiled.cli.app import app, choose, interrupted
+from tactiled.bus.record import Recorder, open_tap
+from tactiled.bus.record import record as record_bus
+from tactiled.cli.app import choose, interrupted
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 
 
-@app.command("record")
-def record_(
+def record(
     out: Annotated[
         Path, typer.Argument(help="File to write, never overwritten: .log, .asc, .blf, .log.gz, .asc.gz.")
     ],
@@ -49,7 +49,7 @@ def record_(
         with interrupted() as stop:
             recorder = Recorder(out, leave_mb=leave_mb)
             console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
-            written = record(tap, recorder, stop, float("inf") if seconds is None else seconds)
+            written = record_bus(tap, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()
     console.print(f"{out}: {written} messages", markup=False)

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.replay import Replay
-from tactiled.cli.app import app, choose
+from tactiled.cli.app import choose, stoppable
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 from tactiled.sensor import Sensor
@@ -16,7 +16,6 @@ from tactiled.service import Service
 from tactiled.web.server import serve
 
 
-@app.command()
 def replay(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
@@ -32,11 +31,8 @@ def replay(
     with threadpool_limits(1):
         service = replaying(settings, file, speed)
         at = _server(settings.server, host, port)
-        service.start()
-        try:
+        with stoppable(), service.running():
             serve(service, at)
-        finally:
-            service.stop()
 
 
 def replaying(settings: Config, file: Path, speed: float) -> Service:
@@ -53,7 +49,7 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
         codecs = {name: each.codec for name, each in sensors.items()}
         return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended)
 
-    return Service(settings, listen)
+    return Service(settings, listen, replayed=True)
 
 
 def one_bus(settings: Config, bus: str | None) -> Config:

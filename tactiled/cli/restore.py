@@ -15,18 +15,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app, interrupted
+from tactiled.cli.app import INTERRUPTED, interrupted
 from tactiled.config import Config, load
 from tactiled.config.build import SensorPlan, sensor_plan
 from tactiled.errors import ConfigError, UnknownSensorError
-from tactiled.offline import Offline, Told, opened, whole, write
+from tactiled.offline import Offline, Told, created, opened, write
 from tactiled.restore.methods import METHODS
 
 LONG = 2000  # frames from which there is progress to show
-INTERRUPTED = 130  # exit code
 
 
-@app.command()
 def restore(
     frames: Annotated[Path, typer.Argument(help="Frames (T, rows, columns) or (T, taxels) in kPa, NaN: unknown.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where the restored frames go (.npy, float32).")],
@@ -44,7 +42,7 @@ def restore(
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     with threadpool_limits(1), interrupted() as stop, ExitStack() as stack:
         kpa = offline.begin(film)
-        told = _Story(stack.enter_context(whole(stats)) if stats else None)
+        told = _Story(stack.enter_context(created(stats)) if stats else None)
         columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         progress = stack.enter_context(Progress(*columns, console=console, disable=len(film) < LONG))
         task = progress.add_task("restoring", total=len(film))

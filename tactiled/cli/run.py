@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.cli.app import app
+from tactiled.cli.app import stoppable
 from tactiled.config import load
 from tactiled.service import Service
 from tactiled.state import State, default
@@ -20,7 +20,6 @@ Foxglove = Annotated[
 ]
 
 
-@app.command()
 def run(
     config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")],
     foxglove: Foxglove = None,
@@ -30,8 +29,5 @@ def run(
     server = settings.server if foxglove is None else settings.server.model_copy(update={"foxglove": foxglove})
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = Service(settings, state=State(settings.server.state or default(config)))
-        service.start()
-        try:
+        with stoppable(), service.running():
             serve(service, server)
-        finally:
-            service.stop()

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bus.codecs import talk_of
 from tactiled.bus.reader import open_bus
-from tactiled.cli.app import app, choose, interrupted
+from tactiled.cli.app import choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
 from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
 from tactiled.config.codecs import Packed
@@ -20,7 +20,6 @@ from tactiled.errors import ConfigError
 from tactiled.simulate import SCENES, Player, answer, play, player
 
 
-@app.command()
 def simulate(
     interface: Annotated[
         str | None, typer.Option(help="python-can's name of the interface: socketcan, slcan, udp_multicast, ...")

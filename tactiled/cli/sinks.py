@@ -20,14 +20,15 @@ METHOD = "<U16"  # longer than any method's name
 
 
 class Sink(AbstractContextManager["Sink"]):
-    """What takes a recording's messages and images one by one, in a directory of its own."""
+    """What takes a recording's messages and images one by one, and makes one file of them."""
 
     @classmethod
     def check(cls) -> None:
         """Raise ConfigError where what it needs is not installed."""
 
-    def __init__(self, room: Path, plan: SensorPlan) -> None:
-        self._room, self._plan = room, plan
+    def __init__(self, path: Path, room: Path, plan: SensorPlan) -> None:
+        """Write to `path`, and what is needed meanwhile into the directory `room`."""
+        self._path, self._room, self._plan = path, room, plan
 
     def __enter__(self) -> Self:
         return self
@@ -42,25 +43,24 @@ class Sink(AbstractContextManager["Sink"]):
         """Take one image."""
         raise NotImplementedError
 
-    def end(self, about: dict[str, Any]) -> Path:
-        """Give the whole file, `about` in it."""
+    def end(self, about: dict[str, Any]) -> None:
+        """Write the rest of the file, `about` in it."""
         raise NotImplementedError
 
 
 class _ArraySink(Sink):
     save: Callable[[Columns, Path, Arrays, dict[str, Any]], None]
 
-    def __init__(self, room: Path, plan: SensorPlan) -> None:
-        super().__init__(room, plan)
+    def __init__(self, path: Path, room: Path, plan: SensorPlan) -> None:
+        super().__init__(path, room, plan)
         self._columns = Columns(room)
 
     def image(self, image: Image) -> None:
         self._columns.add(row(image))
 
-    def end(self, about: dict[str, Any]) -> Path:
+    def end(self, about: dict[str, Any]) -> None:
         places = {"positions_mm": self._plan.array.positions, "cells_mm": self._plan.cells.positions}
-        type(self).save(self._columns, self._room / "whole", places, about)
-        return self._room / "whole"
+        type(self).save(self._columns, self._path, places, about)
 
 
 class NpzSink(_ArraySink):
@@ -95,7 +95,7 @@ class McapSink(Sink):
         from mcap.writer import Writer
 
         plan = self._plan
-        self._file = (self._room / "whole").open("wb")
+        self._file = self._path.open("wb")
         self._writer: Any = Writer(self._file)  # partly untyped
         self._writer.start(library=f"tactiled {__version__}")
         self._topics = foxglove.Topics(plan.name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
@@ -123,12 +123,11 @@ class McapSink(Sink):
         for channel, data in zip(self._channels, self._topics.messages(image), strict=True):
             self._add(channel, image.time, data)
 
-    def end(self, about: dict[str, Any]) -> Path:
-        """Give the whole file, `about` in its metadata."""
+    def end(self, about: dict[str, Any]) -> None:
+        """Write the rest, `about` in the metadata."""
         self._writer.add_metadata("provenance", {"json": json.dumps(about)})
         self._writer.finish()
         self._file.close()
-        return self._room / "whole"
 
 
 FORMATS: dict[str, type[Sink]] = {".npz": NpzSink, ".h5": Hdf5Sink, ".mcap": McapSink}

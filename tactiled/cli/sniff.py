@@ -10,9 +10,10 @@ from rich.console import Console
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Found, Heard, recognise
-from tactiled.cli.app import app, interrupted
+from tactiled.cli.app import interrupted
 from tactiled.config import parse
 from tactiled.errors import ConfigError
+from tactiled.files import whole
 from tactiled.frames import Message
 
 POLL_S = 0.05  # how long a read waits
@@ -52,7 +53,6 @@ pitch_mm = {pitch}
 """
 
 
-@app.command()
 def sniff(
     interface: Annotated[
         str, typer.Option(help="python-can's name of the interface: socketcan, slcan, udp_multicast, ...")
@@ -175,7 +175,7 @@ def _lines(settings: dict[str, Any]) -> str:
 
 def _write(path: Path, text: str) -> None:
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with whole(path) as part:
+            part.write_text(text, "utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error

@@ -21,6 +21,7 @@ from tactiled.config import codecs, schema
 from tactiled.config.soonest import soonest
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.meaning import Meaning, meaning
+from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
@@ -181,12 +182,12 @@ def _icub(codec: codecs.Icub) -> Icub:
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
     if array.shape is not None:
-        finer = partial(stencil, kernel, array)
+        finer = partial(cached_table, stencil, kernel, array)
         return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, soonest, finer)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     cells = tiling(array)
-    return Blur.matrix(tiled(kernel, array, cells), float(np.sqrt(cells.areas.mean())))
+    return Blur.matrix(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
 
 
 def make_calibration(sensor: schema.Sensor) -> Calibration:

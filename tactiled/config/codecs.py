@@ -4,10 +4,10 @@ import difflib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationInfo
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo
 
 from tactiled.bus.codecs import plugins
-from tactiled.config.section import Section
+from tactiled.config.section import Foreign, Section
 
 
 class Packed(Section):
@@ -128,10 +128,8 @@ def _offered(name: str) -> str:
     return name
 
 
-class Plugin(BaseModel):
+class Plugin(Foreign):
     """A codec of another installed package; it receives its own settings unchanged."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
 
     name: Annotated[str, AfterValidator(_offered), Field(json_schema_extra={"not": {"enum": list(BUILT_IN)}})]
 

@@ -11,6 +11,7 @@ from pydantic_core import ErrorDetails
 
 from tactiled.bus.codecs import plugins
 from tactiled.bus.reader import no_interface
+from tactiled.bus.redact import seal, show
 from tactiled.config.codecs import BUILT_IN
 from tactiled.config.schema import Bus, Config, Layer, Sensor
 from tactiled.config.section import Section
@@ -59,7 +60,10 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: {fault['msg'].removeprefix('Value error, ')}"
     if place.endswith("_token"):
         return f"{place}: {fault['msg']}"
-    return f"{place} = {_short(fault['input'])}: {fault['msg']}"
+    value = fault["input"]
+    if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
+        (value,) = show([*seal({"": value}).values()])
+    return f"{place} = {_short(value)}: {fault['msg']}"
 
 
 def _place(loc: Sequence[int | str]) -> str:

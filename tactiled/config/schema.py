@@ -4,10 +4,19 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, SecretStr, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SecretStr,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
+from tactiled.bus.redact import HARMLESS, reveal
 from tactiled.config.codecs import Codec
-from tactiled.config.section import Section
+from tactiled.config.section import Foreign, Section, Shown
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Length = Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)]  # mm
@@ -87,14 +96,20 @@ class Server(Section):
         return self
 
 
-class Bus(BaseModel):
-    """A CAN interface: these keys and all that python-can's interface takes besides, passed on as they are."""
+def _channel(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    """A channel, a Secret where it is an address with a login or a query."""
+    check(reveal(value))
+    return value
 
-    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+
+class Bus(Foreign):
+    """A CAN interface: these keys and all that python-can's interface takes besides."""
+
+    harmless = HARMLESS
 
     interface: str
     """Interface of python-can: `socketcan`, `slcan`, `pcan`, `kvaser`, `udp_multicast`, `virtual`, ..."""
-    channel: str | int | None = None
+    channel: Annotated[str | int | None, WrapValidator(_channel), Shown] = None
     """Channel of that interface, such as `can0` or `/dev/ttyUSB0`."""
 
     def settings(self) -> dict[str, Any]:

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from time import perf_counter
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tactiled.cover.kernel import cache_folder
+from tactiled.files import whole
 from tactiled.restore.forms import Forms
 
 
@@ -42,8 +42,5 @@ def _known(path: Path, forms: Forms) -> str | None:
 
 def _keep(path: Path, name: str) -> None:
     """Write it whole or not at all; of several that do so at once the first stays."""
-    with NamedTemporaryFile("w", dir=path.parent, suffix=".part") as part:
-        part.write(name)
-        part.flush()
-        with suppress(FileExistsError):
-            path.hardlink_to(part.name)
+    with suppress(FileExistsError), whole(path) as part:
+        part.write_text(name)

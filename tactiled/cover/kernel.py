@@ -6,8 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from tempfile import NamedTemporaryFile
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -15,9 +14,13 @@ from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 
-from tactiled.cover import fem, layered
+from tactiled.cover import layered
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
+from tactiled.files import whole
+
+if TYPE_CHECKING:
+    from tactiled.cover import fem
 
 Floats = NDArray[np.float64]
 Model = Literal["fem", "layered"]
@@ -66,6 +69,8 @@ def solve(
         return Kernel(stack, model, q, gain, *radial(q, gain), error_estimate=layered.ROUNDING)
     if model != "fem":
         raise PhysicsError(f"cover model is {model!r}: give 'fem' or 'layered'")
+    from tactiled.cover import fem  # scikit-fem, which a cached kernel does not need
+
     start = clock()
     found = fem.solve(stack, accuracy, profile, late=lambda: clock() - start > budget_s)
     q, gain = _continued(found)
@@ -98,15 +103,14 @@ def cached(
 
 
 def _store(kernel: Kernel, path: Path) -> None:
-    """Write a kernel under another name first, so that no reader ever meets half a file."""
+    """Write a kernel, of which no reader ever meets half a file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+    with whole(path, replace=True) as part, part.open("wb") as file:
         np.savez(
-            part,
+            file,
             **{name: getattr(kernel, name) for name in ("q", "gain", "r", "g", "error_estimate")},
             mesh=np.array([*kernel.mesh, kernel.unknowns]),
         )
-    Path(part.name).replace(path)
 
 
 def cache_folder() -> Path:
@@ -114,8 +118,10 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
 
 
-def _continued(found: fem.Solution) -> tuple[Floats, Floats]:
+def _continued(found: "fem.Solution") -> tuple[Floats, Floats]:
     """Tabulate the elements' gain evenly in log q, and let it die away past the end as it did before it."""
+    from tactiled.cover import fem
+
     value = fem.interpolant(found.q, found.gain)
     last = float(found.q[np.flatnonzero(np.abs(found.gain) >= fem.FLOOR)[-1]])
     before, at = value(np.array([0.8 * last, last]))

@@ -5,12 +5,16 @@ transforms of cell and aperture. It is taken octave by octave, so that a film's 
 each have their own period and cut-off; as the integral runs to the cut-off, every alias of the sampling is in it.
 """
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
 
-from tactiled.cover.kernel import Kernel
+from tactiled.cover.cache import kept
+from tactiled.cover.kernel import Kernel, cache_folder
 from tactiled.errors import PhysicsError
 from tactiled.geometry import Array, Cells
 
@@ -19,6 +23,7 @@ Floats = NDArray[np.float64]
 BAND = 4.0  # ratio of neighbouring bands' cut-offs
 FALL = 4.6  # a Gaussian exp(-x^2) is as good as 0 (1e-9) here
 RANGE = 6.0  # a band from q on reaches this over q in space: four times its Gaussian's own FALL / pi
+CODE = Path(__file__).read_bytes()  # a cached table of other code is not ours
 FINEST = 1000.0  # cycles a cell beyond which cell and aperture leave nothing (1e-7 of the peak)
 
 
@@ -61,6 +66,20 @@ def tiled(kernel: Kernel, array: Array, cells: Cells) -> Floats:
         away = np.abs(cells.pieces - place)
         response[taxel] = np.bincount(cells.owner, table.ev(away[:, 1], away[:, 0]))
     return response
+
+
+def cached(
+    make: Callable[..., Floats],
+    kernel: Kernel,
+    array: Array,
+    more: int | Cells,
+    folder: Path | None = None,
+) -> Floats:
+    """Give make(kernel, array, more), from `folder` (by default the user's cache) where it is already there."""
+    cover = make.__name__, kernel.q, kernel.gain
+    taxels = array.positions, array.shape, array.pitch, array.width, array.aperture
+    cells = (more.pieces, more.side, more.owner) if isinstance(more, Cells) else (more,)
+    return kept(folder or cache_folder(), (CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
 
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:

@@ -4,13 +4,14 @@ Every test is against the noise, on numbers that are there anyway. A test that w
 again up to `STAY` times further, so that a scene on the border does not flicker.
 """
 
-from math import log, sqrt
+from math import sqrt
 
 import numpy as np
 
 from tactiled.restore.drawing import MODEL
 from tactiled.restore.linear import Filter, Wiener, deviation, untouched
 from tactiled.restore.modes import Floats, Image
+from tactiled.restore.noise import outstanding
 from tactiled.restore.nonneg import Nonneg
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Restored, Scene
@@ -37,11 +38,6 @@ LEFT = "a few small spots, and nothing tells where on their taxels: restoring ma
 NNLS = "sharp, sparse or touching zero: linear would ring below zero"
 
 
-def outstanding(scene: Scene) -> float:
-    """Pressure (kPa) that noise alone reaches on hardly any frame."""
-    return scene.noise * (sqrt(2 * log(scene.flat.size + 1)) + 1.5)
-
-
 class Idle:
     """Tests whether a frame is noise and nothing else."""
 
@@ -49,7 +45,7 @@ class Idle:
         size = scene.flat.size
         self._ones = np.ones(size, np.float32)
         self._scene = scene
-        self._peak = outstanding(scene)
+        self._peak = outstanding(scene.noise, size)
         self._sum = SURE * scene.noise * sqrt(size)
 
     def __call__(self, y: Image, reach: float) -> bool:

@@ -3,7 +3,6 @@
 from math import prod, sqrt
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
@@ -88,6 +87,8 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     squares = [basis**2 for basis in modes.surface]
     spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
     if image is not None and scene.spotted:
+        from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
+
         refine = image.shape[0] // scene.blur.frame_shape[0]
         about = gaussian_filter(np.abs(image), ASTRAY * refine) if image.ndim > 1 else np.abs(image)
         spread = np.hypot(spread, ASTRAY * about)

@@ -1,5 +1,7 @@
 """How noisy is a taxel? Measured from frames, whatever is pressed on them meanwhile."""
 
+from math import log, sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +33,11 @@ def estimate(frames: NDArray[np.floating]) -> float:
         found = min(found, _spread(across, 6.0 ** len(axes)) if axes else np.inf)
     known = np.abs(values[np.isfinite(values)])
     return max(found if np.isfinite(found) else 0.0, FALL_BACK * float(known.max(initial=0.0)))
+
+
+def outstanding(noise_kpa: float, size: int) -> float:
+    """Pressure (kPa) that noise alone reaches on hardly any of `size` taxels."""
+    return noise_kpa * (sqrt(2 * log(size + 1)) + 1.5)
 
 
 def _spread(differences: Floats, variance: float) -> float:

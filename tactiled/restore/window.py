@@ -5,9 +5,10 @@ from math import prod, sqrt
 import numpy as np
 
 from tactiled.restore.blur import Blur
-from tactiled.restore.choose import ITERATED, REVIEW, SURE, Auto, outstanding
+from tactiled.restore.choose import ITERATED, REVIEW, SURE, Auto
 from tactiled.restore.linear import deviation
 from tactiled.restore.modes import Floats, Image
+from tactiled.restore.noise import outstanding
 from tactiled.restore.points import Point
 from tactiled.restore.scene import Restored, Scene
 
@@ -42,7 +43,7 @@ class Windowed:
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
         self._flat, self._ones = self._around.reshape(-1), np.ones(self._around.size, np.float32)
         self._image = np.zeros(blur.surface_shape, np.float32)
-        self._peak = outstanding(scene)
+        self._peak = outstanding(scene.noise, scene.flat.size)
         self._open = self.shown = False  # whether there is a window, and whether the last image came from it
         self._taxels = self._inside = self._cells = (slice(0), slice(0))
         self._age = self._wait = 0

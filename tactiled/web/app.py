@@ -65,12 +65,13 @@ def create(service: Service, server: Server) -> FastAPI:
     app.state.films = film.Films()
     app.state.constants = {}
     app.state.streams = Streams(server.streams_per_client, server.streams)
+    app.state.waiting = Streams(log.WAITING_PER_CLIENT, log.WAITING, "events_waiting")
     app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
-        leave_mb = server.recordings_leave_mb
-        app.include_router(recordings.make(server.recordings, service.buses, service.events, leave_mb))
+        buses, leave_mb = {} if service.replayed else service.buses, server.recordings_leave_mb
+        app.include_router(recordings.make(server.recordings, buses, service.events, leave_mb))
 
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))

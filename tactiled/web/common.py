@@ -121,7 +121,7 @@ def turns(rates: Rates) -> dict[Turn, Turns]:
 
 
 async def in_turn(request: Request, make: Callable[[], Response], of: Turn = "numbers") -> Response:
-    """Make a costly answer on a thread, one of its kind at a time: many would keep every other answer waiting."""
+    """Make a costly answer, one of its kind at a time: many would keep every other answer waiting."""
     turns: dict[Turn, Turns] = request.app.state.turns
     return await turns[of].one(request, make)
 

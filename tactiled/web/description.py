@@ -34,7 +34,7 @@ def complete(app: FastAPI, guarded: bool) -> Callable[[], Json]:
                 there = [each["name"] for each in operation.get("parameters", ()) if each["in"] == "query"]
                 detail = content["example"] or no_such("colour", there)
                 problem = forms.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
-                content["example"] = problem.model_dump()
+                content["example"] = problem.model_dump(exclude_none=True)
         return plain()
 
     return openapi

@@ -295,3 +295,9 @@ class Problem(Form):
     title: str = Field(examples=["Not Found"])
     status: int = Field(examples=[404])
     detail: str = Field(examples=["sensor 'plam': no such sensor: there are palm"])
+    code: Literal["loaded"] | None = Field(
+        None, description="only where a program may act on it; loaded: force=true tares anyway"
+    )
+    seen: str | None = Field(
+        None, description="what stands in the way", examples=["contact of 12 kPa on 34 taxels"]
+    )

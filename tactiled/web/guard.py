@@ -1,5 +1,6 @@
 """What a browser may do with the service: headers on every response, and no other site's page let in."""
 
+import asyncio
 import logging
 import re
 from collections.abc import Callable
@@ -15,29 +16,21 @@ from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.web import problems, session
 from tactiled.web.body import Body
+from tactiled.web.http.headers import HEADERS, STRICT_TRANSPORT_SECURITY
+from tactiled.web.http.log_limit import LogLimit
+from tactiled.web.http.protocols import ENDS
 from tactiled.web.keys import COOKIE, Keys
 from tactiled.web.rates import Rates, Streams
 
 Refusal = tuple[int, str]
 LOG = logging.getLogger(__name__)
+LOG.addFilter(LogLimit())
 HOME = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
 )
 
-HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 ALONE = "; HttpOnly; SameSite=Strict; Path=/"
-STAY = {"Strict-Transport-Security": "max-age=31536000"}  # with TLS for a year; a browser has it for all ports
 
 
 class Guard:
@@ -46,7 +39,9 @@ class Guard:
     def __init__(self, app: ASGIApp, server: Server, rates: Rates, streams: Streams) -> None:
         self._app, self._server, self._keys = app, server, Keys(server)
         self._rates, self._streams = rates, streams
-        self._headers = HEADERS | (STAY if server.tls_certificate and not server.loopback else {})
+        self._headers = HEADERS | (
+            STRICT_TRANSPORT_SECURITY if server.tls_certificate and not server.loopback else {}
+        )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -80,13 +75,12 @@ class Guard:
             await app(scope, await body.taken(), guarded)
         except ClientDisconnect:  # amid its body: there is nobody left to tell
             return
-        except problems.Problem as error:
-            await problems.response(error.status_code, error.detail, error.headers)(scope, receive, guarded)
-        except Exception:
-            LOG.exception("%s %s failed", scope["method"], scope["path"])
-            if started:
+        except (Exception, asyncio.CancelledError) as error:
+            excuse = _excuse(error, scope)
+            if not started:
+                await excuse(scope, receive, guarded)
+            elif isinstance(error, Exception):
                 raise
-            await problems.response(500, "the service failed at this: see its log")(scope, receive, guarded)
 
     async def _stream(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a WebSocket, if it is not one too many."""
@@ -137,6 +131,16 @@ class Guard:
         secure = "; Secure" if self._server.tls_certificate else ""
         answer.headers["Set-Cookie"] = f"{COOKIE}={token}{ALONE}{secure}"
         return answer
+
+
+def _excuse(error: BaseException, scope: Scope) -> Response:
+    """What a client is told of what went wrong; a fault of the service's own stands in its log."""
+    if isinstance(error, problems.Problem):
+        return problems.response(error.status_code, error.detail, error.headers)
+    if isinstance(error, asyncio.CancelledError):
+        return problems.response(503, ENDS)
+    LOG.error("%s %s failed", scope["method"], scope["path"], exc_info=error)
+    return problems.response(500, "the service failed at this: see its log")
 
 
 async def _close(refusal: Refusal, receive: Receive, send: Send) -> None:

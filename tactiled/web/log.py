@@ -5,12 +5,13 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 from pydantic import Field
 
 from tactiled.events import Events, Kind
 from tactiled.web import forms
-from tactiled.web.common import Served
+from tactiled.web.common import WAIT, Responses, Served, problem
+from tactiled.web.rates import Streams
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
 
@@ -37,6 +38,20 @@ class EventsForm(forms.Form):
     missed: int = Field(description="events after `after` that are no longer kept", examples=[0])
 
 
+WAITING, WAITING_PER_CLIENT = 64, 16  # requests that wait for the next event
+TOO_MANY_WAIT: Responses = {
+    429: problem(
+        "as many requests of this client wait already",
+        f"events_waiting_per_client = {WAITING_PER_CLIENT}: 127.0.0.1 has as many open: close one",
+        Retry_After=WAIT,
+    ),
+    503: problem(
+        "as many requests of all clients wait already",
+        f"events_waiting = {WAITING}: as many are open: come again later",
+        Retry_After=WAIT,
+    ),
+}
+
 After = Annotated[int, Query(ge=0, le=2**53, description="id of the last event that the client has")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="events in one answer")]
 Wait = Annotated[
@@ -45,15 +60,19 @@ Wait = Annotated[
 ]
 
 
-@router.get("/events")
-async def events(service: Served, after: After = 0, limit: Limit = 100, wait: Wait = 0.0) -> EventsForm:
+@router.get("/events", responses=TOO_MANY_WAIT)
+async def events(
+    request: Request, service: Served, after: After = 0, limit: Limit = 100, wait: Wait = 0.0
+) -> EventsForm:
     """Events after a given one; the service keeps the last 1000.
 
     An `after` above the newest id, from before a restart of the service, counts as 0.
     """
     kept = service.events
     if after == kept.newest and wait:
-        await _next(kept, after, wait)
+        waiting: Streams = request.app.state.waiting
+        with waiting.one(request.scope):
+            await _next(kept, after, wait)
     after = after if after <= kept.newest else 0
     found = kept.after(after)
     return EventsForm(

@@ -10,6 +10,7 @@ from tactiled.bus.faults import KINDS
 from tactiled.sensor import Sensor, State, Status
 from tactiled.service import Service
 from tactiled.web.common import Served
+from tactiled.web.http.places import Places
 from tactiled.web.rates import Streams
 
 MEDIA = "text/plain; version=0.0.4; charset=utf-8"
@@ -21,13 +22,14 @@ router = APIRouter(include_in_schema=False)
 @router.get("/metrics")
 def metrics(request: Request, service: Served) -> Response:
     """Health and counts, for Prometheus to scrape."""
-    return Response(text(service, request.app.state.streams), media_type=MEDIA)
+    state = request.app.state
+    return Response(text(service, state.streams, state.places), media_type=MEDIA)
 
 
-def text(service: Service, streams: Streams) -> str:
-    """Every family of a service and its streams."""
+def text(service: Service, streams: Streams, places: Places) -> str:
+    """Every family of a service, its streams and its connections."""
     told = [(each, each.status()) for each in service.sensors.values()]
-    return "".join(line + "\n" for family in (*_families(told), *_clients(streams)) for line in family)
+    return "".join(line + "\n" for family in (*_families(told), *_clients(streams, places)) for line in family)
 
 
 def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
@@ -59,10 +61,13 @@ def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
     yield _family("error_frames_total", "counter", "error frames of the bus, by kind", errors)
 
 
-def _clients(streams: Streams) -> Iterator[Iterator[str]]:
+def _clients(streams: Streams, places: Places) -> Iterator[Iterator[str]]:
     yield _family("streams", "gauge", "open WebSockets", [({}, streams.open)])
     refused: list[Sample] = [({"bound": bound}, count) for bound, count in streams.refused.items()]
     yield _family("streams_refused_total", "counter", "refused WebSockets, by the bound that was reached", refused)
+    yield _family("connections", "gauge", "open connections, with WebSockets", [({}, places.open)])
+    dropped: list[Sample] = [({"how": how}, count) for how, count in places.dropped.items()]
+    yield _family("connections_dropped_total", "counter", "connections above the bound, by what was done", dropped)
 
 
 def _family(name: str, kind: str, says: str, samples: Iterable[Sample]) -> Iterator[str]:

@@ -1,20 +1,20 @@
 """An image as a picture for people: colours, a legend in kPa, axes in mm."""
 
 from io import BytesIO
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
 from tactiled.sensor import Sensor
 from tactiled.web import answers
 from tactiled.web.forms import Shown
+
+if TYPE_CHECKING:  # a service starts without matplotlib: the first picture imports it
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
 
 COLORS = "magma"  # even in lightness, and told apart by the colour-blind
 UNKNOWN = "#8a8a8a"
@@ -26,7 +26,9 @@ GROUND = "#dfe3e6"  # between the taxels of a layout that is no grid
 
 def colors() -> list[list[int]]:
     """The 256 colours (red, green, blue) from no pressure to the most."""
-    table: list[list[int]] = np.round(mpl.colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int).tolist()
+    from matplotlib import colormaps
+
+    table: list[list[int]] = np.round(colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int).tolist()
     return table
 
 
@@ -53,8 +55,11 @@ def png(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> bytes:
     return out.getvalue()
 
 
-def draw(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> Figure:
+def draw(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> "Figure":
     """Lay the picture out; the map comes first among its axes, the legend second."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     values = answers.values(sensor, image, kind)
     pitch = sensor.array.pitch
     low, high = sensor.array.positions.min(axis=0) - pitch / 2, sensor.array.positions.max(axis=0) + pitch / 2
@@ -72,9 +77,12 @@ def draw(sensor: Sensor, image: Image, kind: Shown, top: float | None) -> Figure
     return figure
 
 
-def _map(axes: Axes, sensor: Sensor, values: NDArray[np.float32], extent: Extent) -> ScalarMappable:
+def _map(axes: "Axes", sensor: Sensor, values: NDArray[np.float32], extent: Extent) -> "ScalarMappable":
     """Cells of a grid, or the apertures of a layout that is none; kPa."""
-    cmap = mpl.colormaps[COLORS].with_extremes(bad=UNKNOWN)
+    from matplotlib import colormaps
+    from matplotlib.collections import EllipseCollection
+
+    cmap = colormaps[COLORS].with_extremes(bad=UNKNOWN)
     if values.ndim == 2:
         return axes.imshow(values, cmap, extent=extent, interpolation="nearest")
     side = np.full(values.size, sensor.array.width)

@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from tactiled.errors import ConfigError, NoShearError, NotLiveError, UnknownSensorError
+from tactiled.errors import ConfigError, LoadedError, NoShearError, NotLiveError, UnknownSensorError
 from tactiled.web import forms
 
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -22,10 +22,12 @@ class Problem(HTTPException):
         super().__init__(status, detail, dict(headers or {}))
 
 
-def response(status: int, detail: str, headers: Mapping[str, str] | None = None) -> Response:
-    """The response of a problem."""
-    body = forms.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
-    return Response(body.model_dump_json(), status, dict(headers or {}), "application/problem+json")
+def response(status: int, detail: str, headers: Mapping[str, str] | None = None, **more: Any) -> Response:
+    """The response of a problem; `more` of its fields where it has them."""
+    body = forms.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, **more)
+    return Response(
+        body.model_dump_json(exclude_none=True), status, dict(headers or {}), "application/problem+json"
+    )
 
 
 def install(app: FastAPI) -> None:
@@ -48,8 +50,10 @@ def install(app: FastAPI) -> None:
         return response(404, str(error))
 
     @app.exception_handler(NotLiveError)
-    async def _not_live(_: Request, error: NotLiveError) -> Response:
-        return response(409, str(error))
+    @app.exception_handler(LoadedError)
+    async def _no_tare(_: Request, error: NotLiveError | LoadedError) -> Response:
+        loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
+        return response(409, str(error), **loaded)
 
     @app.exception_handler(ConfigError)
     async def _config(_: Request, error: ConfigError) -> Response:

@@ -7,10 +7,11 @@ import threading
 import time
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from statistics import fmean
+from typing import NoReturn
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
@@ -56,12 +57,13 @@ class Rates:
 
 
 class Streams:
-    """Lets a client have `each` WebSockets open at a time, and all clients together `most` (0: no bound)."""
+    """Lets a client have `each` of a kind open at a time, and all clients together `most` (0: no bound)."""
 
-    def __init__(self, each: int, most: int) -> None:
+    def __init__(self, each: int, most: int, kind: str = "streams") -> None:
         self._each, self._most = each, most
+        self._bounds = f"{kind}_per_client", kind
         self._open: Counter[str] = Counter()
-        self.refused = {"streams_per_client": 0, "streams": 0}  # so far, by the bound
+        self.refused = dict.fromkeys(self._bounds, 0)  # so far, by the bound
 
     @property
     def open(self) -> int:
@@ -73,31 +75,35 @@ class Streams:
         """Count one while it is open; Problem 429 or 503 where it is one too many."""
         who = client(scope)
         if self._each and self._open[who] >= self._each:
-            self.refused["streams_per_client"] += 1
-            raise Problem(
-                429, f"streams_per_client = {self._each}: {who or 'this client'} has as many open: close one"
-            )
+            self._refuse(429, self._bounds[0], f"{self._each}: {who or 'this client'} has as many open: close one")
         if self._most and self.open >= self._most:
-            self.refused["streams"] += 1
-            raise Problem(503, f"streams = {self._most}: as many are open: come again later")
+            self._refuse(503, self._bounds[1], f"{self._most}: as many are open: come again later")
         self._open[who] += 1
         try:
             yield
         finally:
             self._open -= Counter((who,))  # which forgets who has none
 
+    def _refuse(self, status: int, bound: str, why: str) -> NoReturn:
+        self.refused[bound] += 1
+        raise Problem(status, f"{bound} = {why}", {"Retry-After": "1"})
+
 
 class Turns:
-    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop."""
+    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop.
+
+    They are all made on one thread: for each thread that ever draws, matplotlib keeps its fonts open.
+    """
 
     def __init__(self, rates: Rates, clock: Callable[[], float] = time.monotonic) -> None:
         self._rates, self._clock, self._lock = rates, clock, asyncio.Lock()
         self._waiting: Counter[str] = Counter()
         self._took: deque[float] = deque(maxlen=MEASURED)  # s, of the last turns
         self._began = 0.0  # the newest turn
+        self._thread = ThreadPoolExecutor(1, "turns")
 
     async def one(self, request: Request, make: Callable[[], Response]) -> Response:
-        """Make one on a thread, in its turn, unless its client has left; Problem 429 where it is one too many.
+        """Make one in its turn, unless its client has left; Problem 429 where it is one too many.
 
         One that finds the queue full is not counted.
         """
@@ -118,7 +124,7 @@ class Turns:
             self._began = self._clock()
             if await request.is_disconnected():
                 return Response()
-            made = await run_in_threadpool(make)
+            made = await asyncio.get_running_loop().run_in_executor(self._thread, make)
             self._took.append(self._clock() - self._began)
             return made
         finally:
@@ -157,7 +163,11 @@ async def _left(request: Request) -> None:
 
 def client(scope: Scope) -> str:
     """Whose request it is: an IPv4 address, the 64 bits of an IPv6 address that one network has, or ""."""
-    host = scope["client"][0] if scope.get("client") else ""
+    return network(scope["client"][0] if scope.get("client") else "")
+
+
+def network(host: str) -> str:
+    """An IPv4 address as it is, the network of an IPv6 address, "" for what is none."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:  # a socket without one, or what a proxy's header says

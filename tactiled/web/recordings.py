@@ -27,7 +27,8 @@ RUNS: Responses = {409: problem("it runs", "recording grasp.log: runs: stop it f
 STARTED: Responses = {
     404: problem("no such bus", "bus can9: no such bus: there are can0"),
     409: problem(
-        "that bus is being recorded, or the name is there already", "bus can0: is being recorded already"
+        "that bus is being recorded, the name is there already, or no bus is open, as in a replay",
+        "bus can0: is being recorded already",
     ),
     503: problem(
         "the bus cannot be opened, the file cannot be written, or too little room is left",
@@ -144,7 +145,9 @@ class Recordings:
         return Listed(recordings=page, after=page[-1].name if len(found) > limit else None)
 
     def start(self, bus: str, name: str | None) -> Recorded:
-        """Start one; Problem where there is no such bus, or one of that bus or name is there."""
+        """Start one; Problem where there is no such bus or none at all, or one of that bus or name is there."""
+        if not self._buses:
+            raise Problem(409, f"bus {bus}: is not open: this service replays a recording")
         if bus not in self._buses:
             raise Problem(404, f"bus {bus}: no such bus: there are {', '.join(self._buses)}")
         path = self._folder / (name or f"{bus}-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.log")
@@ -234,7 +237,7 @@ def _bytes(path: Path) -> int | None:
 
 
 def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float = 0.0) -> APIRouter:
-    """The routes of a folder and of buses by name, with python-can's settings of each."""
+    """The routes of a folder and of buses by name, with python-can's settings of each; of none in a replay."""
     recordings = Recordings(folder, buses, events, leave_mb)
 
     @asynccontextmanager

@@ -130,17 +130,23 @@ def calibration(sensor: Found) -> forms.CalibrationForm:
 
 
 NOT_LIVE: Responses = {
-    409: problem("the sensor is not live", "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames")
+    409: problem(
+        "the sensor is not live; or its newest frames show a load, which code = loaded and seen tell, and "
+        "force=true tares anyway",
+        "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames",
+    )
 }
+Force = Annotated[bool, Query(description="tare even where the newest frames show a load")]
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | NOT_LIVE | CONTROL)
-def tare(sensor: Found, service: Served) -> forms.Tare:
+def tare(sensor: Found, service: Served, force: Force = False) -> forms.Tare:
     """Tare: the mean of the next 16 frames becomes no load, and an event reports the end.
 
-    If the sensor does not stay live until then, the tare lapses, and an event reports that.
+    It is refused while the newest frames show a load: a contact above noise and scatter, or readings that move;
+    `force=true` tares anyway. If the sensor does not stay live, the tare lapses, and an event reports that.
     """
-    service.tare(sensor.name)
+    service.tare(sensor.name, force)
     return forms.Tare(frames=TARE_FRAMES)
 
 

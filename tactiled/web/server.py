@@ -1,12 +1,16 @@
 """The HTTP server: one door for `run`, `demo`, tests and benchmarks."""
 
 import errno
+import logging
 import socket
+import ssl
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
@@ -17,11 +21,14 @@ from tactiled.service import Service
 from tactiled.web import session, xela
 from tactiled.web.app import create
 from tactiled.web.bridge import bridge
-from tactiled.web.refused import TellingHttp, TellingWebSocket
+from tactiled.web.http import bounds
+from tactiled.web.http.connection import Connection
+from tactiled.web.http.log_limit import LogLimit
+from tactiled.web.http.places import Places, limit
+from tactiled.web.http.protocols import WebSocket
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 START_S = 10.0  # that a server may take to start
-UNREAD_S = 20.0  # that a client may take nothing of what it is sent
 
 
 def _listen(at: Server) -> socket.socket:
@@ -34,7 +41,7 @@ def _listen(at: Server) -> socket.socket:
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sys.platform == "linux":  # of each connection, in TLS as well
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * UNREAD_S))
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * bounds.UNREAD_S))
     try:
         listener.bind(address)
     except OSError as error:
@@ -50,27 +57,45 @@ def _listen(at: Server) -> socket.socket:
 
 def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     sys.setswitchinterval(SWITCH_S)
-    for path in (at.tls_certificate, at.tls_key):
-        if path is not None and not path.is_file():
-            raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
-    return uvicorn.Server(
+    app.state.places = places = Places(limit(at.streams))
+    protocol = partial(Connection, places=places, tls=_tls(at))
+    server = uvicorn.Server(
         uvicorn.Config(
             app,
-            loop="tactiled.web.patience:tls_loop" if at.tls_certificate else "auto",
-            http=TellingHttp,
-            ws=TellingWebSocket,
+            loop="asyncio" if at.tls_certificate else "auto",  # uvloop reads before `start_tls` can
+            http=cast(Any, protocol),
+            ws=WebSocket,
+            h11_max_incomplete_event_size=bounds.MAX_HEAD,
+            timeout_keep_alive=3600,  # State.IDLE has the bound
             ws_max_size=session.MOST,
             ws_ping_interval=session.PING_S,
             ws_ping_timeout=session.PING_S,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
             log_level="warning",
             access_log=False,
-            timeout_graceful_shutdown=2,
+            timeout_graceful_shutdown=cast(int, bounds.SHUTDOWN_S),
             server_header=False,
-            ssl_certfile=at.tls_certificate,
-            ssl_keyfile=at.tls_key,
         )
     )
+    logging.getLogger("uvicorn.error").addFilter(LogLimit())
+    return server
+
+
+def _tls(at: Server) -> ssl.SSLContext | None:
+    """The server's side of TLS, None where it has none; TactileError where its files cannot be used."""
+    if at.tls_certificate is None:
+        return None
+    for path in (at.tls_certificate, at.tls_key):
+        if path is not None and not path.is_file():
+            raise TactileError(f"{path}: no such file: give the PEM files of tls_certificate and tls_key")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(at.tls_certificate, at.tls_key)
+    except (OSError, ssl.SSLError) as error:
+        raise TactileError(
+            f"{at.tls_certificate}, {at.tls_key}: {error}: give a certificate and its key"
+        ) from error
+    return context
 
 
 def _url(listener: socket.socket, at: Server) -> str:
@@ -80,7 +105,7 @@ def _url(listener: socket.socket, at: Server) -> str:
 
 
 def serve(service: Service, at: Server) -> None:
-    """Serve until interrupted; TactileError where the address cannot be had."""
+    """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
     listener = _listen(at)
     try:
         server = _server(create(service, at), at)
@@ -92,8 +117,6 @@ def serve(service: Service, at: Server) -> None:
                 flush=True,
             )
             server.run(sockets=[listener])
-    except KeyboardInterrupt:
-        return
     finally:
         listener.close()
 

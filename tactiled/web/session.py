@@ -7,7 +7,8 @@ from typing import Any
 from fastapi import WebSocket, WebSocketDisconnect
 
 from tactiled.errors import NoShearError, UnknownSensorError
-from tactiled.web.flow import ENDS
+from tactiled.web.http.bounds import MAX_FRAGMENTS
+from tactiled.web.http.protocols import ENDS
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
 PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
@@ -15,7 +16,7 @@ PING_S = 20.0  # between two pings of the service, and until one must be answere
 CLOSES = {
     PROTOCOL: "the bytes are not a WebSocket frame",
     NO_TEXT: "a text message is not UTF-8",
-    TOO_BIG: "a message has more than 64 KiB",
+    TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
     FAILED: "the service failed, see its log; or the client answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
     RESTART: ENDS,

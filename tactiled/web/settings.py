@@ -1,12 +1,11 @@
 """`GET /api/v1/config`: what the service runs with, without its secrets."""
 
-from typing import Any, Literal
+from typing import Literal
 
 from fastapi import APIRouter, Request
 from pydantic import Field
 
-from tactiled.bus.secrecy import bare
-from tactiled.config import Server, codecs, parse, schema
+from tactiled.config import Server, parse, schema
 from tactiled.config.example import EXAMPLE
 from tactiled.service import Service
 from tactiled.web import forms
@@ -52,7 +51,7 @@ class ConfigForm(forms.Form):
     """The configuration as read, with every default, and what clients changed since."""
 
     server: ServerForm
-    bus: dict[str, dict[str, Any]] = Field(
+    bus: dict[str, schema.Bus] = Field(
         description="python-can's settings; secrets are hidden",
         examples=[{"can0": {"interface": "socketcan", "channel": "can0"}}],
     )
@@ -73,8 +72,8 @@ def config(request: Request, service: Served) -> ConfigForm:
     """The configuration with every default, without secrets, and the changes that clients made."""
     return ConfigForm(
         server=_server(request.app.state.server, service),
-        bus={name: bare(settings) for name, settings in service.buses.items()},
-        sensor={name: _bare(sensor) for name, sensor in service.config.sensor.items()},
+        bus=dict(service.config.bus),
+        sensor=dict(service.config.sensor),
         overrides=tuple(_overrides(service)),
     )
 
@@ -98,13 +97,6 @@ def _server(server: Server, service: Service) -> ServerForm:
         streams_per_client=server.streams_per_client,
         streams=server.streams,
     )
-
-
-def _bare(sensor: schema.Sensor) -> schema.Sensor:
-    """A sensor without what may be a secret in the settings of another package's codec."""
-    if not isinstance(sensor.codec, codecs.Plugin):
-        return sensor
-    return sensor.model_copy(update={"codec": codecs.Plugin.model_construct(**bare(sensor.codec.model_dump()))})
 
 
 def _overrides(service: Service) -> list[Override]:

@@ -10,8 +10,8 @@ from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.events import Faults
 from tactiled.frames import Image
 from tactiled.web.feed import TICK_S, Feed
-from tactiled.web.flow import room
 from tactiled.web.forms import Contacts
+from tactiled.web.http.protocols import room
 from tactiled.web.session import NOT_FOUND, fitting, heard, refuse, serve
 from tactiled.web.wire import Kind
 from tactiled.web.wish import Wish, asked_for, next_of, once, sheared, wish

@@ -37,7 +37,11 @@ LAYOUT = (  # offset, type, meaning
     (60, "u32", f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(RAN) if n)}; 0 any other"),
     (64, "f32 x rows x columns", "pressure in kPa, row by row, NaN if unknown; shear: counts along x"),
     (None, "f32 x rows x columns", "shear only: counts along y"),
-    (None, "u8 x F", "flags of each taxel, the sum of 1 missing, 2 reported faulty by the sensor, 4 dead, 8 saturated"),
+    (
+        None,
+        "u8 x F",
+        "flags of each taxel, the sum of 1 missing, 2 reported faulty by the sensor, 4 dead, 8 saturated",
+    ),
     (None, "u8 x N", "the sensor's name"),
 )
 

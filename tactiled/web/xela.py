@@ -21,9 +21,9 @@ from tactiled.frames import MISSING, RawFrame
 from tactiled.service import Service
 from tactiled.web import problems
 from tactiled.web.feed import Feed, ticking
-from tactiled.web.flow import room
 from tactiled.web.forms import Form
 from tactiled.web.guard import Guard
+from tactiled.web.http.protocols import room
 from tactiled.web.rates import Rates, Streams
 from tactiled.web.session import NOT_FOUND, heard, serve
 from tactiled.web.stream import nowhere

@@ -169,3 +169,31 @@ def test_a_frame_that_cannot_be_unpacked_is_malformed_and_ends_nothing(install):
 def test_a_name_that_vanished_since_the_file_was_read_is_named():
     with pytest.raises(ConfigError, match=r"codec.name = 'gone': no installed package offers it"):
         plugins.make("gone", {})
+
+
+SECRETS = (
+    'name = "my-skin", api_key = "hush-key", url = "https://palm:hush-login@elsewhere?x=hush-query", rate = 5'
+)
+TAKES = """
+from tactiled.errors import ConfigError
+CODE
+class Guarded(MySkin):
+    def __init__(self, api_key, url, rate):
+        super().__init__()
+""".replace("CODE", CODE)
+
+
+def test_its_texts_are_secrets_that_it_alone_gets(install):
+    install(TAKES + "        assert (api_key, rate) == ('hush-key', 5) and 'hush-login' in url\n", maker="Guarded")
+    one = sensor(SECRETS)
+    assert make_codec(one).size == 8
+    told = {"name": "my-skin", "api_key": "hidden", "url": "hidden", "rate": 5}
+    assert one.model_dump(mode="json")["codec"] == told
+    assert "hush" not in repr(one) + one.model_dump_json() + str(one.model_dump())
+
+
+@pytest.mark.parametrize("kind", ["ValueError", "ConfigError"])
+def test_what_it_says_of_a_secret_is_replaced(install, kind):
+    install(TAKES + f"        raise {kind}('wrong key ' + api_key)\n", maker="Guarded")
+    with pytest.raises(ConfigError, match="wrong key hidden"):
+        make_codec(sensor(SECRETS))

@@ -17,12 +17,13 @@ from tactiled.bus.replay import Recording, Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli import app as door
 from tactiled.cli.replay import replaying
-from tactiled.config import parse
+from tactiled.config import Server, parse
 from tactiled.config.build import make_codec
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
-from tests.conftest import BUSY_S, Clock
+from tactiled.web.server import running
+from tests.conftest import BUSY_S, Clock, ask
 
 CONFIG = """
 [bus.can0]
@@ -281,6 +282,16 @@ def test_the_command_serves_the_recordings_images(tmp_path, lossy):
     process.communicate()
     assert "a.log has ended after 177 messages" in said
     assert "a.log has ended after 177 messages" in text
+
+
+def test_a_replay_lists_recordings_and_records_no_bus(tmp_path, lossy):
+    service = replaying(parse(CONFIG.replace("socketcan", "virtual")), lossy, 0.0)
+    with running(service, Server(port=0, recordings=tmp_path)) as url:
+        refused = ask("POST", f"{url}/api/v1/recordings", json={"bus": "can0"})
+        listed = ask("GET", f"{url}/api/v1/recordings").json()
+    assert (refused.status_code, refused.headers["content-type"]) == (409, "application/problem+json")
+    assert refused.json()["detail"] == "bus can0: is not open: this service replays a recording"
+    assert [each["name"] for each in listed["recordings"]] == ["a.log"]
 
 
 def test_a_compressed_recording_is_one(tmp_path, lossy):

@@ -1,5 +1,6 @@
 """Tables of what programs and people call: REST, streams, metrics, the command line."""
 
+import json
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from tactiled.service import Service
 from tactiled.web import metrics as prometheus
 from tactiled.web.app import create
 from tactiled.web.asyncapi import QUERY, SENSORS, SHEAR
+from tactiled.web.http.places import Places
 from tactiled.web.session import CLOSES
 from tactiled.web.wire import LAYOUT
 from tests.docs.table import code, sentence, table
@@ -60,7 +62,7 @@ def value(parameter: Json) -> tuple[str, str]:
     """What a query parameter may be, and its default."""
     schema = parameter["schema"]
     one = next((each for each in schema.get("anyOf", [schema]) if each.get("type") != "null"), schema)
-    default = code(schema["default"]) if schema.get("default") is not None else "–"
+    default = code(json.dumps(schema["default"]).strip('"')) if schema.get("default") is not None else "–"
     if "enum" in one:
         form = ", ".join(map(code, one["enum"]))
     elif "minimum" in one:
@@ -73,7 +75,7 @@ def value(parameter: Json) -> tuple[str, str]:
 
 def metrics() -> Iterator[str]:
     web = app()
-    lines = prometheus.text(web.state.service, web.state.streams).splitlines()
+    lines = prometheus.text(web.state.service, web.state.streams, Places(1)).splitlines()
     kinds = {line.split()[2]: line.split()[3] for line in lines if line.startswith("# TYPE")}
     helps = (line.split(maxsplit=3)[2:] for line in lines if line.startswith("# HELP"))
     yield from table(
@@ -109,7 +111,9 @@ def close_codes() -> Iterator[str]:
 
 def verbs() -> Iterator[str]:
     group: Any = typer.main.get_command(cli)
-    rows = [[code(f"tactiled {name}"), each.help] for name, each in sorted(group.commands.items())]
+    rows = [
+        [code(f"tactiled {name}"), each.help or each.short_help] for name, each in sorted(group.commands.items())
+    ]
     bench = ", ".join(map(code, sorted(group.commands["bench"].commands)))
     yield from table(("Command", "Does"), rows)
     yield ""

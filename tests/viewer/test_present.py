@@ -143,12 +143,43 @@ def test_a_tare_from_the_page_takes_the_load_away(rig, url, open_page):
     rig.show(pressed(2))
     page = open_page(url)
     page.keyboard.press("t")
+    ask = page.get_by_role("dialog", name="The array is loaded")
+    ask.get_by_text("palm: contact of 200 kPa on 4 taxels.").wait_for()
+    ask.get_by_role("button", name="Tare anyway").click()
     page.locator("#notice", has_text="Tare").wait_for()
     for _ in range(20):
         rig.show(pressed(2))
     image = show(rig, page, pressed(2))
     assert abs(image.raw).max() < 1
     wait(page, "parseFloat(document.getElementById('peak-raw').innerText) < 1")
+    page.faults.clear()  # the browser itself reports every refusal
+
+
+@pytest.mark.parametrize("key", ["Enter", "Escape"])
+def test_a_tare_under_load_that_is_cancelled_takes_nothing(rig, url, open_page, key):
+    rig.stale_after(600)
+    rig.show(pressed(2))
+    page = open_page(url)
+    page.keyboard.press("t")
+    page.get_by_role("dialog", name="The array is loaded").wait_for()
+    assert page.evaluate("document.activeElement.innerText") == "Cancel"
+    page.keyboard.press(key)
+    wait(page, "!document.querySelector('dialog[open]')")
+    for _ in range(20):
+        image = rig.show(pressed(2))
+    assert (rig.sensor.tared, abs(image.raw).max()) == (0, 200)
+    assert page.locator("#notice").is_hidden()
+    page.faults.clear()  # the browser itself reports every refusal
+
+
+def test_a_tare_of_an_unloaded_array_asks_nothing(rig, url, open_page):
+    rig.stale_after(600)
+    rig.show(pressed(force=0) + 60)
+    page = open_page(url)
+    page.keyboard.press("t")
+    page.locator("#notice", has_text="Tare: the next frames").wait_for()
+    image = [rig.show(pressed(force=0) + 60) for _ in range(20)][-1]
+    assert abs(image.raw).max() == 0
 
 
 def test_it_keeps_its_maps_still_where_nothing_changes_their_size(rig, url, open_page):

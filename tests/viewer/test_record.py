@@ -97,6 +97,28 @@ def test_without_a_folder_there_is_no_button_but_a_hint(rig, url, open_page):
     assert "server.recordings" in page.locator("#side").inner_text()
 
 
+def test_a_replay_lists_what_was_recorded_and_offers_to_record_nothing(recording, rig, open_page):
+    url, folder = recording
+    ask("POST", f"{url}/api/v1/recordings", json={"bus": "can0", "name": "a.log"})
+    rig.show(pressed())
+    ask("POST", f"{url}/api/v1/recordings/a.log/stop")
+    service = replaying(rig.config, folder / "a.log", 1.0)
+    service.start()
+    try:
+        with running(service, Server(port=0, recordings=folder)) as other:
+            page = open_page(other)
+            page.locator("#recordings li", has_text="a.log").wait_for()
+            assert not page.locator("#record").is_visible()
+            assert "This is a replay: no bus is open to record." in page.locator("#side").inner_text()
+            assert "server.recordings" not in page.locator("#side").inner_text()
+            page.keyboard.press("r")
+            page.get_by_role("button", name="Delete").wait_for()
+            assert [each.name for each in folder.iterdir()] == ["a.log"]
+            page.close()
+    finally:
+        service.stop()
+
+
 def test_what_the_read_token_may_not_do_asks_for_the_control_token(rig, open_page):
     rig.show(pressed())
     at = Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))

@@ -131,6 +131,16 @@ def test_it_finds_the_service_again(rig, open_page):
         page.faults.clear()
 
 
+def test_the_button_that_tries_again_says_so(rig, open_page):
+    with running(rig.service) as url:
+        rig.show(pressed())
+        page = open_page(url)
+    page.locator("#banner").get_by_role("button", name="Retry now", exact=True).wait_for()
+    assert page.locator("#banner-action").inner_text() == "Retry now"
+    page.close()
+    page.faults.clear()  # the browser itself reports every attempt that fails
+
+
 def test_a_sensor_left_while_the_service_is_away_leaves_nothing_behind(open_page):
     with meanwhile(Pair("left", THUMB)) as pair:
         pair.stale_after(600)

@@ -1,15 +1,19 @@
 import threading
 import time
+from contextlib import ExitStack
 
 import httpx
 import pytest
 from pydantic import SecretStr
 
 from tactiled.config import Server, parse
+from tactiled.config.schema import Bus
 from tactiled.service import Service
 from tactiled.state import State
+from tactiled.web import log
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
+from tests.web.test_attacks import plug
 from tests.web.test_rest import problem
 
 
@@ -29,11 +33,11 @@ def test_what_happens_to_a_sensor_is_told_in_order(rig, client):
     until(lambda: kinds(client) == ["sensor_live"])
     client.put("/sensors/palm/method", json={"method": "raw"})
     client.put("/sensors/palm/method", json={"method": "sharpen"})
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     for _ in range(16):
         rig.show(pressed())
     until(lambda: kinds(client)[-1] == "tare_done")
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     rig.stale_after(0.3)
     until(lambda: kinds(client)[-1] == "tare_lapsed")
     told = client.get("/events").json()
@@ -117,15 +121,19 @@ def test_a_method_is_kept_where_the_service_keeps_state(tmp_path, client):
 
 def test_the_configuration_is_told_without_its_secrets(rig):
     token = SecretStr("hush-hush-hush-1")
-    rig.service.buses["can0"] |= {
+    secrets = {
         "password": "hush-bus",
         "login": {"user": "palm", "passphrase": "hush-deep"},
         "nodes": [{"auth": "hush-listed"}, 5],
         "host": "ws://palm:hush-in-@ddress@elsewhere:1",
-        "url": "https://elsewhere/x?api=hush-asked&id=hush-too#there",
+        "channel": "https://elsewhere/x?api=hush-asked&id=hush-too#there",
         "dongle_pin": "hush-pin",
-        "pinky": "http://elsewhere/a?b",
+        "dongle_key": 123456,
+        "pinky": 5,
+        "url": "https://elsewhere/hush-path",
     }
+    buses = rig.service.config.bus
+    buses["can0"] = Bus(**(buses["can0"].settings() | secrets))
     with running(rig.service, Server(port=0, control_token=token)) as url:
         answer = ask(
             "GET", url + "/api/v1/config", headers={"Authorization": f"Bearer {token.get_secret_value()}"}
@@ -133,10 +141,10 @@ def test_the_configuration_is_told_without_its_secrets(rig):
     told = answer.json()
     assert "hush" not in answer.text
     bus = told["bus"]["can0"]
-    assert (bus["password"], bus["login"]) == ("hidden", {"user": "palm", "passphrase": "hidden"})
-    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://hidden@elsewhere:1")
-    assert bus["url"] == "https://elsewhere/x?api=hidden&id=hidden#there"
-    assert (bus["dongle_pin"], bus["pinky"]) == ("hidden", "http://elsewhere/a?b")
+    assert (bus["password"], bus["login"]) == ("hidden", {"user": "hidden", "passphrase": "hidden"})
+    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://elsewhere:1")
+    assert (bus["channel"], bus["url"]) == ("https://elsewhere/x", "hidden")
+    assert (bus["dongle_pin"], bus["dongle_key"], bus["pinky"]) == ("hidden", "hidden", 5)
     assert (told["server"]["control_token"], told["server"]["tls"]) == (True, False)
     assert told["sensor"]["palm"]["codec"]["name"] == "packed"
     assert told["sensor"]["palm"]["cover"][0]["thickness_mm"] == 0.8
@@ -149,9 +157,24 @@ def test_the_calibration_is_told_as_it_is_now(rig, client):
     assert told["no_load"] == [100.0] * 64
     rig.stale_after(600)
     rig.show(pressed())
-    client.post("/sensors/palm/tare")
+    client.post("/sensors/palm/tare?force=true")
     for _ in range(17):
         rig.show(pressed())
     told = client.get("/sensors/palm/calibration").json()
     assert told["no_load"] == pressed().ravel().tolist()
     assert told["tared"] == 1
+
+
+def test_a_client_has_a_few_requests_that_wait_and_no_more(rig, url):
+    with ExitStack() as stack:
+        ends = [stack.enter_context(plug(url)) for _ in range(log.WAITING_PER_CLIENT)]
+        for end in ends:
+            end.sendall(b"GET /api/v1/events?wait=30 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        until(lambda: ask("GET", url + "/api/v1/events?wait=0.1").status_code == 429)
+        answer = ask("GET", url + "/api/v1/events?wait=0.1")
+        assert "events_waiting_per_client = 16" in problem(answer, 429)
+        assert answer.headers["retry-after"] == "1"
+        assert ask("GET", url + "/api/v1/events").status_code == 200
+        rig.service.events.add("method_set", "raw", "palm")
+        assert all(end.recv(1 << 16).startswith(b"HTTP/1.1 200") for end in ends)
+    assert ask("GET", url + "/api/v1/events?after=1&wait=0.01").status_code == 200

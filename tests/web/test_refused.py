@@ -15,7 +15,7 @@ STREAM = "GET /api/v1/stream HTTP/1.1"
 @pytest.mark.parametrize(
     ("request_", "status", "says"),
     [
-        ("FOO / HTTP/1.1\r\nHost: {host}\r\n\r\n", 400, "no HTTP request: "),
+        ("FOO BAR / HTTP/1.1\r\nHost: {host}\r\n\r\n", 400, "no HTTP request: "),
         ("\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", 400, "no HTTP request: "),
         ("PUT / HTTP/1.1\r\nHost: {host}\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\nx", 400, "no HTTP"),
         ("POST /nope HTTP/1.1\r\nHost: {host}\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n", 400, "no HTTP"),

@@ -12,9 +12,10 @@ import pytest
 
 from tactiled.bus.faults import KINDS
 from tactiled.config import Server
+from tactiled.pipeline import TARE_FRAMES
 from tactiled.web import answers, asyncapi, common, picture, rates
 from tactiled.web.server import running as serving
-from tests.conftest import GAIN, NO_LOAD, pressed, until
+from tests.conftest import GAIN, NO_LOAD, SIDE, pressed, until
 
 PNG = "/api/v1/sensors/palm/frames/raw?format=png"
 
@@ -181,15 +182,62 @@ def test_tare_takes_the_load_off(rig, client):
     rig.stale_after(600)
     rig.show(pressed())
     client.put("/sensors/palm/method", json={"method": "raw"})
-    assert client.post("/sensors/palm/tare").status_code == 202
+    assert client.post("/sensors/palm/tare?force=true").status_code == 202
     for _ in range(17):
         image = rig.show(pressed())
     assert np.abs(image.raw).max() == 0
 
 
+def test_a_tare_is_refused_under_a_load_unless_it_is_forced(rig, client):
+    rig.stale_after(600)
+    rig.show(pressed())
+    refused = client.post("/sensors/palm/tare")
+    says = "sensor 'palm': contact of 200 kPa on 4 taxels: unload the array, or tare anyway with force=true"
+    assert problem(refused, 409) == says
+    assert (refused.json()["code"], refused.json()["seen"]) == ("loaded", "contact of 200 kPa on 4 taxels")
+    assert problem(client.post("/sensors/palm/tare?force=false"), 409) == says
+    for _ in range(20):
+        image = rig.show(pressed())
+    assert (rig.sensor.tared, np.abs(image.raw).max()) == (0, 200)
+    assert client.post("/sensors/palm/tare?force=true").status_code == 202
+    for _ in range(TARE_FRAMES):
+        rig.show(pressed())
+    until(lambda: rig.service.events.after(0)[-1].kind == "tare_done")
+    texts = {each.kind: each.text for each in rig.service.events.after(0)}
+    assert texts["tare_asked"] == "the next frames are taken as no load (forced)"
+
+
+def test_what_was_seen_before_a_tare_or_a_break_forbids_no_tare(rig, client):
+    rig.stale_after(600)
+    rig.show(pressed())
+    client.post("/sensors/palm/tare?force=true")
+    for _ in range(TARE_FRAMES):
+        rig.show(pressed())
+    assert client.post("/sensors/palm/tare").status_code == 202  # it reads zero now
+    for _ in range(TARE_FRAMES):
+        rig.show(pressed(force=0))
+    rig.show(pressed())
+    assert problem(client.post("/sensors/palm/tare"), 409).startswith("sensor 'palm': contact of ")
+    rig.stale_after(0.05)
+    until(lambda: rig.sensor.status().state == "stale")
+    rig.show(pressed(force=0))
+    rig.stale_after(600)
+    assert client.post("/sensors/palm/tare").status_code == 202
+
+
+def test_no_tare_is_begun_while_readings_move(rig, client):
+    rig.stale_after(600)
+    for load in range(0, 80, 10):
+        rig.show(np.full((SIDE, SIDE), NO_LOAD + load))
+    says = problem(client.post("/sensors/palm/tare"), 409)
+    assert says.startswith("sensor 'palm': readings that move by 17.5 kPa: unload the array, ")
+
+
 def test_no_tare_is_begun_while_no_frame_comes(rig, client):
     says = problem(client.post("/sensors/palm/tare"), 409)
     assert says == "sensor 'palm': silent, no frame yet on can0: a tare needs frames"
+    assert problem(client.post("/sensors/palm/tare?force=true"), 409) == says
+    assert client.post("/sensors/palm/tare").json().keys() == {"type", "title", "status", "detail"}
     rig.stale_after(0.01)
     rig.show(pressed())
     until(lambda: rig.sensor.status().state == "stale")
@@ -213,7 +261,7 @@ def test_a_tare_under_way_lapses_when_the_sensor_is_no_longer_live(rig, client, 
     rig.show(pressed())
     if not looked:
         rig.service._watch.stop()
-    assert client.post("/sensors/palm/tare").status_code == 202
+    assert client.post("/sensors/palm/tare?force=true").status_code == 202
     rig.show(pressed())
     rig.stale_after(0.05)
     until(lambda: rig.sensor.status().state == "stale")

@@ -11,12 +11,14 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.uri import parse_uri
 
-from tactiled.web import answers, feed, flow, session
+from tactiled.web import answers, feed, session
 from tactiled.web.feed import Feed
+from tactiled.web.http.bounds import State
 from tactiled.web.server import running
 from tactiled.web.stream import Stream, due_after
 from tactiled.web.wire import unpack
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
+from tests.web.test_attacks import bound
 
 FEW = 10  # messages that may be on their way to a client that does not read
 
@@ -425,7 +427,7 @@ def test_a_client_that_answers_no_ping_is_closed_and_told_why_and_one_that_does_
 
 def test_a_client_that_reads_nothing_of_a_lot_is_gone_when_it_answers_no_ping(rig, monkeypatch):
     monkeypatch.setattr(session, "PING_S", 0.3)
-    monkeypatch.setattr(flow, "CLOSE_S", 0.3)
+    bound(monkeypatch, State.CLOSING, seconds=0.3)
     monkeypatch.setattr(Feed, "binary", lambda *_: bytes(16 << 20))  # more than any buffer between the two
     rig.show(pressed())
     with running(rig.service) as url, handshake(url, ""):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.codecs import Codec, Shearing, Talk, talk_of
+from tactiled.bus.redact import redactor, reveal
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
@@ -29,22 +30,22 @@ def make(name: str, options: dict[str, Any]) -> Codec:
     offer = next((each for each in offers() if each.name == name), None)
     if offer is None:
         raise ConfigError(f"codec.name = {name!r}: no installed package offers it")
-    says = f"codec.name = {name!r} of {package(offer)}"
+    says, redact = f"codec.name = {name!r} of {package(offer)}", redactor(options)
     try:
         made = offer.load()
     except Exception as error:  # what another package's import may raise
         raise ConfigError(f"{says}: fails to import: {_line(error)}") from error
     try:
-        codec: Codec = made(**options)
+        codec: Codec = made(**reveal(options))
     except ConfigError as error:
-        raise ConfigError(f"{says}: {error}") from error
+        raise ConfigError(f"{says}: {redact(str(error))}") from error
     except Exception as error:
-        raise ConfigError(f"{says}: refuses its settings: {_line(error)}") from error
+        raise ConfigError(f"{says}: refuses its settings: {redact(_line(error))}") from error
     try:
         plugged = PluggedShear(name, codec) if isinstance(codec, Shearing) else Plugged(name, codec)
         _try(plugged)
     except Exception as error:
-        raise ConfigError(f"{says}: breaks the interface of a codec: {_line(error)}") from error
+        raise ConfigError(f"{says}: breaks the interface of a codec: {redact(_line(error))}") from error
     return plugged
 
 

@@ -33,6 +33,7 @@ const TIMEOUT_MS = 8000;
  * @property {number} rate_hz
  * @property {number|null} jitter_s standard deviation of the periods from frame to frame
  * @property {number|null} skew_s from a frame's first message to its last
+ * @property {string|null} clock that gives the frames' times; "recording" in a replay
  * @property {string} detail
  * @property {Loss} loss
  * @property {Record<string, number>} error_kinds what the bus's error frames told
@@ -91,11 +92,14 @@ export class ApiError extends Error {
   /**
    * @param {number} status HTTP status; 0 where no answer came
    * @param {string} message
+   * @param {{code?: string, seen?: string}} [problem] what a program may act on
    */
-  constructor(status, message) {
+  constructor(status, message, { code = "", seen = "" } = {}) {
     super(message);
     this.name = "ApiError";
     this.status = status;
+    this.code = code;
+    this.seen = seen;
   }
 }
 
@@ -135,7 +139,7 @@ async function succeed(path, options = {}) {
   const response = await answer(ROOT + path, options);
   if (response.ok) return response;
   const body = await json(response);
-  throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`);
+  throw new ApiError(response.status, body?.detail || body?.title || `HTTP ${response.status}`, body ?? {});
 }
 
 /**
@@ -193,9 +197,10 @@ export const setMethod = (name, method) =>
 
 /**
  * @param {string} name
+ * @param {boolean} force even where a load is seen
  * @returns {Promise<unknown>}
  */
-export const tare = (name) => request(`${at(name)}/tare`, { method: "POST" });
+export const tare = (name, force) => request(`${at(name)}/tare${force ? "?force=true" : ""}`, { method: "POST" });
 
 /**
  * @param {string} name

@@ -20,6 +20,7 @@ import { Wall } from "./wall.js";
 const READ_MS = 200; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors
 const WALL = "#/wall"; // the address of all sensors; a sensor's own has no bare slash
+const REPLAYED = "recording"; // the clock of a sensor whose bus is not open
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const screen = new Screen();
@@ -86,7 +87,7 @@ function showSensor() {
 /** Learn what does not change while the service runs. */
 async function learn() {
   const offered = await api.offered();
-  recorder.offer(offered.has("/recordings"));
+  recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   log.offer(offered.has("/events"));
   viewer.palette = new Palette((await api.colormap()).colors);
 }

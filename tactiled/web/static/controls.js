@@ -27,6 +27,7 @@ import { saveCsv, savePng } from "./save.js";
  */
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
+const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
 
 /**
@@ -124,9 +125,29 @@ async function chooseMethod(viewer) {
 /** @param {Viewer} viewer */
 async function tare(viewer) {
   const { name } = viewer;
-  if (name && await control(() => api.tare(name), "Tare failed")) {
-    notice("Tare: the next frames are taken as the unloaded array.");
-  }
+  if (!name) return;
+  let seen = "";
+  const begin = (/** @type {boolean} */ force) => control(() => api.tare(name, force).catch((error) => {
+    if (error.code !== "loaded") throw error;
+    ({ seen } = error);
+  }), "Tare failed");
+  let begun = await begin(false);
+  if (seen) begun = await sure(name, seen) && await begin(true);
+  if (begun) notice("Tare: the next frames are taken as the unloaded array.");
+}
+
+/**
+ * Show what a tare would take for zero, and ask.
+ * @param {string} name
+ * @param {string} seen
+ * @returns {Promise<boolean>} to tare anyway
+ */
+async function sure(name, seen) {
+  say(byId("loaded-seen"), `${name}: ${seen}.`);
+  loaded.returnValue = "";
+  loaded.showModal();
+  await new Promise((resolve) => { loaded.addEventListener("close", resolve, { once: true }); });
+  return loaded.returnValue === "force";
 }
 
 /**

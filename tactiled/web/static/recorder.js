@@ -23,14 +23,20 @@ export class Recorder {
     this._recordings = [];
     this._shown = "";
     this.offered = false;
+    this._records = false;
     this._button.addEventListener("click", () => this.toggle());
   }
 
-  /** @param {boolean} offered whether the service has a folder to record into */
-  offer(offered) {
+  /**
+   * @param {boolean} offered whether the service has a folder of recordings
+   * @param {boolean} replayed whether it replays one, and has no bus to record
+   */
+  offer(offered, replayed) {
     this.offered = offered;
-    this._button.hidden = !offered;
-    byId("recordings-hint").hidden = offered;
+    this._records = offered && !replayed;
+    this._button.hidden = !this._records;
+    byId("recordings-hint").hidden = offered || replayed;
+    byId("recordings-replay").hidden = !replayed;
   }
 
   /** Look at the folder. */
@@ -49,7 +55,7 @@ export class Recorder {
   /** Begin to record the bus that is watched, or end it. */
   async toggle() {
     const bus = this._bus();
-    if (!this.offered || !bus) return;
+    if (!this._records || !bus) return;
     const running = this._running;
     if (running) await this._stop(running.name);
     else if (await control(() => api.startRecording(bus), "Not recorded")) notice(`Recording ${bus}.`);

@@ -1,0 +1,69 @@
+"""The verbs, each with its line of `--help`: a verb's file is imported when that verb runs, and not before."""
+
+import gc
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+VERBS = """\
+run      Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket.
+demo     Simulate a covered array, or play a real recording, and serve it live; needs no hardware.
+check    Check a configuration, and print the effect of each cover on its array.
+cover    Print a cover's gain over spatial frequency, and the resolution that it leaves.
+replay   Restore every frame of a recording and serve it as `run` does; every run gives the same images.
+export   Restore every frame of a recording into a file of arrays, or into one for Foxglove.
+init     Write a commented configuration.
+paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
+record   Record all messages of a bus to a file, also of other devices, and error frames.
+restore  Restore a film of any length in a .npy file, with bounded memory.
+simulate Simulate a covered array on a bus (32 x 32 without --config).
+sniff    Listen to a bus and list the known skins on it; sends nothing.
+"""
+BENCH_VERBS = """\
+bus       Count the messages a second that are decoded and assembled, from memory and over a bus.
+contacts  Press discs into a 24 x 24 array of 1 mm pitch, one and two at a time, and look for them in both images.
+cover     Hold finite elements against the exact gain of random stacks, and time the paper's cover, on one core.
+frontier  Chart error against time for every method of ours and for others', in one run on one thread.
+latency   Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback.
+picard    Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise.
+report    Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables.
+restore   Time our methods and scikit-image's at 16, 32 and 64 squared, and compare their errors.
+stability Let one thing after another go wrong, and show where each method becomes worse than the raw image.
+"""
+
+
+class Verbs(TyperGroup):
+    """The verbs of VERBS: `--help` and completion of their names read it, and running one imports its function."""
+
+    lines, file = VERBS, "tactiled.cli.{}"
+
+    def __init__(self, *, commands: dict[str, Any], **settings: Any) -> None:
+        lines = dict(line.split(maxsplit=1) for line in self.lines.splitlines())
+        super().__init__(
+            commands={verb: TyperCommand(verb, short_help=lines[verb]) for verb in lines} | commands, **settings
+        )
+        self._lazy = lines.keys()
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write plain text: rich's boxes take longer to import than all else that `--help` needs."""
+        super(TyperGroup, self).format_help(ctx, formatter)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Give the command that `args` begin with, the function of its name in its file."""
+        verb, command, rest = super().resolve_command(ctx, args)
+        if verb in self._lazy:
+            one = typer.Typer(add_completion=False)
+            one.command(verb)(getattr(import_module(self.file.format(verb)), verb))
+            command = typer.main.get_command(one)
+            if not gc.isenabled():
+                gc.freeze()  # what is imported stays: no later collection walks through it
+                gc.enable()
+        return verb, command, rest
+
+
+class BenchVerbs(Verbs):
+    """The verbs of `tactiled bench`."""
+
+    lines, file = BENCH_VERBS, "tactiled.cli.bench_{}"

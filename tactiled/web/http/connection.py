@@ -1,0 +1,289 @@
+"""A connection from its first byte to its last: which state it is in, and that it keeps to that state's bound.
+
+uvicorn's own protocols parse and answer; they stand behind a `_Door` and know nothing of this. The state is read
+off h11's and websockets' own machines after every step, so no step can be forgotten here.
+"""
+
+import asyncio
+import logging
+import ssl
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import h11
+from uvicorn.config import Config
+from uvicorn.server import ServerState
+
+from tactiled.web.http import bounds
+from tactiled.web.http.bounds import BOUNDS, State
+from tactiled.web.http.places import Place, Places
+from tactiled.web.http.protocols import Http, WebSocket, refusal
+from tactiled.web.rates import network
+
+LOG = logging.getLogger(__name__)
+FULL = "every connection is taken: come again later"
+
+
+class Connection(asyncio.Protocol):
+    """One client's connection; takes a place of `places` while it is open, and speaks TLS where it is given."""
+
+    def __init__(
+        self,
+        config: Config,
+        server_state: ServerState,
+        app_state: dict[str, Any],
+        _loop: asyncio.AbstractEventLoop | None = None,
+        *,
+        places: Places,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        self._loop = _loop or asyncio.get_running_loop()
+        self._places, self._tls = places, tls
+        self._inner: Http | WebSocket = Http(config, server_state, app_state, self._loop)
+        self._opened = False  # the inner protocol has its transport
+        self._half_closed = False
+        self.state = State.HEAD
+        self._received = 0  # bytes in this state
+        self._deadline: asyncio.TimerHandle | None = None
+        self._backlog = bytearray()  # received, and not yet handed on
+        self._paused = False  # the inner protocol wants nothing more now
+        self._unread = False  # the client does not read what it is sent
+        self._turn: asyncio.TimerHandle | None = None  # when the backlog has its next
+        self._busy_s = self._busy_at = 0.0  # the event loop's time that the client's bytes have taken of late
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a place, and begin with the handshake of TLS or the first request."""
+        self._transport = transport
+        peer = transport.get_extra_info("peername")
+        self._place = Place(network(peer[0]) if peer else "", self._evictable, self._expire)
+        if not self._places.take(self._place):
+            self._turn_away()
+        elif self._tls is None:
+            self._open(transport)
+        else:
+            transport.pause_reading()  # until the handshake reads
+            self._enter(State.TLS)
+            self._handshake = self._loop.create_task(self._shake_hands(transport, self._tls))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Give the place back."""
+        self._places.free(self._place)
+        self._cancel()
+        self._backlog.clear()
+        self._half_closed = True
+        if self._opened:
+            self._inner.connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Hand bytes on, in pieces if they are many."""
+        if not self._opened:
+            if self.state is State.TLS:  # right behind the handshake
+                self._backlog += data
+            return
+        if self._backlog or self._turn or len(data) > BOUNDS[self.state].piece:
+            self._backlog += data
+        else:
+            self._take(data)
+        self._arrange_reading()
+
+    def pause_writing(self) -> None:
+        """Read no more from a client that does not read: what it sends may ask for answers."""
+        self._unread = True
+        self._inner.pause_writing()
+        self._arrange_reading()
+
+    def resume_writing(self) -> None:
+        """Read on."""
+        self._unread = False
+        self._inner.resume_writing()
+        self._arrange_reading()
+
+    def update(self) -> None:
+        """Read the state off the inner protocol, which may have gone on."""
+        state = self._find_state()
+        if state is not self.state and not self._transport.is_closing():
+            self._enter(state)
+
+    def upgrade(self, protocol: WebSocket) -> None:
+        """Go on as a WebSocket."""
+        self._inner = protocol
+
+    def pause(self, paused: bool) -> None:
+        """Hand no more on while the inner protocol wants nothing."""
+        self._paused = paused
+        self._arrange_reading()
+
+    def close(self) -> None:
+        """Close; while the client still sends, let it read its answer first: else the system takes that back."""
+        if self._half_closed or self._transport.is_closing():
+            return
+        if not self._inner.sending():
+            self._transport.close()
+            return
+        self._half_closed = True
+        self._enter(State.CLOSING)
+        if self._transport.can_write_eof():
+            self._transport.write_eof()
+        self._arrange_reading()
+
+    def _open(self, transport: asyncio.Transport) -> None:
+        self._transport, self._opened = transport, True
+        self._enter(State.HEAD)
+        self._inner.connection_made(Door(self, transport))
+        self._arrange_reading()
+
+    def _evictable(self) -> bool:
+        return BOUNDS[self.state].evictable
+
+    async def _shake_hands(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
+        """Go on in TLS; a client that speaks none, or none in time, is cut off."""
+        made: asyncio.Transport | None = None
+        try:
+            made = await self._loop.start_tls(
+                raw,
+                self,
+                context,
+                server_side=True,
+                ssl_handshake_timeout=BOUNDS[State.TLS].seconds,
+                ssl_shutdown_timeout=BOUNDS[State.CLOSING].seconds,
+            )
+        except (OSError, asyncio.CancelledError):
+            raw.abort()
+        finally:
+            if made is None or made.is_closing():
+                self._places.free(self._place)
+                self._cancel()
+        if made is not None and not made.is_closing():
+            self._open(made)
+
+    def _turn_away(self) -> None:
+        """Say that no place is left; nothing is said in TLS, whose handshake would cost one."""
+        self._half_closed = True
+        if self._tls is None:
+            self._transport.write(refusal(503, FULL))
+        self._transport.close()
+
+    def _find_state(self) -> State:
+        inner = self._inner
+        if self._half_closed:
+            return State.CLOSING
+        if isinstance(inner, WebSocket):
+            if not inner.handshake_complete:
+                return State.UPGRADING
+            return State.CLOSING if inner.close_sent else State.STREAMING
+        theirs = inner.conn.their_state
+        if theirs is h11.IDLE:
+            return State.HEAD if self.state is State.HEAD else State.IDLE
+        return State.BODY if theirs is h11.SEND_BODY else State.ANSWERING
+
+    def _enter(self, state: State) -> None:
+        self.state, self._received = state, 0
+        if self._deadline is not None:
+            self._deadline.cancel()
+        seconds = BOUNDS[state].seconds
+        self._deadline = None if seconds is None else self._loop.call_later(seconds, self._expire)
+
+    def _expire(self) -> None:
+        """End a connection whose state has lasted too long; between two requests the last answer is still sent."""
+        if self.state is State.IDLE:
+            self._transport.close()
+        else:
+            self._transport.abort()
+
+    def _take(self, piece: bytes) -> None:
+        """Hand one piece on, and take note of what it cost."""
+        began = perf_counter()
+        if self.state is State.IDLE:
+            self._enter(State.HEAD)
+        bound = BOUNDS[self.state]
+        self._received += len(piece)
+        if bound.bytes is not None and self._received > bound.bytes:
+            self._transport.abort()
+            return
+        unused = self.state is State.CLOSING and self._received > bounds.MAX_CLOSING_PARSED
+        if not (self._half_closed or unused):
+            try:
+                self._inner.data_received(piece)
+            except Exception:
+                LOG.exception("a connection failed, and is closed")
+                self._transport.abort()
+            self.update()
+        now = perf_counter()
+        self._busy_s = max(0.0, self._busy_s - (now - self._busy_at) * bound.share) + now - began
+        self._busy_at = now
+
+    def _rest(self) -> float:
+        """How long (s) the client's bytes must wait until they have had no more than their share."""
+        share = BOUNDS[self.state].share
+        if share == 1.0:
+            return 0.0
+        return max(0.0, self._busy_at - perf_counter() + (self._busy_s - bounds.BURST_S) / share)
+
+    def _arrange_reading(self) -> None:
+        """Read on, or have the next piece's turn come."""
+        if not self._opened or self._transport.is_closing():
+            self._backlog.clear()
+            return
+        held = not self._half_closed and (self._paused or (self._unread and isinstance(self._inner, WebSocket)))
+        rest = self._rest()
+        if not held and self._turn is None and (self._backlog or rest):
+            self._turn = self._loop.call_later(rest, self._take_turn)
+        if held or self._backlog or self._turn:
+            self._transport.pause_reading()
+        else:
+            self._transport.resume_reading()
+
+    def _take_turn(self) -> None:
+        self._turn = None
+        size = BOUNDS[self.state].piece
+        piece = bytes(self._backlog[:size])
+        del self._backlog[:size]
+        if piece and not self._transport.is_closing():
+            self._take(piece)
+        self._arrange_reading()
+
+    def _cancel(self) -> None:
+        for timer in (self._deadline, self._turn):
+            if timer is not None:
+                timer.cancel()
+        self._deadline = self._turn = None
+
+
+class Door(asyncio.Transport):
+    """A connection's transport as the inner protocols see it."""
+
+    def __init__(self, connection: Connection, transport: asyncio.Transport) -> None:
+        self._connection, self._transport = connection, transport
+        self.get_extra_info: Callable[..., Any] = transport.get_extra_info
+        self.abort: Callable[[], None] = transport.abort
+        self.update = connection.update
+        self._loop = asyncio.get_running_loop()
+
+    def write(self, data: Any) -> None:
+        """Send bytes; those of an HTTP answer may have been its last."""
+        if not self.is_closing():
+            self._transport.write(data)
+            if self._connection.state is not State.STREAMING:
+                self._loop.call_soon(self.update)
+
+    def is_closing(self) -> bool:
+        """Whether nothing more can be sent."""
+        return self._transport.is_closing() or self._connection._half_closed
+
+    def close(self) -> None:
+        """Close once all is sent."""
+        self._connection.close()
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Hand the connection over to a WebSocket."""
+        assert isinstance(protocol, WebSocket)
+        self._connection.upgrade(protocol)
+
+    def pause_reading(self) -> None:
+        """Hand no more on."""
+        self._connection.pause(True)
+
+    def resume_reading(self) -> None:
+        """Hand on again."""
+        self._connection.pause(False)

@@ -1,0 +1,177 @@
+"""uvicorn's protocols: errors become problems, and a WebSocket tells how far its client has read.
+
+TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
+a ping follows every few messages; a client answers when it has read that far. Until then `room` is not set, and
+whoever streams waits for it before it takes the newest image.
+"""
+
+import asyncio
+import sys
+from http import HTTPStatus
+from typing import Any, cast
+
+import h11
+from fastapi import WebSocket as AcceptedSocket
+from starlette.responses import Response
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.utils import ClientDisconnected
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.datastructures import Headers
+from websockets.frames import CloseCode, Frame
+from websockets.http11 import Request
+from websockets.http11 import Response as Handshake
+
+from tactiled.web import problems
+from tactiled.web.http.bounds import MAX_FRAGMENTS, SHUTDOWN_S
+from tactiled.web.http.headers import HEADERS
+
+PING_EVERY = 4  # messages
+MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and the next few
+MARK = b"tactiled"  # of these pings
+ROOM = "tactiled.room"
+ENDS = "the service ends"
+
+
+def room(socket: AcceptedSocket) -> asyncio.Event:
+    """Set while the client keeps up."""
+    found: asyncio.Event = socket.scope["state"][ROOM]
+    return found
+
+
+def _problem(status: int, detail: str) -> Response:
+    return problems.response(status, detail, HEADERS | {"Connection": "close"})
+
+
+def refusal(status: int, detail: str) -> bytes:
+    """The whole answer to a client whose bytes make no request."""
+    answer = _problem(status, detail)
+    first = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}".encode()
+    lines = (name + b": " + value for name, value in answer.raw_headers)
+    return b"\r\n".join((first, *lines, b"", bytes(answer.body)))
+
+
+class Http(H11Protocol):
+    """uvicorn's HTTP/1.1."""
+
+    def sending(self) -> bool:
+        """Whether more of a request may come."""
+        return self.conn.their_state in (h11.SEND_BODY, h11.ERROR)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer, while what the parser raised is handled, and close; amid another answer close alone."""
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            error = sys.exception()
+            status = error.error_status_hint if isinstance(error, h11.RemoteProtocolError) else 400
+            self.transport.write(refusal(status, f"no HTTP request: {error or msg}"))
+        self.transport.close()
+
+    def shutdown(self) -> None:
+        """Close, behind the answer that is under way."""
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.close()
+        else:
+            self.cycle.keep_alive = False
+            self.loop.call_later(SHUTDOWN_S / 2, self.transport.abort)
+
+
+class WebSocket(WebSocketsSansIOProtocol):
+    """uvicorn's WebSocket."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.conn.reject = _reject  # type: ignore[method-assign]
+        self._sent = 0
+        self._pinged = 0
+        self._answered = 0
+        self._room = asyncio.Event()
+        self._room.set()
+
+    def sending(self) -> bool:
+        """Whether more may come."""
+        return self.conn.close_rcvd is None
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes in; a handshake that the library cannot read is refused, which it leaves to its user."""
+        super().data_received(data)
+        if self.conn.handshake_exc is not None and not self.handshake_initiated:
+            answer = b"".join(self.conn.data_to_send())
+            why = self.conn.handshake_exc.__cause__ or self.conn.handshake_exc
+            self.transport.write(answer or refusal(400, f"no WebSocket handshake: {why}"))
+            self.transport.close()
+
+    def handle_connect(self, event: Request) -> None:
+        """Hand the event to the application, which runs with the next turn of the loop."""
+        super().handle_connect(event)
+        if self.response.status_code == 101:
+            self.scope["state"][ROOM] = self._room
+
+    async def send(self, message: Any) -> None:
+        """Send one ASGI message, and a ping after every few; to a client that was closed meanwhile, nothing."""
+        if self.close_sent and message["type"] == "websocket.close":
+            return
+        if self.close_sent and message["type"] == "websocket.send":
+            raise ClientDisconnected
+        await super().send(message)
+        if message["type"] != "websocket.send":
+            cast(Any, self.transport).update()
+            return
+        self._sent += 1
+        if self._sent % PING_EVERY == 0 and not self.close_sent and not self.transport.is_closing():
+            self._pinged += 1
+            self.conn.send_ping(MARK + self._pinged.to_bytes(8, "big"))
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            if self._pinged - self._answered >= MAX_UNANSWERED:
+                self._room.clear()
+
+    def handle_pong(self, event: Frame) -> None:
+        """Take note of how far the client has read."""
+        data = bytes(event.data)
+        if not data.startswith(MARK) or len(data) != len(MARK) + 8:
+            super().handle_pong(event)
+            return
+        self._answered = max(self._answered, min(int.from_bytes(data[len(MARK) :], "big"), self._pinged))
+        if self._pinged - self._answered < MAX_UNANSWERED:
+            self._room.set()
+
+    def handle_cont(self, event: Frame) -> None:
+        """Take one frame more of a message; close a client that sends too many, empty ones too."""
+        if len(self.frames) >= MAX_FRAGMENTS:
+            self._fail(CloseCode.MESSAGE_TOO_BIG, f"a message of more than {MAX_FRAGMENTS} frames")
+        else:
+            super().handle_cont(event)
+
+    def send_receive_event_to_app(self) -> None:
+        """Close a client whose text is none: uvicorn would log it as a failure of its own."""
+        if self.curr_msg_data_type == "text":
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError:
+                self._fail(CloseCode.INVALID_DATA, "text that is not UTF-8")
+                return
+        super().send_receive_event_to_app()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Let an application that waits see that there is nobody left."""
+        self._room.set()
+        super().connection_lost(exc)
+
+    def shutdown(self) -> None:
+        """Let an application that waits end when the server does, and tell the client why."""
+        self._room.set()
+        if not self.handshake_complete or self.transport.is_closing():
+            self.transport.abort()
+        elif not self.close_sent:
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": int(CloseCode.SERVICE_RESTART)})
+            self._fail(CloseCode.SERVICE_RESTART, ENDS)
+
+    def _fail(self, code: CloseCode, why: str) -> None:
+        if not self.close_sent:
+            self.frames = []
+            self.conn.fail(code, why)
+            self.handle_parser_exception()
+
+
+def _reject(status: int, text: str) -> Handshake:
+    """The handshake's answer to a client that is refused."""
+    answer = _problem(status, text.partition("\n")[0])
+    return Handshake(int(status), HTTPStatus(status).phrase, Headers(answer.headers.items()), bytes(answer.body))
