@@ -14,7 +14,7 @@ Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
     "tare_asked", "tare_done", "tare_lapsed", "recording_started", "recording_ended",
-    "fault_raised", "fault_cleared",
+    "fault_raised", "fault_cleared", "replay_stepped",
 ]  # fmt: skip
 MOST = 1000
 CLEAR_S = 1.0  # without a fault or a warning until it counts as cleared: one that flickers is told once

@@ -50,6 +50,7 @@ class Loss:
     errors: int = 0  # error frames: what the bus interface says went wrong on the wire
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
     unsent: int = 0  # messages to skins, requests among them, that the bus did not take
+    unreadable: int = 0  # what came on the bus and its interface could not decode, whosesoever it was
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +64,7 @@ class RawFrame:
     flags: NDArray[np.uint8]  # (N,) MISSING | BAD
     loss: Loss
     shear: NDArray[np.float32] | None = None  # counts from rest, (2, N) along x and y; None where none is felt
+    arrived: float = 0.0  # s, when its newest message came, on a clock that never steps: for ages and windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,3 +89,4 @@ class Image:
     shear: NDArray[np.float32] | None = (
         None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
     )
+    arrived: float = 0.0  # s, as of its frame

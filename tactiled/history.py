@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tactiled.frames import Image
 
 RATE_HZ = 200  # frames a second that room is made for; of a faster sensor it is a shorter time
-BESIDE = 8 + 8 + 8  # bytes of a frame's sequence number, time and method
+BESIDE = 8 + 8 + 8 + 8  # bytes of a frame's sequence number, time, arrival and method
 
 
 class Kept(NamedTuple):
@@ -21,7 +21,7 @@ class Kept(NamedTuple):
     values: NDArray[np.float32]  # (T, *image) kPa; of shear (T, 2, *raw image) counts
     flags: NDArray[np.uint8]  # (T, *raw image)
     older: bool  # whether there are more of them before these
-    since: float  # s, where the window that they are of begins; whole microseconds
+    since: float  # s, where the window that they are of begins, by arrival; whole microseconds
     cut: bool  # whether images of the window's beginning may be kept no longer
 
 
@@ -44,7 +44,7 @@ class History:
         self._images = {kind: np.zeros((slots, *shape), np.float32) for kind, shape in shapes.items()}
         self._flags = np.zeros((slots, *raw), np.uint8)
         self._sequence = np.zeros(slots, np.int64)
-        self._time = np.zeros(slots)
+        self._time, self._arrived = np.zeros(slots), np.zeros(slots)
         self._method = [""] * slots
         self._count = 0
 
@@ -57,7 +57,7 @@ class History:
             kept[slot] = getattr(image, kind)
         self._flags[slot] = image.flags
         self._sequence[slot] = image.sequence
-        self._time[slot] = image.time
+        self._time[slot], self._arrived[slot] = image.time, image.arrived
         self._method[slot] = image.method
         self._count += 1
 
@@ -68,28 +68,29 @@ class History:
 
         Fewer, but one at least, where they hold more than `most_values` numbers. Time counts back from the newest
         that there is now, or the window begins at `since` (s, of an answer before) whatever has come meanwhile.
+        It is that of their arrival: the bus's own clock may step.
         """
         count, images = self._count, self._images[kind]
         kept = np.arange(max(0, count - self.capacity), count)
         slots = kept % (self.capacity + 1)
-        sequence, time = self._sequence[slots], self._time[slots]
+        sequence, arrived = self._sequence[slots], self._arrived[slots]
         if since is None:
-            since = floor((time[-1] - last) * 1e6) / 1e6 if count else 0.0
-        wanted = np.flatnonzero(time >= since)
+            since = floor((arrived[-1] - last) * 1e6) / 1e6 if count else 0.0
+        wanted = np.flatnonzero(arrived >= since)
         if before is not None:
             wanted = wanted[sequence[wanted] < before]
         page = wanted[-min(most, max(1, most_values // prod(images.shape[1:]))) :]
-        values, flags = images[slots[page]], self._flags[slots[page]]
+        values, flags, time = images[slots[page]], self._flags[slots[page]], self._time[slots[page]]
         method = [self._method[slot] for slot in slots[page]]
         # What was written over while it was copied is no longer there.
         gone = int(np.count_nonzero(kept[page] < self._count - self.capacity))
         return Kept(
             sequence[page][gone:],
-            time[page][gone:],
+            time[gone:],
             tuple(method[gone:]),
             values[gone:],
             flags[gone:],
             len(wanted) > len(page) and not gone,
             since,
-            gone > 0 or (count > self.capacity and bool(time[0] > since)),
+            gone > 0 or (count > self.capacity and bool(arrived[0] > since)),
         )

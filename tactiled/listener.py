@@ -18,6 +18,7 @@ from tactiled.frames import Loss
 from tactiled.sensor import Sensor
 
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
+BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
 LOG = logging.getLogger(__name__)
 
@@ -97,10 +98,10 @@ class Listener:
             now = time.monotonic()
             reader.unsent += self._talker.say(reader.send, now)
             messages = reader.batch(min(POLL_S, self._talker.wait(now)))
-            if not messages:
-                self._hand(self._router.flush(time.time() - POLL_S))
+            now = time.monotonic()
             for message in messages:
-                self._hand(self._router.push(message))
+                self._hand(self._router.push(message, now))
+            self._hand(self._router.flush(now - (BUSY_S if messages else POLL_S)))
             if reader.off != self._told:
                 self._tell(reader.off)
 

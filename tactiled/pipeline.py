@@ -160,6 +160,7 @@ class Pipeline:
             loss=frame.loss,
             warnings=self._warnings + self._noise.warning + _doubts(flags) + said,
             shear=self._sheared(frame.shear, flags),
+            arrived=frame.arrived,
         )
 
     def _sheared(self, shear: NDArray[np.float32] | None, flags: NDArray[np.uint8]) -> NDArray[np.float32] | None:

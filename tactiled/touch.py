@@ -52,7 +52,7 @@ class Touch:
             if image is not None and image is not self._image:
                 noise = image.noise_kpa * max(image.noise_gain, 1.0)
                 found = self._finder(image.restored, noise, faint=self._tracker.holds)
-                self._contacts = tuple(self._tracker(found, image.time, CLEAR * noise))
+                self._contacts = tuple(self._tracker(found, image.arrived, CLEAR * noise))
                 self._image = image
             return image, self._contacts
 

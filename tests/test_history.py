@@ -9,7 +9,7 @@ from tactiled.frames import Image
 from tactiled.history import RATE_HZ, History
 
 RAW, RESTORED = (4, 4), (8, 8)
-EACH = 5 * 16 + 4 * 64 + 24  # bytes
+EACH = 5 * 16 + 4 * 64 + 32  # bytes
 ALL = 10**9
 
 
@@ -18,7 +18,7 @@ def image(n, sequence=None):
         sensor="palm", sequence=n if sequence is None else sequence, time=n / 100,
         raw=np.full(RAW, n, np.float32), restored=np.full(RESTORED, 10 * n, np.float32),
         flags=np.full(RAW, n % 2, np.uint8), method="nnls", why="", iterations=0, microseconds=0, noise_kpa=1,
-        noise_gain=1, resolution_mm=1,
+        noise_gain=1, resolution_mm=1, arrived=n / 100,
     )  # fmt: skip
 
 
@@ -30,11 +30,15 @@ def sheared(n):
     return replace(image(n), shear=np.stack([np.full(RAW, n, np.float32), np.full(RAW, -n, np.float32)]))
 
 
+def bytes_of(kept):
+    held = (*kept._images.values(), kept._flags, kept._sequence, kept._time, kept._arrived)
+    return sum(each.nbytes for each in held) + 8 * len(kept._method)
+
+
 def test_memory_is_bounded_by_time_and_by_bytes():
     assert History(1.0, ALL, RAW, RESTORED).capacity == RATE_HZ - 1
     small = ring(20)
-    held = [each.nbytes for each in (*small._images.values(), small._flags, small._sequence, small._time)]
-    assert sum(held) + 8 * len(small._method) == EACH * 21
+    assert bytes_of(small) == EACH * 21
     for nothing in (History(0, ALL, RAW, RESTORED), History(5, EACH, RAW, RESTORED)):
         nothing.add(image(0))
         assert len(nothing("raw", 10, None, 10, ALL).values) == 0
@@ -43,13 +47,10 @@ def test_memory_is_bounded_by_time_and_by_bytes():
 def test_shear_counts_towards_the_bound_and_is_kept_beside_the_images():
     each = EACH + 8 * 16
     kept = History(1e6, each * 21, RAW, RESTORED, shear=True)
-    held = [one.nbytes for one in (*kept._images.values(), kept._flags, kept._sequence, kept._time)]
-    assert sum(held) + 8 * len(kept._method) == each * 21
+    assert bytes_of(kept) == each * 21
     for n in range(50):
         kept.add(sheared(n))
-    assert sum(one.nbytes for one in (*kept._images.values(), kept._flags, kept._sequence, kept._time)) == sum(
-        held
-    )
+    assert bytes_of(kept) == each * 21
     found = kept("shear", 100, None, 100, ALL)
     assert found.values.shape == (20, 2, 4, 4)
     np.testing.assert_array_equal(found.values[:, 0, 0, 0], np.arange(30, 50))
@@ -89,6 +90,21 @@ def test_pages_lead_back_through_a_window():
     assert kept("raw", 10, 5, 10, ALL).sequence.tolist() == []
     assert kept("raw", 10, None, 10, 16 * 3).sequence.tolist() == [194, 196, 198]  # three images of 16 numbers
     assert kept("raw", 10, None, 10, 1).sequence.tolist() == [198]
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+def test_a_step_of_the_buss_clock_neither_widens_nor_narrows_a_window(step):
+    kept = ring(400)
+    for n in range(300):
+        kept.add(replace(image(n), time=n / 100 + (step if n >= 250 else 0.0)))
+    found = kept("raw", 0.995, None, 1000, ALL)
+    assert found.sequence.tolist() == list(range(200, 300))
+    assert found.time[[0, 49, 50, 99]].tolist() == [2.0, 2.49, 2.5 + step, 2.99 + step]
+    page = kept("raw", 0.995, None, 30, ALL)
+    assert page.older
+    assert kept("raw", 0.0, int(page.sequence[0]), 1000, ALL, page.since).sequence.tolist() == list(
+        range(200, 270)
+    )
 
 
 def test_what_a_copy_gives_while_images_are_added_is_never_mixed():

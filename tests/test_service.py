@@ -144,11 +144,11 @@ def test_a_fault_of_a_codec_is_told_and_ends_no_bus(plan, monkeypatch, caplog):
     listener = Listener("can0", {}, {"palm": sensor})
     push, failed = listener._router.push, []
 
-    def once_not(message):
+    def once_not(message, now):
         if not failed:
             failed.append(message)
             raise KeyError("byte 7")
-        return push(message)
+        return push(message, now)
 
     monkeypatch.setattr(listener._router, "push", once_not)
     sensor.start()
@@ -164,6 +164,45 @@ def test_a_fault_of_a_codec_is_told_and_ends_no_bus(plan, monkeypatch, caplog):
     sensor.stop()
 
 
+@pytest.fixture
+def listening(plan, monkeypatch):
+    bus, sensor = Bus(), Sensor(plan)
+    monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
+    listener = Listener("can0", {}, {"palm": sensor})
+    sensor.start()
+    listener.start()
+    yield bus, sensor
+    listener.stop()
+    sensor.stop()
+
+
+@pytest.mark.parametrize("ahead", [0.0, 3600.0, -3600.0, -1.7e9])
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_half_frame_before_a_silence_is_shown_whatever_the_buss_clock_says(listening, ahead, busy):
+    bus, sensor = listening
+    whole, half = (sensor.codec.encode(np.full(64, 100, np.uint16), n, time.time() + ahead) for n in (0, 1))
+    bus.messages += [*whole, half[0]]
+    until(lambda: (image := sensor.hub.latest()) and image.sequence == 0)
+
+    def shown():
+        if busy:  # another's messages come without end
+            bus.messages.append(Message(time.time() + ahead, 0x123, b""))
+        return sensor.hub.latest().sequence == 1
+
+    until(shown)
+    assert sensor.hub.latest().loss.incomplete == 1
+
+
+def test_a_sender_that_begins_anew_after_its_clock_stepped_back_is_followed_at_once(listening):
+    bus, sensor = listening
+    for n, when in ((100, 1e9), (0, 1e9 - 3600), (1, 1e9 - 3599.99)):
+        bus.messages += sensor.codec.encode(np.full(64, 100 + n, np.uint16), n, when)
+        until(lambda n=n: (image := sensor.hub.latest()) and image.raw[0, 0] == n / 2)
+        time.sleep(0.4 if n == 100 else 0.0)  # a silence, by which a restart is known
+    loss = sensor.status().loss
+    assert (loss.late, loss.lost) == (0, 0)
+
+
 @pytest.mark.parametrize(("longest_s", "logged"), [(60.0, 1), (0.0, 3)])
 def test_the_same_fault_of_a_bus_is_logged_again_after_a_healthy_stretch(
     plan, monkeypatch, caplog, longest_s, logged
@@ -172,7 +211,7 @@ def test_the_same_fault_of_a_bus_is_logged_again_after_a_healthy_stretch(
     monkeypatch.setattr("tactiled.listener.open_bus", bus.open)
     monkeypatch.setattr("tactiled.listener.BACK_OFF_S", (0.0, longest_s))
     listener = Listener("can0", {}, {"palm": Sensor(plan)})
-    monkeypatch.setattr(listener._router, "push", lambda _: {}["byte 7"])
+    monkeypatch.setattr(listener._router, "push", lambda *_: {}["byte 7"])
     bus.messages += [Message(1.0, 0x123, b"")] * 3
     listener.start()
     until(lambda: bus.closed == 3)

@@ -21,13 +21,16 @@ class _Open:
 
     def __init__(self, codec: Codec, reading: Reading) -> None:
         self.began = self.ended = reading.time
+        self.arrived = 0.0  # s, when its newest message came
         self.payloads: list[bytes | None] = [None] * codec.segments
         self.left = codec.segments
         self.bad: list[int] = []
         self.highest = -1
+        self.disputed: set[int] = set()  # segments that came twice and not the same
         self.came: list[tuple[int, float]] = []  # segments and their times (s) in the order of their coming
 
-    def add(self, reading: Reading) -> None:
+    def add(self, reading: Reading, now: float) -> None:
+        self.arrived = now
         self.payloads[reading.segment] = reading.payload
         self.left -= 1
         self.came.append((reading.segment, reading.time))
@@ -35,6 +38,11 @@ class _Open:
             self.bad += reading.bad
         self.highest = max(self.highest, reading.segment)
         self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
+
+    def settle(self) -> None:
+        """Leave out what came twice and not the same: of which of two senders it is, nobody knows."""
+        for segment in self.disputed:
+            self.payloads[segment] = None
 
 
 class _Cycle:
@@ -81,6 +89,9 @@ class Assembler:
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
     one that it always comes before, begins a newer frame. A sender that begins its sequence numbers anew after a
     silence is followed at once.
+
+    Ages and silences are of `now` (s), which is when a message came and never steps back; the times of messages,
+    whose clock may, are data.
     """
 
     def __init__(self, codec: Codec) -> None:
@@ -90,7 +101,7 @@ class Assembler:
         self._closed: list[bytes | None] = [None] * codec.segments  # what the frame closed last had
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
-        self._newest = float("-inf")  # s, time of the newest message
+        self._newest = float("-inf")  # s, when the newest message came
         self._cycle = _Cycle() if codec.modulus is None else None
         self._ended = float("inf")  # s, when the frame closed last had its last message
 
@@ -103,10 +114,11 @@ class Assembler:
         """What went wrong so far."""
         return Loss(**self._counts)
 
-    def push(self, reading: Reading) -> tuple[RawFrame, ...]:
-        """Take one reading; returns the frames that it closes, oldest first."""
-        step = self._step(reading)
-        self._newest = max(self._newest, reading.time)
+    def push(self, reading: Reading, now: float | None = None) -> tuple[RawFrame, ...]:
+        """Take one reading, come at `now` (s; None: its own time); returns the frames it closes, oldest first."""
+        now = reading.time if now is None else now
+        step = self._step(reading, now)
+        self._newest = max(self._newest, now)
         if step <= 0 and (step < 0 or self._open is None):
             again = step == 0 and self._closed[reading.segment] is not None
             self.count("repeated" if again else "late")
@@ -115,19 +127,21 @@ class Assembler:
         frame = self._open
         if frame is None:  # a step begins a frame, and without one there was a frame
             return closed
-        if frame.payloads[reading.segment] is not None:
+        if (held := frame.payloads[reading.segment]) is not None:
             self.count("repeated")
+            if held != reading.payload:
+                frame.disputed.add(reading.segment)
             return closed
         if reading.segment < frame.highest and self.codec.modulus is not None:
             self.count("late")
-        frame.add(reading)
+        frame.add(reading, now)
         return closed if frame.left else (*closed, *self._close())
 
     def flush(self, before: float) -> tuple[RawFrame, ...]:
-        """Close, marked, a frame whose last message came before time `before` (s)."""
-        return self._close() if self._open is not None and self._open.ended < before else ()
+        """Close, marked, a frame whose newest message came before time `before` (s)."""
+        return self._close() if self._open is not None and self._open.arrived < before else ()
 
-    def _step(self, reading: Reading) -> int:
+    def _step(self, reading: Reading, now: float) -> int:
         """How many frames a reading is ahead of the newest one begun; 0: of it; negative: of an older one."""
         modulus = self.codec.modulus
         if modulus is None:
@@ -137,7 +151,7 @@ class Assembler:
         ahead = (reading.sequence - self._wire) % modulus
         step = ahead if ahead <= modulus // 2 else ahead - modulus
         old = step < 0 or (step == 0 and self._open is None)
-        return 1 if old and reading.time - self._newest > RESTART_S else step
+        return 1 if old and now - self._newest > RESTART_S else step
 
     def _begins(self, frame: _Open, segment: int) -> bool:
         """Whether a segment without a sequence number cannot be of the open frame."""
@@ -162,6 +176,7 @@ class Assembler:
             self._cycle.learn(frame, frame.began - self._ended)
         self._ended = frame.ended
         self.count("lost", frame.left)
+        frame.settle()
         skew = frame.ended - frame.began
         try:
             counts = self.codec.unpack(frame.payloads)
@@ -169,12 +184,13 @@ class Assembler:
         except CodecError:  # another package's codec: none of ours raises here
             self.count("malformed", self.codec.segments - frame.left)
             return ()
-        self.count("incomplete", int(frame.left > 0))
-        return (RawFrame(self._sequence, frame.began, skew, counts, self._flags(frame), self.loss, shear),)
+        flags = self._flags(frame)
+        self.count("incomplete", int(None in frame.payloads))
+        return (RawFrame(self._sequence, frame.began, skew, counts, flags, self.loss, shear, frame.arrived),)
 
     def _flags(self, frame: _Open) -> NDArray[np.uint8]:
         flags = np.zeros(self.codec.size, np.uint8)
-        if frame.left:
+        if None in frame.payloads:
             for segment, payload in enumerate(frame.payloads):
                 if payload is None:
                     flags[self.codec.span(segment)] = MISSING

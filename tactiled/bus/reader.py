@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -12,7 +13,7 @@ from typing import Any
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-from tactiled.bus import faults
+from tactiled.bus import decoding, faults
 from tactiled.bus.burst import ERROR, EXTENDED, REMOTE, Burst
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
 from tactiled.errors import BusError
@@ -49,6 +50,8 @@ class Reader:
         self.errors = 0  # error frames seen
         self.remote = 0  # remote frames seen, which carry no taxels
         self.unsent = 0  # messages to skins that the bus did not take
+        self.unreadable = 0  # what came and could not be decoded
+        self._in_a_row = 0  # of it, without a frame or a silence between
         self.kinds = dict.fromkeys(faults.KINDS, 0)  # what the error frames told; never grows: threads read it
         self.off: str | None = None  # that it is off the bus now, and what to do
 
@@ -58,14 +61,33 @@ class Reader:
         return "kernel" if isinstance(self._bus, SocketcanBus) else f"python-can {self.label.split()[0]}"
 
     def frame(self, timeout: float) -> can.Message | None:
-        """The next frame of any kind, or None after `timeout` (s); BusError where the bus is gone.
+        """The next frame of any kind, or None after `timeout` (s) at the latest; BusError where the bus is gone.
 
-        It knows nothing of what `batch` or `receive` have taken: use it instead of them, not beside them.
+        What cannot be decoded is counted, and no frame. It knows nothing of what `batch` or `receive` have taken:
+        use it instead of them, not beside them.
         """
         try:
-            return self._bus.recv(timeout)
+            got = self._recv(timeout)
+            if decoding.sound(got, self._bus):
+                self._in_a_row = 0
+                return got
         except Exception as error:  # a driver whose device was unplugged raises what it likes
-            raise _blame(error, self.label, self._redact) from error
+            if decoding.is_gone(error, self._bus) or self._in_a_row >= decoding.MAX_UNREADABLE_IN_A_ROW:
+                raise _blame(error, self.label, self._redact) from error
+        decoding.skip(self._bus)
+        self.unreadable += 1
+        self._in_a_row += 1
+        return None
+
+    def _recv(self, timeout: float) -> can.Message | None:
+        """What python-can's `recv` does, by a clock that nobody sets: its own hangs where that steps back."""
+        end = time.monotonic() + timeout
+        while True:
+            got, filtered = self._bus._recv_internal(timeout=max(0.0, end - time.monotonic()))
+            if got is not None and (filtered or self._bus._matches_filters(got)):
+                return got
+            if time.monotonic() >= end:
+                return None
 
     def receive(self, timeout: float) -> Message | None:
         """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
@@ -82,13 +104,13 @@ class Reader:
         except OSError as error:
             raise _blame(error, self.label, self._redact) from error
         taken = []
-        for time, id_, data, fd in frames:
+        for stamp, id_, data, fd in frames:
             if id_ & (ERROR | REMOTE):
                 self._special(id_ & EXTENDED_ID, data, error=id_ & ERROR != 0)
                 continue
             self.off = None
             extended = id_ & EXTENDED != 0
-            taken.append(Message(time, id_ & (EXTENDED_ID if extended else STANDARD_ID), data, extended, fd))
+            taken.append(Message(stamp, id_ & (EXTENDED_ID if extended else STANDARD_ID), data, extended, fd))
         return taken
 
     def _one(self, timeout: float) -> list[Message]:
@@ -147,6 +169,7 @@ class Reader:
             "errors": self.errors,
             "bus_off": self.kinds[faults.BUS_OFF],
             "unsent": self.unsent,
+            "unreadable": self.unreadable,
         }
 
     def close(self) -> None:

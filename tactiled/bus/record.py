@@ -32,6 +32,11 @@ class Tap:
         self.close = reader.close
         self._before = reader.dropped
 
+    @property
+    def unreadable(self) -> int:
+        """Messages that the bus's interface could not decode, of which the recording has nothing."""
+        return self._reader.unreadable
+
     def check(self) -> None:
         """BusError where the kernel has dropped messages that were not taken in time."""
         if (dropped := self._reader.dropped - self._before) > 0:
@@ -81,10 +86,14 @@ class ChunkFile(io.RawIOBase):
         return offset
 
     def flush(self) -> None:
-        """Put on the disk what was written; OSError, and the file stays as it was, where it does not go there."""
+        """Put on the disk what was written; OSError, and the file stays as it was, where it does not go there.
+
+        TactileError where another program has changed the file.
+        """
         data, self._waiting = memoryview(self._waiting), bytearray()
-        if self.failed or self.closed or not data:
+        if self.failed or self.closed:
             return
+        self.check()
         try:
             at = self._at
             while data:
@@ -98,23 +107,35 @@ class ChunkFile(io.RawIOBase):
             raise
         self._at, self._size = at, max(self._size, at)
 
-    @property
-    def removed(self) -> bool:
-        """Whether nobody will find it any more."""
+    def check(self) -> None:
+        """TactileError, and nothing more is written, where another program has changed it; it may be renamed."""
+        if fault := self._meddled():
+            self.failed = True
+            raise TactileError(fault)
+
+    def _meddled(self) -> str | None:
+        """What another program did to it."""
         here = os.fstat(self._fd)
-        if here.st_nlink:
-            return False
         try:
-            return not os.path.samestat(here, self._path.stat())  # some file systems count no links
+            same = os.path.samestat(here, self._path.stat())
         except FileNotFoundError:
-            return True
+            same = None
+        if not here.st_nlink and not same:  # some file systems count no links
+            return "was removed"
+        if same is False:
+            return "was replaced by another file"
+        if here.st_size != self._size:
+            return f"was changed by another program: it has {here.st_size} bytes, {self._size} were written"
+        return None
 
     def close(self) -> None:
-        """Flush and close."""
+        """Flush, check and close."""
         if self.closed:
             return
         try:
             super().close()
+            if not self.failed:
+                self.check()
         finally:
             os.close(self._fd)
 
@@ -206,7 +227,7 @@ class Recorder:
         except Exception as error:  # a writer raises what it likes on a message that its format does not know
             says = error.strerror if isinstance(error, OSError) else str(error)
             self._failed = " ".join((says or type(error).__name__).split())
-            with suppress(OSError):
+            with suppress(OSError, TactileError):
                 self._end()
 
     def _end(self) -> None:
@@ -235,8 +256,6 @@ class Recorder:
             self._writer._flush()  # ends a container: python-can has no public way
         cast(Any, self._writer).file.flush()
         self.written = self._taken
-        if self._file.removed:
-            raise TactileError("was removed")
         self._look_for_room()
 
     def _look_for_room(self) -> None:

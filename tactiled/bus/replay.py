@@ -1,20 +1,22 @@
 """A recording in the place of a bus: the same frames from run to run, at any speed."""
 
+import logging
 import struct
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from threading import Event, Thread
+from threading import TIMEOUT_MAX, Event, Thread
 
 from tactiled.bus import recording
 from tactiled.bus.codecs import Codec
+from tactiled.bus.pace import Pace
 from tactiled.bus.router import Router
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message, RawFrame
 
 GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
-TEXT = (".log", ".asc")  # recordings of lines
+LOG = logging.getLogger(__name__)
 
 
 class Recording:
@@ -24,49 +26,36 @@ class Recording:
         self.path = path
         self.count = 0  # messages so far
         self.torn = False  # whether the end turned out to be cut off
+        self.pace = Pace()  # as of the newest message
+        self.step: str | None = None  # what to tell of a step of the clock right before it
 
     def __iter__(self) -> Iterator[Message]:
         """Every whole message; ConfigError where the recording cannot be read or meant."""
-        cut, held = _cut(self.path), None
         try:
             for message in recording.read(self.path):
-                if held is not None:
-                    yield self._counted(held)
-                held = message
+                self.count += 1
+                self.step = self.pace.go(message.time)
+                yield message
         except ConfigError as error:
-            if not (cut or isinstance(error.__cause__, EOFError | struct.error)):
+            if not isinstance(error.__cause__, EOFError | struct.error):
                 raise
-            self.torn, cut = True, False  # the message that could not be read is the one that was cut
-        self.torn |= cut
-        if held is not None and not cut:
-            yield self._counted(held)
-
-    def _counted(self, message: Message) -> Message:
-        self.count += 1
-        return message
+            self.torn = True
 
     def told(self) -> str:
         """One phrase of what was read."""
-        return f"{self.count} messages" + (", then an end that was cut off" if self.torn else "")
-
-
-def _cut(path: Path) -> bool:
-    """Whether a text file's last line lacks its end."""
-    if path.suffix.lower() not in TEXT or not path.is_file() or not path.stat().st_size:
-        return False
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        return file.read() != b"\n"
+        count = self.pace.steps
+        steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
+        return f"{self.count} messages{steps}" + (", then an end that was cut off" if self.torn else "")
 
 
 def frames(messages: Iterable[Message], router: Router) -> Iterator[tuple[str, RawFrame]]:
     """Every (sensor, frame) of a recording; its own times, not the clock's, close half-received frames."""
-    last: float | None = None
+    pace = Pace()
     for message in messages:
-        if last is not None and message.time - last > GAP_S:
-            yield from router.flush(message.time - GAP_S)
-        last = message.time
-        yield from router.push(message)
+        last, _ = pace.now, pace.go(message.time)
+        if pace.now - last > GAP_S:
+            yield from router.flush(pace.now - GAP_S)
+        yield from router.push(message, pace.now)
     yield from router.flush(float("inf"))
 
 
@@ -74,7 +63,8 @@ class Replay:
     """A recording on a thread of its own, in the place of a bus's listener.
 
     `take` gets every frame and may take its time: what is behind waits, and nothing is skipped. `ended` gets one
-    line at the end. A `speed` of 0 is as fast as `take` allows.
+    line at the end, `stepped` one for each step of the recording's clock. A `speed` of 0 is as fast as `take`
+    allows.
     """
 
     def __init__(
@@ -84,13 +74,14 @@ class Replay:
         take: Callable[[str, RawFrame], None],
         speed: float = 1.0,
         ended: Callable[[str], None] = lambda _: None,
+        stepped: Callable[[str], None] = lambda _: None,
     ) -> None:
         if not 0 <= speed < float("inf"):
             raise ConfigError(
                 f"speed = {speed}: give 1 for the recorded pace, N for N times that, 0 for no pauses"
             )
         self._recording, self._router = Recording(path), Router(codecs)
-        self._take, self._speed, self._ended = take, speed, ended
+        self._take, self._speed, self._ended, self._stepped = take, speed, ended, stepped
         self._messages: Iterator[Message] = iter(())
         self._stop = Event()
         self._thread = Thread(target=self._run, name=f"replay {path.name}", daemon=True)
@@ -117,15 +108,21 @@ class Replay:
                     return
                 self._take(name, frame)
             self._ended(f"{self._recording.path.name} has ended after {self._recording.told()}")
-        except ConfigError as error:
+        except TactileError as error:
             self._ended(str(error))
+        except Exception as error:  # our own fault, or a codec's: no reason to go silent
+            LOG.exception("replay of %s failed", self._recording.path.name)
+            name, count = self._recording.path.name, self._recording.count
+            self._ended(f"{name}: the replay failed at message {count}: {type(error).__name__}: {error}")
 
     def _paced(self) -> Iterator[Message]:
         """The messages, each when it is due."""
-        began, first = time.monotonic(), None
+        began, pace = time.monotonic(), self._recording.pace
         for message in self._messages:
-            first = message.time if first is None else first
-            due = began + (message.time - first) / self._speed if self._speed else began
-            if self._stop.wait(max(0.0, due - time.monotonic())):
+            due = began + pace.now / self._speed if self._speed else began
+            wait = min(max(0.0, due - time.monotonic()), TIMEOUT_MAX)
+            if self._recording.step:
+                self._stepped(f"{self._recording.path.name} {self._recording.step}: it goes on in {wait:.3g} s")
+            if self._stop.wait(wait):
                 return
             yield message

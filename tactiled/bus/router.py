@@ -28,8 +28,8 @@ class Router:
         """Every (id, extended) that a sensor listens to."""
         return frozenset(self._owner)
 
-    def push(self, message: Message) -> Frames:
-        """Take one message; returns (sensor, frame) for each frame that it closes."""
+    def push(self, message: Message, now: float | None = None) -> Frames:
+        """Take one message, come at `now` (s; None: its own time); returns each (sensor, frame) that it closes."""
         name = self._owner.get((message.id, message.extended))
         if name is None:
             for assembler in self.assemblers.values():
@@ -41,8 +41,8 @@ class Router:
         except CodecError:
             assembler.count("malformed")
             return ()
-        return tuple((name, frame) for frame in assembler.push(reading))
+        return tuple((name, frame) for frame in assembler.push(reading, now))
 
     def flush(self, before: float) -> Frames:
-        """Close, marked, every frame whose last message came before time `before` (s)."""
+        """Close, marked, every frame whose newest message came before time `before` (s)."""
         return tuple((name, frame) for name, each in self.assemblers.items() for frame in each.flush(before))

@@ -52,7 +52,8 @@ def record(
             written = record_bus(tap, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()
-    console.print(f"{out}: {written} messages", markup=False)
+    missed = f", and {tap.unreadable} that could not be decoded" if tap.unreadable else ""
+    console.print(f"{out}: {written} messages{missed}", markup=False)
 
 
 def bus_settings(

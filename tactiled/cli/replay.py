@@ -38,18 +38,23 @@ def replay(
 def replaying(settings: Config, file: Path, speed: float) -> Service:
     """A service whose only bus is a recording."""
 
-    def listen(_: str, __: object, sensors: dict[str, Sensor]) -> Replay:
+    def listen(bus: str, _: object, sensors: dict[str, Sensor]) -> Replay:
         def ended(line: str) -> None:
             print(f"tactiled: {line}", flush=True)
             for each in sensors.values():
                 each.down = line
 
+        def stepped(line: str) -> None:
+            print(f"tactiled: {line}", flush=True)
+            service.events.add("replay_stepped", line, bus=bus)
+
         for each in sensors.values():
             each.clock = "recording"
         codecs = {name: each.codec for name, each in sensors.items()}
-        return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended)
+        return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended, stepped)
 
-    return Service(settings, listen, replayed=True)
+    service = Service(settings, listen, replayed=True)
+    return service
 
 
 def one_bus(settings: Config, bus: str | None) -> Config:

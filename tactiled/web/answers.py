@@ -46,6 +46,7 @@ def loss(status: Status) -> Loss:
         errors=counts.errors,
         bus_off=counts.bus_off,
         unsent=counts.unsent,
+        unreadable=counts.unreadable,
     )
 
 

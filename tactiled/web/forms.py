@@ -56,6 +56,7 @@ class Loss(Form):
     errors: int = Field(description="error frames of the bus interface", examples=[0])
     bus_off: int = Field(description="times that the bus interface left the bus", examples=[0])
     unsent: int = Field(description="requests to skins that the bus did not take", examples=[0])
+    unreadable: int = Field(description="messages that the bus interface could not decode", examples=[0])
 
 
 class SensorState(Form):

@@ -73,6 +73,9 @@ class Recorded(forms.Form):
     messages: int | None = Field(
         None, description="on the disk so far, where it was started since the service was", examples=[1025]
     )
+    unreadable: int | None = Field(
+        None, description="messages that the interface could not decode, which are not in the file", examples=[0]
+    )
     error: str | None = Field(None, description="why it ended early", examples=[None])
 
 
@@ -107,6 +110,10 @@ class _Run:
     def running(self) -> bool:
         return self._thread.is_alive()
 
+    @property
+    def unreadable(self) -> int:
+        return self._tap.unreadable
+
     def stop(self) -> None:
         self._stop.set()
         self._thread.join()
@@ -118,7 +125,8 @@ class _Run:
             self.error = str(error).replace(f"{self.recorder.path}: ", "")  # whose name is told beside it
         finally:
             self._tap.close()
-            ending = self.error or f"{self.recorder.written} messages"
+            missed = f", and {self.unreadable} that could not be decoded" if self.unreadable else ""
+            ending = (self.error or f"{self.recorder.written} messages") + missed
             self._events.add("recording_ended", f"{self._name}: {ending}", bus=self.bus)
 
 
@@ -218,6 +226,7 @@ class Recordings:
             running=running,
             bus=run.bus,
             messages=run.recorder.written,
+            unreadable=run.unreadable,
             error=run.error,
         )
 

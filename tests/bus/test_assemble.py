@@ -107,6 +107,65 @@ def test_a_sender_that_begins_anew_after_a_silence_is_followed_at_once(again):
     np.testing.assert_array_equal(frames[8].counts, counts_of(again))
 
 
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+def test_ages_are_of_the_arrival_and_not_of_the_buss_clock(step):
+    assembler = Assembler(CODEC)
+    for each in (*sent(100), *sent(101)):
+        assembler.push(CODEC.decode(each._replace(time=1e9)), 10.0)
+    a, b = ([CODEC.decode(each._replace(time=1e9 + step)) for each in sent(n)] for n in (0, 1))
+    ((frame,),) = [got for each in a if (got := assembler.push(each, 10.5))]
+    assert (frame.sequence, frame.time, frame.arrived) == (2, 1e9 + step, 10.5)
+    assembler.push(b[0], 10.51)
+    assert assembler.flush(before=10.5) == ()
+    (half,) = assembler.flush(before=10.52)
+    assert half.flags.any()
+    assert assembler.loss == Loss(lost=2, incomplete=1)
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+def test_a_step_of_the_clock_without_a_silence_is_no_restart(step):
+    assembler = Assembler(CODEC)
+    for at, n in enumerate((5, 6, 4, 7)):
+        for each in sent(n):
+            assembler.push(CODEC.decode(each._replace(time=1e9 + at * step)), 10.0 + at / 100)
+    assert assembler.loss == Loss(late=3)
+
+
+@given(
+    st.lists(st.booleans(), min_size=60, max_size=60),
+    st.sampled_from([0, 1, 3, 127, 128, 200]),
+    st.sampled_from([2, 10, 30]),
+)
+@settings(max_examples=300)
+def test_two_senders_with_one_id_are_told_and_no_frame_mixed_of_them_looks_good(turns, apart, size):
+    """Each sends its own messages in order; they interleave in any way."""
+    codec = Packed(size, bits=12)
+    senders = [
+        iter(
+            [each for n in range(60) for each in codec.encode(np.full(size, mine, np.uint16), n + start, n / 100)]
+        )
+        for mine, start in ((1, 0), (2, apart))
+    ]
+    assembler, frames, took = Assembler(codec), [], [0, 0]
+    for turn in turns:
+        took[turn] += 1
+        frames += assembler.push(codec.decode(next(senders[turn])))
+    for frame in frames:
+        if not frame.flags.any():
+            assert len(set(frame.counts)) == 1
+    if min(took) > 2 * codec.segments:
+        loss = assembler.loss
+        assert loss.lost + loss.late + loss.repeated > 0
+
+
+def test_a_segment_that_comes_twice_and_not_the_same_is_shown_of_neither():
+    a, b = CODEC.encode(counts_of(1), 7, 0.0), CODEC.encode(counts_of(5), 7, 0.0)
+    (frame,), loss = run([a[0], b[0], a[0], b[1], a[2]])
+    np.testing.assert_array_equal(frame.flags, [MISSING] * 4 + [0] * 6)
+    np.testing.assert_array_equal(frame.counts[:4], 0)
+    assert loss == Loss(repeated=2, incomplete=1)
+
+
 def test_old_messages_without_a_silence_are_late():
     frames, loss = run([each._replace(time=0.0) for n in (5, 6, 0, 1) for each in sent(n)])
     assert len(frames) == 2

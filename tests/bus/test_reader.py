@@ -63,7 +63,7 @@ def test_error_and_remote_frames_carry_no_taxels_and_are_counted_by_kind(request
         raw.send(can.Message(arbitration_id=0x500, is_remote_frame=True, is_extended_id=False))
         assert (reader.receive(1.0), reader.receive(1.0)) == (None, None)
     assert (reader.errors, reader.remote) == (1, 1)
-    assert reader.counts() == {"dropped": 0, "errors": 1, "bus_off": 0, "unsent": 0}
+    assert reader.counts() == {"dropped": 0, "errors": 1, "bus_off": 0, "unsent": 0, "unreadable": 0}
     reader.close()
 
 
@@ -148,7 +148,7 @@ def test_the_sockets_buffer_is_enlarged_and_a_closed_bus_still_tells_its_counts(
         assert after >= before
         assert reader.dropped == 0
         reader.close()
-        assert reader.counts() == {"dropped": 0, "errors": 0, "bus_off": 0, "unsent": 0}
+        assert reader.counts() == {"dropped": 0, "errors": 0, "bus_off": 0, "unsent": 0, "unreadable": 0}
         assert ours.fileno() >= 0  # still theirs to close
 
 

@@ -1,5 +1,6 @@
 import errno
 import os
+import re
 import resource
 import signal
 import socket
@@ -15,6 +16,7 @@ import pytest
 from tactiled.bus import recording
 from tactiled.bus.record import WRITERS, ChunkFile, Recorder, open_tap, record
 from tactiled.errors import BusError, ConfigError, TactileError
+from tests.conftest import until
 
 MESSAGES = [
     can.Message(1.6e9, 0x500, is_extended_id=False, data=b"\x01\x02\x03"),
@@ -193,6 +195,75 @@ def test_a_file_that_is_removed_meanwhile_ends_it_loudly(tmp_path, another):
         fill(recorder)
     with pytest.raises(TactileError, match="was removed"):
         recorder.close()
+
+
+def truncate(path):
+    os.truncate(path, 10)
+
+
+def empty(path):
+    path.write_bytes(b"")
+
+
+def lengthen(path):
+    with path.open("ab") as file:
+        file.write(b"mine")
+
+
+def overwrite(path):
+    path.write_text("another's text, which is no recording")
+
+
+def replace(path):
+    path.rename(path.with_name("old"))
+    path.write_text("another's text, which is no recording")
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("act", [truncate, empty, lengthen, overwrite, replace])
+def test_a_file_that_another_program_changes_ends_it_loudly(tmp_path, ending, act):
+    path = tmp_path / f"a{ending}"
+    recorder = Recorder(path)
+    recorder.put(plain(1))
+    until(lambda: recorder.written == 1)
+    act(path)
+    with pytest.raises(TactileError) as told:
+        fill(recorder)
+    says = (
+        r"was replaced by another file" if act is replace else r"was changed by another program: it has \d+ bytes"
+    )
+    assert re.search(rf"a{ending}: {says}.*: the recording ends early", str(told.value))
+    left = path.read_bytes()
+    with pytest.raises(TactileError, match=rf"{says}.*: the recording ends early, after 1 messages"):
+        recorder.close()
+    assert path.read_bytes() == left  # nothing more is written into it
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("act", [truncate, empty, lengthen, overwrite, replace])
+def test_so_does_one_that_is_changed_at_the_very_end(tmp_path, monkeypatch, ending, act):
+    path, real = tmp_path / f"a{ending}", ChunkFile.check
+    recorder = Recorder(path)
+    recorder.put(plain(1))
+
+    def check(self):
+        if self.closed and not hasattr(self, "acted"):
+            self.acted = act(path)
+        real(self)
+
+    monkeypatch.setattr(ChunkFile, "check", check)
+    with pytest.raises(TactileError, match=r"was replaced|was changed by another program"):
+        recorder.close()
+
+
+def test_a_recording_that_is_renamed_goes_on(tmp_path):
+    recorder = Recorder(tmp_path / "a.log")
+    recorder.put(plain(1))
+    until(lambda: recorder.written == 1)
+    (tmp_path / "a.log").rename(tmp_path / "b.log")
+    recorder.put(plain(2))
+    recorder.close()
+    assert numbers(tmp_path / "b.log") == [1, 2]
 
 
 def test_a_disk_that_cannot_keep_up_ends_it_loudly_with_all_that_it_took(tmp_path, monkeypatch):

@@ -188,6 +188,74 @@ def test_silence_closes_a_half_received_frame_and_so_does_the_end(codec):
     assert frame.flags.any()  # its second half came after the silence
 
 
+def stepping(codec, step):
+    """Frames at 100 Hz, whose clock steps after the tenth."""
+    rng = np.random.default_rng(1)
+    for sequence in range(20):
+        when = 1.6e9 + sequence * 0.01 + (step if sequence >= 10 else 0.0)
+        yield from codec.encode(pressed(sequence, rng), sequence, when)
+
+
+def lines(path, messages):
+    """A recording with its times as they are, which python-can's own writer would not write."""
+    frames = (f"({each.time:f}) can0 {each.id:03X}##1{each.data.hex()} R\n" for each in messages)
+    path.write_text("".join(frames))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("step", "says", "wait"),
+    [
+        (3600.0, "a.log pauses for 3600.01 s before message 21: it goes on in 10 s", 10.0),
+        (-3600.0, "a.log steps back in time by 3599.99 s at message 21: it goes on in 1 s", 1.0),
+    ],
+)
+def test_a_step_of_the_recordings_clock_is_told_and_not_slept_through(
+    tmp_path, codec, monkeypatch, step, says, wait
+):
+    path, clock, done = lines(tmp_path / "a.log", stepping(codec, step)), Clock(), Event()
+    monkeypatch.setattr("tactiled.bus.replay.time", clock)
+    service = replaying(parse(CONFIG), path, 1.0)
+    (listener,), began = service._listeners, clock.now
+    told, listener._ended = listener._ended, lambda line: (told(line), done.set())
+    listener._stop = clock
+    service.start()
+    assert done.wait(BUSY_S)
+    service.stop()
+    assert [each.text for each in service.events.after(0) if each.kind == "replay_stepped"] == [says]
+    assert clock.now - began == pytest.approx(0.18 + wait)
+    (sensor,) = service.sensors.values()
+    assert sensor.hub.latest().loss.late == 0
+    assert sensor.status().detail == "a.log has ended after 40 messages, with 1 step of their clock"
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0])
+def test_a_sender_that_began_anew_at_a_step_of_the_clock_is_followed(codec, step):
+    counts = np.full(64, 100, np.uint16)
+    rows = [*((n, 1e9 + n / 100) for n in (100, 101)), *((n, 1e9 + step + n / 100) for n in (0, 1))]
+    router = Router({"palm": codec})
+    got = list(frames([each for n, when in rows for each in codec.encode(counts, n, when)], router))
+    assert (len(got), router.assemblers["palm"].loss.late) == (4, 0)
+
+
+@pytest.mark.parametrize("time", ["inf", "1e300", "nan"])
+def test_a_time_that_cannot_be_ends_the_replay_with_words(tmp_path, codec, time):
+    path = lines(tmp_path / "a.log", stepping(codec, 0.0))
+    rows = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(rows[:30]) + re.sub(r"\(.*\)", f"({time})", rows[30]) + "".join(rows[31:]))
+    got, sensor = images(path, speed=100.0)
+    assert len(got) == 15
+    status = sensor.status()
+    assert status.state == "down"
+    assert f"message 31: time {float(time):g} s is none from 1970 to 2106" in status.detail
+
+
+def test_a_fault_of_our_own_ends_the_replay_with_words(lossy, monkeypatch):
+    monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
+    _, sensor = images(lossy)
+    assert sensor.status().detail == "a.log: the replay failed at message 1: KeyError: 'byte 7'"
+
+
 @pytest.mark.parametrize("cut", range(1, 60, 7))
 def test_a_line_that_was_cut_off_is_left_out_and_told(lossy, cut):
     whole = list(Recording(lossy))

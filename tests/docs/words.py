@@ -29,6 +29,7 @@ LOSS = {
     "incomplete": "A frame was published with taxels missing. It is marked.",
     "skipped": "A frame was not restored because a newer one was there. It is dropped.",
     "dropped": "Linux discarded a message that was not read in time (sockets only). It also counts as `lost`.",
+    "unreadable": "The bus interface could not decode a message. It counts for every sensor of the bus.",
     "errors": "The bus interface reported an error frame. It is dropped.",
     "bus_off": "The interface left the bus because of errors (SocketCAN). The sensor is `down` until it is back.",
     "unsent": "The bus did not take a message to a skin that must be asked or started. A request is not repeated, "
@@ -72,6 +73,7 @@ EVENTS = {
     "recording_ended": "A recording ended, with the reason if it ended early.",
     "fault_raised": "A part of the service failed; it continues.",
     "fault_cleared": "That part has not failed for 1 s.",
+    "replay_stepped": "The clock of the replayed recording stepped.",
 }
 METHODS = {
     "auto": ("selects one of the methods below for every frame", "always, unless you compare methods"),

@@ -252,7 +252,15 @@ def test_a_recording_whose_file_is_renamed_is_listed_until_it_is_stopped_and_say
     assert (file["name"], file["running"]) == ("b.log", False)
     for act in (api.get, api.delete):
         assert act(f"{ROOT}/a.log").json()["detail"] == "recording a.log: runs: stop it first"
-    ended = {"name": "a.log", "bytes": None, "running": False, "bus": "can0", "messages": 10, "error": None}
+    ended = {
+        "name": "a.log",
+        "bytes": None,
+        "running": False,
+        "bus": "can0",
+        "messages": 10,
+        "unreadable": 0,
+        "error": None,
+    }
     for _ in range(2):
         stopped = api.post(f"{ROOT}/a.log/stop")
         assert (stopped.status_code, stopped.json()) == (200, ended)

@@ -70,7 +70,7 @@ def test_pages_lead_back_in_every_format(url, images):
 @pytest.mark.parametrize("form", ["json", "npy"])
 def test_pages_cover_the_window_that_was_asked_for_though_images_come_meanwhile(rig, url, images, form):
     wanted = [image.sequence for image in images[4:]]
-    last = f"{images[-1].time - images[4].time + 1e-5:.6f}s"
+    last = f"{images[-1].arrived - images[4].arrived + 1e-5:.6f}s"
     seen, before = [], {}
     while before is not None:
         answer = get(url, last=last, limit=3, format=form, **before)
@@ -100,7 +100,7 @@ def test_a_window_of_which_images_are_kept_no_longer_says_so(request):
         assert [each["sequence"] for each in rest.json()["frames"]] == [1, 2, 3]
         assert (rest.json()["before"], rest.json()["cut"]) == (None, True)
         assert get(url, last="60s", format="npy").headers["x-tactiled-cut"] == "true"
-        kept = get(url, last=f"{rig.sensor.hub.latest().time - oldest.time:.6f}s", format="npy")
+        kept = get(url, last=f"{rig.sensor.hub.latest().arrived - oldest.arrived:.6f}s", format="npy")
         assert "x-tactiled-cut" not in kept.headers
         for _ in range(keeps):
             rig.show(pressed())

@@ -13,7 +13,7 @@ const TIMEOUT_MS = 8000;
 /**
  * What went wrong on the way in, counted since the service started.
  * @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"dropped"|"incomplete"|"skipped"|"errors"|"bus_off"
- *   |"unsent", number>} Loss
+ *   |"unsent"|"unreadable", number>} Loss
  */
 
 /**

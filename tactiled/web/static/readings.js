@@ -36,6 +36,7 @@ const LOSSES = /** @type {const} */ ({
     ["errors", "error frames", "what the bus interface says went wrong on the wire"],
     ["bus_off", "bus-off", "times that the bus interface left the bus because of errors"],
     ["unsent", "unsent", "messages to skins that the bus did not take"],
+    ["unreadable", "unreadable", "messages that the bus interface could not decode"],
   ],
 });
 

@@ -1,0 +1,281 @@
+"""What a bus's interface cannot decode is one message lost, and told; only a bus that is gone is gone."""
+
+import os
+import socket
+import threading
+import time
+from threading import Event
+
+import can
+import msgpack
+import numpy as np
+import pytest
+
+from tactiled.bus import recording
+from tactiled.bus.decoding import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, is_gone
+from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.record import Recorder, open_tap, record
+from tactiled.cli.record import record_
+from tactiled.config import parse
+from tactiled.errors import BusError
+from tactiled.frames import Message
+from tactiled.service import Service
+from tests.conftest import CONFIG, pressed, until
+
+GROUP = "239.74.163.91"
+
+
+def packed(**changes):
+    fields = {"arbitration_id": 0x500, "is_extended_id": False, "dlc": 2, "data": b"ab", "timestamp": 1.0}
+    return msgpack.packb(fields | changes)
+
+
+JUNK = {
+    "nothing": b"",
+    "text": b"junk",
+    "half a map": packed()[:20],
+    "a number": msgpack.packb(7),
+    "another map": msgpack.packb({"id": 7}),
+    "a negative id": packed(arbitration_id=-3),
+    "an id of 12 bits": packed(arbitration_id=0x800),
+    "no whole id": packed(arbitration_id=1280.5),
+    "another length": packed(dlc=8),
+    "no data": packed(data=7),
+    "bytes that are no text": b"\x81\xa5\xff\xff\xff\xff\xff\x01",
+}
+
+
+@pytest.fixture
+def port():
+    """A port of UDP that is free, so that no other test's traffic comes."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("", 0))
+        return one.getsockname()[1]
+
+
+@pytest.fixture
+def throw(port):
+    """Sends bytes to the bus's group, whatever they are."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        yield lambda data: one.sendto(data, (GROUP, port))
+
+
+@pytest.fixture
+def multicast(port):
+    """The bus, to send and to receive."""
+    ends = [open_bus(interface="udp_multicast", channel=GROUP, port=port) for _ in range(2)]
+    yield ends
+    for each in ends:
+        each.close()
+
+
+def take(reader, count, unreadable=0):
+    """What is received until it is so many, and so much was unreadable."""
+    got = []
+
+    def enough():
+        got.extend(reader.batch(0.05))
+        return len(got) >= count and reader.unreadable >= unreadable
+
+    until(enough)
+    return got
+
+
+@pytest.mark.parametrize("kind", JUNK)
+def test_a_datagram_that_is_no_message_is_counted_and_the_next_message_comes(multicast, throw, kind):
+    sender, reader = multicast
+    for n in range(5):
+        throw(JUNK[kind])
+        sender.send(Message(0.0, 0x500, bytes([n])))
+    assert [each.data for each in take(reader, 5, 5)] == [bytes([n]) for n in range(5)]
+    assert reader.counts()["unreadable"] == 5
+
+
+@pytest.fixture
+def serial():
+    """An slcan adapter on a pseudo-terminal: what it says, and its reader."""
+    ours, theirs = os.openpty()
+    reader = open_bus(interface="slcan", channel=os.ttyname(theirs), bitrate=500000, sleep_after_open=0)
+    yield ours, reader
+    reader.close()
+    for each in (ours, theirs):
+        os.close(each)
+
+
+GARBLED = {
+    "no hexadecimal id": b"tz002AABB\r",
+    "no hexadecimal data": b"t5002AAxx\r",
+    "cut short": b"t5002AA\r",
+    "cut to its kind": b"t\r",
+    "a length that there is not": b"d500\r",
+    "an id with a sign": b"t-502AABB\r",
+    "no text": b"t50\xff\xfe\r",
+    "data with a gap": b"t5002AA  \r",
+}
+
+
+@pytest.mark.parametrize("kind", GARBLED)
+def test_a_garbled_line_of_slcan_is_counted_and_the_next_message_comes(serial, kind):
+    adapter, reader = serial
+    for n in range(3):
+        os.write(adapter, GARBLED[kind])
+        os.write(adapter, b"t5001%02X\r" % n)
+        assert [each.data for each in take(reader, 1, n + 1)] == [bytes([n])]
+    assert reader.unreadable == 3
+
+
+def test_a_line_of_slcan_without_an_end_fills_no_memory(serial):
+    adapter, reader = serial
+    for n in range(1, 4):
+        os.write(adapter, b"x" * (MAX_LINE_BYTES + 100))
+        until(lambda n=n: reader.batch(0.05) == [] and reader.unreadable >= n)
+        assert len(reader._bus._buffer) < MAX_LINE_BYTES
+    os.write(adapter, b"\r")
+    until(lambda: not reader.batch(0.05) and not reader._bus._buffer)
+    os.write(adapter, b"t5001AA\r")
+    assert [each.data for each in take(reader, 1)] == [b"\xaa"]
+
+
+def test_an_adapter_that_is_unplugged_is_gone(serial):
+    adapter, reader = serial
+    closed, other = os.openpty()
+    os.dup2(other, adapter)  # its end of the terminal is another's now
+    with pytest.raises(BusError, match=r"^bus slcan"):
+        until(lambda: reader.batch(0.05))
+    assert reader.unreadable == 0
+    for each in (closed, other):
+        os.close(each)
+
+
+class Failing(can.BusABC):
+    """A bus whose driver raises the same for ever."""
+
+    def __init__(self, error, descriptor=None):
+        self.error, self.descriptor, self.asked = error, descriptor, 0
+        self._is_shutdown = True
+
+    def fileno(self):
+        if self.descriptor is None:
+            raise NotImplementedError
+        return self.descriptor
+
+    def _recv_internal(self, timeout):
+        del timeout
+        self.asked += 1
+        raise self.error
+
+    def send(self, *_):
+        pass
+
+    def shutdown(self):
+        pass
+
+
+def test_a_driver_that_fails_without_end_is_a_bus_that_is_gone():
+    bus = Failing(ValueError("no such thing"))
+    reader = Reader(bus, "it")
+    with pytest.raises(BusError, match="bus it: no such thing"):
+        until(lambda: reader.receive(0.0))
+    assert (reader.unreadable, bus.asked) == (MAX_UNREADABLE_IN_A_ROW, MAX_UNREADABLE_IN_A_ROW + 1)
+
+
+def caused(error, cause):
+    error.__cause__ = cause
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "gone"),
+    [
+        (OSError(19, "No such device"), True),
+        (caused(can.CanOperationError("Could not read"), OSError(5, "Input/output error")), True),
+        (can.CanOperationError("the driver's own", 7), True),
+        (caused(can.CanOperationError("could not unpack"), TypeError("no such argument")), False),
+        (can.CanOperationError("invalid delimiter byte"), False),
+        (TypeError("ord() expected a character"), False),
+        (ValueError("not hexadecimal"), False),
+    ],
+)
+def test_a_bus_is_gone_when_its_file_or_socket_is(error, gone):
+    ours, theirs = socket.socketpair(type=socket.SOCK_DGRAM)
+    with theirs:
+        with ours:
+            assert is_gone(error, Failing(error, ours.fileno())) == gone
+            closed = ours.fileno()
+        assert is_gone(error, Failing(error, closed)) == (not isinstance(error, ValueError))
+
+
+def test_a_clock_that_steps_back_while_a_silent_bus_is_read_does_not_hold_it_up(monkeypatch):
+    class Silent(Failing):
+        def _recv_internal(self, timeout):
+            self.asked += 1
+            assert self.asked < 1000, "it does not end"
+            time.sleep(min(timeout, 0.01))
+            return None, False
+
+    bus, now = Silent(None), iter([1e9])
+    monkeypatch.setattr("can.bus.time", lambda: next(now, 1e9 - 3600))
+    assert Reader(bus, "it").frame(0.05) is None
+    assert bus.asked < 100
+
+
+BUS = 'interface = "udp_multicast"\nchannel = "{group}"\nport = {port}'
+
+
+def test_a_sensor_stays_live_and_no_frame_is_lost_between_what_is_unreadable(multicast, throw, port):
+    text = CONFIG.replace('interface = "virtual"\nchannel = "{channel}"', BUS).format(group=GROUP, port=port)
+    service = Service(parse(text.replace("stale_after_s = 0.3", "stale_after_s = 60")))
+    sensor = service.sensor("palm")
+    counts = pressed().ravel().astype(np.uint16)
+    service.start()
+    try:
+        for n in range(60):
+            if n % 3 == 0:
+                throw(b"junk")
+            for each in sensor.codec.encode(counts, n, 0.0):
+                multicast[0].send(each)
+            until(lambda n=n: (image := sensor.hub.latest()) and image.sequence == n)
+        until(lambda: sensor.status().loss.unreadable == 20)
+        assert sensor.status().state == "live"
+        assert sensor.hub.latest().loss.unreadable == 20  # it travels with the data
+        assert sensor.hub.latest().loss.lost == 0
+        assert "sensor_down" not in {each.kind for each in service.events.after(0)}
+    finally:
+        service.stop()
+
+
+def test_a_recording_goes_on_and_tells_how_much_was_unreadable(tmp_path, throw, port):
+    path, stop = tmp_path / "a.log", Event()
+    tap = open_tap("udp_multicast", channel=GROUP, port=port)
+    recorder = Recorder(path)
+    thread = threading.Thread(target=record, args=(tap, recorder, stop))
+    thread.start()
+    with can.Bus(interface="udp_multicast", channel=GROUP, port=port) as sender:
+        for n in range(20):
+            throw(b"junk")
+            sender.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=[n]))
+    until(lambda: recorder.written == 20 and tap.unreadable == 20)
+    stop.set()
+    thread.join()
+    tap.close()
+    assert [each.data[0] for each in recording.read(path)] == list(range(20))
+
+
+def test_the_command_tells_how_much_was_unreadable(tmp_path, capsys, throw, port):
+    config = tmp_path / "a.toml"
+    config.write_text(
+        CONFIG.replace('interface = "virtual"\nchannel = "{channel}"', BUS).format(group=GROUP, port=port)
+    )
+    out, done = tmp_path / "a.log", Event()
+
+    def send():
+        while not done.wait(0.02):
+            throw(b"junk")
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    record_(out, config, None, None, None, None, False, 1.0, 0.0)
+    done.set()
+    thread.join()
+    assert "a.log: 0 messages, and " in (told := capsys.readouterr().out)
+    assert "that could not be decoded" in told
