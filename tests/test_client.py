@@ -33,7 +33,8 @@ from tests.conftest import BUSY_S, Clock, pressed, until
 from tests.skin import PALM, X, Y, rigged
 
 FEW = 8  # images that may be on their way to a client
-README = Path(__file__).parents[1] / "README.md"
+ROOT = Path(__file__).parents[1]
+GUIDE = ROOT / "tactiled/docs/client.md"
 
 
 @pytest.fixture
@@ -190,8 +191,9 @@ def test_a_loop_that_pauses_a_minute_costs_no_connection(url, monkeypatch, caplo
     assert module.WAITING > 600
 
 
-def test_as_in_the_readme(playing, url, capsys):
-    said = re.search(r"```python\nimport tactiled\n.*?```", README.read_text(), re.S)[0].splitlines()[1:-1]
+@pytest.mark.parametrize("path", [ROOT / "README.md", GUIDE], ids=["readme", "guide"])
+def test_as_in_readme_and_guide(playing, url, capsys, path):
+    said = re.search(r"```python\nimport tactiled\n.*?```", path.read_text(), re.S)[0].splitlines()[1:-1]
     program = "\n".join(said).replace("http://127.0.0.1:8000", url) + "\n    break\n"
     exec(program)
     assert re.fullmatch(r"\d+ [\d.]+ kPa\n", capsys.readouterr().out)
@@ -236,9 +238,9 @@ def test_shear_comes_of_those_named(request):
             next(connect(url).stream(["palm", "skin"], patience_s=BUSY_S, shear=True))
 
 
-def test_shear_as_in_the_readme(request, capsys):
+def test_shear_as_in_the_guide(request, capsys):
     said = next(
-        each for each in re.findall(r"```python\n(.*?)```", README.read_text(), re.S) if "shear=True" in each
+        each for each in re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.S) if "shear=True" in each
     )
     with rigged(request.node.name) as rig, running(rig.service) as url:
         rig.show(X, Y)

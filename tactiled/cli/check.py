@@ -17,7 +17,7 @@ from tactiled.foxglove import need
 
 
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
-    """Validate CONFIG and say what each cover does to its array."""
+    """Check a configuration, and print the effect of each cover on its array."""
     with threadpool_limits(1):
         service = prepared(config)
     tls.context(service.config.server)

@@ -56,7 +56,7 @@ def cover(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for machines.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw both models into FILE.svg or FILE.png.")] = None,
 ) -> None:
-    """Print a cover's gain by spatial frequency, and what it means for an array."""
+    """Print a cover's gain over spatial frequency, and the resolution that it leaves."""
     base = Layer(sensor_thickness, sensor_young, sensor_poisson)
     stack = _stack(layer, base) if layer else Stack((Layer(thickness, young, poisson), base))
     array = grid(1, 1, pitch)

@@ -47,7 +47,7 @@ def demo(
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
     foxglove: Foxglove = None,
 ) -> None:
-    """Simulate an array under a cover, or play a real recording, and serve it live."""
+    """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)
     with threadpool_limits(1):
         service = Service(config)

@@ -39,7 +39,7 @@ def export(
     ],
     sensor: Annotated[str | None, typer.Option(help="Which, where the configuration has several.")] = None,
 ) -> None:
-    """Restore every frame of a recording, as fast as it goes, into one file of arrays, or one for Foxglove."""
+    """Restore every frame of a recording into a file of arrays, or into one for Foxglove."""
     settings = load(config)
     name = choose("sensor", sensor, settings.sensor)
     make = _free(out)

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 
 def paper(out_dir: Annotated[Path, typer.Argument(help="Folder for the figures and index.html.")]) -> None:
-    """Compute Shimojo's paper again: its figures, and a page that says what agrees and what cannot be right."""
+    """Reproduce the figures of Shimojo's paper, and compare its statements with both models."""
     from tactiled.bench.paper.page import write  # matplotlib takes half a second that no other verb needs
 
     with threadpool_limits(1):

@@ -37,7 +37,7 @@ def record(
         ),
     ] = None,
 ) -> None:
-    """Record every message of a bus, foreign ones and error frames too, for `tactiled replay` and `export`."""
+    """Record all messages of a bus to a file, also of other devices, and error frames."""
     given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
     read = load(config) if config else None
     settings = bus_settings(read, bus, interface, given)

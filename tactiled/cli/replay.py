@@ -26,7 +26,7 @@ def replay(
     host: Annotated[str | None, typer.Option(help="Address to serve on instead of the file's.")] = None,
     port: Annotated[int | None, typer.Option(help="Port instead of the file's.", min=0, max=65535)] = None,
 ) -> None:
-    """Restore every frame of a recording, the same from run to run, and serve it as `run` does."""
+    """Restore every frame of a recording and serve it as `run` does; every run gives the same images."""
     settings = one_bus(load(config), bus)
     with threadpool_limits(1):
         service = replaying(settings, file, speed)

@@ -34,7 +34,7 @@ def restore(
     noise: Annotated[float | None, typer.Option(help="A taxel's standard deviation (kPa); else measured.")] = None,
     stats: Annotated[Path | None, typer.Option(help="Where to say what was done to each frame (JSON).")] = None,
 ) -> None:
-    """Restore the frames in FRAMES.npy, as many as there are, in little memory."""
+    """Restore a film of any length in a .npy file, with bounded memory."""
     _apart(frames, out, config, stats)
     plan = _plan(load(config), config, sensor)
     film = opened(frames, plan)

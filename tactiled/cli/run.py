@@ -22,7 +22,7 @@ def run(
     config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")],
     foxglove: Foxglove = None,
 ) -> None:
-    """Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket."""
+    """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         server = service.config.server

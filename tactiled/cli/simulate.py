@@ -13,8 +13,8 @@ from tactiled.bus.reader import open_bus
 from tactiled.cli.app import choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
 from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.config.codecs import Packed
 from tactiled.config.example import EXAMPLE
-from tactiled.config.schema import Packed
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
 from tactiled.simulate import SCENES, Player, answer, play, player
@@ -40,7 +40,7 @@ def simulate(
     seconds: Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)] = None,
     noise_kpa: Annotated[float, typer.Option(help="Standard deviation of one taxel.", min=0)] = 0.1,
 ) -> None:
-    """Send what an array under a cover would, for a service elsewhere to read (32 x 32 without --config)."""
+    """Simulate a covered array on a bus (32 x 32 without --config)."""
     settings = load(config) if config else parse(EXAMPLE, "example")
     name, one = _chosen(settings, sensor, fd)
     bus = _bus(settings, one, interface, {"channel": channel, "bitrate": bitrate}, own=config is not None)

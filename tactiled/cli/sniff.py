@@ -71,7 +71,7 @@ def sniff(
         Path | None, typer.Option(help="Configuration to write for what was found; never overwritten.")
     ] = None,
 ) -> None:
-    """Listen to a bus, sending nothing, and say which known skins are on it."""
+    """Listen to a bus and list the known skins on it; sends nothing."""
     if write is not None and write.exists():
         raise ConfigError(f"{write} is there already: name another file, or remove it first")
     given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}

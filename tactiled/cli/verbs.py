@@ -8,18 +8,18 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 VERBS = """\
-run      Read the buses of CONFIG, restore every frame and serve it over HTTP and WebSocket.
-demo     Simulate an array under a cover, or play a real recording, and serve it live.
-check    Validate CONFIG and say what each cover does to its array.
-cover    Print a cover's gain by spatial frequency, and what it means for an array.
-replay   Restore every frame of a recording, the same from run to run, and serve it as `run` does.
-export   Restore every frame of a recording, as fast as it goes, into one file of arrays, or one for Foxglove.
+run      Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket.
+demo     Simulate a covered array, or play a real recording, and serve it live; needs no hardware.
+check    Check a configuration, and print the effect of each cover on its array.
+cover    Print a cover's gain over spatial frequency, and the resolution that it leaves.
+replay   Restore every frame of a recording and serve it as `run` does; every run gives the same images.
+export   Restore every frame of a recording into a file of arrays, or into one for Foxglove.
 init     Write a commented configuration.
-paper    Compute Shimojo's paper again: its figures, and a page that says what agrees and what cannot be right.
-record   Record every message of a bus, foreign ones and error frames too, for `tactiled replay` and `export`.
-restore  Restore the frames in FRAMES.npy, as many as there are, in little memory.
-simulate Send what an array under a cover would, for a service elsewhere to read (32 x 32 without --config).
-sniff    Listen to a bus, sending nothing, and say which known skins are on it.
+paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
+record   Record all messages of a bus to a file, also of other devices, and error frames.
+restore  Restore a film of any length in a .npy file, with bounded memory.
+simulate Simulate a covered array on a bus (32 x 32 without --config).
+sniff    Listen to a bus and list the known skins on it; sends nothing.
 """
 BENCH_VERBS = """\
 bus       Count the messages a second that are decoded and assembled, from memory and over a bus.

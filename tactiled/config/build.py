@@ -18,7 +18,7 @@ from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.calibrate import Calibration, Calibrator
-from tactiled.config import schema
+from tactiled.config import codecs, schema
 from tactiled.config.soonest import soonest
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.meaning import Meaning, meaning
@@ -161,7 +161,7 @@ def make_array(sensor: schema.Sensor) -> Array:
     if array.positions_mm is not None:
         _refuse(array, "rows", "columns", "pitch_mm")
         return layout(np.array(array.positions_mm, float), array.aperture_mm, array.aperture or "round")
-    if isinstance(sensor.codec, schema.Icub):
+    if isinstance(sensor.codec, codecs.Icub):
         _refuse(array, "rows", "columns", "pitch_mm")
         return layout(_icub(sensor.codec).positions, array.aperture_mm, array.aperture or "round")
     if array.rows is None or array.columns is None or array.pitch_mm is None:
@@ -180,17 +180,17 @@ def _refuse(array: schema.Array, *keys: str) -> None:
 def make_codec(sensor: schema.Sensor) -> Codec:
     """The codec of a sensor; ConfigError where the array is larger than it can carry."""
     settings = sensor.codec.model_dump(exclude={"name"})
-    if isinstance(sensor.codec, schema.Packed):
+    if isinstance(sensor.codec, codecs.Packed):
         return Packed(make_array(sensor).size, **settings)
-    if isinstance(sensor.codec, schema.Dbc):
+    if isinstance(sensor.codec, codecs.Dbc):
         array = make_array(sensor)
         return Dbc(sensor.codec.file, expand(sensor.codec.taxels, array.shape, array.size, sensor.codec.first))
-    if isinstance(sensor.codec, schema.Plugin):
+    if isinstance(sensor.codec, codecs.Plugin):
         return plugins.make(sensor.codec.name, settings)
     return SKINS[sensor.codec.name](**settings)
 
 
-def _icub(codec: schema.Icub) -> Icub:
+def _icub(codec: codecs.Icub) -> Icub:
     return Icub(codec.board, codec.triangles, codec.thermal_pads)
 
 
@@ -208,5 +208,5 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
 def make_calibration(sensor: schema.Sensor) -> Calibration:
     """Calibration as configured, over what the codec knows of its skin."""
     given = sensor.calibration.model_dump(exclude_none=True)
-    known = {"kpa_per_count": -1.0, "no_load": float(NO_LOAD)} if isinstance(sensor.codec, schema.Icub) else {}
+    known = {"kpa_per_count": -1.0, "no_load": float(NO_LOAD)} if isinstance(sensor.codec, codecs.Icub) else {}
     return Calibration(**(known | given))

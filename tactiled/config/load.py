@@ -12,7 +12,9 @@ from pydantic_core import ErrorDetails
 from tactiled.bus.codecs import plugins
 from tactiled.bus.reader import no_interface
 from tactiled.bus.redact import seal, show
-from tactiled.config.schema import BUILT_IN, Bus, Config, Layer, Section, Sensor
+from tactiled.config.codecs import BUILT_IN
+from tactiled.config.schema import Bus, Config, Layer, Sensor
+from tactiled.config.section import Section
 from tactiled.errors import ConfigError
 
 _SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())

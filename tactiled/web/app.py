@@ -36,6 +36,7 @@ from tactiled.web.ranges import Ranges
 from tactiled.web.rates import Rates, Streams
 
 STATIC = Path(__file__).parent / "static"
+SWAGGER = ("fastapi_offline", "static")  # package and folder that hold Swagger UI
 SMALL = 2048  # bytes that are sent as they are
 NO_GAIN = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures hardly compress
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
@@ -54,7 +55,7 @@ def create(service: Service, server: Server) -> FastAPI:
         description=ABOUT,
         lifespan=lambda _: ticking(feeds),
         openapi_url=None,  # it is served below, as all that stays the same
-        docs_url=None,  # its page needs the internet
+        docs_url=None,  # FastAPI's own page needs the internet and a script inside it
         redoc_url=None,
         redirect_slashes=False,  # which would tell where to by the client's own Host, and hand its token on
         dependencies=[Depends(declared)],
@@ -86,6 +87,11 @@ def create(service: Service, server: Server) -> FastAPI:
     def viewer() -> FileResponse:
         return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
+    @app.get("/docs", include_in_schema=False)
+    def docs() -> FileResponse:
+        return FileResponse(STATIC / "docs.html", headers={"Cache-Control": "no-cache"})
+
+    app.mount("/static/swagger", StaticFiles(packages=[SWAGGER]), name="swagger")
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
     app.add_middleware(Gzip, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED))
     app.add_middleware(Ranges)

@@ -36,29 +36,40 @@ QUERY: Json = {
         "type": "string",
         "enum": [",".join(some) for n in range(1, len(KINDS) + 1) for some in permutations(KINDS, n)],
         "default": ",".join(PRESSURES),
-        "description": "images of every frame, in this order; shear only of sensors that feel it",
+        "description": "images of each frame, sent in this order; shear only from a 3-axis skin",
     },
-    "rate_hz": {"type": "number", "minimum": 0, "maximum": 10000, "default": 0, "description": "0: every frame"},
-    "format": {"type": "string", "enum": ["binary", "json"], "default": "binary", "description": "of images"},
+    "rate_hz": {
+        "type": "number",
+        "minimum": 0,
+        "maximum": 10000,
+        "default": 0,
+        "description": "largest rate of images of one sensor, 1/s; 0: every frame",
+    },
+    "format": {
+        "type": "string",
+        "enum": ["binary", "json"],
+        "default": "binary",
+        "description": "format of the images",
+    },
     "flow": {
         "type": "string",
         "enum": ["newest", "credit"],
         "default": "newest",
-        "description": "credit: one image of each kind for each message asking for the next; two may be ahead",
+        "description": "when images are sent: newest at once, or one of each kind per `next` message",
     },
-    "contacts": {"type": "string", "enum": ["0", "1"], "default": "0"},
-    "token": {"type": "string", "description": "where the service asks for one"},
+    "contacts": {"type": "string", "enum": ["0", "1"], "default": "0", "description": "1: contacts as well"},
+    "token": {"type": "string", "description": "token, if the service needs one"},
 }
 SENSORS: Json = {
     "type": "string",
-    "description": "names with commas between; left out: all",
+    "description": "sensors, with commas between; left out: all",
     "examples": ["palm,tip"],
 }
 
 
 SHEAR: Json = {
     "type": "string",
-    "description": "names, of those asked for, with commas between: their shear comes, too, behind all else",
+    "description": "sensors whose shear is sent after their other images, with commas between",
     "examples": ["tip"],
 }
 
@@ -158,7 +169,7 @@ def _messages(schemas: Json) -> Json:
         "payload": {"type": "string", "format": "binary"},
         "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],
     }
-    asked = _message("next", forms.Next, "With flow=credit: send the next image", schemas)
+    asked = _message("next", forms.Next, "With flow=credit: requests the next image", schemas)
     return told | {"image": image, "next": asked}
 
 

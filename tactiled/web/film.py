@@ -57,6 +57,7 @@ BODY = {"requestBody": {"required": True, "content": {NPY: {"schema": {"type": "
 router = APIRouter(prefix="/api/v1")
 Name = Annotated[str, Query(description="a sensor, as in the configuration", examples=["palm"])]
 SIGMA = "a taxel's standard deviation; measured if left out"
+Method = Annotated[MethodName, Query(description="restoration method")]
 Noise = Annotated[float | None, Query(ge=1e-6, le=1e6, allow_inf_nan=False, description=SIGMA)]
 
 
@@ -143,11 +144,11 @@ class _Done(NamedTuple):
 
 @router.post("/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra=BODY)
 async def restore(
-    request: Request, sensor: Name, method: MethodName = "auto", noise_kpa: Noise = None
+    request: Request, sensor: Name, method: Method = "auto", noise_kpa: Noise = None
 ) -> FileResponse:
-    """Restore frames (T, rows, columns) or (T, taxels) in kPa, NaN where unknown, as the sensor's own would be.
+    """Restore frames, `.npy` of (T, rows, columns) or (T, taxels) in kPa, NaN: unknown, with the sensor's kernel.
 
-    The answer's headers say the noise (kPa) and how often each method ran.
+    The headers of the answer give the noise (kPa) and the number of frames for each method.
     """
     service: Service = request.app.state.service
     films: Films = request.app.state.films

@@ -52,10 +52,11 @@ TOO_MANY_WAIT: Responses = {
     ),
 }
 
-After = Annotated[int, Query(ge=0, le=2**53, description="id of the newest event that is known already")]
-Limit = Annotated[int, Query(ge=1, le=1000, description="events an answer")]
+After = Annotated[int, Query(ge=0, le=2**53, description="id of the last event that the client has")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="events in one answer")]
 Wait = Annotated[
-    float, Query(ge=0, le=30, allow_inf_nan=False, description="s, for the next event if none is there")
+    float,
+    Query(ge=0, le=30, allow_inf_nan=False, description="seconds to wait for the next event if there is none"),
 ]
 
 
@@ -63,9 +64,9 @@ Wait = Annotated[
 async def events(
     request: Request, service: Served, after: After = 0, limit: Limit = 100, wait: Wait = 0.0
 ) -> EventsForm:
-    """What happened after an event: states, warnings, methods, tares, recordings, faults; the last 1000 are kept.
+    """Events after a given one; the service keeps the last 1000.
 
-    An `after` beyond the newest, of a service that has been started anew since, counts as 0.
+    An `after` above the newest id, from before a restart of the service, counts as 0.
     """
     kept = service.events
     if after == kept.newest and wait:

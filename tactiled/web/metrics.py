@@ -41,29 +41,33 @@ def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
         for sensor, status in told
         for state in get_args(State)
     ]
-    yield _family("state", "gauge", "1 for the state that the sensor is in", states)
-    yield _family("age_seconds", "gauge", "since the last frame came in", by_sensor("age_s"))
-    yield _family("rate_hertz", "gauge", "frames a second", by_sensor("rate_hz"))
-    yield _family("jitter_seconds", "gauge", "standard deviation of the last periods", by_sensor("jitter_s"))
-    yield _family("skew_seconds", "gauge", "of the newest frame, first to last message", by_sensor("skew_s"))
+    yield _family("state", "gauge", "1 for the present state of the sensor, else 0", states)
+    yield _family("age_seconds", "gauge", "time since the last frame", by_sensor("age_s"))
+    yield _family("rate_hertz", "gauge", "frames per second", by_sensor("rate_hz"))
+    yield _family(
+        "jitter_seconds", "gauge", "standard deviation of the last 100 frame periods", by_sensor("jitter_s")
+    )
+    yield _family(
+        "skew_seconds", "gauge", "time from first to last message of the newest frame", by_sensor("skew_s")
+    )
     lost = [
         ({"sensor": sensor.name, "kind": kind}, count)
         for sensor, status in told
         for kind, count in asdict(status.loss).items()
     ]
-    yield _family("loss_total", "counter", "what went wrong on the way in, by kind", lost)
+    yield _family("loss_total", "counter", "losses on the way in, by kind", lost)
     buses = {sensor.bus_name: status.errors for sensor, status in told}
     errors = [({"bus": bus, "kind": kind}, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
-    yield _family("error_frames_total", "counter", "what the bus's error frames told, by kind", errors)
+    yield _family("error_frames_total", "counter", "error frames of the bus, by kind", errors)
 
 
 def _clients(streams: Streams, places: Places) -> Iterator[Iterator[str]]:
-    yield _family("streams", "gauge", "WebSockets that are open", [({}, streams.open)])
+    yield _family("streams", "gauge", "open WebSockets", [({}, streams.open)])
     refused: list[Sample] = [({"bound": bound}, count) for bound, count in streams.refused.items()]
-    yield _family("streams_refused_total", "counter", "WebSockets that were one too many, by bound", refused)
-    yield _family("connections", "gauge", "connections that are open, WebSockets included", [({}, places.open)])
+    yield _family("streams_refused_total", "counter", "refused WebSockets, by the bound that was reached", refused)
+    yield _family("connections", "gauge", "open connections, with WebSockets", [({}, places.open)])
     dropped: list[Sample] = [({"how": how}, count) for how, count in places.dropped.items()]
-    yield _family("connections_dropped_total", "counter", "connections that were one too many, by how", dropped)
+    yield _family("connections_dropped_total", "counter", "connections above the bound, by what was done", dropped)
 
 
 def _family(name: str, kind: str, says: str, samples: Iterable[Sample]) -> Iterator[str]:

@@ -86,8 +86,8 @@ class Listed(forms.Form):
     after: str | None = Field(description="ask for these next; null: there are no more", examples=[None])
 
 
-After = Annotated[str | None, Query(max_length=120, description="only names behind this one")]
-Limit = Annotated[int, Query(ge=1, le=1000, description="recordings an answer")]
+After = Annotated[str | None, Query(max_length=120, description="only names after this one")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="recordings in one answer")]
 
 
 class _Run:
@@ -263,22 +263,22 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, l
 
     @router.get("")
     def listed(after: After = None, limit: Limit = 100) -> Listed:
-        """The recordings in the folder, by name, page by page."""
+        """The recordings in the folder, sorted by name, in pages."""
         return recordings.listed(after, limit)
 
     @router.post("", status_code=201, responses=STARTED | CONTROL | BODY)
     def start(what: Start) -> Recorded:
-        """Record a bus from now on."""
+        """Start to record a bus."""
         return recordings.start(what.bus, what.name)
 
     @router.post("/{name}/stop", responses=GONE | CONTROL)
     def stop(name: Name) -> Recorded:
-        """End a recording; one that has ended already stays as it is."""
+        """Stop a recording; its file is complete when the answer comes."""
         return recordings.stop(name)
 
     @router.get("/{name}", response_class=FileResponse, responses=GONE | RUNS | PART)
     def download(name: Name) -> FileResponse:
-        """The file of a recording that does not run, or a part of it."""
+        """The file of a recording that does not run, or a `Range` of it."""
         return FileResponse(recordings.ended(name), media_type="application/octet-stream", filename=name)
 
     @router.delete("/{name}", status_code=204, responses=GONE | RUNS | CONTROL)

@@ -60,25 +60,25 @@ router = APIRouter(prefix="/api/v1", responses=WRONG)
 
 @router.get("/health", tags=["service"])
 def health(service: Served) -> forms.Health:
-    """Whether the service runs and every sensor is live; a stale one says since when."""
+    """State of the service and of every sensor, with the age of the last frame, and faults of its parts."""
     return answers.health(service)
 
 
 @router.get("/colormap", tags=["service"], response_model=forms.Colormap, responses=CONSTANT)
 async def colormap(request: Request) -> Response:
-    """The colours of the viewer and of PNG images."""
+    """The 256 colours of the viewer and of PNG images."""
     return await constant(request, lambda: _json(forms.Colormap(name=picture.COLORS, colors=picture.colors())))
 
 
 @router.get("/sensors", tags=["sensors"])
 def sensors(service: Served) -> forms.Sensors:
-    """Every sensor and how it is doing."""
+    """Every sensor with its state, age, rate, method and loss counts."""
     return forms.Sensors(sensors=tuple(answers.sensor_state(each) for each in service.sensors.values()))
 
 
 @router.get("/sensors/{name}", tags=["sensors"], responses=NO_SENSOR)
 def sensor_state(sensor: Found) -> forms.SensorState:
-    """One sensor and how it is doing."""
+    """One sensor with its state, age, rate, method and loss counts."""
     return answers.sensor_state(sensor)
 
 
@@ -86,7 +86,7 @@ def sensor_state(sensor: Found) -> forms.SensorState:
     "/sensors/{name}/geometry", tags=["sensors"], response_model=forms.Geometry, responses=NO_SENSOR | CONSTANT
 )
 async def geometry(sensor: Found, request: Request) -> Response:
-    """Where the taxels and the surface cells are, mm."""
+    """Positions of the taxels and the cells of the images, in mm."""
     return await constant(request, lambda: _json(answers.geometry(sensor)))
 
 
@@ -94,13 +94,13 @@ async def geometry(sensor: Found, request: Request) -> Response:
     "/sensors/{name}/kernel", tags=["sensors"], response_model=forms.KernelForm, responses=NO_SENSOR | CONSTANT
 )
 async def kernel(sensor: Found, request: Request) -> Response:
-    """The cover: g(r), its gain G(q), and what they mean for this array."""
+    """The cover's kernel g(r), its gain G(q), and the smallest resolvable gap."""
     return await constant(request, lambda: _json(answers.kernel(sensor)))
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR)
 def get_method(sensor: Found, service: Served) -> forms.Method:
-    """The method asked for."""
+    """The selected method, the configured one and the kept one."""
     return answers.method(service, sensor)
 
 
@@ -113,7 +113,7 @@ KEEP: Responses = {
 
 @router.put("/sensors/{name}/method", tags=["sensors"], responses=NO_SENSOR | KEEP | CONTROL | BODY)
 def put_method(sensor: Found, service: Served, asked: forms.MethodAsked) -> forms.Method:
-    """Restore by another method from the next frame on, and after a restart as well with `keep`."""
+    """Select a method: it applies from the next frame on, with `keep` also after a restart."""
     if asked.keep and service.state is None:
         raise Problem(409, NO_STATE)
     try:
@@ -125,7 +125,7 @@ def put_method(sensor: Found, service: Served, asked: forms.MethodAsked) -> form
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=NO_SENSOR)
 def calibration(sensor: Found) -> forms.CalibrationForm:
-    """What turns counts into kPa now; the configuration sets it, a tare its no_load."""
+    """The present calibration from counts to kPa: as configured, with `no_load` from the last tare."""
     return answers.calibration(sensor)
 
 
@@ -141,11 +141,10 @@ Force = Annotated[bool, Query(description="tare even where the newest frames sho
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=NO_SENSOR | NOT_LIVE | CONTROL)
 def tare(sensor: Found, service: Served, force: Force = False) -> forms.Tare:
-    """Take the mean of the next 16 frames as the unloaded array; an event tells when it is done.
+    """Tare: the mean of the next 16 frames becomes no load, and an event reports the end.
 
-    It is refused while the newest frames show a load: a contact that stands out of the array's common offset by
-    more than noise and scatter do, or readings that move. `force=true` takes it anyway.
-    It lapses, as an event tells, too, if the sensor is not live until they have come.
+    It is refused while the newest frames show a load: a contact above noise and scatter, or readings that move;
+    `force=true` tares anyway. If the sensor does not stay live, the tare lapses, and an event reports that.
     """
     service.tare(sensor.name, force)
     return forms.Tare(frames=TARE_FRAMES)
@@ -153,7 +152,7 @@ def tare(sensor: Found, service: Served, force: Force = False) -> forms.Tare:
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=NO_SENSOR | NO_FRAME)
 def contacts(sensor: Found) -> forms.Contacts:
-    """Where something touches: centre, force, area, axes, tracked from request to request."""
+    """The contacts: centre, force, area, peak, axes, and an id that stays while the contact lasts."""
     found = answers.contacts(sensor)
     if found is None:
         raise no_frame(sensor)
@@ -161,9 +160,17 @@ def contacts(sensor: Found) -> forms.Contacts:
 
 
 Top = Annotated[
-    float | None, Query(ge=1e-6, le=1e9, allow_inf_nan=False, description="PNG: end of the colour scale")
+    float | None,
+    Query(
+        ge=1e-6,
+        le=1e9,
+        allow_inf_nan=False,
+        description="kPa at the end of the colour scale of a PNG; left out: from the image",
+    ),
 ]
-Asked = Annotated[Format | None, Query(alias="format", description="over the Accept header")]
+Asked = Annotated[
+    Format | None, Query(alias="format", description="format of the answer; left out: by the Accept header")
+]
 
 
 @router.get(
@@ -173,9 +180,9 @@ Asked = Annotated[Format | None, Query(alias="format", description="over the Acc
     responses=NO_SENSOR | NO_FRAME | not_accepted(MEDIA) | TOO_MANY | FRAME,
 )
 async def frame(sensor: Found, kind: Shown, request: Request, form: Asked = None, top_kpa: Top = None) -> Response:
-    """The newest image, in kPa: raw, restored, or the restored one's standard deviation.
+    """The newest image in kPa: raw, restored, or the standard deviation of the restored one.
 
-    What is known against it is in the JSON, or in X-Tactiled headers.
+    The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
     """
     form = form or accepted(request, MEDIA)
     _, headers = _newest(sensor, kind, form, top_kpa)

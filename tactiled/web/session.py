@@ -14,19 +14,18 @@ BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 44
 PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
 PING_S = 20.0  # between two pings of the service, and until one must be answered
 CLOSES = {
-    PROTOCOL: "bytes that are no WebSocket's",
-    NO_TEXT: "a text message that is not UTF-8",
-    TOO_BIG: f"a message of more than 64 KiB, or of more than {MAX_FRAGMENTS} frames",
-    FAILED: "the service failed, which its log explains; or the client has answered no ping for "
+    PROTOCOL: "the bytes are not a WebSocket frame",
+    NO_TEXT: "a text message is not UTF-8",
+    TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
+    FAILED: "the service failed, see its log; or the client answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
     RESTART: ENDS,
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
-    UNAUTHORIZED: "no token, or one that is not known",
-    FORBIDDEN: "a page of another site; on loopback, another host name than loopback's",
-    NOT_FOUND: "no stream at this address; no such sensor, or shear asked of one that feels none; "
-    "the reason names it",
-    TOO_MANY: "one stream too many of this client (`streams_per_client`)",
-    FULL: "one stream too many of all clients together (`streams`)",
+    UNAUTHORIZED: "the token is missing or unknown",
+    FORBIDDEN: "the page belongs to another site, or the host name is not one of loopback's",
+    NOT_FOUND: "there is no stream at this address, no such sensor, or no shear; the reason names it",
+    TOO_MANY: "this client has too many streams (`streams_per_client`)",
+    FULL: "all clients together have too many streams (`streams`)",
 }
 MOST = 64 * 1024  # bytes of a client's message
 MOST_REASON = 123  # bytes of a close frame's reason

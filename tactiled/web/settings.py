@@ -69,7 +69,7 @@ class ConfigForm(forms.Form):
 
 @router.get("/config")
 def config(request: Request, service: Served) -> ConfigForm:
-    """The configuration as read, with every default, and what clients have changed; no secret."""
+    """The configuration with every default, without secrets, and the changes that clients made."""
     return ConfigForm(
         server=_server(request.app.state.server, service),
         bus=dict(service.config.bus),

@@ -57,9 +57,11 @@ def told(sensor: Sensor, image: Image, state: State) -> Shear:
 def shear(
     sensor: Found,
     request: Request,
-    form: Annotated[Format | None, Query(alias="format", description="over the Accept header")] = None,
+    form: Annotated[
+        Format | None, Query(alias="format", description="format of the answer; left out: by the Accept header")
+    ] = None,
 ) -> Response:
-    """Shear of the newest frame along the skin's own x and y, counts from rest; 404 where the skin feels none."""
+    """Shear of the newest frame along the skin's x and y axes, in counts; 404 if the skin has none."""
     sensor.need_shear()
     form = form or accepted(request, MEDIA)
     image = sensor.hub.latest()

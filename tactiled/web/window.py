@@ -92,18 +92,22 @@ RESPONSES: Responses = {
     }
 }
 Last = Annotated[
-    str, Query(pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$", description="back from the newest image", examples=["2s"])
+    str,
+    Query(
+        pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$",
+        description="length of the window, back from the newest image",
+        examples=["2s"],
+    ),
 ]
 Before = Annotated[
     str | None,
     Query(
         pattern=r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$",
-        description="only images of a lower number, of a window that begins at a time (s): as the answer before "
-        "told; of a number alone the window is the `last` seconds",
+        description="continue with older images: `before` of the previous answer, or a sequence number",
         examples=["5073@1763711998.250000"],
     ),
 ]
-Limit = Annotated[int, Query(ge=1, le=MOST, description="images; fewer come where they are large")]
+Limit = Annotated[int, Query(ge=1, le=MOST, description="images in one answer; fewer if they are large")]
 
 router = APIRouter(prefix="/api/v1", tags=["frames"])
 
@@ -116,16 +120,18 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
 async def frames(
     sensor: Found,
     request: Request,
-    kind: Kind = "restored",
+    kind: Annotated[Kind, Query(description="which images")] = "restored",
     last: Last = "1s",
     before: Before = None,
     limit: Limit = 100,
-    form: Annotated[Format | None, Query(alias="format", description="over the Accept header")] = None,
+    form: Annotated[
+        Format | None, Query(alias="format", description="format of the answer; left out: by the Accept header")
+    ] = None,
 ) -> Response:
-    """The images of the last seconds, kPa, or their shear, counts, from as far back as the configured `history_s`.
+    """The images of the last seconds in kPa, or their shear in counts, for up to `history_s` seconds.
 
-    The newest come first, page by page; within a page they are in order. Pages that follow `before` cover the
-    window as it was first asked for; `cut` says if images of its beginning may be kept no longer.
+    The first page has the newest images, each page is in order, and `before` leads to the next page of the same
+    window; `cut` reports that images at the window's start may have been discarded.
     """
     form = form or accepted(request, MEDIA)
     if kind == "shear":

@@ -1,4 +1,4 @@
-"""Images as bytes: the binary messages of the stream; the README describes them byte by byte."""
+"""Images as bytes: the binary messages of the stream; `docs/streams.md` describes them byte by byte."""
 
 from math import prod
 from struct import Struct
@@ -19,25 +19,29 @@ MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
 LAYOUT = (  # offset, type, meaning
     (0, "4 bytes", "TCTL"),
-    (4, "u8", f"version, {VERSION}"),
+    (4, "u8", f"version: {VERSION}"),
     (5, "u8", "kind: 0 raw, 1 restored, 2 shear"),
-    (6, "u16", "rows; 1 of a layout that is no grid"),
+    (6, "u16", "rows; 1 if the layout is not a grid"),
     (8, "u16", "columns"),
-    (10, "u16", "F, bytes of flags: one a taxel after a raw image, else 0"),
-    (12, "u16", "N, bytes of the sensor's name: 0 on a stream of one sensor"),
-    (14, "u16", "0"),
-    (16, "u64", "sequence, not wrapped; lost frames leave gaps"),
-    (24, "f64", "time of the frame's first CAN message, Unix s"),
-    (32, "f64", "time the message was made, Unix s"),
-    (40, "f32", "noise, kPa: standard deviation of a raw taxel"),
-    (44, "f32", "noise gain: restored noise over raw noise"),
-    (48, "f32", "resolution, mm: finest half-period above the noise"),
-    (52, "f32", "microseconds from counts to restored image"),
-    (56, "u32", "iterations"),
-    (60, "u32", f"method that ran: {', '.join(f'{n} {name}' for n, name in enumerate(RAN) if n)}; 0 another"),
-    (64, "f32 x rows x columns", "pressure, kPa, row by row; NaN: unknown; of shear: counts along x"),
-    (None, "f32 x rows x columns", "only of shear: counts along y"),
-    (None, "u8 x F", "flags: 1 missing, 2 called faulty by the sensor, 4 dead, 8 saturated"),
+    (10, "u16", "F, number of flags: one per taxel in a raw image, else 0"),
+    (12, "u16", "N, bytes of the sensor's name; 0 on a stream of one sensor"),
+    (14, "u16", "reserved: 0"),
+    (16, "u64", "sequence number of the frame; it does not wrap, and lost frames leave gaps"),
+    (24, "f64", "time of the frame's first CAN message, Unix time in s"),
+    (32, "f64", "time at which the service made this message, Unix time in s"),
+    (40, "f32", "noise: standard deviation of a raw taxel, kPa"),
+    (44, "f32", "noise gain: noise of the restored image divided by noise of the raw one"),
+    (48, "f32", "resolution: finest half-period above the noise, mm"),
+    (52, "f32", "time from counts to the restored image, microseconds"),
+    (56, "u32", "iterations of the method"),
+    (60, "u32", f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(RAN) if n)}; 0 any other"),
+    (64, "f32 x rows x columns", "pressure in kPa, row by row, NaN if unknown; shear: counts along x"),
+    (None, "f32 x rows x columns", "shear only: counts along y"),
+    (
+        None,
+        "u8 x F",
+        "flags of each taxel, the sum of 1 missing, 2 reported faulty by the sensor, 4 dead, 8 saturated",
+    ),
     (None, "u8 x N", "the sensor's name"),
 )
 

@@ -1,4 +1,6 @@
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,11 @@ from hypothesis import strategies as st
 from tactiled.bus.codecs.packed import Packed
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Message
+
+GUIDE = (Path(__file__).parents[2] / "tactiled/docs/packed.md").read_text("utf-8")
+NAMES: dict = {}
+exec(re.search(r"```python\n(.*?)```", GUIDE, re.DOTALL)[1], NAMES)
+SENDER = NAMES["messages"]
 
 
 @given(bits=st.integers(8, 16), fd=st.booleans(), size=st.integers(1, 400), seed=st.integers(0, 2**32 - 1))
@@ -26,7 +33,7 @@ def test_decode_inverts_encode_over_the_whole_range(bits, fd, size, seed):
 
 @given(bits=st.integers(8, 16), fd=st.booleans(), size=st.integers(1, 200), seed=st.integers(0, 2**32 - 1))
 def test_the_payload_is_one_little_endian_integer_of_whole_taxels(bits, fd, size, seed):
-    """The README's words, done with Python's own integers."""
+    """The guide's words, done with Python's own integers."""
     codec = Packed(size, bits, fd)
     counts = np.random.default_rng(seed).integers(0, 1 << bits, size, dtype=np.uint16)
     capacity = (496 if fd else 48) // bits
@@ -39,6 +46,13 @@ def test_the_payload_is_one_little_endian_integer_of_whole_taxels(bits, fd, size
         assert message.data[:2] == bytes((9, segment))
         value = sum(taxel << (n * bits) for n, taxel in enumerate(part))
         assert int.from_bytes(message.data[2:], "little") == value
+
+
+@given(bits=st.integers(8, 16), fd=st.booleans(), size=st.integers(1, 400), sequence=st.integers(0, 300))
+def test_the_sender_in_the_guide_sends_what_the_codec_does(bits, fd, size, sequence):
+    counts = np.random.default_rng(size).integers(0, 1 << bits, size, dtype=np.uint16)
+    sent = [message.data for message in Packed(size, bits, fd).encode(counts, sequence, 0.0)]
+    assert list(SENDER(counts.tolist(), bits, fd, sequence)) == sent
 
 
 def test_golden_bytes_of_a_classic_message():

@@ -1,4 +1,4 @@
-"""Codecs of other packages; the one in the README is installed and run as it stands there."""
+"""Codecs of other packages; the one in the guide is installed and run as it stands there."""
 
 import re
 from pathlib import Path
@@ -13,8 +13,8 @@ from tactiled.config.build import make_codec, sensor_plan
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Loss, Message
 
-README = (Path(__file__).parents[2] / "README.md").read_text("utf-8")
-SECTION = README.split("\n### A codec of your own\n")[1].split("\n### ")[0]
+GUIDE = (Path(__file__).parents[2] / "tactiled/docs/codecs.md").read_text("utf-8")
+SECTION = GUIDE.split("\n## A codec of your own\n")[1].split("\n## ")[0]
 CODE = re.search(r"```python\n(.*?)```", SECTION, re.DOTALL)[1]
 CONFIG = """
 [bus.can0]
@@ -48,12 +48,12 @@ def sensor(codec='name = "my-skin"'):
     return parse(CONFIG.format(codec=codec), "a.toml").sensor["skin"]
 
 
-def test_the_readmes_example_is_short_and_its_entry_point_the_one_tested():
+def test_the_guides_example_is_short_and_its_entry_point_the_one_tested():
     assert len(CODE.strip().splitlines()) <= 25
     assert 'my-skin = "my_skin:MySkin"' in SECTION
 
 
-def test_the_readmes_example_works_as_it_stands_there(install):
+def test_the_guides_example_works_as_it_stands_there(install):
     install(CODE)
     plan = sensor_plan("skin", sensor('name = "my-skin", base_id = 0x200'))
     assert (plan.codec_name, plan.codec.ids) == ("my-skin", {(0x200, False), (0x201, False)})

@@ -20,7 +20,7 @@ from tactiled.web.wire import HEADER, unpack
 from tactiled.web.wish import PARAMETERS, Wish, wish
 from tests.conftest import BUSY_S, ask, pressed, until
 
-README = Path(__file__).parents[2] / "README.md"
+GUIDE = Path(__file__).parents[2] / "tactiled/docs/streams.md"
 
 
 @pytest.fixture
@@ -126,9 +126,8 @@ def test_bytes_lie_where_the_layout_says(rig, url, document, path):
     image = rig.show(pressed())
     with websocket(url, path + "?kinds=raw") as client:
         data = heard(client, lambda each: isinstance(each, bytes))[-1]
-    layout = {
-        each["meaning"].split(",")[0]: each for each in document["components"]["messages"]["image"]["x-layout"]
-    }
+    described = document["components"]["messages"]["image"]["x-layout"]
+    layout = {re.split("[,;:]", each["meaning"])[0]: each for each in described}
 
     def at(meaning):
         form = {"u8": "B", "u16": "<H", "u32": "<I", "u64": "<Q", "f32": "<f", "f64": "<d"}[
@@ -137,13 +136,13 @@ def test_bytes_lie_where_the_layout_says(rig, url, document, path):
         return struct.unpack_from(form, data, layout[meaning]["offset"])[0]
 
     part = unpack(data)
-    rows, columns = at("rows; 1 of a layout that is no grid"), at("columns")
-    assert (rows, columns, at("sequence")) == (8, 8, image.sequence)
+    rows, columns = at("rows"), at("columns")
+    assert (rows, columns, at("sequence number of the frame")) == (8, 8, image.sequence)
     assert at("time of the frame's first CAN message") == image.time
     assert at("noise") == image.noise_kpa
     flagged, named = at("F"), at("N")
     assert (flagged, named) == (64, len(part.sensor))
-    assert layout["pressure"]["offset"] == HEADER.size
+    assert layout["pressure in kPa"]["offset"] == HEADER.size
     assert len(data) == HEADER.size + 4 * rows * columns + flagged + named
     assert data[len(data) - named :].decode() == part.sensor == ("palm" if path.endswith("v1/stream") else "")
 
@@ -211,7 +210,7 @@ def test_every_close_code_described_is_the_one_used(rig, document, monkeypatch):
         assert {each["code"] for each in channel["x-close-codes"]} == set(seen.values()) - without
 
 
-def test_the_readme_has_the_same_codes():
-    assert dict(re.findall(r"^\| (\d{4}) \| (.+) \|$", README.read_text(), re.M)) == {
+def test_the_guide_has_the_same_codes():
+    assert dict(re.findall(r"^\| (\d{4}) \| (.+) \|$", GUIDE.read_text(), re.M)) == {
         str(code): why for code, why in CLOSES.items()
     }
