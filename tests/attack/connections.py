@@ -50,7 +50,7 @@ async def empty_frames(target: Target, size: Size, findings: Findings) -> None:
             findings.check(await one.until(b"\r\n\r\n", 60.0), f"{what}: no handshake")
             first, rest = FLOODS[name], FLOODS[name].removeprefix(frame(TEXT, last=False))
             pieces = [first, *[rest] * (size.many(FLOOD) // len(rest))]
-            most_s = 3.0 if token else 4 * late_s("refused")
+            most_s = 2.0 if token else 4 * late_s("refused")
             sent, ending = await asyncio.gather(one.send(pieces, seconds=most_s), one.ending(most_s))
             findings.outcomes[f"{what}: {ending.how}"] += 1
             findings.check(bool(token) or ending.how != "open", f"{what}: open after {sent >> 10} KiB")
@@ -94,7 +94,7 @@ async def polls(target: Target, size: Size, findings: Findings) -> None:
     newest = await talk(target.port, [request("GET /api/v1/events", "Connection: close", token=CONTROL)], 30.0)
     after = json.loads(newest.heard.partition(b"\r\n\r\n")[2])["newest"]
     asked = request(f"GET /api/v1/events?wait=30&after={after}", token=CONTROL)
-    endings = await asyncio.gather(*(talk(target.port, [asked], 8.0) for _ in range(size.many(400))))
+    endings = await asyncio.gather(*(talk(target.port, [asked], 5.0) for _ in range(size.many(400))))
     findings.add("events?wait=30", endings, may_live=True)
 
 

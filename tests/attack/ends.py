@@ -45,8 +45,10 @@ async def _end(target: Target, how: signal.Signals, findings: Findings) -> None:
         file.truncate(64 * MB)
     with target.bus() as bus:
         await _record(target, 0, "a.blf", findings)
+        recorded_from = time.time() + TAKEN_S
         clients = await _clients(target)
-        seen = await asyncio.to_thread(_hear, bus, RUN_S)
+        heard = await asyncio.to_thread(_hear, bus, RUN_S)
+        seen = [each for each in heard if each.timestamp > recorded_from]
         await asyncio.sleep(TAKEN_S)
         code, own_s = await asyncio.to_thread(_signalled, target, how)
         said = await asyncio.to_thread(_hear, bus, 0.3)

@@ -45,7 +45,7 @@ CALLS = (
     "GET /api/v1/health",
     "GET /api/v1/sensors",
     "GET /api/v1/sensors/palm0/frames/raw",
-    "GET /api/v1/sensors/palm0/frames/restored?format=png",
+    "GET /api/v1/sensors/palm0/frames/restored?format=npy",
     "GET /api/v1/sensors/palm0/contacts",
     "GET /api/v1/config",
     "GET /metrics",
