@@ -1,0 +1,106 @@
+"""Connections as a seeded chance makes them: pieces of HTTP/1.1 and WebSocket, valid or not, cut anywhere."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tests.attack.service import CONTROL, READ
+from tests.attack.wire import BINARY, CLOSE, PING, PONG, STREAM, TEXT, frame, request, upgrade
+
+PATHS = (
+    "/", "/metrics", "/static/app.js", "/nowhere", "/api/v1/health", "/api/v1/sensors", "/api/v1/config", STREAM,
+    "/api/v1/sensors/palm0/frames/raw", "/api/v1/events?wait=1", "/api/v1/recordings", "/" + "x" * 3000, "*", "//",
+)  # fmt: skip
+VERBS = ("GET", "GET", "GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "CONNECT", "TRACE", "get", "G\x00T", "")
+HEADERS = (
+    "Connection: close", "Connection: keep-alive", "Connection: Upgrade", "Upgrade: websocket", "Upgrade: h2c",
+    "Expect: 100-continue", "Range: bytes=0-10,20-", "Content-Length: 0", "Content-Length: 5",
+    "Content-Length: -1",
+    "Content-Length: 99999999999999999999", "Transfer-Encoding: chunked", "Transfer-Encoding: gzip, chunked",
+    "Host: elsewhere", "Host: ", "X: " + "x" * 9000, "X\x00: y", "X : y", ": y", " folded", "Cookie: tactiled=x",
+    "Origin: null",
+    "Content-Type: application/json", "Accept-Encoding: gzip", "If-None-Match: *", "Trailer: X",
+)  # fmt: skip
+CUT, SLOW = 0.4, 0.2  # how often a connection is cut somewhere, and sent slowly
+Rng = random.Random
+
+
+@dataclass(frozen=True)
+class Script:
+    """What one connection sends."""
+
+    pieces: tuple[bytes, ...]
+    pause_s: float  # after each
+    state: str  # of DEADLINES, the longest that it may be left in
+
+
+def _token(rng: Rng) -> str:
+    return rng.choice(("", "", READ, CONTROL, "wrong"))
+
+
+def _valid(rng: Rng) -> bytes:
+    return request(f"GET {rng.choice(PATHS[:7])}", token=_token(rng))
+
+
+def _any(rng: Rng) -> bytes:
+    headers = rng.choices(HEADERS, k=rng.choice((0, 1, 2, 5, 140)))
+    return request(f"{rng.choice(VERBS)} {rng.choice(PATHS)}", *headers, token=_token(rng))
+
+
+def _body(rng: Rng) -> bytes:
+    data = rng.choice((b'{"method": "raw"}', b"{", b"", rng.randbytes(200), b"x" * 70_000))
+    length = len(data) + rng.choice((0, 0, 0, 1, -1, 10**6))
+    path = rng.choice(("sensors/palm0/method", "recordings", "restore?sensor=palm0", "sensors/palm0/tare"))
+    headers = "Content-Type: application/json", f"Content-Length: {length}"
+    return request(f"{rng.choice(('PUT', 'POST'))} /api/v1/{path}", *headers, token=_token(rng), body=data)
+
+
+def _chunked(rng: Rng) -> bytes:
+    sizes = [rng.choice((b"5", b"5;x=y", b"05", b"zz", b"-1", b"ffffffffffffffffff", b"")) for _ in range(3)]
+    body = b"".join(size + b"\r\nhello\r\n" for size in sizes) + rng.choice((b"0\r\n", b"0\r\n\r\n", b""))
+    body += b"X-Trailer: x\r\n" * rng.choice((0, 1, 200)) + b"\r\n"
+    return request("PUT /api/v1/sensors/palm0/method", "Transfer-Encoding: chunked", token=_token(rng), body=body)
+
+
+def _garbage(rng: Rng) -> bytes:
+    return rng.choice(
+        (rng.randbytes(rng.randrange(1, 300)), b"\r\n" * 20, b"\x00" * 50, b"\x16\x03\x01\x02\x00\x01")
+    )
+
+
+def _upgrade(rng: Rng) -> bytes:
+    headers = rng.choices(HEADERS, k=rng.choice((0, 0, 0, 1, 3, 140)))
+    path = rng.choice((STREAM, STREAM, "/", "/api/v1/sensors/palm0/stream", f"{STREAM}?flow=credit", "/nowhere"))
+    made = upgrade(*headers, path=path, token=_token(rng))
+    return made.replace(b"13\r\n", b"7\r\n") if rng.random() < 0.1 else made
+
+
+def _frame(rng: Rng) -> bytes:
+    data = rng.choice((b"", b"{}", b'{"type": "next"}', b"\xff", b"x" * 130, b"x" * 70_000, b"\x03\xe8"))
+    opcode = rng.choice((0, TEXT, BINARY, CLOSE, PING, PONG, TEXT, rng.randrange(16)))
+    reserved = rng.choice((0, 0, 0, 0, 0x40, 0x10))
+    return frame(opcode, data, last=rng.random() < 0.7, masked=rng.random() < 0.8, reserved=reserved)
+
+
+HTTP: tuple[Callable[[Rng], bytes], ...] = (_valid, _valid, _any, _body, _chunked, _garbage)
+
+
+def script(rng: Rng) -> Script:
+    """One connection."""
+    made = [rng.choice(HTTP)] * rng.choice((0, 1, 1, 2)) + rng.choices(HTTP, k=rng.choice((0, 0, 1, 3)))
+    made += [_upgrade, *[_frame] * rng.randrange(6)] if rng.random() < 0.4 or not made else []
+    parts = [make(rng) for make in made]
+    simple = all(make is _valid for make in made)
+    data = b"".join(parts)
+    whole = rng.random() > CUT
+    if not whole:
+        data = data[: rng.randrange(len(data) + 1)]
+    state = "body" if not simple else "idle" if whole else "head"
+    return Script(_pieces(data, rng), 0.02 if rng.random() < SLOW else 0.0, state)
+
+
+def _pieces(data: bytes, rng: Rng) -> tuple[bytes, ...]:
+    """The same bytes at once, or in a few pieces."""
+    places = sorted(rng.randrange(len(data) + 1) for _ in range(rng.choice((0, 0, 1, 2, 8))))
+    ends = zip([0, *places], [*places, len(data)], strict=True)
+    return tuple(data[begin:end] for begin, end in ends if end > begin)
