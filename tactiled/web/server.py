@@ -82,7 +82,9 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
             server_header=False,
         )
     )
-    logging.getLogger("uvicorn.error").addFilter(LOG_LIMIT)
+    for log in (logging.getLogger("uvicorn.error"), logging.lastResort):  # all that clients can write to
+        if log is not None:
+            log.addFilter(LOG_LIMIT)
     return server
 
 

@@ -10,7 +10,7 @@ from tests.attack.bystander import MOST_OWN_S, Beside, Seen
 from tests.attack.service import PLAIN, Kind, Pool, Target, Watch
 from tests.attack.wire import Ending
 
-PEAK_MB, GROWN_MB = 256.0, 64.0  # of memory, while an attack runs and after it
+PEAK_MB = 256.0  # of memory, while an attack runs
 MORE_DESCRIPTORS = 4  # that may be open after it: of what the service itself opens late
 MOST_S = 120.0  # that an attack may take, besides the fuzzer's own time
 BACK_S = 30.0  # until memory and descriptors are back
@@ -83,6 +83,7 @@ class Attack:
 
     run: Run
     kind: Kind = PLAIN
+    grown_mb: float = 64.0  # of memory after it, which the allocator keeps for the next
     alone: bool = False  # on a service of its own, which it ends: nobody stands by
 
     @property
@@ -150,10 +151,10 @@ def _watched(attack: Attack, target: Target, size: Size, outcome: Outcome) -> No
     if target.process.poll() is not None:
         outcome.findings.fail(f"the service ended with {target.process.returncode}")
         return
-    _come_back(target, descriptors + MORE_DESCRIPTORS, rss + GROWN_MB)
+    _come_back(target, descriptors + MORE_DESCRIPTORS, rss + attack.grown_mb)
     outcome.descriptors = descriptors, watch.descriptors, target.descriptors()
     outcome.rss_mb = rss, watch.rss_mb, target.rss_mb()
-    _judge(outcome, target.log.stat().st_size - log)
+    _judge(attack, outcome, target.log.stat().st_size - log)
 
 
 def _come_back(target: Target, descriptors: int, rss_mb: float) -> None:
@@ -162,7 +163,7 @@ def _come_back(target: Target, descriptors: int, rss_mb: float) -> None:
         time.sleep(0.1)
 
 
-def _judge(outcome: Outcome, logged: int) -> None:
+def _judge(attack: Attack, outcome: Outcome, logged: int) -> None:
     """What must hold of every attack."""
     findings, seen = outcome.findings, outcome.seen
     findings.check(not seen.failed, f"another client: {seen.failed} of {seen.asked} failed: {seen.why[:80]}")
@@ -171,7 +172,7 @@ def _judge(outcome: Outcome, logged: int) -> None:
     findings.check(after <= before + MORE_DESCRIPTORS, f"descriptors: {before} before, {after} after")
     start, peak, end = outcome.rss_mb
     findings.check(peak <= start + PEAK_MB, f"memory: {start:.0f} MB before, {peak:.0f} MB at most")
-    findings.check(end <= start + GROWN_MB, f"memory: {start:.0f} MB before, {end:.0f} MB after")
+    findings.check(end <= start + attack.grown_mb, f"memory: {start:.0f} MB before, {end:.0f} MB after")
     findings.check(logged <= MOST_LOG, f"log: {logged >> 10} KiB were written")
 
 

@@ -16,8 +16,8 @@ _ALL = (
     Attack(abuse.nonsense),
     Attack(abuse.frames),
     Attack(abuse.handshakes),
-    Attack(ports.tls, SECURE),
-    Attack(ports.foxglove),
+    Attack(ports.tls, SECURE, grown_mb=160),  # 0.3 MB for each connection that was open at once
+    Attack(ports.foxglove, grown_mb=128),  # two messages of 40 MB
     Attack(ports.foxglove_open, FEW),
     Attack(fuzz.fuzz),
     Attack(load.uploads),

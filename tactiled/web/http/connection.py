@@ -7,7 +7,6 @@ off h11's and websockets' own machines after every step, so no step can be forgo
 import asyncio
 import logging
 import ssl
-from collections.abc import Callable
 from time import perf_counter
 from typing import Any
 
@@ -23,6 +22,24 @@ from tactiled.web.rates import network
 
 LOG = logging.getLogger(__name__)
 FULL = "every connection is taken: come again later"
+
+
+class _Gone(asyncio.Transport):
+    """The transport of a connection that is lost."""
+
+    def is_closing(self) -> bool:
+        """It is closed."""
+        return True
+
+    def abort(self) -> None:
+        """Do nothing more."""
+
+    def get_extra_info(self, _: str, default: Any = None) -> Any:
+        """Nothing is known any more."""
+        return default
+
+
+GONE = _Gone()
 
 
 class Connection(asyncio.Protocol):
@@ -42,7 +59,7 @@ class Connection(asyncio.Protocol):
         self._places, self._tls = places, tls
         self._inner: Http | WebSocket = Http(config, server_state, app_state, self._loop)
         self._opened = False  # the inner protocol has its transport
-        self._half_closed = False
+        self.half_closed = False
         self.state = State.HEAD
         self._received = 0  # bytes in this state
         self._deadline: asyncio.TimerHandle | None = None
@@ -54,7 +71,7 @@ class Connection(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a place, and begin with the handshake of TLS or the first request."""
-        self._transport = transport
+        self.transport = transport
         peer = transport.get_extra_info("peername")
         self._place = Place(network(peer[0]) if peer else "", self._evictable, self._expire)
         if not self._places.take(self._place):
@@ -71,9 +88,10 @@ class Connection(asyncio.Protocol):
         self._places.free(self._place)
         self._cancel()
         self._backlog.clear()
-        self._half_closed = True
+        self.half_closed = True
         if self._opened:
             self._inner.connection_lost(exc)
+        self.transport = GONE  # TLS keeps 256 kB for each
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, in pieces if they are many."""
@@ -102,7 +120,7 @@ class Connection(asyncio.Protocol):
     def update(self) -> None:
         """Read the state off the inner protocol, which may have gone on."""
         state = self._find_state()
-        if state is not self.state and not self._transport.is_closing():
+        if state is not self.state and not self.transport.is_closing():
             self._enter(state)
 
     def upgrade(self, protocol: WebSocket) -> None:
@@ -116,21 +134,21 @@ class Connection(asyncio.Protocol):
 
     def close(self) -> None:
         """Close; while the client still sends, let it read its answer first: else the system takes that back."""
-        if self._half_closed or self._transport.is_closing():
+        if self.half_closed or self.transport.is_closing():
             return
         if not self._inner.sending():
-            self._transport.close()
+            self.transport.close()
             return
-        self._half_closed = True
+        self.half_closed = True
         self._enter(State.CLOSING)
-        if self._transport.can_write_eof():
-            self._transport.write_eof()
+        if self.transport.can_write_eof():
+            self.transport.write_eof()
         self._arrange_reading()
 
     def _open(self, transport: asyncio.Transport) -> None:
-        self._transport, self._opened = transport, True
+        self.transport, self._opened = transport, True
         self._enter(State.HEAD)
-        self._inner.connection_made(Door(self, transport))
+        self._inner.connection_made(Door(self))
         self._arrange_reading()
 
     def _evictable(self) -> bool:
@@ -159,14 +177,14 @@ class Connection(asyncio.Protocol):
 
     def _turn_away(self) -> None:
         """Say that no place is left; nothing is said in TLS, whose handshake would cost one."""
-        self._half_closed = True
+        self.half_closed = True
         if self._tls is None:
-            self._transport.write(refusal(503, FULL))
-        self._transport.close()
+            self.transport.write(refusal(503, FULL))
+        self.transport.close()
 
     def _find_state(self) -> State:
         inner = self._inner
-        if self._half_closed:
+        if self.half_closed:
             return State.CLOSING
         if isinstance(inner, WebSocket):
             if not inner.handshake_complete:
@@ -187,9 +205,9 @@ class Connection(asyncio.Protocol):
     def _expire(self) -> None:
         """End a connection whose state has lasted too long; between two requests the last answer is still sent."""
         if self.state is State.IDLE:
-            self._transport.close()
+            self.transport.close()
         else:
-            self._transport.abort()
+            self.transport.abort()
 
     def _take(self, piece: bytes) -> None:
         """Hand one piece on, and take note of what it cost."""
@@ -199,15 +217,15 @@ class Connection(asyncio.Protocol):
         bound = BOUNDS[self.state]
         self._received += len(piece)
         if bound.bytes is not None and self._received > bound.bytes:
-            self._transport.abort()
+            self.transport.abort()
             return
         unused = self.state is State.CLOSING and self._received > bounds.MAX_CLOSING_PARSED
-        if not (self._half_closed or unused):
+        if not (self.half_closed or unused):
             try:
                 self._inner.data_received(piece)
             except Exception:
                 LOG.exception("a connection failed, and is closed")
-                self._transport.abort()
+                self.transport.abort()
             self.update()
         now = perf_counter()
         self._busy_s = max(0.0, self._busy_s - (now - self._busy_at) * bound.share) + now - began
@@ -222,24 +240,24 @@ class Connection(asyncio.Protocol):
 
     def _arrange_reading(self) -> None:
         """Read on, or have the next piece's turn come."""
-        if not self._opened or self._transport.is_closing():
+        if not self._opened or self.transport.is_closing():
             self._backlog.clear()
             return
-        held = not self._half_closed and (self._paused or (self._unread and isinstance(self._inner, WebSocket)))
+        held = not self.half_closed and (self._paused or (self._unread and isinstance(self._inner, WebSocket)))
         rest = self._rest()
         if not held and self._turn is None and (self._backlog or rest):
             self._turn = self._loop.call_later(rest, self._take_turn)
         if held or self._backlog or self._turn:
-            self._transport.pause_reading()
+            self.transport.pause_reading()
         else:
-            self._transport.resume_reading()
+            self.transport.resume_reading()
 
     def _take_turn(self) -> None:
         self._turn = None
         size = BOUNDS[self.state].piece
         piece = bytes(self._backlog[:size])
         del self._backlog[:size]
-        if piece and not self._transport.is_closing():
+        if piece and not self.transport.is_closing():
             self._take(piece)
         self._arrange_reading()
 
@@ -253,23 +271,28 @@ class Connection(asyncio.Protocol):
 class Door(asyncio.Transport):
     """A connection's transport as the inner protocols see it."""
 
-    def __init__(self, connection: Connection, transport: asyncio.Transport) -> None:
-        self._connection, self._transport = connection, transport
-        self.get_extra_info: Callable[..., Any] = transport.get_extra_info
-        self.abort: Callable[[], None] = transport.abort
-        self.update = connection.update
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self.update = connection, connection.update
         self._loop = asyncio.get_running_loop()
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """What is known of the client."""
+        return self._connection.transport.get_extra_info(name, default)
+
+    def abort(self) -> None:
+        """Close at once."""
+        self._connection.transport.abort()
 
     def write(self, data: Any) -> None:
         """Send bytes; those of an HTTP answer may have been its last."""
         if not self.is_closing():
-            self._transport.write(data)
+            self._connection.transport.write(data)
             if self._connection.state is not State.STREAMING:
                 self._loop.call_soon(self.update)
 
     def is_closing(self) -> bool:
         """Whether nothing more can be sent."""
-        return self._transport.is_closing() or self._connection._half_closed
+        return self._connection.transport.is_closing() or self._connection.half_closed
 
     def close(self) -> None:
         """Close once all is sent."""

@@ -1,11 +1,13 @@
 """A log that a client cannot fill: of each kind of message a few a minute, and how many were left out."""
 
 import logging
+import re
 import time
 from collections.abc import Callable
 
 MAX_A_MINUTE = 10  # of each kind
 MINUTE_S = 60.0
+NUMBER = re.compile(r"\d+")
 
 
 class LogLimit(logging.Filter):
@@ -17,8 +19,8 @@ class LogLimit(logging.Filter):
         self._minutes: dict[str, tuple[float, int]] = {}  # when it began, messages in it, by kind
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to log a message; kinds differ by their text before any value is filled in."""
-        kind, now = str(record.msg), self._clock()
+        """Whether to log a message; kinds differ by their text, but for numbers and values filled in."""
+        kind, now = NUMBER.sub("#", str(record.msg)), self._clock()
         began, count = self._minutes.get(kind, (now, 0))
         left_out = 0
         if now - began >= MINUTE_S:
