@@ -47,6 +47,12 @@ QUERY: Json = {
         "description": "credit: one image of each kind for each message asking for the next; two may be ahead",
     },
     "contacts": {"type": "string", "enum": ["0", "1"], "default": "0"},
+    "together": {
+        "type": "string",
+        "enum": ["0", "1"],
+        "default": "0",
+        "description": "1, with format=binary: all images of a frame in one message, each with its own header",
+    },
     "token": {"type": "string", "description": "where the service asks for one"},
 }
 SENSORS: Json = {
@@ -153,7 +159,7 @@ def _messages(schemas: Json) -> Json:
     told = {name: _message(name, model, about, schemas) for name, (model, about) in (TOLD | XELAS).items()}
     image = {
         "title": "image",
-        "summary": "One image, little-endian",
+        "summary": "One image, little-endian; with together=1 all images of a frame, one behind the other",
         "contentType": "application/octet-stream",
         "payload": {"type": "string", "format": "binary"},
         "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],

@@ -185,7 +185,7 @@ def test_credit_may_be_given_to_one_sensor_or_to_all(rig, url):
         (
             "?sensor=tip",
             4400,
-            "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts, sensors, shear",
+            "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts, together, sensors, shear",
         ),
         ("?sensors=tip&shear=palm", 4400, "shear=palm: give some of tip, each once"),
         ("?shear=tip", 4404, "sensor 'tip': its codec packed carries no shear"),

@@ -7,7 +7,7 @@ off h11's and websockets' own machines after every step, so no step can be forgo
 import asyncio
 import logging
 import ssl
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from time import perf_counter
 from typing import Any
 
@@ -266,6 +266,11 @@ class Door(asyncio.Transport):
             self._transport.write(data)
             if self._connection.state is not State.STREAMING:
                 self._loop.call_soon(self.update)
+
+    def writelines(self, list_of_data: Iterable[Any]) -> None:
+        """Send the frames of a WebSocket, copied into one only where the transport cannot send them together."""
+        if not self.is_closing():
+            self._transport.writelines(list_of_data)
 
     def is_closing(self) -> bool:
         """Whether nothing more can be sent."""
