@@ -58,6 +58,12 @@ QUERY: Json = {
         "description": "when images are sent: newest at once, or one of each kind per `next` message",
     },
     "contacts": {"type": "string", "enum": ["0", "1"], "default": "0", "description": "1: contacts as well"},
+    "together": {
+        "type": "string",
+        "enum": ["0", "1"],
+        "default": "0",
+        "description": "1, with format=binary: all images of a frame in one message, each with its own header",
+    },
     "token": {"type": "string", "description": "token, if the service needs one"},
 }
 SENSORS: Json = {
@@ -164,7 +170,7 @@ def _messages(schemas: Json) -> Json:
     told = {name: _message(name, model, about, schemas) for name, (model, about) in (TOLD | XELAS).items()}
     image = {
         "title": "image",
-        "summary": "One image, little-endian",
+        "summary": "One image, little-endian; with together=1 all images of a frame, one behind the other",
         "contentType": "application/octet-stream",
         "payload": {"type": "string", "format": "binary"},
         "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],

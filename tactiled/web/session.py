@@ -8,7 +8,7 @@ from fastapi import WebSocket, WebSocketDisconnect
 
 from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.web.http.bounds import MAX_FRAGMENTS
-from tactiled.web.http.protocols import ENDS
+from tactiled.web.http.protocols import ENDS, GONE
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
 PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
@@ -69,6 +69,6 @@ async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], talk: Coro
         error = task.exception()
         if task is listening and isinstance(error, ValueError):
             await refuse(socket, error)
-        elif error is not None and not isinstance(error, WebSocketDisconnect):
+        elif error is not None and not isinstance(error, WebSocketDisconnect | GONE):
             await socket.close(FAILED, "the service failed: see its log")
             raise error

@@ -102,8 +102,28 @@ def pack(image: Image, kind: Kind, sent: float, sensor: str = "") -> bytes:
     return b"".join((head, values.astype("<f4", copy=False).tobytes(), flags, name))
 
 
+def unpack_all(data: bytes) -> list[Unpacked]:
+    """Read a message of one image or, with `together=1`, several; ValueError where it is none of this version."""
+    images: list[Unpacked] = []
+    at = 0
+    while at < len(data) or not images:
+        end = at + _size(data, at)
+        images.append(unpack(data[at:end]))
+        at = end
+    return images
+
+
+def _size(data: bytes, at: int) -> int:
+    """The bytes that the image at an offset says it has, and at least those of a header."""
+    if len(data) < at + HEADER.size:
+        return HEADER.size
+    _, _, kind, rows, columns, flagged, named, *_ = HEADER.unpack_from(data, at)
+    size: int = HEADER.size + 4 * rows * columns * (1 if kind < len(PRESSURES) else 2) + flagged + named
+    return size
+
+
 def unpack(data: bytes) -> Unpacked:
-    """Read one message; ValueError where it is none of this version."""
+    """Read one image; ValueError where it is none of this version."""
     if len(data) < HEADER.size or data[:4] != MAGIC or data[4] != VERSION:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
     _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)

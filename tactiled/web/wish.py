@@ -13,7 +13,7 @@ from tactiled.web.forms import Next
 from tactiled.web.wire import KINDS, PRESSURES, Kind
 
 NUMBER = r"[0-9]+(\.[0-9]*)?([eE][+-]?[0-9]{1,2})?"
-PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts")
+PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts", "together")
 NEXT = '{"type": "next"}, or with "sensor": its name'
 
 
@@ -26,6 +26,7 @@ class Wish:
     form: Literal["binary", "json"] = "binary"
     contacts: bool = False  # as text messages
     credit: bool = False  # one image of each kind for each {"type": "next"}
+    together: bool = False  # the images of a frame in one binary message
 
 
 def once(query: QueryParams) -> QueryParams:
@@ -55,12 +56,17 @@ def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
     rate_hz = float(given) if re.fullmatch(NUMBER, given) else -1.0
     if not 0 <= rate_hz <= 1e4:
         raise ValueError(f"rate_hz={query['rate_hz']}: give 0 (every frame) to 10000")
+    form = cast(Literal["binary", "json"], _one_of(query, "format", "binary", "json"))
+    together = _one_of(query, "together", "0", "1") == "1"
+    if together and form == "json":
+        raise ValueError("together=1: only of format=binary: leave one of the two out")
     return Wish(
         cast(tuple[Kind, ...], kinds),
         rate_hz,
-        cast(Literal["binary", "json"], _one_of(query, "format", "binary", "json")),
+        form,
         _one_of(query, "contacts", "0", "1") == "1",
         _one_of(query, "flow", "newest", "credit") == "credit",
+        together,
     )
 
 

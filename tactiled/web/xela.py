@@ -23,7 +23,7 @@ from tactiled.web import problems
 from tactiled.web.feed import Feed, ticking
 from tactiled.web.forms import Form
 from tactiled.web.guard import Guard
-from tactiled.web.http.protocols import room
+from tactiled.web.http.protocols import protocol
 from tactiled.web.rates import Rates, Streams
 from tactiled.web.session import NOT_FOUND, heard, serve
 from tactiled.web.stream import nowhere
@@ -181,7 +181,7 @@ class _Client:
         """Serve until the client leaves."""
         with ExitStack() as stack:
             for skin in self._skins:
-                stack.enter_context(skin.feed.listen(self._wake))
+                stack.enter_context(skin.feed.listen(self._wake.set))
             await serve(self._socket, self._listen(), self._talk())
 
     async def _listen(self) -> None:
@@ -194,7 +194,7 @@ class _Client:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            await room(self._socket).wait()
+            await protocol(self._socket).ready()
             frames = {skin: frame for skin in self._skins if (frame := skin.newest()) is not None}
             if any(frame is not self._sent.get(skin) for skin, frame in frames.items()):
                 self._sent, number = frames, number + 1

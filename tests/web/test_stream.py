@@ -16,7 +16,7 @@ from tactiled.web.feed import Feed
 from tactiled.web.http.bounds import State
 from tactiled.web.server import running
 from tactiled.web.stream import Stream, due_after
-from tactiled.web.wire import unpack
+from tactiled.web.wire import unpack, unpack_all
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
 from tests.web.test_attacks import bound
 
@@ -232,6 +232,44 @@ def test_credit_gives_one_image_of_each_kind_at_a_time(rig, url):
         assert [each.sequence for each in images(client, 2)] == [2, 2]  # the newest, not the one in between
 
 
+def test_the_images_of_a_frame_may_come_together_byte_for_byte(rig, url):
+    with stream(url, "?together=1&flow=credit") as together, stream(url) as apart:
+        rig.show(pressed())
+        each = b"".join([next(data for data in apart if isinstance(data, bytes)) for _ in range(2)])
+        assert all(text["type"] == "status" for text in texts(together, 0.3))
+        together.send('{"type": "next"}')
+        both = next(data for data in together if isinstance(data, bytes))
+        rig.show(pressed(4))
+        assert all(text["type"] == "status" for text in texts(together, 0.3))  # one message, one credit
+    assert both == each
+    assert [(one.kind, one.sequence) for one in unpack_all(both)] == [("raw", 0), ("restored", 0)]
+
+
+def test_an_image_is_framed_once_for_all_who_stream_it(rig, url, monkeypatch):
+    framed = []
+    frame = feed.frame
+    monkeypatch.setattr(feed, "frame", lambda message: (framed.append(message), frame(message))[1])
+    with ExitStack() as stack:
+        clients = [stack.enter_context(stream(url)) for _ in range(4)]
+        for at in range(3):
+            rig.show(pressed(at))
+            assert {one.sequence for client in clients for one in images(client, 2)} == {at}
+    assert sum(isinstance(each, bytes) for each in framed) == 3 * 2
+
+
+def test_the_state_is_worded_once_for_all_who_stream_it(url, monkeypatch):
+    framed, ticks = [], []
+    frame, tick = feed.frame, Feed.tick
+    monkeypatch.setattr(feed, "frame", lambda message: (framed.append(message), frame(message))[1])
+    monkeypatch.setattr(Feed, "tick", lambda one: (ticks.append(one), tick(one)))
+    with ExitStack() as stack:
+        clients = [stack.enter_context(stream(url)) for _ in range(6)]
+        for _ in range(3):
+            for client in clients:
+                told(client, lambda said: said["type"] == "status")
+    assert 3 <= len(framed) <= len(ticks) + 1
+
+
 def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
     with stream(url, "?flow=credit&kinds=raw") as client:
         for _ in range(5):
@@ -259,6 +297,8 @@ def test_two_images_may_be_asked_for_ahead_and_no_more(rig, url):
         ("palm/stream?format=xml", 4400, "format=xml"),
         ("palm/stream?flow=all", 4400, "flow=all"),
         ("palm/stream?contacts=yes", 4400, "contacts=yes"),
+        ("palm/stream?together=yes", 4400, "together=yes"),
+        ("palm/stream?together=1&format=json", 4400, "together=1"),
         ("palm/stream?kind=raw", 4400, "kind: no such parameter"),
         ("plam/stream", 4404, "no such sensor"),
     ],

@@ -12,9 +12,11 @@ from websockets.sync.client import connect
 
 import tactiled
 from tactiled.errors import TactileError
-from tactiled.web import answers
+from tactiled.web import answers, feed
 from tactiled.web.feed import Feed
-from tactiled.web.wire import unpack
+from tactiled.web.server import running
+from tactiled.web.stream import Stream
+from tactiled.web.wire import unpack, unpack_all
 from tests.conftest import BUSY_S, NO_LOAD, Rig, meanwhile, pressed, until
 
 TIP = """
@@ -149,6 +151,26 @@ def test_a_fault_ends_when_the_clients_that_met_it_have_left(rig, url, monkeypat
     until(lambda: not rig.service.faults.now)
 
 
+def test_a_sensor_without_news_costs_the_others_nothing(rig, monkeypatch):
+    turns, send = [], Stream._send
+    monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
+    monkeypatch.setattr(Stream, "_send", lambda one, line: (turns.append(line.feed.sensor.name), send(one, line)))
+    with running(rig.service) as url, streams(url, "?kinds=raw") as client:
+        for at in range(20):
+            rig.show(pressed(at % 6))
+            while isinstance(client.recv(timeout=BUSY_S), str):
+                pass
+    assert turns.count("palm") >= 20
+    assert turns.count("tip") < 5
+
+
+def test_together_names_the_sensor_in_every_image(rig, url):
+    with streams(url, "?sensors=tip&together=1") as client:
+        touch_tip(rig, 0)
+        data = next(each for each in client if isinstance(each, bytes))
+    assert [(one.kind, one.sensor) for one in unpack_all(data)] == [("raw", "tip"), ("restored", "tip")]
+
+
 def test_json_names_the_sensor_too(rig, url):
     touch_tip(rig, 0)
     with streams(url, "?sensors=tip&format=json&kinds=raw&contacts=1") as client:
@@ -185,7 +207,8 @@ def test_credit_may_be_given_to_one_sensor_or_to_all(rig, url):
         (
             "?sensor=tip",
             4400,
-            "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts, sensors, shear",
+            "sensor: no such parameter: "
+            "there are kinds, rate_hz, format, flow, contacts, together, sensors, shear",
         ),
         ("?sensors=tip&shear=palm", 4400, "shear=palm: give some of tip, each once"),
         ("?shear=tip", 4404, "sensor 'tip': its codec packed carries no shear"),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tactiled.frames import MISSING, Image
 from tactiled.restore.methods import METHODS
-from tactiled.web.wire import HEADER, RAN, pack, unpack
+from tactiled.web.wire import HEADER, RAN, pack, unpack, unpack_all
 
 
 def image(raw, restored):
@@ -50,6 +50,19 @@ def test_what_is_packed_is_unpacked(grid):
     assert (raw.noise_kpa, raw.noise_gain, raw.resolution_mm, raw.microseconds, raw.iterations) == (
         0.25, 1.5, 0.75, 61.5, 9,
     )  # fmt: skip
+
+
+def test_images_behind_one_another_are_unpacked(grid):
+    shear = replace(grid, shear=np.arange(12, dtype=np.float32).reshape(2, 2, 3))
+    each = [pack(shear, kind, 2.0, "palm") for kind in ("raw", "shear", "restored")]
+    for count in range(1, 4):
+        for one, alone in zip(unpack_all(b"".join(each[:count])), map(unpack, each[:count]), strict=True):
+            assert one[:4] + one[6:] == alone[:4] + alone[6:]
+            np.testing.assert_array_equal(one.values, alone.values)
+            np.testing.assert_array_equal(one.flags, alone.flags)
+    for wrong in (b"", each[0][:-1], each[0] + each[1][:9], each[0] + each[1][:-1], each[0] + bytes(64)):
+        with pytest.raises(ValueError, match=r"bytes"):
+            unpack_all(wrong)
 
 
 def test_every_method_has_a_number_and_none_is_made_up(grid):

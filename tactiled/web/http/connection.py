@@ -7,6 +7,7 @@ off h11's and websockets' own machines after every step, so no step can be forgo
 import asyncio
 import logging
 import ssl
+from collections.abc import Iterable
 from time import perf_counter
 from typing import Any
 
@@ -61,6 +62,7 @@ class Connection(asyncio.Protocol):
         self._opened = False  # the inner protocol has its transport
         self.half_closed = False
         self.state = State.HEAD
+        self._bound = BOUNDS[self.state]
         self._received = 0  # bytes in this state
         self._deadline: asyncio.TimerHandle | None = None
         self._backlog = bytearray()  # received, and not yet handed on
@@ -99,7 +101,7 @@ class Connection(asyncio.Protocol):
             if self.state is State.TLS:  # right behind the handshake
                 self._backlog += data
             return
-        if self._backlog or self._turn or len(data) > BOUNDS[self.state].piece:
+        if self._backlog or self._turn or len(data) > self._bound.piece:
             self._backlog += data
         else:
             self._take(data)
@@ -152,7 +154,7 @@ class Connection(asyncio.Protocol):
         self._arrange_reading()
 
     def _evictable(self) -> bool:
-        return BOUNDS[self.state].evictable
+        return self._bound.evictable
 
     async def _shake_hands(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
         """Go on in TLS; a client that speaks none, or none in time, is cut off."""
@@ -196,10 +198,10 @@ class Connection(asyncio.Protocol):
         return State.BODY if theirs is h11.SEND_BODY else State.ANSWERING
 
     def _enter(self, state: State) -> None:
-        self.state, self._received = state, 0
+        self.state, self._bound, self._received = state, BOUNDS[state], 0
         if self._deadline is not None:
             self._deadline.cancel()
-        seconds = BOUNDS[state].seconds
+        seconds = self._bound.seconds
         self._deadline = None if seconds is None else self._loop.call_later(seconds, self._expire)
 
     def _expire(self) -> None:
@@ -214,7 +216,7 @@ class Connection(asyncio.Protocol):
         began = perf_counter()
         if self.state is State.IDLE:
             self._enter(State.HEAD)
-        bound = BOUNDS[self.state]
+        bound = self._bound
         self._received += len(piece)
         if bound.bytes is not None and self._received > bound.bytes:
             self.transport.abort()
@@ -233,8 +235,8 @@ class Connection(asyncio.Protocol):
 
     def _rest(self) -> float:
         """How long (s) the client's bytes must wait until they have had no more than their share."""
-        share = BOUNDS[self.state].share
-        if share == 1.0:
+        share = self._bound.share
+        if share == 1.0 or self._busy_s <= bounds.BURST_S:
             return 0.0
         return max(0.0, self._busy_at - perf_counter() + (self._busy_s - bounds.BURST_S) / share)
 
@@ -254,7 +256,7 @@ class Connection(asyncio.Protocol):
 
     def _take_turn(self) -> None:
         self._turn = None
-        size = BOUNDS[self.state].piece
+        size = self._bound.piece
         piece = bytes(self._backlog[:size])
         del self._backlog[:size]
         if piece and not self.transport.is_closing():
@@ -289,6 +291,11 @@ class Door(asyncio.Transport):
             self._connection.transport.write(data)
             if self._connection.state is not State.STREAMING:
                 self._loop.call_soon(self.update)
+
+    def writelines(self, list_of_data: Iterable[Any]) -> None:
+        """Send the frames of a WebSocket, copied into one only where the transport cannot send them together."""
+        if not self.is_closing():
+            self._connection.transport.writelines(list_of_data)
 
     def is_closing(self) -> bool:
         """Whether nothing more can be sent."""

@@ -7,6 +7,7 @@ whoever streams waits for it before it takes the newest image.
 
 import asyncio
 import sys
+from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any, cast
 
@@ -17,9 +18,10 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.datastructures import Headers
-from websockets.frames import CloseCode, Frame
+from websockets.frames import CloseCode, Frame, Opcode
 from websockets.http11 import Request
 from websockets.http11 import Response as Handshake
+from websockets.protocol import OPEN
 
 from tactiled.web import problems
 from tactiled.web.http.bounds import MAX_FRAGMENTS, SHUTDOWN_S
@@ -28,14 +30,22 @@ from tactiled.web.http.headers import HEADERS
 PING_EVERY = 4  # messages
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and the next few
 MARK = b"tactiled"  # of these pings
-ROOM = "tactiled.room"
+PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
+PROTOCOL = "tactiled.protocol"
 ENDS = "the service ends"
+GONE = ClientDisconnected  # raised by what sends to a client that has left or was closed
 
 
-def room(socket: AcceptedSocket) -> asyncio.Event:
-    """Set while the client keeps up."""
-    found: asyncio.Event = socket.scope["state"][ROOM]
+def protocol(socket: AcceptedSocket) -> "WebSocket":
+    """The protocol below a socket."""
+    found: WebSocket = socket.scope["state"][PROTOCOL]
     return found
+
+
+def frame(message: bytes | str) -> bytes:
+    """A message as one WebSocket frame; a server's bear no mask, so all clients get the same bytes."""
+    opcode, data = (Opcode.TEXT, message.encode()) if isinstance(message, str) else (Opcode.BINARY, message)
+    return Frame(opcode, data).serialize(mask=False)
 
 
 def _problem(status: int, detail: str) -> Response:
@@ -103,25 +113,36 @@ class WebSocket(WebSocketsSansIOProtocol):
         """Hand the event to the application, which runs with the next turn of the loop."""
         super().handle_connect(event)
         if self.response.status_code == 101:
-            self.scope["state"][ROOM] = self._room
+            self.scope["state"][PROTOCOL] = self
 
     async def send(self, message: Any) -> None:
-        """Send one ASGI message, and a ping after every few; to a client that was closed meanwhile, nothing."""
-        if self.close_sent and message["type"] == "websocket.close":
-            return
-        if self.close_sent and message["type"] == "websocket.send":
-            raise ClientDisconnected
-        await super().send(message)
-        if message["type"] != "websocket.send":
+        """Send one ASGI message; to a client that was closed meanwhile, nothing."""
+        if message["type"] == "websocket.send":
+            await self.writable.wait()
+            text, data = message.get("text"), message.get("bytes")
+            self.send_frames([frame(text if data is None else data)])
+        elif not (self.close_sent and message["type"] == "websocket.close"):
+            await super().send(message)
             cast(Any, self.transport).update()
-            return
-        self._sent += 1
-        if self._sent % PING_EVERY == 0 and not self.close_sent and not self.transport.is_closing():
-            self._pinged += 1
-            self.conn.send_ping(MARK + self._pinged.to_bytes(8, "big"))
-            self.transport.write(b"".join(self.conn.data_to_send()))
+
+    async def ready(self) -> None:
+        """Wait until the client keeps up."""
+        if not self._room.is_set():
+            await self._room.wait()
+        if not self.writable.is_set():
+            await self.writable.wait()
+
+    def send_frames(self, frames: Sequence[bytes]) -> None:
+        """Send messages, one a frame, and a ping after every few, past what waits; GONE where nobody is left."""
+        if self.disconnected or self.close_sent or self.conn.state is not OPEN:
+            raise GONE
+        self._sent += len(frames)
+        if self._sent // PING_EVERY > self._pinged:
+            self._pinged = self._sent // PING_EVERY
+            frames = [*frames, PING + self._pinged.to_bytes(8, "big")]
             if self._pinged - self._answered >= MAX_UNANSWERED:
                 self._room.clear()
+        self.transport.writelines(frames)
 
     def handle_pong(self, event: Frame) -> None:
         """Take note of how far the client has read."""
