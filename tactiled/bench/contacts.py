@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tactiled.bench.truth import APERTURE, PEAK, kernel
 from tactiled.contacts import Contact, Finder
+from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.geometry import Array, grid, tiling
 from tactiled.restore.blur import Blur
@@ -67,7 +68,8 @@ class Bench:
         array = _array()
         cover = kernel(thickness, "fem")
         self._surface = Surface(kernel(thickness, "layered"), array)
-        self._blur = Blur.grid(stencil(cover, array), (SIDE, SIDE), finer=partial(stencil, cover, array))
+        finer = partial(cached_table, stencil, cover, array)
+        self._blur = Blur.grid(finer(1), (SIDE, SIDE), finer=finer)
         self._find = Finder(array, tiling(array))
 
     def press(self, discs: tuple[Disc, ...], noise: float, random: np.random.Generator) -> Press:

@@ -14,6 +14,7 @@ from scipy import fft
 from skimage import restoration
 
 from tactiled.bench.truth import Press, kernel, presses
+from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
@@ -161,7 +162,7 @@ def _films(size: int, frames: int) -> tuple[Blur, list[_Film]]:
     """The blur that restores, and a film of every moving scene, by a kernel that is another."""
     array = grid(size, size, 1.0, 0.8)
     surface = Surface(kernel(COVER, "layered"), array)
-    finer = partial(stencil, kernel(COVER, "fem"), array)
+    finer = partial(cached_table, stencil, kernel(COVER, "fem"), array)
     random = np.random.default_rng(0)
     films = []
     for name in MOVING:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.cover.kernel import Kernel, cached, solve
+from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid
@@ -56,21 +57,27 @@ def psf_of(blur: Blur) -> Floats:
     return np.asarray(blur.forward(cell), float)[around]
 
 
+@cache
+def sides(size: int, thickness: float) -> tuple[Surface, Blur, Floats]:
+    """Build what blurs presses, exactly, and what restores them: the operator and its point spread."""
+    array = grid(size, size, 1.0, APERTURE)
+    finer = partial(cached_table, stencil, kernel(thickness, "fem"), array)
+    blur = Blur.grid(finer(1), (size, size), finer=finer)
+    return Surface(kernel(thickness, "layered"), array), blur, psf_of(blur)
+
+
 def presses(
     size: int, thicknesses: tuple[float, ...], noises: tuple[float, ...], repeats: int = 1, seed: int = 1
 ) -> Iterator[Press]:
     """Every scene at every thickness (t/pitch) and noise on an array of size x size, at random places."""
     array = grid(size, size, 1.0, APERTURE)
     for thickness in thicknesses:
-        surface = Surface(kernel(thickness, "layered"), array)
-        cover = kernel(thickness, "fem")
-        response = stencil(cover, array)
-        blur = Blur.grid(response, (size, size), finer=partial(stencil, cover, array))
+        surface, blur, psf = sides(size, thickness)
         for name, draw in DRAWN.items():
             for noise in noises:
                 for repeat in range(repeats):
                     random = np.random.default_rng([seed, repeat, int(1e4 * noise)])
-                    yield _press(name, draw, (thickness, noise), surface, array, (blur, psf_of(blur)), random)
+                    yield _press(name, draw, (thickness, noise), surface, array, (blur, psf), random)
 
 
 def _press(

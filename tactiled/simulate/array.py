@@ -8,7 +8,7 @@ from scipy import fft
 
 from tactiled.calibrate import Calibration
 from tactiled.cover.kernel import Kernel
-from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.operator import cached, matrix, stencil
 from tactiled.geometry import Array
 
 FINER = 4  # surface cells along each side of a taxel
@@ -30,7 +30,7 @@ class Surface:
         if array.shape is None:
             self.sense = _product(matrix(kernel, array, cells, self.grain))
         else:
-            self.sense = _convolution(stencil(kernel, array, FINER), array.shape)
+            self.sense = _convolution(cached(stencil, kernel, array, FINER), array.shape)
 
 
 def _product(response: NDArray[np.float64]) -> Sample:

@@ -316,12 +316,12 @@ def test_a_bus_that_goes_away_is_told_with_what_was_recorded(tmp_path):
     assert len(read(tmp_path / "a.log")) == 3
 
 
-def test_what_the_kernel_drops_ends_it_loudly(tmp_path):
-    tap = open_tap("udp_multicast", channel="239.74.163.79")
+def test_what_the_kernel_drops_ends_it_loudly(tmp_path, multicast):
+    tap = open_tap("udp_multicast", channel=multicast)
     if tap._reader.dropped != 0 or tap._reader._socket is None:
         pytest.fail("a socket's drops cannot be seen here")
     tap._reader._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    with can.Bus(interface="udp_multicast", channel="239.74.163.79") as sender:
+    with can.Bus(interface="udp_multicast", channel=multicast) as sender:
         for number in range(500):
             sender.send(plain(number))
     recorder = Recorder(tmp_path / "a.log")
@@ -335,9 +335,9 @@ def test_what_the_kernel_drops_ends_it_loudly(tmp_path):
     assert f"after {len(got)} messages" in str(told.value)
 
 
-def test_a_late_reader_loses_nothing_that_its_buffer_holds(tmp_path):
-    tap = open_tap("udp_multicast", channel="239.74.163.80")
-    with can.Bus(interface="udp_multicast", channel="239.74.163.80") as sender:
+def test_a_late_reader_loses_nothing_that_its_buffer_holds(tmp_path, multicast):
+    tap = open_tap("udp_multicast", channel=multicast)
+    with can.Bus(interface="udp_multicast", channel=multicast) as sender:
         for number in range(2000):
             sender.send(plain(number))
     assert record(tap, Recorder(tmp_path / "a.log"), Event(), 1.0) == 2000

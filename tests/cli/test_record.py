@@ -20,8 +20,6 @@ from tactiled.errors import BusError, ConfigError, TactileError
 from tactiled.frames import Message
 from tests.conftest import BUSY_S, until
 
-MULTICAST = "239.74.163.77"
-
 
 def run(*arguments):
     return CliRunner().invoke(door.app, ["record", *map(str, arguments)])
@@ -149,9 +147,9 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path, monkeypatch, arguments,
     assert list(tmp_path.iterdir()) == []
 
 
-def started(out, **more):
+def started(out, channel, **more):
     """`tactiled record` of a bus between processes, once it records."""
-    command = [sys.executable, "-m", "tactiled", "record", "--interface", "udp_multicast", "--channel", MULTICAST]
+    command = [sys.executable, "-m", "tactiled", "record", "--interface", "udp_multicast", "--channel", channel]
     process = subprocess.Popen(
         [*command, str(out)],
         stdout=subprocess.PIPE,
@@ -165,19 +163,19 @@ def started(out, **more):
 
 
 @pytest.fixture
-def multicast():
-    with can.Bus(interface="udp_multicast", channel=MULTICAST) as bus:
+def send(multicast):
+    with can.Bus(interface="udp_multicast", channel=multicast) as bus:
         yield lambda number: bus.send(
             can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big"))
         )
 
 
-def test_kill_9_leaves_all_but_the_last_second(tmp_path, multicast):
+def test_kill_9_leaves_all_but_the_last_second(tmp_path, multicast, send):
     out = tmp_path / "a.log"
-    process = started(out)
+    process = started(out, multicast)
     sent, began = [], time.monotonic()
     while time.monotonic() - began < 2.0 or sum(each < time.monotonic() - 1.0 for each in sent) <= 300:
-        multicast(len(sent))
+        send(len(sent))
         sent.append(time.monotonic())
         time.sleep(0.001)
     process.kill()
@@ -189,11 +187,11 @@ def test_kill_9_leaves_all_but_the_last_second(tmp_path, multicast):
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_it_with_everything_written(tmp_path, multicast, kind):
+def test_an_interrupt_ends_it_with_everything_written(tmp_path, multicast, send, kind):
     out = tmp_path / "a.blf"
-    process = started(out)
+    process = started(out, multicast)
     for number in range(300):
-        multicast(number)
+        send(number)
     until(lambda: len(numbers(out)) == 300)
     process.send_signal(kind)
     said, _ = process.communicate(timeout=BUSY_S)
@@ -202,7 +200,7 @@ def test_an_interrupt_ends_it_with_everything_written(tmp_path, multicast, kind)
     assert numbers(out) == list(range(300))
 
 
-def test_a_full_disk_is_one_line_and_exit_code_2(tmp_path, multicast):
+def test_a_full_disk_is_one_line_and_exit_code_2(tmp_path, multicast, send):
     out = tmp_path / "a.log"
 
     def limit():
@@ -210,10 +208,10 @@ def test_a_full_disk_is_one_line_and_exit_code_2(tmp_path, multicast):
 
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
-    process = started(out, preexec_fn=limit)
+    process = started(out, multicast, preexec_fn=limit)
     number = 0
     while process.poll() is None and number < 100_000:
-        multicast(number)
+        send(number)
         number += 1
         time.sleep(0.002)
     _, says = process.communicate(timeout=BUSY_S)

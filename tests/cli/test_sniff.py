@@ -63,8 +63,8 @@ def playing():
 
 
 @pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
-def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, playing, interface):
-    channel = request.node.name if interface == "virtual" else "239.74.163.78"
+def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, playing, multicast, interface):
+    channel = request.node.name if interface == "virtual" else multicast
     path = tmp_path / "a.toml"
     playing({"interface": interface, "channel": channel}, Packed(64, 12, fd=True, array_id=2), Icub(3, (1, 4)))
     done = run("--interface", interface, "--channel", channel, "--seconds", 0.8, "--write", path)

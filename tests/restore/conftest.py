@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.operator import cached, matrix, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
@@ -18,7 +18,7 @@ def cover(thickness):
 @cache
 def grid_blur(shape, thickness=1.0, refine=1):
     array = grid(*shape, 1.0, 0.8)
-    return Blur.grid(stencil(cover(thickness), array, refine), shape, refine, 1.0 / refine)
+    return Blur.grid(cached(stencil, cover(thickness), array, refine), shape, refine, 1.0 / refine)
 
 
 @cache

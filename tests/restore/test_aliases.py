@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import stencil
+from tactiled.cover.operator import cached, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid
 from tactiled.restore.aliases import Aliases
@@ -17,7 +17,9 @@ PARTS = 4
 
 
 def finer(thickness):
-    return partial(stencil, solve(Stack((Layer(thickness, 0.6, 0.48),)), "layered"), grid(*SHAPE, 1.0, 0.8))
+    return partial(
+        cached, stencil, solve(Stack((Layer(thickness, 0.6, 0.48),)), "layered"), grid(*SHAPE, 1.0, 0.8)
+    )
 
 
 @pytest.mark.parametrize("thickness", [0.5, 1.0])

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import stencil
+from tactiled.cover.operator import cached, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
 from tactiled.geometry import grid
@@ -143,7 +143,7 @@ def test_what_is_no_blur_is_refused(make, said):
 def test_with_finer_stencils_pressure_is_smooth_between_cells(thickness, refine):
     """Steps leave three to ten times the error."""
     shape, parts = (10, 12), 12
-    finer = partial(stencil, cover(thickness), grid(*shape, 1.0, 0.8))
+    finer = partial(cached, stencil, cover(thickness), grid(*shape, 1.0, 0.8))
     y, x = np.mgrid[: shape[0] * parts, : shape[1] * parts] / parts
     fine = np.exp(-((x - 6.3) ** 2 + (y - 4.1) ** 2) / (2 * 1.2**2)) + 0.5 * np.exp(-((x - 12) ** 2) / 6)
     whole = Blur.grid(finer(parts), shape, parts).forward(fine)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.bench.truth import APERTURE, kernel, presses
-from tactiled.cover.operator import stencil
+from tactiled.cover.operator import cached, stencil
 from tactiled.geometry import grid
 from tactiled.restore import linear
 from tactiled.restore.blur import Blur
@@ -17,7 +17,7 @@ SIZE = 12
 
 @cache
 def believed(thickness):
-    finer = partial(stencil, kernel(thickness, "fem"), grid(SIZE, SIZE, 1.0, APERTURE))
+    finer = partial(cached, stencil, kernel(thickness, "fem"), grid(SIZE, SIZE, 1.0, APERTURE))
     return Blur.grid(finer(1), (SIZE, SIZE), finer=finer)
 
 

@@ -70,19 +70,19 @@ def meant(frame):
 
 
 @pytest.mark.parametrize("array", ARRAYS)
-@pytest.mark.parametrize("case", FRAMES)
 @pytest.mark.parametrize("method", METHODS)
-def test_never_nan_never_an_explosion(covered, method, case, array):
+def test_never_nan_never_an_explosion(covered, method, array):
     blur = covered(**ARRAYS[array])
-    restorer = make(method, blur, SIGMA)
-    frame, flags = FRAMES[case](blur.frame_shape)
-    for _ in range(3):
-        done = restorer(frame, flags)
-        assert done.image.shape == blur.surface_shape
-        assert np.isfinite(done.image).all()
-        assert float(np.abs(done.image).max()) <= BOUND * meant(frame)
-        assert np.isfinite([done.noise_gain, done.resolution_mm]).all()
-        assert np.isfinite(restorer.deviation()).all()
+    for case, made in FRAMES.items():
+        restorer = make(method, blur, SIGMA)
+        frame, flags = made(blur.frame_shape)
+        for _ in range(3):
+            done = restorer(frame, flags)
+            assert done.image.shape == blur.surface_shape, case
+            assert np.isfinite(done.image).all(), case
+            assert float(np.abs(done.image).max()) <= BOUND * meant(frame), case
+            assert np.isfinite([done.noise_gain, done.resolution_mm]).all(), case
+            assert np.isfinite(restorer.deviation()).all(), case
 
 
 @pytest.mark.parametrize("case", FRAMES)

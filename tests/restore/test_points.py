@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import matrix, stencil
+from tactiled.cover.operator import cached, matrix, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
@@ -31,8 +31,15 @@ def exact(thickness):
 @cache
 def blur_of(thickness, refine=1, finer=True):
     array, kernel = exact(thickness)
-    more = partial(stencil, kernel, array) if finer else None
-    return Blur.grid(stencil(kernel, array, refine), SHAPE, refine, PITCH / refine, finer=more)
+    table = partial(cached, stencil, kernel, array)
+    return Blur.grid(table(refine), SHAPE, refine, PITCH / refine, finer=table if finer else None)
+
+
+@cache
+def felt(thickness, places):
+    """(taxels, places): the pressure on every taxel for unit pressure at each place."""
+    array, kernel = exact(thickness)
+    return matrix(kernel, array, np.array(places), SIDE)
 
 
 @pytest.fixture
@@ -40,8 +47,7 @@ def touched():
     """Frames under loads at places (mm) of forces (N), with noise of a share of the peak; and that noise."""
 
     def frame(thickness, places=PLACES, forces=FORCES, share=0.01, seed=0):
-        array, kernel = exact(thickness)
-        clean = matrix(kernel, array, places, SIDE) @ (1e3 * forces / SIDE**2)
+        clean = felt(thickness, tuple(map(tuple, places))) @ (1e3 * forces / SIDE**2)
         sigma = share * clean.max()
         noisy = clean + np.random.default_rng(seed).normal(0, sigma, clean.size)
         return noisy.reshape(SHAPE).astype(np.float32), sigma

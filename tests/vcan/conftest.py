@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tactiled.bus.reader import open_bus
+from tests.conftest import turn
 
 THERE = all(Path("/sys/class/net", name).exists() for name in ("vcan0", "vcan1"))
 HERE = Path(__file__).parent
@@ -36,6 +37,13 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.write_line(
             f"vcan: {count} tests {where if THERE else 'DID NOT RUN: this kernel has no vcan0 and vcan1: ' + HOW}"
         )
+
+
+@pytest.fixture(autouse=True)
+def alone():
+    """There is one vcan0 and one vcan1, for all workers."""
+    with turn("vcan"):
+        yield
 
 
 @pytest.fixture

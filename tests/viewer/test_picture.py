@@ -12,15 +12,21 @@ from tests.conftest import Rig, meanwhile, until
 from tests.viewer.conftest import one_more, wait
 
 NAME = "a_long_name_of_a_fingertip"
+# The texts of the canvas that is saved: the page may write on others of its own meanwhile.
 WRITTEN = """() => {
-  const all = window.written = [];
   const { fillText } = CanvasRenderingContext2D.prototype;
+  const { toBlob } = HTMLCanvasElement.prototype;
+  const texts = new WeakMap();
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
     const { canvas } = this;
-    if (!canvas.isConnected) {
-      all.push({ text, x, y, end: x + this.measureText(text).width, width: canvas.width, height: canvas.height });
-    }
+    const { width, height } = canvas;
+    const one = { text, x, y, end: x + this.measureText(text).width, width, height };
+    texts.set(canvas, [...(texts.get(canvas) ?? []), one]);
     fillText.call(this, text, x, y);
+  };
+  HTMLCanvasElement.prototype.toBlob = function (...how) {
+    window.written = texts.get(this);
+    toBlob.apply(this, how);
   };
 }"""
 

@@ -30,7 +30,7 @@ from tactiled.web.http import bounds
 from tactiled.web.http.bounds import BOUNDS, State
 from tactiled.web.keys import Keys
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
+from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, until
 from tests.web.test_rest import problem
 
 TOUCHED = Path("/tmp/was-here-by-a-film")
@@ -139,7 +139,7 @@ FOREIGN = (
 
 
 def test_no_page_of_another_site_controls_anything(rig, url):
-    with httpx.Client(base_url=url, timeout=BUSY_S) as client:
+    with httpx.Client(**HTTP, base_url=url) as client:
         spec = client.get("/api/v1/openapi.json").json()
         verbs = [(verb, path) for path, operations in spec["paths"].items() for verb in set(operations) - {"get"}]
         assert len(verbs) >= 6
@@ -374,7 +374,7 @@ def test_more_than_a_little_behind_a_refusal_is_cut_off(guarded):
 
 
 def test_a_connection_is_kept_where_the_body_has_come(url):
-    with httpx.Client(base_url=url, timeout=BUSY_S) as client:
+    with httpx.Client(**HTTP, base_url=url) as client:
         for answer in (client.post(TARE, content=b"x" * 1000), client.put(METHOD, content=b"{"), client.get("/")):
             assert "connection" not in answer.headers
 
@@ -553,7 +553,7 @@ def test_no_answer_holds_a_secret(rig, place):
         port=0, read_token=SecretStr(tokens[0]), control_token=SecretStr(tokens[1]), recordings=place / "r"
     )
     seen = 0
-    with running(rig.service, asked) as url, httpx.Client(base_url=url, timeout=BUSY_S) as client:
+    with running(rig.service, asked) as url, httpx.Client(**HTTP, base_url=url) as client:
         client.headers["Authorization"] = f"Bearer {tokens[1]}"
         for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
             if "get" in operations:

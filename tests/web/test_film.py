@@ -8,16 +8,16 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
-import httpx
 import numpy as np
 import pytest
 
 from tactiled import offline
 from tactiled.config.build import sensor_plan
 from tactiled.offline import Offline
-from tactiled.web import body, film, server
+from tactiled.web import body, film
+from tactiled.web.http import bounds
 from tactiled.web.server import running
-from tests.conftest import until
+from tests.conftest import ask, until
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def npy(array):
 
 
 def post(url, body, **query):
-    return httpx.post(f"{url}/api/v1/restore", params={"sensor": "palm"} | query, content=body, timeout=30)
+    return ask("POST", f"{url}/api/v1/restore", params={"sensor": "palm"} | query, content=body, timeout=30)
 
 
 @pytest.mark.parametrize("query", [{}, {"method": "wiener"}, {"noise_kpa": 0.5, "method": "nnls"}])
@@ -140,7 +140,7 @@ def begun(url, who, body=b"", length=5000):
 
 
 def refused(url, who):
-    answer = httpx.post(f"{url}/api/v1/restore?sensor=palm", headers={"X-Forwarded-For": who}, timeout=60)
+    answer = ask("POST", f"{url}/api/v1/restore?sensor=palm", headers={"X-Forwarded-For": who})
     assert answer.status_code == 429
     assert int(answer.headers["retry-after"]) >= 1
     return answer.json()["detail"]
@@ -168,7 +168,7 @@ def test_a_film_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, tmp_p
     films, body = film.Films(), npy(np.zeros((80_000, 8, 8), np.float32))
     monkeypatch.setattr(film, "Films", lambda: films)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(server, "UNREAD_S", 3.0)
+    monkeypatch.setattr(bounds, "UNREAD_S", 3.0)
     with running(rig.service) as url, begun(url, "10.0.0.1", body, len(body)) as end:
         assert end.recv(12) == b"HTTP/1.1 200"
         assert refused(url, "10.0.0.1") == "another film of 10.0.0.1 comes in or goes out: wait"

@@ -6,7 +6,7 @@ from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, until
+from tests.conftest import HTTP, ask, pressed, until
 
 ASKED = {"Accept-Encoding": "gzip"}
 OTHER = ("date", "x-tactiled-age")  # at another time
@@ -28,7 +28,7 @@ def client(rig, tmp_path):
     until(lambda: rig.sensor.status().state == "stale")
     with (
         running(rig.service, Server(port=0, recordings=tmp_path)) as url,
-        httpx.Client(base_url=url, timeout=BUSY_S) as made,
+        httpx.Client(**HTTP, base_url=url) as made,
     ):
         yield made
 

@@ -7,7 +7,7 @@ from websockets.sync.client import connect
 from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONFIG, ask, pressed
+from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed
 from tests.web.test_attacks import raw
 
 READ, CONTROL = "r" * 16, "c" * 16
@@ -45,7 +45,7 @@ def test_the_read_token_reads_and_the_control_token_controls(guarded, rig):
 
 
 def test_a_browser_keeps_the_token_where_no_script_reads_it(guarded):
-    with httpx.Client(base_url=guarded, timeout=BUSY_S) as browser:
+    with httpx.Client(**HTTP, base_url=guarded) as browser:
         answer = browser.get("/", params={"token": READ})
         assert (answer.status_code, answer.headers["location"]) == (303, "/")
         cookie = answer.headers["set-cookie"]

@@ -12,14 +12,14 @@ from tactiled.service import Service
 from tactiled.state import State
 from tactiled.web import log
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
+from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, until
 from tests.web.test_attacks import plug
 from tests.web.test_rest import problem
 
 
 @pytest.fixture
 def client(url):
-    with httpx.Client(base_url=url + "/api/v1", timeout=60) as made:
+    with httpx.Client(**HTTP, base_url=url + "/api/v1") as made:
         yield made
 
 
@@ -90,7 +90,7 @@ def test_what_is_wrong_is_named(client, query):
 def test_recordings_are_told(rig, tmp_path):
     with (
         running(rig.service, Server(port=0, recordings=tmp_path)) as url,
-        httpx.Client(base_url=url + "/api/v1", timeout=BUSY_S) as client,
+        httpx.Client(**HTTP, base_url=url + "/api/v1") as client,
     ):
         client.post("/recordings", json={"bus": "can0", "name": "a.log"})
         client.post("/recordings/a.log/stop")

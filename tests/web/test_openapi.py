@@ -20,7 +20,7 @@ from tactiled.config import Server
 from tactiled.restore.methods import METHODS
 from tactiled.state import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, until
+from tests.conftest import BUSY_S, HTTP, ask, pressed, until
 
 ELSEWHERE = {"/api/v1/sensors/{name}/frames/shear"}  # of other skins than this one
 ORDER = ("post", "put", "get", "delete")
@@ -74,7 +74,7 @@ def test_no_generated_request_finds_a_fault(whole):
 
 @pytest.fixture
 def said(whole):
-    return httpx.get(whole + "/api/v1/openapi.json", timeout=BUSY_S).json()
+    return ask("GET", whole + "/api/v1/openapi.json").json()
 
 
 def test_every_example_is_valid(said):
@@ -94,7 +94,7 @@ def test_every_example_is_valid(said):
 
 def test_every_example_has_the_shape_of_what_the_service_gives(whole, said):
     asked = 0
-    with httpx.Client(base_url=whole, timeout=BUSY_S) as client:
+    with httpx.Client(**HTTP, base_url=whole) as client:
         for path, method, operation in sorted(operations(said), key=lambda each: ORDER.index(each[1])):
             body = operation.get("requestBody", {}).get("content", {}).get("application/json", {}).get("example")
             place = path.format(name="grasp.log" if "recordings" in path else "palm", kind="raw")
@@ -189,7 +189,7 @@ def test_the_example_of_an_error_is_what_comes(rig, tmp_path):
     (tmp_path / "whole.log").write_bytes(bytes(10))
     with (
         running(rig.service, Server(port=0, recordings=tmp_path, **TOKENS)) as url,
-        httpx.Client(base_url=url + "/api/v1", timeout=BUSY_S, headers=CONTROL) as client,
+        httpx.Client(**HTTP, base_url=url + "/api/v1", headers=CONTROL) as client,
     ):
         said = client.get("/openapi.json").json()
         seen = compared(client, said, WRONG)

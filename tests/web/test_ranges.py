@@ -6,7 +6,7 @@ import pytest
 from tactiled.config import Server
 from tactiled.web.app import STATIC
 from tactiled.web.server import running
-from tests.conftest import BUSY_S
+from tests.conftest import HTTP
 from tests.web.test_rest import problem
 
 DATA = bytes(range(200)) * 20
@@ -19,7 +19,7 @@ def client(rig, tmp_path):
     (tmp_path / "grasp.log").write_bytes(DATA)
     with (
         running(rig.service, Server(port=0, recordings=tmp_path)) as url,
-        httpx.Client(base_url=url, timeout=BUSY_S) as made,
+        httpx.Client(**HTTP, base_url=url) as made,
     ):
         yield made
 

@@ -14,7 +14,7 @@ from tactiled.bus import record, recording
 from tactiled.events import Events
 from tactiled.web import problems, recordings
 from tactiled.web.recordings import Recordings, make
-from tests.conftest import BUSY_S, until
+from tests.conftest import HTTP, until
 
 ROOT = "/api/v1/recordings"
 
@@ -28,9 +28,7 @@ def serving(app):
     thread.start()
     while not server.started:
         time.sleep(0.005)
-    with httpx.Client(
-        base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False, timeout=BUSY_S
-    ) as client:
+    with httpx.Client(**HTTP, base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False) as client:
         yield client
     server.should_exit = True
     thread.join()

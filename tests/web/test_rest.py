@@ -15,14 +15,14 @@ from tactiled.config import Server
 from tactiled.pipeline import TARE_FRAMES
 from tactiled.web import answers, asyncapi, common, picture, rates
 from tactiled.web.server import running as serving
-from tests.conftest import GAIN, NO_LOAD, SIDE, pressed, until
+from tests.conftest import GAIN, HTTP, NO_LOAD, SIDE, ask, pressed, until
 
 PNG = "/api/v1/sensors/palm/frames/raw?format=png"
 
 
 @pytest.fixture
 def client(url):
-    with httpx.Client(base_url=url + "/api/v1", timeout=60) as made:
+    with httpx.Client(**HTTP, base_url=url + "/api/v1") as made:
         yield made
 
 
@@ -301,7 +301,7 @@ def test_a_token_may_stand_in_every_address_and_the_viewers_own_takes_anything(c
     assert client.get("/health?token=x").status_code == 200
     assert client.get("/sensors/palm/frames?token=x&last=1s").status_code == 200
     for path in ("/?sensor=palm", "/metrics?x=1", "/static/app.js?1"):
-        assert httpx.get(str(client.base_url.join("/")).rstrip("/") + path, timeout=60).status_code == 200
+        assert ask("GET", str(client.base_url.join("/")).rstrip("/") + path).status_code == 200
 
 
 def test_the_kernel_and_the_geometry(client):
@@ -371,15 +371,15 @@ def test_every_answer_carries_the_security_headers(client):
 def test_clients_record_only_where_a_folder_is_configured(rig, tmp_path):
     for folder, status in ((None, 404), (tmp_path, 200)):
         with serving(rig.service, Server(port=0, recordings=folder)) as url:
-            assert httpx.get(url + "/api/v1/recordings", timeout=60).status_code == status
+            assert ask("GET", url + "/api/v1/recordings").status_code == status
     with serving(rig.service, Server(port=0, recordings=tmp_path)) as url:
-        started = httpx.post(url + "/api/v1/recordings", timeout=60, json={"bus": "can0", "name": "a.log"})
+        started = ask("POST", url + "/api/v1/recordings", json={"bus": "can0", "name": "a.log"})
         assert started.status_code == 201
         for _ in range(5):
             rig.show(pressed())
-        until(lambda: httpx.get(url + "/api/v1/recordings", timeout=60).json()["recordings"][0]["messages"] >= 5)
-        assert httpx.post(url + "/api/v1/recordings/a.log/stop", timeout=60).json()["running"] is False
-        assert httpx.get(url + "/api/v1/recordings/a.log", timeout=60).text.count("#") >= 5
+        until(lambda: ask("GET", url + "/api/v1/recordings").json()["recordings"][0]["messages"] >= 5)
+        assert ask("POST", url + "/api/v1/recordings/a.log/stop").json()["running"] is False
+        assert ask("GET", url + "/api/v1/recordings/a.log").text.count("#") >= 5
 
 
 @pytest.fixture
@@ -401,19 +401,17 @@ def drawing(monkeypatch):
 
 
 @pytest.fixture
-def ask(url):
+def image_for(url):
     """Asks for a picture as one of some clients."""
-    return lambda who, **headers: httpx.get(
-        url + PNG, timeout=60, headers={"X-Forwarded-For": f"10.0.0.{who}"} | headers
-    )
+    return lambda who, **headers: ask("GET", url + PNG, headers={"X-Forwarded-For": f"10.0.0.{who}"} | headers)
 
 
-def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, client, ask, drawing):
+def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, client, image_for, drawing):
     """More pictures than the service has threads, of which the first is not done before something else is."""
     rig.show(pressed())
     go_on, begun = drawing
     with ThreadPoolExecutor(50) as many:
-        answers = [many.submit(ask, number % 5) for number in range(50)]
+        answers = [many.submit(image_for, number % 5) for number in range(50)]
         until(lambda: begun, 60)
         assert client.get("/sensors/palm").status_code == 200
         assert client.get("/sensors/palm/frames/deviation").status_code == 200
@@ -431,16 +429,16 @@ def test_what_costs_much_is_made_one_at_a_time_and_the_rest_does_not_wait(rig, c
     ],
 )
 def test_no_more_than_a_few_wait_for_their_turn(
-    rig, client, ask, drawing, monkeypatch, bound, clients, says, another
+    rig, client, image_for, drawing, monkeypatch, bound, clients, says, another
 ):
     monkeypatch.setattr(rates, bound, 3)
     rig.show(pressed())
     go_on, _ = drawing
     with ThreadPoolExecutor(21) as many:
-        answers = [many.submit(ask, number % clients) for number in range(20)]
+        answers = [many.submit(image_for, number % clients) for number in range(20)]
         until(lambda: sum(each.done() for each in answers) == 16, 60)
         assert client.get("/sensors/palm/frames").status_code == 200  # another kind
-        other = many.submit(ask, 99)
+        other = many.submit(image_for, 99)
         until(lambda: other.done() == (another == 429), 60)
         go_on.set()
         assert other.result().status_code == another
@@ -459,10 +457,10 @@ def test_who_finds_the_queue_full_has_not_asked(rig, monkeypatch):
         with monkeypatch.context() as full:
             full.setattr(rates, "MOST_WAITING", 0)
             for _ in range(3):
-                says = problem(httpx.get(url + PNG, timeout=60), 429)
+                says = problem(ask("GET", url + PNG), 429)
                 assert says == "0 such answers are waited for already: wait"
-        assert httpx.get(url + PNG, timeout=60).status_code == 200
-        assert problem(httpx.get(url + PNG, timeout=60), 429) == "more than 6 a minute: wait"
+        assert ask("GET", url + PNG).status_code == 200
+        assert problem(ask("GET", url + PNG), 429) == "more than 6 a minute: wait"
 
 
 def test_an_image_that_is_known_already_waits_for_nobody_and_does_not_count(rig, drawing):
@@ -471,11 +469,11 @@ def test_an_image_that_is_known_already_waits_for_nobody_and_does_not_count(rig,
     until(lambda: rig.sensor.status().state == "stale")  # and so it stays: its tag is known
     with serving(rig.service, Server(port=0, control_per_minute=6)) as url, ThreadPoolExecutor(1) as other:
         go_on.set()
-        known = {"If-None-Match": httpx.get(url + PNG, timeout=60).headers["etag"]}
+        known = {"If-None-Match": ask("GET", url + PNG).headers["etag"]}
         go_on.clear()
-        drawn = other.submit(httpx.get, url + PNG, timeout=60, headers={"X-Forwarded-For": "10.0.0.1"})
+        drawn = other.submit(ask, "GET", url + PNG, headers={"X-Forwarded-For": "10.0.0.1"})
         until(lambda: len(begun) == 2, 60)
-        assert [httpx.get(url + PNG, headers=known, timeout=60).status_code for _ in range(5)] == [304] * 5
+        assert [ask("GET", url + PNG, headers=known).status_code for _ in range(5)] == [304] * 5
         go_on.set()
         assert drawn.result().status_code == 200
     assert len(begun) == 2
@@ -487,12 +485,12 @@ def test_nothing_is_drawn_for_a_client_that_has_left_and_its_place_is_free_at_on
     monkeypatch.setattr(common, "Turns", lambda each: made.append(rates.Turns(each)) or made[-1])
     rig.show(pressed())
     with serving(rig.service) as url, ThreadPoolExecutor(1) as other:
-        first = other.submit(httpx.get, url + PNG, timeout=60)
+        first = other.submit(ask, "GET", url + PNG)
         until(lambda: begun, 60)
         with socket.create_connection(url[7:].split(":")) as leaves:
             leaves.sendall(f"GET {PNG} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
             until(lambda: sum(turns._waiting.total() for turns in made) == 1, 60)
         until(lambda: sum(turns._waiting.total() for turns in made) == 0, 60)
         go_on.set()
-        assert [first.result().status_code, httpx.get(url + PNG, timeout=60).status_code] == [200, 200]
+        assert [first.result().status_code, ask("GET", url + PNG).status_code] == [200, 200]
     assert begun == [True, True]

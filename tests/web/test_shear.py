@@ -16,7 +16,7 @@ from tactiled.web import window
 from tactiled.web.server import running
 from tactiled.web.shear import Shear
 from tactiled.web.wire import unpack
-from tests.conftest import BUSY_S, ask
+from tests.conftest import BUSY_S, HTTP, ask
 from tests.skin import PALM, X, Y, rigged
 
 LACKS = "sensor 'palm': its codec packed carries no shear"
@@ -27,7 +27,7 @@ def skin(request):
     with ExitStack() as stack:
         rig = stack.enter_context(rigged(request.node.name))
         url = stack.enter_context(running(rig.service))
-        yield rig.show, stack.enter_context(httpx.Client(base_url=url + "/api/v1/sensors", timeout=BUSY_S))
+        yield rig.show, stack.enter_context(httpx.Client(**HTTP, base_url=url + "/api/v1/sensors"))
 
 
 def stream(client, query=""):

@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web import window
 from tactiled.web.server import running
-from tests.conftest import Rig, ask, meanwhile, pressed, until
+from tests.conftest import HTTP, Rig, ask, meanwhile, pressed, until
 from tests.web.test_rest import problem
 
 PATH = "/api/v1/sensors/palm/frames"
@@ -25,7 +25,7 @@ def images(rig):
 
 
 def get(url, **query):
-    return httpx.get(url + PATH, params=query, timeout=60)
+    return ask("GET", url + PATH, params=query)
 
 
 @pytest.mark.parametrize("kind", ["raw", "restored"])
@@ -162,7 +162,7 @@ def test_large_text_is_compressed_for_who_takes_it_and_numbers_are_not(rig, url)
     for _ in range(12):
         rig.show(pressed())
     headers = {"Accept-Encoding": "gzip"}
-    with httpx.Client(base_url=url, headers=headers, timeout=60) as client:
+    with httpx.Client(**HTTP, base_url=url, headers=headers) as client:
         packed = client.get(PATH, params={"last": "60s"})
         assert packed.headers["content-encoding"] == "gzip"
         assert int(packed.headers["content-length"]) < len(packed.content) / 3
