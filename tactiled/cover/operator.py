@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
@@ -23,7 +24,11 @@ Floats = NDArray[np.float64]
 BAND = 4.0  # ratio of neighbouring bands' cut-offs
 FALL = 4.6  # a Gaussian exp(-x^2) is as good as 0 (1e-9) here
 RANGE = 6.0  # a band from q on reaches this over q in space: four times its Gaussian's own FALL / pi
-CODE = Path(__file__).read_bytes()  # a cached table of other code is not ours
+CODE = (  # a cached table of other code is not ours
+    np.__version__,
+    scipy.__version__,
+    *(each.read_bytes() for each in sorted(Path(__file__).parent.glob("*.py"))),
+)
 FINEST = 1000.0  # cycles a cell or, if wider, its mean with the aperture, beyond which they leave 1e-7 of the peak
 
 
@@ -83,7 +88,7 @@ def cached(
     cover = make.__name__, kernel.q, kernel.gain
     taxels = array.positions, array.shape, array.pitch, array.width, array.aperture
     cells = (more.pieces, more.side, more.owner) if isinstance(more, Cells) else (more,)
-    return kept(folder, (CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
+    return kept(folder, (*CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
 
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:

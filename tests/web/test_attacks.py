@@ -578,7 +578,7 @@ def test_no_answer_holds_the_login_of_a_bus(place, monkeypatch):
         url = stack.enter_context(running(service, Server(port=0, recordings=place / "recordings")))
         stream = stack.enter_context(connect(url.replace("http", "ws", 1) + "/api/v1/sensors/palm/stream"))
         monkeypatch.setattr(can, "Bus", gone)
-        monkeypatch.setattr(VirtualBus, "recv", gone)
+        monkeypatch.setattr(VirtualBus, "_recv_internal", gone)
         until(lambda: service.sensors["palm"].status().state == "down" and service.events.newest)
         started = ask("POST", url + "/api/v1/recordings", json={"bus": "can0"})
         told = [problem(started, 503), next(each for each in stream if '"down"' in each)]

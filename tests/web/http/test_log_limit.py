@@ -16,5 +16,5 @@ def test_of_each_kind_a_few_a_minute_are_logged_and_the_others_counted(caplog):
     ]
     assert len(caplog.records) == MAX_A_MINUTE + 1
     now = 60.0
-    log.error("client %d is odd", 99)
-    assert caplog.records[-1].message == "client 99 is odd (7 like it were left out before)"
+    log.error("client 127.0.0.1:99 is %s", "odd")
+    assert caplog.records[-1].message == "client 127.0.0.1:99 is odd (7 like it were left out before)"
