@@ -131,6 +131,7 @@ class Assembler:
             self.count("repeated")
             if held != reading.payload:
                 frame.disputed.add(reading.segment)
+                frame.ended = max(frame.ended, reading.time)
             return closed
         if reading.segment < frame.highest and self.codec.modulus is not None:
             self.count("late")

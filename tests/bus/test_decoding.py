@@ -15,7 +15,7 @@ from tactiled.bus import recording
 from tactiled.bus.decoding import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, is_gone
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.bus.record import Recorder, open_tap, record
-from tactiled.cli.record import record_
+from tactiled.cli import record as command
 from tactiled.config import parse
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -274,7 +274,7 @@ def test_the_command_tells_how_much_was_unreadable(tmp_path, capsys, throw, port
 
     thread = threading.Thread(target=send)
     thread.start()
-    record_(out, config, None, None, None, None, False, 1.0, 0.0)
+    command.record(out, config, None, None, None, None, False, 1.0, 0.0)
     done.set()
     thread.join()
     assert "a.log: 0 messages, and " in (told := capsys.readouterr().out)

@@ -112,18 +112,6 @@ def test_it_ends_before_the_disk_is_full(tmp_path, request, monkeypatch, leaves,
     assert numbers(out) == list(range(200))
 
 
-def test_a_file_that_another_program_empties_meanwhile_is_no_success(tmp_path, multicast):
-    out = tmp_path / "a.log"
-    process = started(out)
-    for number in range(50):
-        multicast(number)
-    until(lambda: out.stat().st_size > 1000)
-    out.write_bytes(b"")
-    _, says = process.communicate(timeout=BUSY_S)
-    assert process.returncode == 2
-    assert re.search(r"a\.log: was changed by another program: it has 0 bytes, \d+ were written", says)
-
-
 @pytest.mark.parametrize(
     ("arguments", "error", "says"),
     [
@@ -168,6 +156,18 @@ def send(multicast):
         yield lambda number: bus.send(
             can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big"))
         )
+
+
+def test_a_file_that_another_program_empties_meanwhile_is_no_success(tmp_path, multicast, send):
+    out = tmp_path / "a.log"
+    process = started(out, multicast)
+    for number in range(50):
+        send(number)
+    until(lambda: out.stat().st_size > 1000)
+    out.write_bytes(b"")
+    _, says = process.communicate(timeout=BUSY_S)
+    assert process.returncode == 2
+    assert re.search(r"a\.log: was changed by another program: it has 0 bytes, \d+ were written", says)
 
 
 def test_kill_9_leaves_all_but_the_last_second(tmp_path, multicast, send):

@@ -109,15 +109,17 @@ def check(name, data):
 
 
 def _judge(name, frame, within):
-    """Hold a frame to the first reading of each segment that came while it was open, with its sequence number."""
+    """Hold a frame to the readings of its sequence number that came while it was open, once or the same again."""
     codec = SKINS[name]
     payloads, flags, bad = [None] * codec.segments, bytearray((MISSING,)) * codec.size, []
-    for reading in within:
-        if reading.sequence == within[0].sequence and payloads[reading.segment] is None:
-            payloads[reading.segment] = reading.payload
-            bad += reading.bad
-            for taxel in SPANS[name][reading.segment]:
-                flags[taxel] = 0
+    own = [reading for reading in within if reading.sequence == within[0].sequence]
+    for reading in own:
+        if any(each.segment == reading.segment and each.payload != reading.payload for each in own):
+            continue
+        payloads[reading.segment] = reading.payload
+        bad += reading.bad
+        for taxel in SPANS[name][reading.segment]:
+            flags[taxel] = 0
     for taxel in bad:
         flags[taxel] |= BAD
     if frame.flags.tobytes() != flags:
