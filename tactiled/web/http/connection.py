@@ -101,7 +101,7 @@ class Connection(asyncio.Protocol):
             if self.state is State.TLS:  # right behind the handshake
                 self._backlog += data
             return
-        if self._backlog or self._turn or len(data) > self._bound.piece:
+        if self._backlog or self._turn or self._is_held() or len(data) > self._bound.piece:
             self._backlog += data
         else:
             self._take(data)
@@ -124,10 +124,12 @@ class Connection(asyncio.Protocol):
         state = self._find_state()
         if state is not self.state and not self.transport.is_closing():
             self._enter(state)
+            self._arrange_reading()
 
     def upgrade(self, protocol: WebSocket) -> None:
         """Go on as a WebSocket."""
         self._inner = protocol
+        self.update()
 
     def pause(self, paused: bool) -> None:
         """Hand no more on while the inner protocol wants nothing."""
@@ -245,7 +247,7 @@ class Connection(asyncio.Protocol):
         if not self._opened or self.transport.is_closing():
             self._backlog.clear()
             return
-        held = not self.half_closed and (self._paused or (self._unread and isinstance(self._inner, WebSocket)))
+        held = self._is_held()
         rest = self._rest()
         if not held and self._turn is None and (self._backlog or rest):
             self._turn = self._loop.call_later(rest, self._take_turn)
@@ -257,11 +259,19 @@ class Connection(asyncio.Protocol):
     def _take_turn(self) -> None:
         self._turn = None
         size = self._bound.piece
-        piece = bytes(self._backlog[:size])
-        del self._backlog[:size]
-        if piece and not self.transport.is_closing():
+        if self._backlog and not self._is_held() and not self.transport.is_closing():
+            piece = bytes(self._backlog[:size])
+            del self._backlog[:size]
             self._take(piece)
         self._arrange_reading()
+
+    def _is_held(self) -> bool:
+        """Whether the inner protocol must not have more now: it said so, or its handshake or client is behind."""
+        if self.half_closed:
+            return False
+        inner = self._inner
+        behind = isinstance(inner, WebSocket) and (self._unread or not inner.handshake_complete)
+        return self._paused or behind
 
     def _cancel(self) -> None:
         for timer in (self._deadline, self._turn):

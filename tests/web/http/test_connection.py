@@ -16,14 +16,16 @@ from tactiled.web.http import places
 from tactiled.web.http.bounds import MAX_FRAGMENTS, MAX_HEAD, State
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.places import Places
+from tactiled.web.http.protocols import WebSocket
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask
 from tests.web.test_attacks import bound, closed_after, plug, said
 
 
 async def app(scope, receive, send):
-    """Reads the body and answers with its length."""
-    del scope
+    """Reads the body and answers with its length; leaves a WebSocket's handshake without an answer."""
+    if scope["type"] == "websocket":
+        await asyncio.Event().wait()
     length, more = 0, True
     while more:
         message = await receive()
@@ -37,9 +39,8 @@ def talk():
     """Hands pieces to a connection as they are; gives what it says, and whether it is cut off or closed."""
 
     async def go(pieces, seconds):
-        made = Connection(
-            uvicorn.Config(app, h11_max_incomplete_event_size=MAX_HEAD), ServerState(), {}, places=Places(9)
-        )
+        config = uvicorn.Config(app, ws=WebSocket, h11_max_incomplete_event_size=MAX_HEAD)
+        made = Connection(config, ServerState(), {}, places=Places(9))
         end = Mock(asyncio.Transport)
         end.get_extra_info.return_value, end.is_closing.return_value = None, False
         made.connection_made(end)
@@ -246,3 +247,18 @@ def test_an_idle_connection_is_closed_behind_what_is_still_to_be_sent(talk, monk
     bound(monkeypatch, State.IDLE, seconds=0.1)
     _, cut, closed = talk(HEAD + b"\r\n", wait=0.3)
     assert (cut, closed) == (False, True)
+
+
+def test_frames_before_the_answer_to_a_handshake_wait_for_it(talk):
+    """The library knows of none before, not even of one that is wrong."""
+    assert talk(f"{UPGRADE}\r\n".encode(), b"\xff" * 8) == (b"", False, False)
+
+
+def test_a_handshake_behind_another_request_is_one(url, caplog):
+    with plug(url) as end, caplog.at_level("WARNING"):
+        end.sendall(f"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\n\r\n{UPGRADE}\r\n".encode())
+        for _ in range(50):
+            end.sendall(b"\xff" * 8)
+        answers = said(end)
+    assert answers.count(b"HTTP/1.1 200") == answers.count(b"HTTP/1.1 101") == 1
+    assert not caplog.records
