@@ -31,7 +31,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
 from tactiled.errors import ConfigError, LoadedError, TactileError
-from tactiled.web.wire import PRESSURES, Kind, Unpacked, unpack
+from tactiled.wire import PRESSURES, Kind, Unpacked, unpack
 
 LOG = logging.getLogger(__name__)
 QUIET = logging.getLogger(f"{__name__}.websockets")  # what it has to say of a connection that ends, LOG says

@@ -15,7 +15,7 @@ import pytest
 
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tactiled.web.server import running
 
 # A shell that runs the tests in the background has them, and all that they start, ignore it.

@@ -9,7 +9,7 @@ import numpy as np
 from tactiled.bus.codecs.xela import REST
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tests.conftest import meanwhile, until
 
 CONFIG = """

@@ -28,7 +28,7 @@ from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Image as Frame
 from tactiled.web.server import running
-from tactiled.web.wire import pack
+from tactiled.wire import pack
 from tests.conftest import BUSY_S, Clock, pressed, until
 from tests.skin import PALM, X, Y, rigged
 
@@ -180,8 +180,8 @@ def test_of_several_sensors_a_fast_loop_waits_for_none_and_what_waits_is_renewed
 @pytest.mark.usefixtures("playing")
 def test_a_loop_that_pauses_a_minute_costs_no_connection(url, monkeypatch, caplog):
     """Told a thousand times how the sensor is, the client still reads."""
-    monkeypatch.setattr("tactiled.web.stream.STATUS_S", 0.0)
-    monkeypatch.setattr("tactiled.web.stream.CHANGE_S", 0.0)
+    monkeypatch.setattr("tactiled.web.ws.stream.STATUS_S", 0.0)
+    monkeypatch.setattr("tactiled.web.ws.stream.CHANGE_S", 0.0)
     stream = connect(url).stream("palm", patience_s=BUSY_S)
     before = next(stream)
     time.sleep(1)  # some hundred messages

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bench.charts import figure
-from tactiled.bench.skin import Skin, rubber
 from tactiled.restore.methods import make
+from tactiled.study.charts import figure
+from tactiled.study.skin import Skin, rubber
 
 Floats = NDArray[np.float64]
 THICKNESS = 2.0  # pitches; the pitch is 1 mm

@@ -7,8 +7,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from tactiled.bench import bus as measure
-from tactiled.bench.machine import describe
+from tactiled.study import bus as measure
+from tactiled.study.machine import describe
 
 CHANNEL = "tactiled-bench"  # of the virtual bus
 LINKS, VCANS = Path("/sys/class/net"), ("vcan0", "vcan1")

@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.contacts import Found, measure
-from tactiled.bench.machine import describe
+from tactiled.study.contacts import Found, measure
+from tactiled.study.machine import describe
 
 THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
 NOISES = (0.002, 0.01, 0.05)  # of the frame's peak

@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.cover import Times, Trial, sweep, times
-from tactiled.bench.machine import describe
+from tactiled.study.cover import Times, Trial, sweep, times
+from tactiled.study.machine import describe
 
 
 def cover(

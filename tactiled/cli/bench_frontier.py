@@ -9,11 +9,11 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.machine import describe
 from tactiled.errors import ConfigError
+from tactiled.study.machine import describe
 
 if TYPE_CHECKING:
-    from tactiled.bench import frontier as measure
+    from tactiled.study import frontier as measure
 
 
 def frontier(
@@ -24,10 +24,10 @@ def frontier(
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
     """Chart error against time for every method of ours and for others', in one run on one thread."""
-    from tactiled.bench import frontier as measure  # matplotlib and scikit-image take a second
-    from tactiled.bench.frontier_chart import draw
-    from tactiled.bench.peers import absent
-    from tactiled.bench.skin import configured, rubber
+    from tactiled.study import frontier as measure  # matplotlib and scikit-image take a second
+    from tactiled.study.frontier_chart import draw
+    from tactiled.study.peers import absent
+    from tactiled.study.skin import configured, rubber
 
     effort = measure.QUICK if quick else measure.Effort()
     folder = made(out)
@@ -58,7 +58,7 @@ def made(folder: Path) -> Path:
 
 def _table(found: "list[measure.Panel]") -> Table:
     """One row a panel: error and time of ours, the best of others' settings."""
-    from tactiled.bench.peers import ours
+    from tactiled.study.peers import ours
 
     table = Table(title="NRMSE, and median µs a frame", title_justify="left")
     names = ["auto", "raw", "wiener", "nnls", "tv", "rl", "rl-fast"]

@@ -7,10 +7,10 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.latency import Latency, measure
-from tactiled.bench.machine import describe
 from tactiled.cli.demo import demo_config, simulated
-from tactiled.service import Service
+from tactiled.runtime.service import Service
+from tactiled.study.latency import Latency, measure
+from tactiled.study.machine import describe
 
 
 def latency(

@@ -18,8 +18,8 @@ def picard(
     seed: Annotated[int, typer.Option(help="Of the scene's places and the noise.", min=0)] = 1,
 ) -> None:
     """Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise."""
-    from tactiled.bench import picard as measure
-    from tactiled.bench.skin import configured, rubber
+    from tactiled.study import picard as measure
+    from tactiled.study.skin import configured, rubber
 
     folder = made(out)
     with threadpool_limits(1):

@@ -20,9 +20,9 @@ def report(
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
     """Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables."""
-    from tactiled.bench import report as make  # matplotlib and scikit-image take a second
-    from tactiled.bench.report_page import write
-    from tactiled.bench.skin import configured
+    from tactiled.study import report as make  # matplotlib and scikit-image take a second
+    from tactiled.study.report_page import write
+    from tactiled.study.skin import configured
 
     folder = made(out)
     columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())

@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.machine import describe
-from tactiled.bench.restore import OURS, Accuracy, Moving, Speed, accuracy, moving, speed
-from tactiled.bench.truth import DRAWN, presses
+from tactiled.study.machine import describe
+from tactiled.study.restore import OURS, Accuracy, Moving, Speed, accuracy, moving, speed
+from tactiled.study.truth import DRAWN, presses
 
 SIZES = (16, 32, 64)
 THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch

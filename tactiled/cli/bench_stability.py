@@ -10,12 +10,12 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.bench.machine import describe
 from tactiled.cli.bench_frontier import made
+from tactiled.study.machine import describe
 
 if TYPE_CHECKING:
-    from tactiled.bench.pairs import Pair
-    from tactiled.bench.stability import Found
+    from tactiled.study.pairs import Pair
+    from tactiled.study.stability import Found
 
 SHOWN = 5  # pairs
 
@@ -28,12 +28,12 @@ def stability(
     seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
-    from tactiled.bench import pairs
-    from tactiled.bench import stability as measure  # matplotlib and scikit-image take a second
-    from tactiled.bench.skin import configured
-    from tactiled.bench.stability_chart import calibration, draw
-    from tactiled.bench.stability_files import write
-    from tactiled.bench.sweeps import sweeps
+    from tactiled.study import pairs
+    from tactiled.study import stability as measure  # matplotlib and scikit-image take a second
+    from tactiled.study.skin import configured
+    from tactiled.study.stability_chart import calibration, draw
+    from tactiled.study.stability_files import write
+    from tactiled.study.sweeps import sweeps
 
     folder = made(out)
     with threadpool_limits(1):
@@ -58,8 +58,8 @@ def stability(
 
 def _table(found: "Found") -> Table:
     """Which methods break at each fault, and where; a column for each would be too narrow to read."""
-    from tactiled.bench.stability import table as judged
-    from tactiled.bench.stability_table import HEADINGS, lines
+    from tactiled.study.stability import table as judged
+    from tactiled.study.stability_table import HEADINGS, lines
 
     table = Table(title="Methods whose mean error is over 1.02 times the raw image's", title_justify="left")
     for name in ("goes wrong", "worse than raw from", "noticed on auto"):
@@ -73,8 +73,8 @@ def _table(found: "Found") -> Table:
 
 def _unnoticed(found: "Found") -> Iterator[str]:
     """Faults of which not all is noticed by a warning, and what shows them."""
-    from tactiled.bench.stability import table
-    from tactiled.bench.stability_table import lines
+    from tactiled.study.stability import table
+    from tactiled.study.stability_table import lines
 
     for *row, worst, noticed, by in lines(table(found)):
         if by or noticed.startswith("no ("):
@@ -82,7 +82,7 @@ def _unnoticed(found: "Found") -> Iterator[str]:
 
 
 def _pairs(together: "Sequence[Pair]") -> Iterator[str]:
-    from tactiled.bench import pairs
+    from tactiled.study import pairs
 
     for pair in pairs.worst(together, SHOWN):
         ratios = ", ".join(f"{method} {over:.2f}" for method, over in pair.over_raw.items() if method != "raw")
@@ -91,7 +91,7 @@ def _pairs(together: "Sequence[Pair]") -> Iterator[str]:
 
 
 def _silent(found: "Found", together: "Sequence[Pair]") -> Iterator[str]:
-    from tactiled.bench import silence
+    from tactiled.study import silence
 
     listed = silence.listed(found, together)
     yield silence.verdict(listed)

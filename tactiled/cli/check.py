@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from tactiled.build import SensorPlan
 from tactiled.cli.prepare import prepared
 from tactiled.config import tls
-from tactiled.config.build import SensorPlan
-from tactiled.cover.meaning import Meaning, meaning
-from tactiled.foxglove import need
+from tactiled.cover.summary import Meaning, meaning
+from tactiled.interop.foxglove import need
 
 
 def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from tactiled.build import make_array, make_stack
 from tactiled.config import load
-from tactiled.config.build import make_array, make_stack
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
-from tactiled.cover.meaning import Meaning, meaning
 from tactiled.cover.stack import Layer, Profile, Stack
+from tactiled.cover.summary import Meaning, meaning
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, grid
 
@@ -204,7 +204,7 @@ def _show_press(radius: float | None, press: Press | None) -> None:
 
 def _plot(path: Path, kernel: Kernel) -> None:
     """Draw the kernel beside the other model's, which knows flat layers only."""
-    from tactiled.bench import charts  # matplotlib takes half a second that only this option needs
+    from tactiled.study import charts  # matplotlib takes half a second that only this option needs
 
     if kernel.profile:
         raise ConfigError("--plot draws both models, and the exact one knows no --profile: leave one of them out")

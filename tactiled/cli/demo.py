@@ -10,18 +10,18 @@ import typer
 from pydantic import SecretStr
 from threadpoolctl import threadpool_limits
 
+from tactiled.build import make_stack
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli.app import stoppable
 from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
-from tactiled.config.build import make_stack
 from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
-from tactiled.sensor import Sensor
-from tactiled.service import Service
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
 from tactiled.simulate import Player, play, player
 from tactiled.web.server import serve
 

@@ -13,17 +13,17 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from tactiled import __version__
+from tactiled.build import SensorPlan, make_codec, sensor_plan
 from tactiled.bus.replay import Recording, frames
 from tactiled.bus.router import Router
 from tactiled.cli.app import choose
 from tactiled.cli.replay import one_bus
 from tactiled.cli.sinks import FORMATS, Sink
 from tactiled.config import Config, load
-from tactiled.config.build import SensorPlan, make_codec, sensor_plan
 from tactiled.errors import ConfigError, TactileError
 from tactiled.files import whole
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Loss, Message
-from tactiled.pipeline import Pipeline
+from tactiled.runtime.pipeline import Pipeline
 
 FLAGS = {"MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED}
 SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"

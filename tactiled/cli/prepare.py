@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from tactiled.config import load
-from tactiled.service import Service
-from tactiled.state import State, default
+from tactiled.runtime.service import Service
+from tactiled.runtime.state import State, default
 
 
 def prepared(config: Path) -> Service:

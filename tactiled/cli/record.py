@@ -6,8 +6,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from tactiled.bus.record import Recorder, open_tap
-from tactiled.bus.record import record as record_bus
+from tactiled.bus.recorder import Recorder, open_tap
+from tactiled.bus.recorder import record as record_bus
 from tactiled.cli.app import choose, interrupted
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError

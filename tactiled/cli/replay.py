@@ -11,8 +11,8 @@ from tactiled.bus.replay import Replay
 from tactiled.cli.app import choose, stoppable
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
-from tactiled.sensor import Sensor
-from tactiled.service import Service
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
 from tactiled.web.server import serve
 
 

@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
+from tactiled.build import SensorPlan, sensor_plan
 from tactiled.cli.app import INTERRUPTED, interrupted
 from tactiled.config import Config, load
-from tactiled.config.build import SensorPlan, sensor_plan
 from tactiled.errors import ConfigError, UnknownSensorError
-from tactiled.offline import Offline, Told, created, opened, write
 from tactiled.restore.methods import METHODS
+from tactiled.runtime.offline import Offline, Told, created, opened, write
 
 LONG = 2000  # frames from which there is progress to show
 

@@ -8,11 +8,11 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
+from tactiled.build import make_array, make_calibration, make_codec, make_stack
 from tactiled.bus.codecs import talk_of
 from tactiled.bus.reader import open_bus
 from tactiled.cli.app import choose, interrupted
 from tactiled.config import Config, Sensor, load, parse
-from tactiled.config.build import make_array, make_calibration, make_codec, make_stack
 from tactiled.config.codecs import Packed
 from tactiled.config.example import EXAMPLE
 from tactiled.cover.kernel import solve

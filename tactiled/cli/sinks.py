@@ -10,11 +10,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from tactiled import __version__, foxglove
+from tactiled import __version__
+from tactiled.build import SensorPlan
 from tactiled.cli.columns import Arrays, Columns, save_hdf5, save_npz
-from tactiled.config.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
+from tactiled.interop import foxglove
 
 METHOD = "<U16"  # longer than any method's name
 

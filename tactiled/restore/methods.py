@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
+from tactiled.restore.auto import POINTS, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.choose import POINTS, Auto
-from tactiled.restore.gaps import Gaps
-from tactiled.restore.linear import Wiener, deviation, untouched
-from tactiled.restore.lucy import Lucy
+from tactiled.restore.inpaint import Gaps
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import HUGE
-from tactiled.restore.nonneg import Nonneg
+from tactiled.restore.nonnegative import Nonneg
 from tactiled.restore.points import Point, Points
+from tactiled.restore.richardson_lucy import Lucy
 from tactiled.restore.scene import Restored, Scene
-from tactiled.restore.variation import Variation
+from tactiled.restore.total_variation import Variation
+from tactiled.restore.wiener import Wiener, deviation, untouched
 from tactiled.restore.window import Windowed, fits
 
 Run = Callable[[Image], Restored]

@@ -4,13 +4,13 @@ from math import prod, sqrt
 
 import numpy as np
 
+from tactiled.restore.auto import ITERATED, REVIEW, SURE, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.choose import ITERATED, REVIEW, SURE, Auto
-from tactiled.restore.linear import deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import outstanding
 from tactiled.restore.points import Point
 from tactiled.restore.scene import Restored, Scene
+from tactiled.restore.wiener import deviation
 
 SIDE = 32  # taxels
 LEAST = 2  # times the window's taxels: on a grid of fewer, looking costs what solving less saves

@@ -6,14 +6,14 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.build import UNCALIBRATED
 from tactiled.bus.faults import KINDS
-from tactiled.config.build import UNCALIBRATED
-from tactiled.cover.meaning import meaning
+from tactiled.cover.summary import meaning
 from tactiled.frames import Image
 from tactiled.restore.methods import METHODS
-from tactiled.sensor import Sensor, Status
-from tactiled.service import Service
-from tactiled.web.forms import (
+from tactiled.runtime.sensor import Sensor, Status
+from tactiled.runtime.service import Service
+from tactiled.web.schemas import (
     DECIMALS,
     CalibrationForm,
     ContactForm,

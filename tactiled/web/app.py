@@ -9,31 +9,20 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
 
 from tactiled import __version__
 from tactiled.config import Server
-from tactiled.service import Service
-from tactiled.web import (
-    asyncapi,
-    film,
-    log,
-    metrics,
-    problems,
-    recordings,
-    rest,
-    settings,
-    shear,
-    stream,
-    window,
-    xela,
-)
-from tactiled.web.common import WRONG, declared, turns
-from tactiled.web.constant import constant, text
-from tactiled.web.description import complete
-from tactiled.web.feed import Feed, ticking
-from tactiled.web.guard import Guard
-from tactiled.web.gzip import Gzip
-from tactiled.web.head import Head
-from tactiled.web.keys import Keys
-from tactiled.web.ranges import Ranges
-from tactiled.web.rates import Rates, Streams
+from tactiled.runtime.service import Service
+from tactiled.web.http import problems
+from tactiled.web.http.auth import Guard
+from tactiled.web.http.gzip import Gzip
+from tactiled.web.http.head import Head
+from tactiled.web.http.limits import Rates, Streams
+from tactiled.web.http.ranges import Ranges
+from tactiled.web.http.tokens import Keys
+from tactiled.web.rest import config, events, frames, metrics, recordings, restore, sensors, shear
+from tactiled.web.rest.common import WRONG, declared, turns
+from tactiled.web.rest.constant import constant, text
+from tactiled.web.rest.openapi import complete
+from tactiled.web.ws import asyncapi, stream, xela
+from tactiled.web.ws.feed import Feed, ticking
 
 STATIC = Path(__file__).parent / "static"
 SWAGGER = ("fastapi_offline", "static")  # package and folder that hold Swagger UI
@@ -62,12 +51,12 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     problems.install(app)
     app.state.service, app.state.server = service, server
-    app.state.films = film.Films()
+    app.state.films = restore.Films()
     app.state.constants = {}
     app.state.streams = Streams(server.streams_per_client, server.streams)
-    app.state.waiting = Streams(log.WAITING_PER_CLIENT, log.WAITING, "events_waiting")
+    app.state.waiting = Streams(events.WAITING_PER_CLIENT, events.WAITING, "events_waiting")
     app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
-    for router in (shear.router, rest.router, window.router, log.router, settings.router, film.router):
+    for router in (shear.router, sensors.router, frames.router, events.router, config.router, restore.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
         buses, leave_mb = {} if service.replayed else service.buses, server.recordings_leave_mb

@@ -14,18 +14,18 @@ from typing import Any, cast
 import uvicorn
 from fastapi import FastAPI
 
-from tactiled import foxglove
 from tactiled.config import Server, tls
 from tactiled.errors import TactileError
-from tactiled.service import Service
-from tactiled.web import session, xela
+from tactiled.interop import foxglove
+from tactiled.interop.foxglove_live import bridge
+from tactiled.runtime.service import Service
 from tactiled.web.app import create
-from tactiled.web.bridge import bridge
 from tactiled.web.http import bounds
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.log_limit import LogLimit
 from tactiled.web.http.places import Places, limit
 from tactiled.web.http.protocols import WebSocket
+from tactiled.web.ws import session, xela
 
 SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
 LOG_LIMIT = LogLimit()

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactiled.build import make_codec
 from tactiled.bus.assemble import Assembler
 from tactiled.bus.codecs.dbc import Dbc, expand
 from tactiled.config import load
-from tactiled.config.build import make_codec
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, MISSING, Loss, Message
 from tactiled.simulate.array import Taxels
@@ -230,7 +230,7 @@ def test_without_cantools_the_extra_is_named(monkeypatch):
 
 
 def test_a_map_of_another_size_than_the_array_is_refused(tmp_path):
-    from tactiled.config.build import sensor_plan
+    from tactiled.build import sensor_plan
 
     (tmp_path / "a.toml").write_text(
         CONFIG.format(codec=f'file = "{FILE}", taxels = {list(GRID[:5])}', array=ROWS)
@@ -241,7 +241,7 @@ def test_a_map_of_another_size_than_the_array_is_refused(tmp_path):
 
 @pytest.mark.parametrize("name", CODECS)
 def test_a_simulated_array_fits_every_signal(name):
-    from tactiled.calibrate import Calibration
+    from tactiled.calibrate.calibration import Calibration
 
     codec = CODECS[name]
     sent = Taxels(Calibration(), codec.full_scale, 0.0, 0).count(np.full(codec.size, 1e9))

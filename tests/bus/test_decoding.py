@@ -14,12 +14,12 @@ import pytest
 from tactiled.bus import recording
 from tactiled.bus.decoding import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, is_gone
 from tactiled.bus.reader import Reader, open_bus
-from tactiled.bus.record import Recorder, open_tap, record
+from tactiled.bus.recorder import Recorder, open_tap, record
 from tactiled.cli import record as command
 from tactiled.config import parse
 from tactiled.errors import BusError
 from tactiled.frames import Message
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tests.conftest import CONFIG, pressed, until
 
 GROUP = "239.74.163.91"

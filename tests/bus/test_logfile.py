@@ -11,7 +11,7 @@ from can.io import blf
 
 from tactiled.bus import logfile, recording
 from tactiled.bus.logfile import MAX_BLOCK_BYTES, MAX_LINE
-from tactiled.bus.record import Recorder
+from tactiled.bus.recorder import Recorder
 from tactiled.bus.replay import Recording
 from tactiled.errors import ConfigError, TactileError
 

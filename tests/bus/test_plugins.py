@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactiled.build import make_codec, sensor_plan
 from tactiled.bus.codecs import plugins
 from tactiled.bus.router import Router
 from tactiled.config import parse
-from tactiled.config.build import make_codec, sensor_plan
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Loss, Message
 

@@ -3,14 +3,14 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
+from tactiled.build import sensor_plan
 from tactiled.bus import recording
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
 from tactiled.config import parse
-from tactiled.config.build import sensor_plan
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError
-from tactiled.pipeline import Pipeline
+from tactiled.runtime.pipeline import Pipeline
 
 # Slices of the data set, as its files have them: rows thumb, index, middle, ring, little.
 BEAR_1_FIRST = """

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactiled.build import make_array, make_codec, sensor_plan
 from tactiled.bus.assemble import Assembler
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import ORDER, CySkin
@@ -13,7 +14,6 @@ from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.config import parse
-from tactiled.config.build import make_array, make_codec, sensor_plan
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import MISSING, Loss, Message
 

@@ -14,12 +14,12 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from typer.testing import CliRunner
 
+from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
 from tactiled.cli import app as door
 from tactiled.cli.columns import Columns, save_hdf5, save_npz
 from tactiled.cli.sinks import METHOD
 from tactiled.config import load
-from tactiled.config.build import make_codec, sensor_plan
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError
 from tactiled.frames import MISSING
@@ -218,7 +218,7 @@ def test_mcap_has_a_topic_of_shear_where_the_skin_feels_it(tmp_path, sheared):
 
 
 def test_mcap_without_its_library_is_told_before_any_work(tmp_path, config, lossy, monkeypatch):
-    monkeypatch.setattr("tactiled.foxglove.messages", None)
+    monkeypatch.setattr("tactiled.interop.foxglove.messages", None)
     told = run(lossy, "--config", config, "-o", tmp_path / "a.mcap").exception
     assert str(told) == "--out: .mcap needs Foxglove's SDK: pip install 'tactiled[foxglove]'"
 

@@ -1,9 +1,9 @@
 import pytest
 from typer.testing import CliRunner
 
-from tactiled.bench.paper import page
 from tactiled.cli import app as cli
 from tactiled.errors import ConfigError
+from tactiled.study.paper import page
 
 
 def test_paper_names_its_page(tmp_path, monkeypatch):

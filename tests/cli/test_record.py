@@ -12,7 +12,7 @@ import pytest
 from can.interfaces import virtual
 from typer.testing import CliRunner
 
-from tactiled.bus import record, recording
+from tactiled.bus import recorder, recording
 from tactiled.bus.reader import open_bus
 from tactiled.cli import app as door
 from tactiled.config.example import EXAMPLE
@@ -78,7 +78,7 @@ def test_the_bus_of_a_configuration(tmp_path, request):
 def test_too_little_room_is_named_before_anything_is_written(
     tmp_path, request, monkeypatch, configured, given, leaves
 ):
-    monkeypatch.setattr(record, "disk_usage", lambda _: SimpleNamespace(free=600e6))
+    monkeypatch.setattr(recorder, "disk_usage", lambda _: SimpleNamespace(free=600e6))
     path, out = tmp_path / "a.toml", tmp_path / "a.log"
     text = EXAMPLE.replace('"socketcan"\nchannel = "can0"', f'"virtual"\nchannel = "{request.node.name}"')
     path.write_text(text.replace("recordings_leave_mb = 1000", f"recordings_leave_mb = {configured}"))
@@ -103,7 +103,7 @@ def test_it_ends_before_the_disk_is_full(tmp_path, request, monkeypatch, leaves,
     def usage(_):
         return SimpleNamespace(free=598e6 if out.exists() and len(numbers(out)) == 200 else 600e6)
 
-    monkeypatch.setattr(record, "disk_usage", usage)
+    monkeypatch.setattr(recorder, "disk_usage", usage)
     thread = sending(request.node.name)
     arguments = ["--interface", "virtual", "--channel", request.node.name, "--recordings-leave-mb", leaves]
     done = run(*arguments, "--seconds", 2, out)

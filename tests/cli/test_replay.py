@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tactiled.build import make_codec
 from tactiled.bus import recording
-from tactiled.bus.record import Recorder
+from tactiled.bus.recorder import Recorder
 from tactiled.bus.replay import Recording, Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli import app as door
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
-from tactiled.config.build import make_codec
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
@@ -139,7 +139,7 @@ def test_a_real_grasp_too():
 
 
 def test_a_frame_that_cannot_be_restored_is_told_and_the_next_one_comes(lossy, monkeypatch):
-    from tactiled.pipeline import Pipeline
+    from tactiled.runtime.pipeline import Pipeline
 
     real = Pipeline.process
 

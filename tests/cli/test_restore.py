@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tactiled.build import sensor_plan
 from tactiled.cli.app import app
 from tactiled.config import load
-from tactiled.config.build import sensor_plan
 from tactiled.errors import ConfigError, TactileError
-from tactiled.offline import PIECE, Offline, checked
 from tactiled.restore.methods import METHODS
+from tactiled.runtime.offline import PIECE, Offline, checked
 
 SENSOR = """
 [sensor.{name}]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tactiled.build import make_array, make_codec, sensor_plans
 from tactiled.bus import recording
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
@@ -18,7 +19,6 @@ from tactiled.bus.sniff import recognise
 from tactiled.cli import app as door
 from tactiled.cli.sniff import configuration, report
 from tactiled.config import load, parse
-from tactiled.config.build import make_array, make_codec, sensor_plans
 from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
 from tests.conftest import Clock

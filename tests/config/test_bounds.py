@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from tactiled.build import sensor_plans
 from tactiled.config import parse
-from tactiled.config.build import sensor_plans
 from tactiled.errors import ConfigError, PhysicsError
 from tactiled.frames import Loss, RawFrame
-from tactiled.pipeline import Pipeline
 from tactiled.restore.methods import METHODS
-from tactiled.service import Service
+from tactiled.runtime.pipeline import Pipeline
+from tactiled.runtime.service import Service
 
 WILD = [0, -1, 0.5, 1e-320, 1e-300, 1e-9, 1e9, 1e300, 1e308, float("inf"), float("nan"), 10**30, -1e308]
 TEXT = """
@@ -162,7 +162,7 @@ def test_a_machine_with_less_memory_than_is_to_be_kept(monkeypatch):
     def full(*_, **__):
         raise MemoryError
 
-    monkeypatch.setattr("tactiled.sensor.History", full)
+    monkeypatch.setattr("tactiled.runtime.sensor.History", full)
     with pytest.raises(ConfigError, match=r"server\.history_mb = 64: this machine has less memory: give less"):
         Service(parse(text(USUAL)))
 

@@ -4,8 +4,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tactiled.build import make_array, make_blur
 from tactiled.config import parse
-from tactiled.config.build import make_array, make_blur
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.cover import operator
 from tactiled.cover.cache import kept

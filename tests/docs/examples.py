@@ -15,7 +15,7 @@ from tactiled.bus.sniff import recognise
 from tactiled.cli.app import app
 from tactiled.cli.sniff import report
 from tactiled.frames import MISSING, SATURATED, Image, Message
-from tactiled.web.wire import HEADER, LAYOUT, pack
+from tactiled.wire import HEADER, LAYOUT, pack
 
 CLASSIC = [0xABC, 0x123, 0xFFF, 0x001, 0x002, 0x003]
 FLAGS = np.array([[0, SATURATED], [0, MISSING]], np.uint8)

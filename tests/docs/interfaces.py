@@ -13,13 +13,13 @@ from pydantic import SecretStr
 from tactiled.cli.app import app as cli
 from tactiled.cli.demo import demo_config
 from tactiled.config import Server
-from tactiled.service import Service
-from tactiled.web import metrics as prometheus
+from tactiled.runtime.service import Service
 from tactiled.web.app import create
-from tactiled.web.asyncapi import QUERY, SENSORS, SHEAR
 from tactiled.web.http.places import Places
-from tactiled.web.session import CLOSES
-from tactiled.web.wire import LAYOUT
+from tactiled.web.rest import metrics as prometheus
+from tactiled.web.ws.asyncapi import QUERY, SENSORS, SHEAR
+from tactiled.web.ws.session import CLOSES
+from tactiled.wire import LAYOUT
 from tests.docs.table import code, sentence, table
 
 Json = dict[str, Any]

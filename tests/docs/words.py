@@ -5,19 +5,20 @@ from typing import get_args
 
 import numpy as np
 
-from tactiled import doubt
+from tactiled import build
 from tactiled.bus.faults import KINDS
-from tactiled.calibrate import Calibration
-from tactiled.config import build, parse
+from tactiled.calibrate.calibration import Calibration
+from tactiled.config import parse
 from tactiled.config.example import EXAMPLE
-from tactiled.cover.meaning import meaning
-from tactiled.events import Kind
+from tactiled.cover.summary import meaning
+from tactiled.diagnostics import checks
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
-from tactiled.pipeline import _doubts, _Noise
-from tactiled.restore import choose
+from tactiled.restore import auto
 from tactiled.restore import methods as table_of_methods
 from tactiled.restore import points as fit
-from tactiled.web.forms import Loss
+from tactiled.runtime.events import Kind
+from tactiled.runtime.pipeline import _doubts, _Noise
+from tactiled.web.schemas import Loss
 from tests.docs.table import code, sentence, table
 
 LOSS = {
@@ -106,13 +107,13 @@ METHODS = {
     ),
 }
 REASONS = {
-    choose.IDLE: "`idle`",
-    choose.RAW: "`raw`",
-    choose.LEFT: "`raw`",
-    choose.WIENER: "`wiener`",
-    choose.NNLS: "`nnls`",
-    choose.MIXED: "`nnls`, mixed with the raw image",
-    choose.POINTS: "`points`",
+    auto.IDLE: "`idle`",
+    auto.RAW: "`raw`",
+    auto.LEFT: "`raw`",
+    auto.WIENER: "`wiener`",
+    auto.NNLS: "`nnls`",
+    auto.MIXED: "`nnls`, mixed with the raw image",
+    auto.POINTS: "`points`",
     table_of_methods.ASKED: "the method that was selected by hand",
     table_of_methods.TOO_MANY: "`nnls` in place of `points`",
     fit.NO_GRID: "`nnls` in place of `points`",
@@ -120,14 +121,14 @@ REASONS = {
     table_of_methods.NO_AREA: "`nnls` in place of `tv`",
 }
 DIAGNOSES = {
-    doubt.RESIDUAL: "Compare the cover's settings, above all its thickness, with the real cover; look for faulty "
+    checks.RESIDUAL: "Compare the cover's settings, above all its thickness, with the real cover; look for faulty "
     "taxels.",
-    doubt.OUTLIER: "List taxels that do not work in `calibration.dead`.",
-    doubt.NEGATIVE: "Unload the array and tare it; or correct `noise_kpa`.",
-    doubt.LIFTED: "If nothing presses on all of the array, tare it.",
-    doubt.UNLIKE: "Correct `noise_kpa`; or neighbouring taxels share their noise.",
-    doubt.PLATEAU: "Set `calibration.saturation`.",
-    doubt.EDGE: "Do not trust the rows at the edge.",
+    checks.OUTLIER: "List taxels that do not work in `calibration.dead`.",
+    checks.NEGATIVE: "Unload the array and tare it; or correct `noise_kpa`.",
+    checks.LIFTED: "If nothing presses on all of the array, tare it.",
+    checks.UNLIKE: "Correct `noise_kpa`; or neighbouring taxels share their noise.",
+    checks.PLATEAU: "Set `calibration.saturation`.",
+    checks.EDGE: "Do not trust the rows at the edge.",
 }
 
 
@@ -149,13 +150,13 @@ def methods() -> Iterator[str]:
 
 
 def reasons() -> Iterator[str]:
-    _all_of(REASONS, choose, fit, table_of_methods)
+    _all_of(REASONS, auto, fit, table_of_methods)
     yield from table(("`why`", "Method used"), REASONS.items())
 
 
 def warnings() -> Iterator[str]:
     """Those that hold for every image, those of single taxels, and what frames show against themselves."""
-    _all_of(DIAGNOSES, doubt)
+    _all_of(DIAGNOSES, checks)
     thick = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 6.0").replace("kpa_per_count = 0.05", "")
     sensor = parse(thick.replace('"fem" ', '"layered" ').replace("shear_n", "# shear_n"), "palm.toml").sensor[
         "palm"

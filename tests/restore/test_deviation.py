@@ -5,12 +5,12 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from tactiled.bench.truth import APERTURE, kernel, presses
 from tactiled.cover.operator import cached, stencil
 from tactiled.geometry import grid
-from tactiled.restore import linear
+from tactiled.restore import wiener
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
+from tactiled.study.truth import APERTURE, kernel, presses
 
 SIZE = 12
 
@@ -104,5 +104,5 @@ def test_what_deviations_of_raw_images_need_is_made_once(method, monkeypatch):
     restorer = make(method, press.blur, press.sigma)
     assert restorer(press.frame).method == "raw"
     first = restorer.deviation()
-    monkeypatch.setattr(linear, "Filter", None)
+    monkeypatch.setattr(wiener, "Filter", None)
     np.testing.assert_array_equal(restorer.deviation(), first)

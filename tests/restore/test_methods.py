@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from tactiled.bench.skin import films, rubber
-from tactiled.bench.truth import presses
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.methods import METHODS, make
+from tactiled.study.skin import films, rubber
+from tactiled.study.truth import presses
 
 SIGMA = 0.5
 SHARP = [name for name in METHODS if name != "raw"]
@@ -145,7 +145,7 @@ def test_warm_iterations_are_fewer_and_no_worse(covered, pressed):
 @pytest.mark.parametrize("thickness", [1.0, 2.0])
 def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, method, most, thickness):
     """Discs and Braille move by 0.4 pitches a frame; the image before as it was made up to six times the error."""
-    monkeypatch.setattr("tactiled.bench.skin.STEP", 0.4)
+    monkeypatch.setattr("tactiled.study.skin.STEP", 0.4)
     skin = rubber(thickness, 24)
     for scene in ("punches", "braille"):
         film = next(films(skin, 0.002, 5, 7, (scene,)))

@@ -5,11 +5,11 @@ import pytest
 from scipy.signal import fftconvolve
 from skimage import restoration
 
-from tactiled.bench.truth import kernel
 from tactiled.cover.operator import stencil
 from tactiled.geometry import grid
 from tactiled.restore.blur import Blur
 from tactiled.restore.solvers import richardson_lucy
+from tactiled.study.truth import kernel
 
 SIDE = 32
 

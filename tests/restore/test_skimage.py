@@ -5,9 +5,9 @@ import pytest
 from skimage import restoration
 
 from tactiled.restore.blur import Blur
-from tactiled.restore.linear import Wiener
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
+from tactiled.restore.wiener import Wiener
 
 SHAPE = (40, 40)
 

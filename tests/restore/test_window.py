@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import PhysicsError
-from tactiled.restore.choose import REVIEW, Auto
+from tactiled.restore.auto import REVIEW, Auto
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.window import SIDE, Windowed, fits

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from tactiled.build import make_codec
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
 from tactiled.cli.app import app
 from tactiled.cli.demo import demo_config, running, simulated
 from tactiled.cli.simulate import simulate
 from tactiled.config import parse
-from tactiled.config.build import make_codec
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tactiled.simulate import play
 from tests.conftest import until
 

@@ -6,7 +6,7 @@ import pytest
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
-from tactiled.calibrate import Calibration
+from tactiled.calibrate.calibration import Calibration
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError

@@ -10,7 +10,6 @@ from threading import Event
 import numpy as np
 import pytest
 
-from tactiled.bench.bus import live
 from tactiled.bus import recording
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
@@ -18,6 +17,7 @@ from tactiled.bus.reader import BUFFER, only, open_bus
 from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
+from tactiled.study.bus import live
 
 SMALL = Packed(10, 12)  # three messages a frame
 

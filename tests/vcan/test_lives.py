@@ -13,7 +13,7 @@ import pytest
 from tactiled.bus.reader import OFF, open_bus
 from tactiled.config import parse
 from tactiled.errors import BusError
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 
 ADAPTER = "vcan8"  # a link of these tests' own
 CONFIG = """

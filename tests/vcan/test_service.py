@@ -11,7 +11,7 @@ import pytest
 from websockets.sync.client import connect
 
 from tactiled.bus import recording
-from tactiled.web.wire import unpack
+from tactiled.wire import unpack
 
 CONFIG = """
 [server]

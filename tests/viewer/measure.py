@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tactiled.simulate import play, player
 from tactiled.web.server import running
 

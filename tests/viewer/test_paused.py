@@ -4,7 +4,7 @@ import re
 import threading
 
 from tactiled.restore.methods import METHODS
-from tactiled.web.wire import RAN
+from tactiled.wire import RAN
 from tests.conftest import pressed, until
 from tests.viewer.conftest import turned, wait
 from tests.viewer.test_contacts import LISTED, SWITCH, two

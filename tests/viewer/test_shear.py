@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from tactiled.config import Server, parse
-from tactiled.service import Service
+from tactiled.runtime.service import Service
 from tactiled.web.server import running
 from tests.conftest import ask
 from tests.skin import CONFIG, PALM, Z, rigged

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tactiled.config import Server
-from tactiled.web import answers, rest
-from tactiled.web.constant import Constant
-from tactiled.web.feed import Feed
+from tactiled.web import answers
+from tactiled.web.rest import sensors
+from tactiled.web.rest.constant import Constant
 from tactiled.web.server import running
+from tactiled.web.ws.feed import Feed
 from tests.conftest import NO_LOAD, SIDE, ask, meanwhile, pressed, until
 from tests.viewer.conftest import PHONE, THUMB, Pair, keep, turned, wait
 
@@ -110,7 +111,7 @@ def test_a_tile_whose_sensor_has_another_shape_than_before_asks_again(pair, open
         return Constant(make()).answer(request)
 
     monkeypatch.setattr(answers, "geometry", before)
-    monkeypatch.setattr(rest, "constant", anew)
+    monkeypatch.setattr(sensors, "constant", anew)
     page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
     keep_showing(rig, page, f"{FORCES}[0] > 0 && {FORCES}[1] > 0")
     assert sorted(asked) == ["palm", "palm", "thumb", "thumb"]

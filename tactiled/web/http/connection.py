@@ -17,9 +17,9 @@ from uvicorn.server import ServerState
 
 from tactiled.web.http import bounds
 from tactiled.web.http.bounds import BOUNDS, State
+from tactiled.web.http.limits import network
 from tactiled.web.http.places import Place, Places
 from tactiled.web.http.protocols import Http, WebSocket, refusal
-from tactiled.web.rates import network
 
 LOG = logging.getLogger(__name__)
 FULL = "every connection is taken: come again later"

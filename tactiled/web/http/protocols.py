@@ -23,7 +23,7 @@ from websockets.http11 import Request
 from websockets.http11 import Response as Handshake
 from websockets.protocol import OPEN
 
-from tactiled.web import problems
+from tactiled.web.http import problems
 from tactiled.web.http.bounds import MAX_FRAGMENTS, SHUTDOWN_S
 from tactiled.web.http.headers import HEADERS
 

@@ -19,7 +19,7 @@ from tactiled.web.http.places import Places
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask
-from tests.web.test_attacks import bound, closed_after, plug, said
+from tests.web.http.test_attacks import bound, closed_after, plug, said
 
 
 async def app(scope, receive, send):

@@ -1,0 +1,212 @@
+"""From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from tactiled.bus.codecs import Codec, Shearing, plugins
+from tactiled.bus.codecs.barrett import Barrett
+from tactiled.bus.codecs.cyskin import CySkin
+from tactiled.bus.codecs.dbc import Dbc, expand
+from tactiled.bus.codecs.icub import NO_LOAD, Icub
+from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.poweron import PowerOn
+from tactiled.bus.codecs.xela import Xela
+from tactiled.bus.router import Router
+from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.config import codecs, schema
+from tactiled.config.autotune import soonest
+from tactiled.cover.kernel import Kernel, cached
+from tactiled.cover.operator import cached as cached_table
+from tactiled.cover.operator import stencil, tiled
+from tactiled.cover.stack import Layer, Stack
+from tactiled.cover.summary import Meaning, meaning
+from tactiled.errors import ConfigError, TactileError
+from tactiled.geometry import Array, Cells, grid, layout, tiling
+from tactiled.restore.blur import Blur
+from tactiled.restore.methods import require
+
+SKINS: dict[str, Callable[..., Codec]] = {
+    "icub": Icub,
+    "xela": Xela,
+    "barrett": Barrett,
+    "poweron": PowerOn,
+    "cyskin": CySkin,
+    "linker": Linker,
+}
+LOG = logging.getLogger(__name__)
+CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
+SIDE = 1024  # of them in a row: as many as an array may have taxels in one
+THICK = 2.0  # pitches: a smallest gap above this is the cover's doing
+UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorPlan:
+    """Everything one sensor is made with, its kernel solved."""
+
+    name: str
+    bus: str
+    codec_name: str
+    codec: Codec
+    array: Array
+    kernel: Kernel
+    blur: Blur
+    cells: Cells  # of the restored image
+    calibration: Calibration
+    method: str
+    stale_after_s: float
+    warnings: tuple[str, ...]  # that hold for every image
+
+    @property
+    def cell_mm(self) -> float:
+        """Side of a surface cell, or of a square of their mean area."""
+        return float(np.sqrt(self.cells.areas.mean()))
+
+    @property
+    def shears(self) -> bool:
+        """Whether the skin feels shear."""
+        return isinstance(self.codec, Shearing)
+
+
+def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
+    """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus."""
+    plans = tuple(sensor_plan(name, sensor) for name, sensor in config.sensor.items())
+    for bus in config.bus:
+        Router({plan.name: plan.codec for plan in plans if plan.bus == bus})
+    return plans
+
+
+def sensor_plan(name: str, sensor: schema.Sensor) -> SensorPlan:
+    """Solve the cover and build the operator of one sensor; a TactileError names the sensor."""
+    try:
+        return _plan(name, sensor)
+    except TactileError as error:
+        raise type(error)(f"sensor.{name}: {error}") from error
+
+
+def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
+    array, codec = make_array(sensor), make_codec(sensor)
+    if codec.size != array.size:
+        raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
+    require(sensor.method)
+    calibration = make_calibration(sensor)
+    _check_forces(sensor.calibration, codec)
+    Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
+    _check_cells(array, sensor.refine)
+    kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy, report=LOG.warning)
+    return SensorPlan(
+        name=name,
+        bus=sensor.bus,
+        codec_name=sensor.codec.name,
+        codec=codec,
+        array=array,
+        kernel=kernel,
+        blur=make_blur(kernel, array, sensor.refine),
+        cells=tiling(array, sensor.refine),
+        calibration=calibration,
+        method=sensor.method,
+        stale_after_s=sensor.stale_after_s,
+        warnings=_standing(sensor, meaning(kernel, array), array),
+    )
+
+
+def _check_cells(array: Array, refine: int) -> None:
+    """ConfigError where a surface has too many cells to be restored in time."""
+    cells, side = array.size * refine**2, max(array.frame_shape) * refine
+    if cells > CELLS or side > SIDE:
+        raise ConfigError(
+            f"refine = {refine}: {array.size} taxels then have {cells} cells, up to {side} in a row: "
+            f"give at most {CELLS}, and {SIDE} in a row"
+        )
+
+
+def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
+    """ConfigError where shear is to be newtons, and there is none or pressure is not kPa."""
+    if calibration.shear_n_per_count is None:
+        return
+    given = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
+    if not isinstance(codec, Shearing):
+        raise ConfigError(f"{given}: the codec carries no shear: leave it out")
+    if calibration.kpa_per_count is None:
+        raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
+
+
+def _standing(sensor: schema.Sensor, told: Meaning, array: Array) -> tuple[str, ...]:
+    """What is to be said of every image of a sensor."""
+    said = [] if sensor.calibration.kpa_per_count else [UNCALIBRATED]
+    if told.smallest_gap > THICK * array.pitch:
+        gap = f"finer than {told.smallest_gap:.2g} mm" if np.isfinite(told.smallest_gap) else "at all"
+        said.append(f"the cover is thick for a pitch of {array.pitch:g} mm: at 1 % noise no gap {gap} survives it")
+    return tuple(said)
+
+
+def make_stack(sensor: schema.Sensor) -> Stack:
+    """Cover over substrate on a rigid base, sensed under the cover."""
+    layers = (*sensor.cover, *sensor.substrate)
+    return Stack(
+        layers=tuple(Layer(each.thickness_mm, each.young_mpa, each.poisson) for each in layers),
+        sensing=len(sensor.cover),
+        bonds=tuple(each.bonded for each in layers),
+    )
+
+
+def make_array(sensor: schema.Sensor) -> Array:
+    """The array as configured, or as its codec knows it; ConfigError where neither says enough."""
+    array = sensor.array
+    if array.positions_mm is not None:
+        _refuse(array, "rows", "columns", "pitch_mm")
+        return layout(np.array(array.positions_mm, float), array.aperture_mm, array.aperture or "round")
+    if isinstance(sensor.codec, codecs.Icub):
+        _refuse(array, "rows", "columns", "pitch_mm")
+        return layout(_icub(sensor.codec).positions, array.aperture_mm, array.aperture or "round")
+    if array.rows is None or array.columns is None or array.pitch_mm is None:
+        raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
+    return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
+
+
+def _refuse(array: schema.Array, *keys: str) -> None:
+    for key in keys:
+        if getattr(array, key) is not None:
+            raise ConfigError(
+                f"array.{key} = {getattr(array, key)}: belongs to a grid, and this array has positions"
+            )
+
+
+def make_codec(sensor: schema.Sensor) -> Codec:
+    """The codec of a sensor; ConfigError where the array is larger than it can carry."""
+    settings = sensor.codec.model_dump(exclude={"name"})
+    if isinstance(sensor.codec, codecs.Packed):
+        return Packed(make_array(sensor).size, **settings)
+    if isinstance(sensor.codec, codecs.Dbc):
+        array = make_array(sensor)
+        return Dbc(sensor.codec.file, expand(sensor.codec.taxels, array.shape, array.size, sensor.codec.first))
+    if isinstance(sensor.codec, codecs.Plugin):
+        return plugins.make(sensor.codec.name, settings)
+    return SKINS[sensor.codec.name](**settings)
+
+
+def _icub(codec: codecs.Icub) -> Icub:
+    return Icub(codec.board, codec.triangles, codec.thermal_pads)
+
+
+def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
+    """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
+    if array.shape is not None:
+        finer = partial(cached_table, stencil, kernel, array)
+        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, soonest, finer)
+    if refine != 1:
+        raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
+    cells = tiling(array)
+    return Blur.matrix(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
+
+
+def make_calibration(sensor: schema.Sensor) -> Calibration:
+    """Calibration as configured, over what the codec knows of its skin."""
+    given = sensor.calibration.model_dump(exclude_none=True)
+    known = {"kpa_per_count": -1.0, "no_load": float(NO_LOAD)} if isinstance(sensor.codec, codecs.Icub) else {}
+    return Calibration(**(known | given))

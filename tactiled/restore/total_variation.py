@@ -1,0 +1,126 @@
+"""Non-negative least squares that prefers flat parts with sharp edges: total variation, isotropic, of a grid."""
+
+import numpy as np
+
+from tactiled.restore.modes import Image
+from tactiled.restore.nonnegative import LOOSE, PENALTY, Nonneg, Step
+from tactiled.restore.scene import Scene
+
+WEIGHT = 0.04  # of the variation: times the geometric mean of noise and contrast
+CORNER = 0.2  # cycles a cell: a scene whose spectrum reaches further has few flat parts to look for
+WARM = 0.2  # noise standard deviations: from the image before, the pull needs a little longer than the image
+LEAST = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
+DUAL = 0.125  # step of the edges' pull: 1 over the largest eigenvalue of a grid's differences
+
+
+class Edges:
+    """An image's edges pull at it: p, along rows and down columns, follows the differences of x in every cell.
+
+    Rows follow one another in memory, so a neighbour is a shift: `x` and p have room past their ends.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        rows, columns = shape
+        cells = rows * columns
+        x = np.zeros(cells + columns, np.float32)
+        self.x, self._right, self._under = x[:cells], x[1 : cells + 1], x[columns:]
+        p = np.zeros(1 + cells, np.float32), np.zeros(columns + cells, np.float32)
+        (self._across, self._down), (self._left, self._over) = [p[0][1:], p[1][columns:]], [q[:cells] for q in p]
+        self._row_ends, self._column_ends = self._across.reshape(shape)[:, -1], self._down[cells - columns :]
+        self._in_row, self._in_column = np.ones((2, cells), np.float32)  # 1 where there is a neighbour
+        self._in_row[columns - 1 :: columns] = self._in_column[cells - columns :] = 0
+        self._length, self._square = np.empty_like(self.x), np.empty_like(self.x)
+        self._step, self._zero = np.full_like(self.x, DUAL), np.zeros_like(self.x)
+        self._limit = np.ones_like(self.x)
+
+    def forget(self) -> None:
+        """Pull no more."""
+        self._across[...] = self._down[...] = 0
+
+    def limit(self, weight: float) -> None:
+        """Let no pull be longer than `weight` from now on."""
+        self._limit[...] = weight / DUAL
+
+    def variation(self) -> float:
+        """Sum of the differences' magnitudes, along rows and down columns."""
+        found = 0.0
+        for neighbour, known in ((self._right, self._in_row), (self._under, self._in_column)):
+            np.subtract(neighbour, self.x, out=self._length)
+            np.abs(self._length, out=self._length)
+            found += float(self._length.dot(known))
+        return found
+
+    def fill(self, t: Image) -> None:
+        """Make x what is left of t (R C,) under the pull, 0 where that is negative."""
+        x = self.x
+        np.subtract(self._across, self._left, out=x)
+        np.add(x, self._down, out=x)
+        np.subtract(x, self._over, out=x)
+        np.multiply(x, self._step, out=x)
+        np.add(x, t, out=x)
+        np.maximum(x, self._zero, out=x)
+
+    def follow(self) -> None:
+        """Move the pull on by the differences of x, then cut it to its limit."""
+        across, down, length = self._across, self._down, self._length
+        np.add(across, self._right, out=across)
+        np.subtract(across, self.x, out=across)
+        np.add(down, self._under, out=down)
+        np.subtract(down, self.x, out=down)
+        self._row_ends[...] = self._column_ends[...] = 0
+        np.multiply(across, across, out=length)
+        np.multiply(down, down, out=self._square)
+        np.add(length, self._square, out=length)
+        np.sqrt(length, out=length)
+        np.maximum(length, self._limit, out=length)
+        np.divide(self._limit, length, out=length)
+        np.multiply(across, length, out=across)
+        np.multiply(down, length, out=down)
+
+
+class Variation(Nonneg):
+    """The same iteration, the weighted variation of the image added: its edges' pull is found along the way.
+
+    max(t, 0) becomes max(t - D'p, 0), where p follows D x, in no cell longer than the weight over P. The weight is
+    WEIGHT sqrt(sigma B) / (1 + (q0 / CORNER)^2), B = sum x^2 / sum |D x|: between the noise and what the image
+    has to lose, and less the further the scene's spectrum reaches.
+    """
+
+    _steady = WARM
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        rows, columns = scene.blur.surface_shape
+        self._edges = Edges((rows, columns))
+        self._x, self._flat_t = self._edges.x.reshape(rows, columns), self._t.reshape(-1)
+
+    def _start(self, guess: Image) -> None:
+        super()._start(guess)
+        self._x[...] = self._t
+        self._edges.forget()
+
+    def _shift(self, change: Image) -> None:
+        np.add(self._x, change, out=self._x)
+
+    def _show(self) -> None:
+        self.image[...] = self._x
+
+    def _slack(self, share: float) -> float:
+        del share  # flat parts are asked for in its place
+        return LOOSE
+
+    def _less(self) -> Image:
+        return np.subtract(self._x, self._pull, out=self._abs)
+
+    def _load(self) -> Step:
+        scene, x = self._scene, self._edges.x
+        variation = self._edges.variation()
+        contrast = float(x.dot(x)) / variation if variation else 0.0
+        flat = 1 / (1 + (scene.prior.corner(scene.number) / CORNER) ** 2)
+        self._edges.limit(max(WEIGHT * flat * (scene.noise * contrast) ** 0.5, LEAST * scene.noise) / PENALTY)
+        return super()._load()
+
+    def _split(self) -> None:
+        self._edges.fill(self._flat_t)
+        np.subtract(self._t, self._x, out=self._change)
+        self._edges.follow()

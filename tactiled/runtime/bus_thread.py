@@ -1,0 +1,139 @@
+"""What hands a bus's frames to its sensors: a thread that reads it and opens it again when it goes away."""
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, Protocol
+
+from tactiled.bus.codecs import talk_of
+from tactiled.bus.polling import Talker
+from tactiled.bus.reader import Reader, only, open_bus
+from tactiled.bus.router import Frames, Router
+from tactiled.errors import BusError
+from tactiled.frames import Loss
+from tactiled.runtime.sensor import Sensor
+
+POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
+BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
+BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
+LOG = logging.getLogger(__name__)
+
+
+class Listening(Protocol):
+    """What hands a bus's frames to its sensors."""
+
+    def start(self) -> None:
+        """Start; a TactileError where it cannot."""
+
+    def stop(self) -> None:
+        """Stop, whether it was started or not."""
+
+
+class Listener:
+    """One bus and the thread that reads it; the bus is opened again, with back-off, when it goes away."""
+
+    def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
+        self.name, self._sensors = name, sensors
+        self._router = Router({each.name: each.codec for each in sensors.values()})
+        self._settings = only(settings, self._router.ids)
+        self._past: Counter[str] = Counter()  # what readers before this one counted
+        self._errors: Counter[str] = Counter()  # what their error frames told
+        self._swap = threading.Lock()
+        self._told: str | None = None
+        for sensor in sensors.values():
+            sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._kinds
+        self._talker = Talker(talk_of(each.codec) for each in sensors.values())
+        self._stop = threading.Event()
+        self._reader: Reader | None = None
+        self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
+
+    def start(self) -> None:
+        """Open the bus (BusError where it cannot be) and start to read it."""
+        self._reader = open_bus(**self._settings)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop reading and close the bus."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        if self._reader is not None:
+            self._talker.end(self._reader.send)
+            self._reader.close()
+
+    def _run(self) -> None:
+        wait, last = BACK_OFF_S[0], ""
+        while not self._stop.is_set():
+            began, fault = time.monotonic(), None
+            try:
+                self._reader = self._reader or open_bus(**self._settings)
+                self._tell(None)
+                for sensor in self._sensors.values():
+                    sensor.clock = self._reader.clock
+                self._read(self._reader)
+            except BusError as error:
+                why = str(error)
+            except Exception as error:  # a codec's fault, or our own: no reason to go silent
+                why = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
+                fault = error
+            else:
+                return
+            if time.monotonic() - began > BACK_OFF_S[1]:
+                wait, last = BACK_OFF_S[0], ""
+            if fault and why != last:
+                LOG.error("bus %s failed, and is opened again", self.name, exc_info=fault)
+            self._tell(why)
+            self._drop()
+            self._stop.wait(wait)
+            wait, last = min(2 * wait, BACK_OFF_S[1]), why
+
+    def _read(self, reader: Reader) -> None:
+        """Take messages until the stop; BusError where the bus goes, and whatever a codec or a sensor raises."""
+        self._talker.begin(time.monotonic())
+        while not self._stop.is_set():
+            now = time.monotonic()
+            reader.unsent += self._talker.say(reader.send, now)
+            messages = reader.batch(min(POLL_S, self._talker.wait(now)))
+            now = time.monotonic()
+            for message in messages:
+                self._hand(self._router.push(message, now))
+            self._hand(self._router.flush(now - (BUSY_S if messages else POLL_S)))
+            if reader.off != self._told:
+                self._tell(reader.off)
+
+    def _hand(self, frames: Frames) -> None:
+        if frames:
+            counted = self._counted()
+            for name, frame in frames:
+                self._sensors[name].offer(replace(frame, loss=replace(frame.loss, **counted)))
+
+    def _counted(self) -> Counter[str]:
+        """What the bus itself counted since the start, however often it was opened again."""
+        with self._swap:
+            return self._past + Counter(self._reader.counts() if self._reader else {})
+
+    def _kinds(self) -> Mapping[str, int]:
+        """What the bus's error frames told since the start, by kind; any thread."""
+        with self._swap:
+            return self._errors + Counter(self._reader.kinds if self._reader else {})
+
+    def _loss(self, name: str) -> Loss:
+        """What went wrong by now on a sensor's way in; any thread."""
+        return replace(self._router.assemblers[name].loss, **self._counted())
+
+    def _tell(self, down: str | None) -> None:
+        self._told = down
+        for sensor in self._sensors.values():
+            sensor.down = down
+
+    def _drop(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+            with self._swap:
+                self._past += Counter(self._reader.counts())
+                self._errors += Counter(self._reader.kinds)
+                self._reader = None

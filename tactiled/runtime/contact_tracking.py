@@ -1,0 +1,75 @@
+"""The contacts in a sensor's newest image, looked for and tracked at a steady pace while anybody asks for them."""
+
+import threading
+import time
+from contextlib import suppress
+
+from tactiled.contacts.detection import CLEAR, Contact, Finder, Tracker
+from tactiled.frames import Image
+from tactiled.geometry import Array, Cells
+from tactiled.runtime.hub import Hub
+
+LOOK_S = 0.05  # from one look to the next
+ASKED_S = 5.0  # that looking goes on after somebody has asked
+
+
+class Touch:
+    """Looks for contacts when it is asked, and in between on a thread of its own, so that none moves on unseen."""
+
+    def __init__(self, name: str, hub: Hub, array: Array, cells: Cells) -> None:
+        self._hub = hub
+        self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
+        self._looking = threading.Lock()
+        self._image: Image | None = None  # the one last looked at
+        self._contacts: tuple[Contact, ...] = ()
+        self._wake = threading.Condition()
+        self._due = self._until = 0.0  # s, monotonic: of the next look, and to which looks go on
+        self._stopping = False
+        self._thread = threading.Thread(target=self._work, name=f"contacts {name}", daemon=True)
+
+    def start(self) -> None:
+        """Be ready to look."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Look no more; returns when the thread has ended."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        self._thread.join()
+
+    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+        """The newest image and the contacts in it; any thread."""
+        with self._wake:
+            self._until = time.monotonic() + ASKED_S
+            self._wake.notify()
+        return self._look()
+
+    def _look(self) -> tuple[Image | None, tuple[Contact, ...]]:
+        with self._looking:
+            self._due = time.monotonic() + LOOK_S
+            image = self._hub.latest()
+            if image is not None and image is not self._image:
+                noise = image.noise_kpa * max(image.noise_gain, 1.0)
+                found = self._finder(image.restored, noise, faint=self._tracker.holds)
+                self._contacts = tuple(self._tracker(found, image.arrived, CLEAR * noise))
+                self._image = image
+            return image, self._contacts
+
+    def _work(self) -> None:
+        while self._wait():
+            with suppress(Exception):  # whoever asks meets it, too
+                self._look()
+
+    def _wait(self) -> bool:
+        """Wait until a look is due; False at the end."""
+        with self._wake:
+            while not self._stopping:
+                now = time.monotonic()
+                if now >= self._until:
+                    self._wake.wait()
+                elif now < self._due:
+                    self._wake.wait(self._due - now)
+                else:
+                    return True
+        return False

@@ -1,0 +1,117 @@
+"""The running service: every sensor and every bus, started and stopped together; methods kept, events told."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any
+
+from tactiled.build import sensor_plans
+from tactiled.config import Config
+from tactiled.errors import ConfigError, StateError, TactileError, UnknownSensorError
+from tactiled.restore.methods import METHODS, require
+from tactiled.runtime.bus_thread import Listener, Listening
+from tactiled.runtime.events import Events, Faults
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.state import State as Kept
+from tactiled.runtime.watch import Watch
+
+
+class Service:
+    """Every sensor of a configuration, on its bus or on what `listen` puts in a bus's place."""
+
+    def __init__(
+        self,
+        config: Config,
+        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener,
+        state: Kept | None = None,
+        replayed: bool = False,  # whether recordings are in the buses' place: none is open then
+    ) -> None:
+        self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
+        self.faults = Faults(self.events)
+        self._setting = Lock()  # what is kept is what runs, whoever asks at once
+        self.buses = {name: bus.settings() for name, bus in config.bus.items()}
+        history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
+        plans = sensor_plans(config)
+        try:
+            self.sensors = {plan.name: Sensor(plan, history=history) for plan in plans}
+        except MemoryError as error:
+            room = f"server.history_mb = {config.server.history_mb:g}"
+            raise ConfigError(f"{room}: this machine has less memory: give less") from error
+        self._watch = Watch(self.sensors.values(), self.events, self.faults)
+        self._recall()
+        self._listeners = [
+            listen(
+                name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}
+            )
+            for name, bus in config.bus.items()
+        ]
+
+    def sensor(self, name: str) -> Sensor:
+        """The sensor of that name; UnknownSensorError where there is none."""
+        try:
+            return self.sensors[name]
+        except KeyError as error:
+            raise UnknownSensorError.among(name, self.sensors) from error
+
+    def set_method(self, name: str, method: str, keep: bool = False) -> None:
+        """Restore by another method from the next frame on, and with `keep` after a restart, too.
+
+        ConfigError where there is no such method, StateError where it cannot be kept; then nothing has changed.
+        """
+        sensor = self.sensor(name)
+        require(method)
+        with self._setting:
+            if keep:
+                if self.state is None:
+                    raise StateError("keep = true: this service keeps no state: `tactiled run` does")
+                self.state.keep(name, None if method == sensor.plan.method else method)
+            sensor.set_method(method)
+            self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
+
+    def tare(self, name: str, force: bool = False) -> None:
+        """Take the mean of a sensor's next frames as the unloaded array; NotLiveError where none come.
+
+        LoadedError where the newest frames show a load, unless it is by `force`.
+        """
+        self.sensor(name).tare(force)
+        forced = " (forced)" if force else ""
+        self.events.add("tare_asked", f"the next frames are taken as no load{forced}", name)
+
+    def _recall(self) -> None:
+        """Take over what was kept; what no longer means anything is told, not applied."""
+        for name, method in self.state.methods.items() if self.state else ():
+            sensor = self.sensors.get(name)
+            if sensor is None or method not in METHODS:
+                self.events.add("state_ignored", f"sensor {name}, method {method}: no longer there")
+                continue
+            sensor.set_method(method)
+            self.events.add("method_kept", f"{method}, where the configuration says {sensor.plan.method}", name)
+
+    def start(self) -> None:
+        """Start everything; a TactileError, with nothing left running, where a bus cannot be opened."""
+        for sensor in self.sensors.values():
+            sensor.start()
+        try:
+            for listener in self._listeners:
+                listener.start()
+        except TactileError:
+            self.stop()
+            raise
+        self._watch.start()
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Run meanwhile."""
+        try:
+            self.start()
+            yield
+        finally:
+            self.stop()
+
+    def stop(self) -> None:
+        """Stop everything that runs."""
+        self._watch.stop()
+        for listener in self._listeners:
+            listener.stop()
+        for sensor in self.sensors.values():
+            sensor.stop()

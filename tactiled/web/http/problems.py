@@ -1,0 +1,99 @@
+"""Every error of the API in one form: RFC 9457 problem details."""
+
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.routing import Match
+
+from tactiled.errors import ConfigError, LoadedError, NoShearError, NotLiveError, UnknownSensorError
+from tactiled.web import schemas
+
+VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
+
+
+class Problem(HTTPException):
+    """An error with a text for the client."""
+
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(status, detail, dict(headers or {}))
+
+
+def response(status: int, detail: str, headers: Mapping[str, str] | None = None, **more: Any) -> Response:
+    """The response of a problem; `more` of its fields where it has them."""
+    body = schemas.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, **more)
+    return Response(
+        body.model_dump_json(exclude_none=True), status, dict(headers or {}), "application/problem+json"
+    )
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of an application in this form."""
+
+    @app.exception_handler(HTTPException)
+    async def _http(request: Request, error: HTTPException) -> Response:
+        detail, headers = str(error.detail), dict(error.headers or {})
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(_methods(app, request))
+        if isinstance(error.__cause__, UnicodeDecodeError | RecursionError):
+            detail = f"body: {error.__cause__}"
+        elif not isinstance(error, Problem) and detail == HTTPStatus(error.status_code).phrase:
+            detail = f"{request.method} {request.url.path:.200}: {detail.lower()}"
+        return response(error.status_code, detail, headers)
+
+    @app.exception_handler(UnknownSensorError)
+    @app.exception_handler(NoShearError)
+    async def _unknown(_: Request, error: UnknownSensorError | NoShearError) -> Response:
+        return response(404, str(error))
+
+    @app.exception_handler(NotLiveError)
+    @app.exception_handler(LoadedError)
+    async def _no_tare(_: Request, error: NotLiveError | LoadedError) -> Response:
+        loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
+        return response(409, str(error), **loaded)
+
+    @app.exception_handler(ConfigError)
+    async def _config(_: Request, error: ConfigError) -> Response:
+        return response(422, str(error))
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> Response:
+        wrong = error.errors()
+        if any(each["loc"] == ("body",) and isinstance(each["input"], bytes) for each in wrong):
+            kind = request.headers.get("content-type", "none")
+            return response(415, f"Content-Type: {kind:.80}: give application/json")
+        status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
+        return response(status, "; ".join(_say(each) for each in wrong))
+
+
+def _methods(app: FastAPI, request: Request) -> list[str]:
+    """Every method that the path of a request has."""
+    if request.scope.get("root_path"):  # of a folder of files
+        return ["GET", "HEAD"]
+    scopes = {method: {**request.scope, "method": method} for method in VERBS}
+    found = {
+        method
+        for method, scope in scopes.items()
+        if any(route.matches(scope)[0] is Match.FULL for route in app.routes)
+    }
+    return sorted(found | {"HEAD"} if "GET" in found else found)
+
+
+def _say(error: Mapping[str, Any]) -> str:
+    source, *path = error["loc"]
+    if error["type"] == "json_invalid":
+        return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
+    if source == "body" and not path:
+        return _say_body(error)
+    return f"{'.'.join(map(str, path)) or source} = {error.get('input')!r:.80}: {error['msg']}"
+
+
+def _say_body(error: Mapping[str, Any]) -> str:
+    """What is wrong with a body as a whole."""
+    given = error["input"]
+    if given is None:
+        return "body: none came: give a JSON object"
+    return f"body = {given!r:.80}: give a JSON object"

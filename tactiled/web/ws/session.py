@@ -1,0 +1,64 @@
+"""One client on a WebSocket, until it leaves or is closed; the codes are after HTTP's, or the protocol's own."""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+from fastapi import WebSocket, WebSocketDisconnect
+
+from tactiled.errors import NoShearError, UnknownSensorError
+from tactiled.web.http.bounds import MAX_FRAGMENTS
+from tactiled.web.http.close import fitting
+from tactiled.web.http.protocols import ENDS, GONE
+
+BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
+PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
+PING_S = 20.0  # between two pings of the service, and until one must be answered
+CLOSES = {
+    PROTOCOL: "the bytes are not a WebSocket frame",
+    NO_TEXT: "a text message is not UTF-8",
+    TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
+    FAILED: "the service failed, see its log; or the client answered no ping for "
+    f"{PING_S:g} s (`keepalive ping timeout`)",
+    RESTART: ENDS,
+    BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
+    UNAUTHORIZED: "the token is missing or unknown",
+    FORBIDDEN: "the page belongs to another site, or the host name is not one of loopback's",
+    NOT_FOUND: "there is no stream at this address, no such sensor, or no shear; the reason names it",
+    TOO_MANY: "this client has too many streams (`streams_per_client`)",
+    FULL: "all clients together have too many streams (`streams`)",
+}
+MOST = 64 * 1024  # bytes of a client's message
+
+
+async def refuse(socket: WebSocket, error: Exception) -> None:
+    """Close, since the client is wrong, with the reason."""
+    closed = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
+    await socket.close(closed, fitting(str(error)))
+
+
+async def heard(socket: WebSocket) -> str | None:
+    """The client's next message, None for one of bytes; WebSocketDisconnect when it has left."""
+    message = await socket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message["code"], message.get("reason"))
+    text: str | None = message.get("text")
+    return text
+
+
+async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], talk: Coroutine[Any, Any, None]) -> None:
+    """Listen and talk until the client leaves; a ValueError of `listen` says that it is wrong."""
+    tasks = listening, _ = asyncio.create_task(listen), asyncio.create_task(talk)
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        error = task.exception()
+        if task is listening and isinstance(error, ValueError):
+            await refuse(socket, error)
+        elif error is not None and not isinstance(error, WebSocketDisconnect | GONE):
+            await socket.close(FAILED, "the service failed: see its log")
+            raise error

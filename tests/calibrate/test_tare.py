@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+
+from tactiled.build import sensor_plans
+from tactiled.calibrate.tare import load_seen
+from tactiled.config import parse
+from tests.conftest import CONFIG
+
+NOISE = 0.5  # kPa
+FRAMES = 16
+OFFSETS = (0.0, 30.0, -300.0)  # kPa, of the whole array
+
+
+@pytest.fixture(scope="module", params=["8 x 8", "32 x 32"])
+def blur(request):
+    rows, columns = request.param.split(" x ")
+    text = CONFIG.format(channel="tare").replace("rows = 8, columns = 8", f"rows = {rows}, columns = {columns}")
+    (plan,) = sensor_plans(parse(text))
+    return plan.blur
+
+
+@pytest.fixture
+def seen(blur):
+    """What is seen in noisy frames of a still load (kPa on the surface), or of one each, over an offset (kPa)."""
+    random = np.random.default_rng(7)
+
+    def seen(load=0.0, offset=0.0, frames=FRAMES):
+        loads = [load(n) if callable(load) else load for n in range(frames)]
+        felt = [blur.forward(np.full(blur.surface_shape, 1.0, np.float32) * each) for each in loads]
+        return load_seen(
+            [each + offset + random.normal(0, NOISE, blur.frame_shape).astype(np.float32) for each in felt], NOISE
+        )
+
+    return seen
+
+
+@pytest.fixture
+def disc(blur):
+    """A flat press of some kPa, its middle and radius in parts of the array."""
+    y, x = ((np.arange(n) + 0.5) / n for n in blur.surface_shape)
+
+    def disc(kpa, radius, middle=(0.4, 0.6)):
+        return kpa * (np.hypot(y[:, None] - middle[0], x - middle[1]) < radius)
+
+    return disc
+
+
+@pytest.mark.parametrize("frames", [0, 1, FRAMES])
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_an_offset_of_the_whole_array_is_no_load(seen, offset, frames):
+    for _ in range(20):
+        assert seen(offset=offset, frames=frames) == ""
+
+
+@pytest.mark.parametrize("common", [0.0, 1.0, 2.0, 20.0, -20.0])
+@pytest.mark.parametrize("scatter", [1.0, 2.0, 10.0, 100.0])
+def test_an_array_that_drifted_or_was_never_tared_shows_no_load(blur, seen, common, scatter):
+    """Every taxel has its own offset; kPa."""
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        assert seen(offset=common + random.uniform(-scatter, scatter, blur.frame_shape)) == ""
+
+
+def test_offsets_of_which_a_tenth_read_zero_by_chance_hardly_ever_pass_for_a_load(blur, seen):
+    """Others read less than zero, which none does under a load."""
+    random = np.random.default_rng(3)
+    asked = [seen(offset=random.normal(100, 100, blur.frame_shape)) for _ in range(40)]
+    assert sum(map(bool, asked)) <= 2
+
+
+def test_an_offset_that_tilts_over_the_array_is_no_load(blur, seen):
+    for common in OFFSETS:
+        assert seen(offset=common + np.linspace(-20, 20, blur.frame_shape[1])) == ""
+
+
+def test_what_a_tare_under_load_left_below_zero_is_no_load(blur, seen, disc):
+    assert seen(offset=-blur.forward(disc(50.0, 0.3).astype(np.float32))) == ""
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+@pytest.mark.parametrize(("kpa", "radius"), [(20.0, 0.1), (20.0, 0.3), (200.0, 0.1), (200.0, 0.3)])
+def test_a_press_is_a_load_over_any_offset(seen, disc, kpa, radius, offset):
+    assert seen(disc(kpa, radius), offset).startswith("contact of ")
+
+
+def test_a_press_is_a_load_among_offsets_of_the_taxels(blur, seen, disc):
+    offset = np.random.default_rng(2).normal(10, 3, blur.frame_shape)
+    assert seen(disc(200.0, 0.1), offset).startswith("contact of ")
+
+
+def test_a_press_on_most_of_a_tared_array_is_a_load(seen, disc):
+    load = disc(50.0, 0.45, (0.5, 0.4))
+    assert np.mean(load > 0) > 0.55
+    assert seen(load).startswith("contact of ")
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_what_moves_on_the_whole_array_is_a_load(seen, offset):
+    assert seen(lambda n: 10.0 + 0.5 * n, offset).startswith("readings that move by ")
+
+
+def test_what_was_seen_is_told_in_kpa_and_taxels():
+    frame = np.zeros((4, 4), np.float32)
+    assert load_seen([frame], NOISE) == ""
+    frame[1, 1] = 12
+    assert load_seen([frame], NOISE) == "contact of 12 kPa on 1 taxel"
+    frame[:2, :2] = 12, 9
+    assert load_seen([frame], NOISE) == "contact of 12 kPa on 4 taxels"
+    assert load_seen([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4 kPa"
+
+
+def test_a_taxel_that_is_not_known_tells_nothing():
+    frame = np.zeros((4, 4), np.float32)
+    frame[0, 0] = np.nan
+    once = frame.copy()
+    once[1, 1] = np.nan
+    assert load_seen([frame, once], NOISE) == ""
+    assert load_seen([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
+    frame[2, 2] = 50
+    assert load_seen([frame, once], NOISE) == "contact of 25 kPa on 1 taxel"

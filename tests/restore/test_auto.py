@@ -1,0 +1,181 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from tactiled.frames import DEAD
+from tactiled.restore.auto import PAUSE
+from tactiled.restore.methods import METHODS, make
+from tactiled.restore.points import Points
+from tactiled.study.restore import nrmse
+from tactiled.study.truth import presses
+
+SIGMA = 0.5
+SHAPE = (24, 24)
+
+
+def bump(width, peak=60.0):
+    y, x = np.mgrid[:24, :24] - 11.7
+    return peak * np.exp(-(x**2 + y**2) / (2 * width**2))
+
+
+@pytest.fixture
+def sensed(covered):
+    """Noisy frames of a scene under a cover."""
+    random = np.random.default_rng(5)
+
+    def make_frame(truth, thickness=1.0, sigma=SIGMA):
+        clean = covered(SHAPE, thickness).forward(np.asarray(truth, float))
+        return (clean + random.normal(0, sigma, SHAPE)).astype(np.float32)
+
+    return make_frame
+
+
+def test_noise_alone_is_idle_and_its_image_zero(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    chosen = [auto(sensed(np.zeros(SHAPE))) for _ in range(200)]
+    assert sum(done.method == "idle" for done in chosen) >= 198
+    assert all(not done.image.any() for done in chosen if done.method == "idle")
+    assert all(done.iterations == 0 for done in chosen if done.method == "idle")
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [np.eye(24) * (np.arange(24) == 12) * 40.0, np.full(SHAPE, 0.2), np.full(SHAPE, -0.2)],
+    ids=["a point", "a faint uniform load", "a faint uniform drift"],
+)
+def test_what_stands_out_in_one_taxel_or_in_the_sum_is_not_idle(covered, sensed, truth):
+    assert make("auto", covered(SHAPE), SIGMA)(sensed(truth)).method != "idle"
+
+
+def test_raw_where_the_cover_hardly_matters(covered, sensed):
+    frame = sensed(bump(5, 80), 0.05)
+    done = make("auto", covered(SHAPE, 0.05), SIGMA)(frame)
+    assert done.method == "raw"
+    np.testing.assert_array_equal(done.image, frame)
+    assert make("auto", covered(SHAPE, 0.05), SIGMA)(sensed(bump(1, 10), 0.05)).method != "raw"
+
+
+@pytest.fixture
+def pricked():
+    """Points under so thin a cover that a frame does not tell where on their taxels they are."""
+
+    def make_press(noise):
+        return next(press for press in presses(16, (0.05,), (noise,)) if press.scene == "points")
+
+    return make_press
+
+
+def test_raw_where_nothing_tells_where_points_are(pricked):
+    press = pricked(0.01)
+    done = make("auto", press.blur, press.sigma)(press.frame)
+    assert (done.method, done.noise_gain) == ("raw", 1.0)
+    assert "nothing tells where" in done.why
+    np.testing.assert_array_equal(done.image, press.frame)
+
+
+def test_points_that_are_not_told_stay_near_the_raw_image(pricked):
+    """There is noise enough to take out, but restoring misplaces pressure too."""
+    press = pricked(0.08)
+    done = make("auto", press.blur, press.sigma)(press.frame)
+    alone = make("nnls", press.blur, press.sigma)(press.frame)
+    assert done.method == "nnls"
+    assert alone.noise_gain < done.noise_gain < 1
+    assert "raw in part" in done.why
+    assert done.image.min() >= 0
+    pressed = press.frame > 5 * press.sigma
+    share = (done.image - press.frame)[pressed] / (alone.image - press.frame)[pressed]
+    assert share.min() == pytest.approx(share.max(), rel=0.02)
+    assert 0.3 < share.mean() < 0.95
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if name != "raw"])
+def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch, name):
+    """A frame that was the first to show one took three times as long."""
+    restorer = make(name, covered(SHAPE), SIGMA)
+    restorer.prepare()
+    monkeypatch.delattr("tactiled.restore.wiener.Filter.__init__")
+    monkeypatch.delattr("tactiled.restore.nonnegative.Step.__init__")
+    ran = {restorer(sensed(truth)).method for truth in (20 + bump(5), bump(1), bump(2, 5))}
+    assert ran == {"auto": {"wiener", "nnls"}, "points": {"nnls"}}.get(name, {name})
+
+
+def test_linear_where_it_hardly_rings(covered, sensed):
+    assert make("auto", covered(SHAPE), SIGMA)(sensed(20 + bump(5))).method == "wiener"
+
+
+def test_non_negative_where_the_scene_is_sharp(covered, sensed):
+    truth = np.zeros(SHAPE)
+    truth[10:13, 10:13] = 100
+    done = make("auto", covered(SHAPE, 2.0), SIGMA)(sensed(truth, 2.0))
+    assert done.method == "nnls"
+    assert done.image.min() >= 0
+
+
+def test_every_choice_says_why_in_words(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    said = {auto(sensed(truth)).why for truth in (0 * bump(1), 20 + bump(5), bump(1))}
+    assert len(said) == 3
+    assert all(len(why.split()) > 5 for why in said)
+
+
+@pytest.mark.parametrize(("weakest", "strongest", "most"), [(0.0, 40.0, 7), (0.3, 0.9, 20), (0.5, 1.2, 40)])
+def test_a_scene_on_the_border_does_not_flicker(covered, sensed, weakest, strongest, most):
+    """Without hysteresis these rising presses change the method 12, 75 and 95 times."""
+    auto = make("auto", covered(SHAPE), SIGMA)
+    methods = [auto(sensed(bump(3, peak))).method for peak in np.linspace(weakest, strongest, 300)]
+    assert sum(a != b for a, b in itertools.pairwise(methods)) < most
+
+
+def test_a_faint_press_that_linear_almost_does_for_does_not_flicker():
+    """Asked again every eighth frame, 41 changes."""
+    press = next(each for each in presses(16, (2.0,), (1e-6,), 1, 31) if each.scene == "blobs")
+    random, faint = np.random.default_rng(0), press.frame * np.float32(10 * SIGMA / press.frame.max())
+    auto = make("auto", press.blur, SIGMA)
+    frames = (faint + random.normal(0, SIGMA, faint.shape).astype(np.float32) for _ in range(600))
+    methods = [auto(frame).method for frame in frames]
+    assert sum(a != b for a, b in itertools.pairwise(methods)) < 20
+
+
+def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):
+    auto = make("auto", covered(SHAPE), SIGMA)
+    flags = np.zeros(SHAPE, np.uint8)
+    flags[3, 4] = DEAD
+    frame = sensed(np.zeros(SHAPE))
+    frame[3, 4] = 500
+    assert auto(frame, flags).method == "idle"
+
+
+def test_an_old_image_does_not_come_back(covered, sensed):
+    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
+    left, right = np.zeros(SHAPE), np.zeros(SHAPE)
+    left[10:13, 4:7], right[10:13, 17:20] = 100, 100
+    for _ in range(5):
+        auto(sensed(left, 2.0))
+    for _ in range(3):
+        image = auto(sensed(right, 2.0)).image
+    assert image[:, :10].sum() < 0.02 * image.sum()
+
+
+def test_points_are_left_alone_after_a_fit_that_did_not_stand(covered, sensed, monkeypatch):
+    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
+    truth = np.zeros(SHAPE)
+    truth[10:13, 10:13] = 100
+    tried = []
+    fit = Points.__call__
+    monkeypatch.setattr(Points, "__call__", lambda *each: tried.append(1) or fit(*each))
+    for _ in range(PAUSE):
+        assert auto(sensed(truth, 2.0)).method == "nnls"
+    assert len(tried) == 1
+    auto(sensed(np.zeros(SHAPE)))
+    truth[10:13, 10:13] = 0
+    truth[11, 12] = 600
+    assert auto(sensed(truth, 2.0)).method == "points"
+
+
+def test_no_disc_is_made_a_spike_that_the_noise_does_not_resolve():
+    """Discs of 1.5 to 3.5 pitches under a cover of three, in 10 % noise: sharper than that is invented."""
+    found = [each for each in presses(24, (2.5, 3.0), (0.1,), 5, seed=9002) if each.scene == "punches"]
+    for press in found:
+        image = make("auto", press.blur, press.sigma)(press.frame).image
+        assert nrmse(image, press.truth) <= 1.02 * nrmse(press.frame, press.truth)

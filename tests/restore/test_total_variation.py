@@ -1,0 +1,164 @@
+"""Total variation against scikit-image's where nothing is blurred, against a general solver where it is."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from skimage.restoration import denoise_tv_chambolle
+
+from tactiled.restore.methods import make
+from tactiled.restore.nonnegative import FEWEST, LOOSE, SPARSE
+from tactiled.restore.scene import Scene
+from tactiled.restore.total_variation import CORNER, WEIGHT, Edges, Variation
+from tactiled.restore.wiener import Wiener
+
+SIGMA = 0.5
+
+
+def differences(x):
+    """Along rows and down columns, 0 past the border."""
+    return np.diff(x, axis=1, append=x[:, -1:]), np.diff(x, axis=0, append=x[-1:])
+
+
+@pytest.mark.parametrize("shape", [(9, 13), (1, 12), (12, 1)])
+def test_without_a_blur_it_is_scikit_images(shape):
+    t = (40 + 10 * np.random.default_rng(0).normal(size=shape)).astype(np.float32)
+    edges = Edges(shape)
+    edges.limit(6.0)
+    for _ in range(20_000):
+        edges.fill(t.reshape(-1))
+        edges.follow()
+    reference = denoise_tv_chambolle(t.squeeze().astype(float), weight=6.0, eps=1e-14, max_num_iter=20_000)
+    np.testing.assert_allclose(edges.x.reshape(shape).squeeze(), reference, atol=2e-3)
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (1, 6), (6, 1), (1, 1)])
+def test_variation_is_the_sum_of_all_differences(shape):
+    edges = Edges(shape)
+    edges.x[...] = np.random.default_rng(1).normal(size=edges.x.size)
+    expected = sum(np.abs(each).sum() for each in differences(edges.x.reshape(shape)))
+    assert edges.variation() == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def weights(scene, x):
+    """What the image of a scene is weighed by: its Gaussian (surface modes), its sum and its variation."""
+    gaussian = LOOSE / scene.prior.ratio(scene.number)
+    share = max(x.sum() ** 2 / (x.size * (x**2).sum()), FEWEST)
+    contrast = (x**2).sum() / sum(np.abs(each).sum() for each in differences(x))
+    flat = 1 / (1 + (scene.prior.corner(scene.number) / CORNER) ** 2)
+    return gaussian, SPARSE * scene.noise / np.sqrt(share), WEIGHT * flat * np.sqrt(scene.noise * contrast)
+
+
+def objective(scene, frame, x, smooth=0.0):
+    """The problem that is to be solved, the weights being those of `x`; its value and slope at any image."""
+    (gaussian, total, variation), modes = weights(scene, x), scene.modes
+    left, right = modes.surface
+    c = modes.taxel[0].T @ frame.astype(float) @ modes.taxel[1]
+
+    def at(flat):
+        image = flat.reshape(x.shape)
+        z = left.T @ image @ right
+        across, down = differences(image)
+        length = np.sqrt(across**2 + down**2 + smooth**2)
+        misfit = modes.gain * z - c
+        value = (misfit**2).sum() / 2 + (gaussian * z**2).sum() / 2 + total * flat.sum() + variation * length.sum()
+        slope = left @ (modes.gain * misfit + gaussian * z) @ right.T + total
+        for part, axis in ((across, 1), (down, 0)):
+            pull = variation * part / np.maximum(length, 1e-300)
+            slope += np.roll(pull, 1, axis) - pull
+        return value, slope.ravel()
+
+    return at
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
+    blur = covered((8, 8))
+    frame, _ = pressed(blur, SIGMA, seed)
+    scene = Scene(blur, SIGMA)
+    monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
+    solver, wiener = Variation(scene), Wiener(scene)
+    for _ in range(3000):
+        scene.look(frame)
+        solver(wiener)
+    ours = solver.image.astype(float)
+    exact = objective(scene, frame, ours)
+    least = ours.ravel()
+    for smooth in (1.0, 0.1, 0.01, 1e-3):
+        found = minimize(
+            objective(scene, frame, ours, smooth),
+            np.maximum(least, 0) if smooth < 1 else np.full(ours.size, frame.mean(), float),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(0, None)] * ours.size,
+            options={"maxiter": 20_000, "maxfun": 100_000, "ftol": 1e-15, "gtol": 1e-9, "maxcor": 50},
+        )
+        least = found.x
+    assert exact(ours.ravel())[0] <= exact(least)[0] * (1 + 1e-5)
+    assert np.linalg.norm(ours.ravel() - least) < 0.01 * np.linalg.norm(least)
+
+
+@pytest.mark.parametrize(("thickness", "sigma"), [(1.0, 0.5), (1.0, 3.0), (2.0, 3.0)])
+def test_flat_parts_come_out_flat(covered, thickness, sigma):
+    blur = covered((24, 24), thickness)
+    y, x = np.mgrid[:24, :24] - 11.5
+    truth = 80.0 * (np.hypot(x, y) < 7)
+    clean = blur.forward(truth)
+    frame = (clean + np.random.default_rng(3).normal(0, sigma, clean.shape)).astype(np.float32)
+    images = {name: make(name, blur, sigma)(frame).image for name in ("tv", "nnls")}
+    inside = np.hypot(x, y) < 5
+    assert images["tv"][inside].std() < 0.6 * images["nnls"][inside].std()
+    assert np.linalg.norm(images["tv"] - truth) < 0.85 * np.linalg.norm(images["nnls"] - truth)
+
+
+def test_from_another_image_it_comes_to_the_same(covered, pressed):
+    blur = covered((16, 16))
+    frame, _ = pressed(blur, SIGMA)
+    other = np.ascontiguousarray(pressed(blur, SIGMA, 1)[0][::-1, ::-1])
+    warm, cold = make("tv", blur, SIGMA), make("tv", blur, SIGMA)
+    for _ in range(5):
+        warm(other)
+    for _ in range(300):
+        image, expected = warm(frame).image, cold(frame).image
+    assert np.sqrt(np.mean((image - expected) ** 2)) < 0.01 * SIGMA
+
+
+def test_warm_iterations_are_fewer_and_the_image_is_still_better(covered, pressed):
+    blur = covered((24, 24))
+    restorers = {name: make(name, blur, SIGMA) for name in ("tv", "nnls")}
+    cold = min([restorer(pressed(blur, SIGMA, 0)[0]).iterations for restorer in restorers.values()])
+    error = dict.fromkeys(restorers, 0.0)
+    for seed in range(1, 6):
+        frame, truth = pressed(blur, SIGMA, seed)
+        for name, restorer in restorers.items():
+            done = restorer(frame)
+            error[name] += np.linalg.norm(done.image - truth)
+            assert done.iterations < cold / 2
+    assert error["tv"] < 0.95 * error["nnls"]
+
+
+def test_without_a_grid_it_is_plain_least_squares_and_says_so(covered, pressed):
+    blur = covered((8, 8), layout=True)
+    frame, _ = pressed(blur, SIGMA)
+    done, plain = make("tv", blur, SIGMA)(frame), make("nnls", blur, SIGMA)(frame)
+    assert done.method == "nnls"
+    assert "grid" in done.why
+    np.testing.assert_array_equal(done.image, plain.image)
+
+
+def test_a_frame_allocates_next_to_nothing(covered, pressed):
+    blur = covered((64, 64))
+    frames = [pressed(blur, SIGMA, seed)[0] for seed in range(4)]
+    restorer = make("tv", blur, SIGMA)
+    for frame in frames:
+        restorer(frame)
+    tracemalloc.start()
+    restorer(frames[0])
+    before, _ = tracemalloc.get_traced_memory()
+    tracemalloc.reset_peak()
+    for frame in frames:
+        restorer(frame)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak - before < frames[0].nbytes / 2

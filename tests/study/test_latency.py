@@ -1,0 +1,31 @@
+import os
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+from tactiled.config import parse
+from tactiled.runtime.service import Service
+from tactiled.study import latency
+from tests.conftest import CONFIG, pressed
+
+
+@pytest.mark.parametrize("clients", [1, 3])
+def test_every_client_is_timed(monkeypatch, clients):
+    monkeypatch.setattr(latency, "WARM_UP_S", 0.2)
+    config = parse(CONFIG.format(channel=f"latency-{clients}"))
+    service = Service(config)
+    codec = service.sensor("palm").codec
+    cores = os.sched_getaffinity(0)
+    with threadpool_limits(1):
+        told = latency.measure(
+            service,
+            config,
+            lambda sequence, _, now: codec.encode(pressed().ravel(), sequence, now),
+            50,
+            1.0,
+            clients,
+        )
+    assert 0 < told.received <= told.sent <= 51
+    assert 0 < told.median <= told.p99 <= told.worst
+    assert told.pinned == (clients > 1 and len(cores) > 1)
+    assert os.sched_getaffinity(0) == cores

@@ -1,0 +1,101 @@
+import dataclasses
+import os
+import re
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+
+from tactiled.web import answers
+from tactiled.web.rest import picture
+from tests.conftest import NO_LOAD, SIDE, ask, meanwhile, pressed, until
+from tests.viewer.conftest import THUMB, Pair
+
+
+@pytest.fixture
+def pair():
+    with meanwhile(Pair("picture", THUMB)) as made:
+        yield made
+
+
+def scale(figure):
+    return figure.axes[0].images[0].get_clim()
+
+
+def test_noise_alone_is_dark_and_what_presses_fills_the_scale(rig):
+    idle = rig.show(np.full((SIDE, SIDE), NO_LOAD) + np.arange(SIDE) % 2)  # up to 0.5 kPa, the noise
+    assert scale(picture.draw(rig.sensor, idle, "raw", None)) == (0, 15 * 0.5)
+    assert scale(picture.draw(rig.sensor, idle, "raw", 3.0)) == (0, 3.0)
+    strong = rig.show(pressed())
+    assert scale(picture.draw(rig.sensor, strong, "raw", None)) == (0, 200)
+    assert scale(picture.draw(rig.sensor, strong, "restored", None)) == (0, strong.restored.max())
+    known = rig.sensor.deviation(strong)
+    assert scale(picture.draw(rig.sensor, strong, "deviation", None)) == (0, known.max())
+
+
+def test_an_image_whose_noise_nobody_knows_has_a_scale(rig):
+    image = dataclasses.replace(rig.show(pressed()), noise_gain=float("nan"))
+    assert scale(picture.draw(rig.sensor, image, "raw", None)) == (0, 200)
+
+
+def test_a_picture_of_what_is_past_says_so(rig):
+    image = rig.show(pressed())
+    assert picture.draw(rig.sensor, image, "raw", None).axes[0].get_title() == "palm, raw, frame 0"
+    until(lambda: rig.sensor.status().state == "stale")
+    title = picture.draw(rig.sensor, image, "raw", None).axes[0].get_title()
+    assert re.fullmatch(r"palm, raw, frame 0\nSTALE: \d+\.\d+ s old", title)
+
+
+def test_the_legend_is_as_high_as_the_map_and_the_map_true_to_scale(pair):
+    for sensor, image in zip(("palm", "thumb"), pair.both(), strict=True):
+        figure = picture.draw(pair.service.sensor(sensor), image, "raw", None)
+        figure.draw_without_rendering()
+        shown, legend = (axes.get_window_extent() for axes in figure.axes)
+        assert (legend.y0, legend.y1) == pytest.approx((shown.y0, shown.y1), abs=1.5)  # pixels
+        axes = figure.axes[0]
+        across, down = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+        assert shown.width / shown.height == pytest.approx(across / down, rel=0.01)
+
+
+def test_taxels_of_no_grid_are_as_large_as_they_are(pair):
+    _, image = pair.both()
+    (discs,) = picture.draw(pair.service.sensor("thumb"), image, "raw", None).axes[0].collections
+    assert set(discs.get_widths()) == {1.5}
+    np.testing.assert_array_equal(discs.get_array(), image.raw)
+
+
+def fonts():
+    """How many descriptors of fonts this process holds."""
+    return sum(
+        os.path.realpath(each).endswith((".ttf", ".otf", ".afm")) for each in Path("/proc/self/fd").iterdir()
+    )
+
+
+def test_pictures_drawn_while_other_threads_are_busy_open_no_more_fonts_than_the_first(rig, url, monkeypatch):
+    """Each picture is asked for while one more of the service's threads is kept busy."""
+    go_on, busy, health = Event(), [], answers.health
+
+    def slow(service):
+        busy.append(True)
+        assert go_on.wait(300)
+        return health(service)
+
+    monkeypatch.setattr(answers, "health", slow)
+    rig.show(pressed())
+    png = f"{url}/api/v1/sensors/palm/frames/raw?format=png"
+    with ThreadPoolExecutor(8) as many:
+        try:
+            assert ask("GET", png).status_code == 200
+            first, others = fonts(), []
+            for number in range(1, 6):
+                others.append(many.submit(ask, "GET", f"{url}/api/v1/health"))
+                until(lambda number=number: len(busy) == number)
+                assert {
+                    each.result().status_code for each in [many.submit(ask, "GET", png) for _ in range(3)]
+                } == {200}
+            assert 0 < fonts() <= first
+        finally:
+            go_on.set()
+        assert {each.result().status_code for each in others} == {200}
