@@ -164,7 +164,7 @@ def _writer(path: Path) -> Callable[[BinaryIO], can.io.generic.MessageWriter]:
             if ending.count(".") > 1 and len(path.suffixes) > 2:
                 raise ConfigError(f"{path}: python-can could not read it again: leave out dots before {ending}")
             return make
-    raise ConfigError(f"{path}: no format of recordings: let its name end in one of {', '.join(WRITERS)}")
+    raise ConfigError(f"{path}: unsupported format; use one of {', '.join(WRITERS)}")
 
 
 class Recorder:

@@ -236,7 +236,7 @@ def _packed(key: Key, fd: bool, fits: Sequence[Fit]) -> Found:
         f"packed layout, {'CAN FD' if fd else 'classic'}, array {where['array_id']} at {where['base_id']:#x},"
         f" {best.bits} bits a taxel"
     )
-    doubts = [f"array: {_many(best)} taxels fit, {rows} x {columns} is the squarest"]
+    doubts = [f"array: {_many(best)} taxels fit; best guess: {rows} x {columns}"]
     others = ", ".join(f"{each.bits} ({_many(each)})" for each in fits if each.bits != best.bits)
     if others:
         doubts.append(f"bits: nothing speaks against {others} taxels either, but steps are largest there")

@@ -21,7 +21,7 @@ def frontier(
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for frontier.svg, .csv and .json.")] = Path("bench"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer covers, noises and frames.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
 ) -> None:
     """Chart error against time for every method of ours and for others', in one run on one thread."""
     from tactiled.study import frontier as measure  # matplotlib and scikit-image take a second

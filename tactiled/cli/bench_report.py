@@ -17,7 +17,7 @@ def report(
     quick: Annotated[
         bool, typer.Option("--quick", help="Under a minute: fewer covers, faults, scenes, frames.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
 ) -> None:
     """Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables."""
     from tactiled.study import report as make  # matplotlib and scikit-image take a second

@@ -25,7 +25,7 @@ def stability(
     sensor: Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the charts and tables.")] = Path("bench"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer values and scenes; rubber on 16 x 16.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the scenes' places and the noise.", min=0)] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed.", min=0)] = 1,
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
     from tactiled.study import pairs

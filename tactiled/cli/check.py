@@ -29,12 +29,13 @@ def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML)
         for warning in plan.warnings:
             console.print(f"  {warning}")
     console.print(
-        f"{config}: right: {_listed('sensor', service.sensors)}; {_listed('bus', service.buses)}", markup=False
+        f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}", markup=False
     )
 
 
-def _listed(what: str, named: Mapping[str, object]) -> str:
-    return f"{what} {', '.join(named)}"
+def _count(named: Mapping[str, object], what: str) -> str:
+    plural = what + ("es" if what.endswith("s") else "s")
+    return f"{len(named)} {what if len(named) == 1 else plural}"
 
 
 def _table(plan: SensorPlan, told: Meaning) -> Table:
@@ -42,15 +43,19 @@ def _table(plan: SensorPlan, told: Meaning) -> Table:
     table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
     array = plan.array
     form = " x ".join(map(str, array.frame_shape))
-    gap = f"{told.smallest_gap:.2f} mm (the {told.limit} sets it)" if told.smallest_gap < 1e3 else "none survives"
+    gap = (
+        f"{told.smallest_gap:.2f} mm (the {told.limit} sets it)"
+        if told.smallest_gap < 1e3
+        else "none is resolvable"
+    )
     rows = (
         ("array", f"{form} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm"),
         ("messages a frame", f"{plan.codec.segments}"),
         ("cover", f"solved by {plan.kernel.model}, gain right to {plan.kernel.error_estimate:.1g}"),
         ("gain 0.5 / 0.1 at", f"{told.half_gain:.3f} / {told.tenth_gain:.3f} cycles/mm"),
         ("gain at the taxel Nyquist", f"{told.nyquist_gain:.4f} at {told.nyquist:.3f} cycles/mm"),
-        ("to undo it amplifies noise", f"{told.noise_gain:.1f} times"),
-        ("smallest gap that survives", f"{gap}, at a noise of 1 % of the pressure"),
+        ("noise amplification of full restoration", f"{told.noise_gain:.1f} times"),
+        ("smallest resolvable gap", f"{gap}, at a noise of 1 % of the pressure"),
     )
     for row in rows:
         table.add_row(*row)

@@ -55,7 +55,7 @@ def export(
 def _free(out: Path) -> type[Sink]:
     """What writes a file of that name; ConfigError where it cannot be written."""
     if out.suffix not in FORMATS:
-        raise ConfigError(f"{out}: no format of exports: let its name end in {', '.join(FORMATS)}")
+        raise ConfigError(f"{out}: unsupported format; use {', '.join(FORMATS)}")
     FORMATS[out.suffix].check()
     try:
         if out.exists():

@@ -48,7 +48,7 @@ def record(
     try:
         with interrupted() as stop:
             recorder = Recorder(out, leave_mb=leave_mb)
-            console.print(f"{tap.label}: recording to {out}: end it by Ctrl-C", markup=False)
+            console.print(f"{tap.label}: recording to {out}: press Ctrl-C to stop", markup=False)
             written = record_bus(tap, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()

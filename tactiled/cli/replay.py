@@ -19,7 +19,7 @@ from tactiled.web.server import serve
 def replay(
     file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
     config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
-    bus: Annotated[str | None, typer.Option(help="Which of its buses was, where it has several.")] = None,
+    bus: Annotated[str | None, typer.Option(help="Bus to replay, if the file has several.")] = None,
     speed: Annotated[
         float, typer.Option(help="1: the recorded pace; N: N times that; 0: no pauses.", min=0)
     ] = 1.0,

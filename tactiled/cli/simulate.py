@@ -49,7 +49,7 @@ def simulate(
     console = Console(soft_wrap=True, highlight=False)
     polled = bool(talk_of(source.codec).polls)
     pace = "whenever it is asked" if polled else f"at {rate_hz:g} Hz"
-    console.print(f"{name}: {scene} on {sender.label} {pace}: end it by Ctrl-C", markup=False)
+    console.print(f"{name}: {scene} on {sender.label} {pace}: press Ctrl-C to stop", markup=False)
     began = time.monotonic()
     try:
         with threadpool_limits(1), interrupted() as stop:

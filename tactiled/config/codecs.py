@@ -125,7 +125,7 @@ def _offered(name: str) -> str:
         known = (*BUILT_IN, *(each.name for each in plugins.offers()))
         near = difflib.get_close_matches(name, known, 1)
         meant = f": did you mean {near[0]}?" if near else ""
-        raise ValueError(f"{name!r} is no codec: there are {', '.join(known)}{meant}")
+        raise ValueError(f"unknown codec {name!r}; available: {', '.join(known)}{meant}")
     return name
 
 

@@ -32,9 +32,9 @@ MOVED = 4.0  # standard deviations by which an image is stronger than its frame 
 STRONGER = 0.02  # of its strength: one of them, however faint the noise
 RIM = 1.5  # times the highest pressure inside that stands at the rim
 
-RESIDUAL = "the image does not explain the frame: is the cover as configured, and every taxel sound?"
+RESIDUAL = "the restored image does not match the data: check the cover settings and look for faulty taxels"
 OUTLIER = "single taxels disagree with all around them: dead or damaged? name them in calibration.dead"
-NEGATIVE = "taxels are further below zero than the noise goes: tare, or is there more noise than told?"
+NEGATIVE = "readings are negative: unload and tare, or check noise_kpa"
 LIFTED = "no part of the array is free of pressure: if nothing lies on all of it, tare"
 UNLIKE = "the finest patterns hold less than half the noise told: is it shared by taxels, or less than told?"
 PLATEAU = "several taxels share the highest value: saturated? set calibration.saturation"

@@ -29,13 +29,13 @@ WORTH = 1.5  # times what the model of a cover may miss of a frame: less is not 
 UNTOLD = 0.14  # of its square: what points mislead by if nothing tells where on their taxels they are
 NEGATIVE = 0.02  # of the image's norm: a negative part below this is not worth iterating for
 
-IDLE = "nothing there: no taxel, and not their sum, stands out of the noise"
+IDLE = "no contact above the noise"
 RAW = "the cover hardly matters here: all it changes is under a faint noise, or under what its model may miss"
-WIENER = "linear is enough: hardly any of the image falls below zero"
+WIENER = "smooth contact: a linear filter is enough"
 POINTS = "isolated indenters: a few points explain the frame down to its noise"
-MIXED = "a few small spots, and nothing tells where on their taxels: non-negative and raw in part"
-LEFT = "a few small spots, and nothing tells where on their taxels: restoring may do as much harm as good"
-NNLS = "sharp, sparse or touching zero: linear would ring below zero"
+MIXED = "contacts smaller than a taxel; NNLS mixed with the raw image"
+LEFT = "contacts smaller than a taxel; raw image shown"
+NNLS = "sharp contact: NNLS avoids ringing"
 
 
 class Idle:

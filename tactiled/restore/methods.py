@@ -25,8 +25,8 @@ Run = Callable[[Image], Restored]
 
 LUCY = 30  # iterations of Richardson-Lucy, at most
 FAST = 24  # of the accelerated: 30 are 1 % better at 16 squared, and take over five times the median at times
-ASKED = "as asked"
-TOO_MANY = "no few points explain the frame down to its noise: non-negative instead"
+ASKED = "selected by hand"
+TOO_MANY = "not a few point loads; used NNLS"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
 
 

@@ -130,7 +130,7 @@ class Frame(Form):
         examples=[[[0, 0], [0, 0]]],
     )
     method: str = Field(description="that ran", examples=["nnls"])
-    why: str = Field(examples=["as asked"])
+    why: str = Field(examples=["selected by hand"])
     iterations: int = Field(examples=[3])
     microseconds: float = Field(description="from counts to the restored image", examples=[62.0])
     noise_kpa: float = Field(description="standard deviation of a raw taxel", examples=[0.2])
@@ -160,7 +160,7 @@ class StreamStatus(Form):
         None, description="s, of its frame's first CAN message", examples=[1763712000.25]
     )
     ran: str | None = Field(None, examples=["nnls"])
-    why: str | None = Field(None, examples=["as asked"])
+    why: str | None = Field(None, examples=["selected by hand"])
     iterations: int | None = Field(None, examples=[3])
     microseconds: float | None = Field(None, examples=[62.0])
     noise_kpa: float | None = Field(None, examples=[0.2])

@@ -126,7 +126,7 @@ def test_a_name_that_two_packages_offer_is_refused(install):
 def test_a_name_that_nobody_offers_is_refused_and_the_offers_named(install):
     install(CODE)
     with pytest.raises(
-        ConfigError, match=r"'my-skim' is no codec: .*linker, dbc, my-skin: did you mean my-skin\?"
+        ConfigError, match=r"unknown codec 'my-skim'; available: .*linker, dbc, my-skin: did you mean my-skin\?"
     ):
         sensor('name = "my-skim"')
 

@@ -347,7 +347,7 @@ def test_a_late_reader_loses_nothing_that_its_buffer_holds(tmp_path, multicast):
 FEED = """
 import sys, time
 from pathlib import Path
-from tactiled.bus.record import Recorder
+from tactiled.bus.recorder import Recorder
 import can
 recorder = Recorder(Path(sys.argv[1]))
 began, number = time.monotonic(), 0

@@ -101,6 +101,6 @@ def test_init_writes_what_check_finds_right_and_never_overwrites(tmp_path):
     assert tactiled("init", path).returncode == 0
     done = tactiled("check", path)
     assert done.returncode == 0, done.stderr
-    for line in ("gain at the taxel Nyquist", "smallest gap that survives", "right: sensor palm; bus can0"):
+    for line in ("gain at the taxel Nyquist", "smallest resolvable gap", "is valid: 1 sensor, 1 bus"):
         assert line in done.stdout
     refused(tactiled("init", path), "b.toml is there already")

@@ -117,7 +117,7 @@ def test_it_ends_before_the_disk_is_full(tmp_path, request, monkeypatch, leaves,
     [
         ("a.log", ConfigError, "--interface is missing"),
         ("a.log --interface nope", BusError, "python-can has no interface of that name"),
-        ("a.mf4 --interface virtual", ConfigError, "a.mf4: no format of recordings: let its name end in"),
+        ("a.mf4 --interface virtual", ConfigError, "a.mf4: unsupported format; use"),
         ("gone/a.log --interface virtual", ConfigError, "gone/a.log: No such file or directory"),
         ("a.log --interface virtual --recordings-leave-mb inf", ConfigError, "recordings_leave_mb = inf: give 0"),
         ("a.log --interface virtual --bus can0", ConfigError, "--bus can0: names a bus of a --config"),

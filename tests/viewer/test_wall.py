@@ -224,7 +224,7 @@ def test_nothing_touches_what_is_known_where_taxels_are_unknown(rig, url, open_p
     none = np.full((SIDE, SIDE), NO_LOAD)
     rig.show(none)
     page = open_page(url)
-    page.get_by_text("Nothing touches.").wait_for()
+    page.get_by_text("No contact").wait_for()
     said = "document.getElementById('contact-list').innerText"
     known = "Nothing touches the 41 of 64 taxels that are known."
     keep(lambda: rig.send(none, drop=(1,)), page, f"{said}.includes('{known}')")

@@ -42,7 +42,7 @@ export class ContactList {
  * @returns {string} what no contact means
  */
 function untouched(taxels, unknown) {
-  if (!unknown) return "Nothing touches.";
+  if (!unknown) return "No contact";
   if (unknown >= taxels) return "Nothing is known of any taxel.";
   return `Nothing touches the ${taxels - unknown} of ${taxels} taxels that are known.`;
 }
