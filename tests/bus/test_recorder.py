@@ -97,7 +97,7 @@ def test_a_recording_of_nothing_can_be_read(tmp_path, ending):
 
 def test_another_ending_or_a_file_that_is_there_is_refused_and_left_alone(tmp_path):
     for name in ("a.mf4", "a.csv", "a.blf.gz", "a", "log"):
-        with pytest.raises(ConfigError, match=r"let its name end in one of \.log, \.asc, \.blf"):
+        with pytest.raises(ConfigError, match=r"unsupported format; use one of \.log, \.asc, \.blf"):
             Recorder(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
     there = tmp_path / "a.log"

@@ -259,7 +259,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(tmp_path, conf
     there.write_text("mine")
     before = sorted(tmp_path.iterdir())
     for recorded, out, says in (
-        (lossy, tmp_path / "a.csv", "let its name end in .npz, .h5, .mcap"),
+        (lossy, tmp_path / "a.csv", "unsupported format; use .npz, .h5, .mcap"),
         (lossy, there, "is there already"),
         (lossy, tmp_path / "gone" / "a.npz", "no such directory"),
         (lossy, tmp_path / f"{300 * 'a'}.npz", "File name too long: name a file that can be written"),

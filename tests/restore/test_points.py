@@ -184,7 +184,7 @@ def test_what_is_no_few_points_is_not_told_as_some(touched):
         restorer = make("points", blur_of(1.0), sigma)
         done = restorer(frame)
         assert done.method == "nnls"
-        assert "no few points" in done.why
+        assert "not a few point loads" in done.why
         assert restorer.points == ()
 
 
