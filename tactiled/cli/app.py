@@ -3,8 +3,8 @@
 import gc
 import signal
 import sys
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from threading import Event
 from typing import Annotated
 
@@ -76,28 +76,29 @@ def _interrupt(*_: object) -> None:
 
 
 @contextmanager
+def _handled(handler: Callable[..., object]) -> Iterator[None]:
+    """Have Ctrl-C and SIGTERM call `handler` meanwhile."""
+    before = {each: signal.signal(each, handler) for each in STOPS}
+    try:
+        yield
+    finally:
+        for each, other in before.items():
+            signal.signal(each, other)
+
+
+@contextmanager
 def interrupted() -> Iterator[Event]:
     """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
     stop = Event()
-    before = {each: signal.signal(each, lambda *_: stop.set()) for each in STOPS}
-    try:
+    with _handled(lambda *_: stop.set()):
         yield stop
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
     """A block that Ctrl-C and SIGTERM end alike, which is no failure."""
-    before = {each: signal.signal(each, _interrupt) for each in STOPS}
-    try:
+    with _handled(_interrupt), suppress(KeyboardInterrupt):
         yield
-    except KeyboardInterrupt:
-        return
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)
 
 
 def choose(option: str, name: str | None, known: Collection[str]) -> str:

@@ -1,6 +1,6 @@
 """A connection from its first byte to its last: which state it is in, and that it keeps to that state's bound.
 
-uvicorn's own protocols parse and answer; they stand behind a `_Door` and know nothing of this. The state is read
+uvicorn's own protocols parse and answer; they stand behind a `Door` and know nothing of this. The state is read
 off h11's and websockets' own machines after every step, so no step can be forgotten here.
 """
 
