@@ -70,8 +70,8 @@ def test_a_band_of_another_time_is_not_drawn(rig, url, open_page):
     page = open_page(url)
     kept = page.evaluate(
         """async () => {
-          const { Deviations } = await import("/static/deviations.js");
-          const kept = new Deviations("palm", { restored: { count: 64 } });
+          const { DeviationCache } = await import("/static/deviation.js");
+          const kept = new DeviationCache("palm", { restored: { count: 64 } });
           const now = (await (await fetch("/api/v1/sensors/palm/frames/raw")).json()).timestamp;
           await kept._fetch(0);
           return [0, 1.4, 1.6, -1.6].map(away => kept.at(now + away)?.length);

@@ -7,7 +7,7 @@ from tests.viewer.conftest import keep, wait
 from tests.viewer.test_contacts import LISTED
 
 FORCES = """async forces => {
-  const { newtons } = await import("/static/paint.js");
+  const { newtons } = await import("/static/format.js");
   return forces.map(force => newtons(force));
 }"""
 WATCH = """(() => {

@@ -162,7 +162,7 @@ def test_colours_that_the_system_forces_leave_raw_and_restored_apart(rig, url, o
     told = page.evaluate(COLOURS)
     assert len(set(told["keys"])) == 2  # the band's is the restored line's, paler
     assert not [each for each in told["keys"] if each.startswith(told["ground"]) and each.endswith("none")]
-    inks = page.evaluate("async () => (await import('/static/paint.js')).inks()")
+    inks = page.evaluate("async () => (await import('/static/dom.js')).themeColors()")
     assert len({inks["raw"], inks["restored"], told["ground"]}) == 3
     keep(lambda: rig.show(pressed()), page, "document.body.dataset.level === 'live'")
     assert found(page) == []

@@ -84,7 +84,7 @@ def test_the_legend_has_both_its_ends_and_large_and_small_numbers_fit(rig, url, 
     rig.show(np.full((8, 8), 300))
     page = open_page(url)
     told = page.evaluate("""async () => {
-      const { endsAndTicks, tickText } = await import("/static/scale.js");
+      const { endsAndTicks, tickText } = await import("/static/ticks.js");
       const texts = (low, high) => endsAndTicks(low, high, 8).map(each => tickText(each, high - low));
       return [texts(0, 150), texts(0, 1234567), texts(0, 1e-5), texts(123000, 123500), texts(-2, 10)];
     }""")

@@ -12,8 +12,8 @@ from tests.viewer.conftest import turned, wait
 from tests.viewer.test_viewer import pixels, show
 
 FOLLOW = """async peaks => {
-  const { Scale } = await import("/static/scale.js");
-  const scale = new Scale();
+  const { DisplayRange } = await import("/static/display_range.js");
+  const scale = new DisplayRange();
   return peaks.map((peak, i) => { scale.follow(peak, 0.5, i / 50); return scale.high; });
 }"""
 

@@ -5,7 +5,7 @@ import pytest
 from tests.conftest import pressed
 from tests.viewer.conftest import turned
 
-TICKS = """async ([low, high, most]) => (await import("/static/scale.js")).ticks(low, high, most)"""
+TICKS = """async ([low, high, most]) => (await import("/static/ticks.js")).ticks(low, high, most)"""
 CUT = """(() => {
   const field = document.getElementById("range-high");
   return field.scrollWidth - field.clientWidth;

@@ -169,7 +169,7 @@ def test_where_colours_are_forced_the_raw_line_is_dashed_in_a_colour_of_its_own(
     fixed_range(page)
     page.emulate_media(forced_colors="active")
     turned(page)
-    inks = page.evaluate("async () => (await import('/static/paint.js')).inks()")
+    inks = page.evaluate("async () => (await import('/static/dom.js')).themeColors()")
     lengths = []
     for ink in ("raw", "restored"):
         colour = [int(each) for each in re.findall(r"\d+", inks[ink])] + [255]

@@ -155,8 +155,8 @@ def test_a_page_that_is_slow_at_painting_goes_on_painting(pair, open_page, canva
 
 # [ms that an image was under way, ms that the page then stands still, images not painted yet]: is it held back?
 TOLD = """async turns => {
-  const { Present } = await import("/static/present.js");
-  const present = new Present();
+  const { Freshness } = await import("/static/freshness.js");
+  const present = new Freshness();
   const real = Date.now;
   let now = 1e12;
   Date.now = () => now;

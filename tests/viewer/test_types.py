@@ -23,8 +23,8 @@ def test_the_viewer_keeps_the_types_that_its_comments_tell(tmp_path):
 
 def test_a_wrong_type_is_found(tmp_path):
     shutil.copytree(STATIC, tmp_path, dirs_exist_ok=True)
-    scale = tmp_path / "scale.js"
+    scale = tmp_path / "display_range.js"
     scale.write_text(scale.read_text().replace("this.auto = true;", 'this.auto = "yes";', 1))
     checked = check(tmp_path)
-    assert "scale.js" in checked.stdout
+    assert "display_range.js" in checked.stdout
     assert checked.returncode != 0

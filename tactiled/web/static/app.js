@@ -4,18 +4,21 @@
  */
 
 import * as api from "./api.js";
+import { Colormap } from "./colormap.js";
 import { controls } from "./controls.js";
-import { Palette } from "./heatmap.js";
-import { Log } from "./log.js";
-import { notice, words } from "./notice.js";
-import { byId } from "./paint.js";
+import { byId } from "./dom.js";
+import { EventLog } from "./event_log.js";
+import { notice, messageOf } from "./notice.js";
+import { PageText } from "./page_text.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
-import { Screen } from "./screen.js";
 import { ALL, Tabs } from "./tabs.js";
 import { theme } from "./theme.js";
 import { Viewer } from "./viewer.js";
 import { Wall } from "./wall.js";
+
+/** @import { Sensor } from "./api.js" */
+/** @import { Status } from "./sensor_stream.js" */
 
 const READ_MS = 200; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors
@@ -23,13 +26,13 @@ const WALL = "#/wall"; // the address of all sensors; a sensor's own has no bare
 const REPLAYED = "recording"; // the clock of a sensor whose bus is not open
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
-const screen = new Screen();
+const screen = new PageText();
 const tabs = new Tabs((name) => choose(name));
-const log = new Log();
+const log = new EventLog();
 const viewer = new Viewer({ onChange: () => read(), onStatus: hear, onProbe: () => screen.tellProbe(viewer) });
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
-/** @type {import("./api.js").Sensor[]} */
+/** @type {Sensor[]} */
 let sensors = [];
 let last = ""; // sensor that was shown before all of them
 let reachable = true;
@@ -41,7 +44,7 @@ function read() {
   else screen.read(viewer, reachable);
 }
 
-/** @param {import("./stream.js").Status} status */
+/** @param {Status} status */
 function hear(status) {
   tabs.mark(status.sensor, status.state);
   if (document.activeElement !== picker && picker.value !== status.method) picker.value = status.method;
@@ -89,7 +92,7 @@ async function learn() {
   const offered = await api.offered();
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   log.offer(offered.has("/events"));
-  viewer.palette = new Palette((await api.colormap()).colors);
+  viewer.palette = new Colormap((await api.colormap()).colors);
 }
 
 /** @returns {string} the sensor that the address names; "" where nobody can say which */
@@ -126,7 +129,7 @@ async function poll() {
     await Promise.all([recorder.update(), log.update()]);
   } catch (error) {
     reachable = !(error instanceof api.ApiError) || error.status !== 0;
-    if (reachable) notice(words(error), true);
+    if (reachable) notice(messageOf(error), true);
     for (const name of tabs.names) tabs.mark(name, "unknown");
   }
   setTimeout(poll, POLL_MS);

@@ -3,7 +3,7 @@
  * @module
  */
 
-import { fit, inks, pen } from "./paint.js";
+import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { Ticks } from "./ticks.js";
 
 /**
@@ -62,13 +62,13 @@ export class Chart {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this._pen = pen(canvas);
-    this._ink = inks();
+    this._pen = context2d(canvas);
+    this._ink = themeColors();
     this._font = `12px ${this._ink.font}`;
     this._across = new Ticks();
     this._up = new Ticks();
     /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
-    this._ground = pen(document.createElement("canvas"));
+    this._ground = context2d(document.createElement("canvas"));
     /** What is painted there. */
     this._shown = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", ratio: NaN, ink: this._ink };
     /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
@@ -77,7 +77,7 @@ export class Chart {
 
   /** Take the colours of the theme as it is now. */
   restyle() {
-    this._ink = inks();
+    this._ink = themeColors();
   }
 
   /** Show nothing. */
@@ -97,7 +97,7 @@ export class Chart {
     const width = canvas.clientWidth;
     const height = canvas.clientHeight;
     if (width < SIDE + TAIL + 10 || height < HEAD + FOOT + 10) return;
-    const ratio = fit(canvas, width, height);
+    const ratio = fitCanvas(canvas, width, height);
     this._w = width - SIDE - TAIL;
     this._h = height - HEAD - FOOT;
     this._sx = this._w / (axes.right - axes.left);

@@ -3,11 +3,11 @@
  * @module
  */
 
-import { fit, inks, pen } from "./paint.js";
-import { endsAndTicks, tickText } from "./scale.js";
+import { fitCanvas, themeColors, context2d } from "./dom.js";
+import { endsAndTicks, tickText } from "./ticks.js";
 
-/** @typedef {import("./heatmap.js").Palette} Palette */
-/** @typedef {import("./scale.js").Scale} Scale */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
 
 const BAR = 16; // px across the bar
 const ENDS = { standing: 9, lying: 16 }; // px kept free at each end, for half a label
@@ -16,7 +16,7 @@ export class Colorbar {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this._pen = pen(canvas);
+    this._pen = context2d(canvas);
     /** What was drawn last: the range, kPa, and the size, CSS px. */
     this._low = NaN;
     this._high = NaN;
@@ -39,8 +39,8 @@ export class Colorbar {
 
   /**
    * Draw, where the range or the size is another than the last time; tall boxes get a standing bar.
-   * @param {Scale} scale
-   * @param {Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    */
   draw(scale, palette) {
     const width = this.canvas.clientWidth;
@@ -55,13 +55,13 @@ export class Colorbar {
     this._draw(palette);
   }
 
-  /** @param {Palette} palette */
+  /** @param {Colormap} palette */
   _draw(palette) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
     this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
-    const ratio = fit(this.canvas, width, height);
+    const ratio = fitCanvas(this.canvas, width, height);
     const draw = this._pen;
-    const ink = inks();
+    const ink = themeColors();
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
     draw.clearRect(0, 0, width, height);
     draw.font = `12px ${ink.font}`;

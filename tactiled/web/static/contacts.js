@@ -3,8 +3,8 @@
  * @module
  */
 
-import { Told } from "./nearest.js";
-import { newtons } from "./paint.js";
+import { newtons } from "./format.js";
+import { Timeline } from "./timeline.js";
 
 /**
  * One contact as the service tells it, with what is written beside it.
@@ -33,8 +33,8 @@ import { newtons } from "./paint.js";
 const KEPT = 256; // messages: more than ten seconds at twenty a second
 const HOLDS_S = 0.25; // between the frame that contacts are of and one that they are drawn on
 
-/** @extends {Told<Found>} */
-export class Contacts extends Told {
+/** @extends {Timeline<Found>} */
+export class Contacts extends Timeline {
   constructor() {
     super(KEPT, HOLDS_S);
   }

@@ -4,22 +4,26 @@
  */
 
 import * as api from "./api.js";
-import { control } from "./control.js";
-import { keys } from "./keys.js";
-import { apart } from "./nearest.js";
+import { byId, setText } from "./dom.js";
+import { download } from "./download.js";
+import { csvText } from "./export_csv.js";
+import { savePng } from "./export_png.js";
+import { ACROSS } from "./geometry.js";
+import { listenForKeys } from "./keyboard.js";
 import { notice } from "./notice.js";
-import { byId, say } from "./paint.js";
-import { ACROSS } from "./plane.js";
 import { methodTitle } from "./readings.js";
-import { saveCsv, savePng } from "./save.js";
+import { timeOffset } from "./timeline.js";
+import { withToken } from "./token_dialog.js";
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
+/** @import { PageText } from "./page_text.js" */
+/** @import { Recorder } from "./recorder.js" */
+/** @import { Viewer } from "./viewer.js" */
 
 /**
  * What the controls act on beside the viewer.
- * @typedef {object} Rooms
- * @property {import("./screen.js").Screen} screen
- * @property {import("./recorder.js").Recorder} recorder
+ * @typedef {object} Targets
+ * @property {PageText} screen
+ * @property {Recorder} recorder
  * @property {() => string[]} sensors names of them
  * @property {(name: string) => void} choose a sensor, or all of them
  * @property {() => void} toggleWall
@@ -33,7 +37,7 @@ const help = /** @type {HTMLDialogElement} */ (byId("help"));
 /**
  * Wire everything that can be pressed.
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 export function controls(viewer, rooms) {
   buttons(viewer, rooms);
@@ -44,7 +48,7 @@ export function controls(viewer, rooms) {
 
 /**
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function buttons(viewer, rooms) {
   const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
@@ -74,7 +78,7 @@ function showHelp() {
 
 /**
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function range(viewer, rooms) {
   const auto = /** @type {HTMLInputElement} */ (byId("range-auto"));
@@ -91,7 +95,7 @@ function range(viewer, rooms) {
  * @param {number} low kPa; NaN where no number stands there
  * @param {number} high
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function fix(low, high, viewer, rooms) {
   const why = viewer.scale.fix(low, high);
@@ -104,7 +108,7 @@ function fix(low, high, viewer, rooms) {
 /**
  * @param {boolean} auto
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function setAuto(auto, viewer, rooms) {
   const { scale } = viewer;
@@ -118,7 +122,7 @@ function setAuto(auto, viewer, rooms) {
 async function chooseMethod(viewer) {
   const { value } = picker;
   picker.blur();
-  if (await control(() => api.setMethod(viewer.name, value), "Method not changed")) notice(`Method: ${methodTitle(value)}`);
+  if (await withToken(() => api.setMethod(viewer.name, value), "Method not changed")) notice(`Method: ${methodTitle(value)}`);
   else picker.value = viewer.session?.status?.method ?? picker.value;
 }
 
@@ -127,7 +131,7 @@ async function tare(viewer) {
   const { name } = viewer;
   if (!name) return;
   let seen = "";
-  const begin = (/** @type {boolean} */ force) => control(() => api.tare(name, force).catch((error) => {
+  const begin = (/** @type {boolean} */ force) => withToken(() => api.tare(name, force).catch((error) => {
     if (error.code !== "loaded") throw error;
     ({ seen } = error);
   }), "Tare failed");
@@ -143,7 +147,7 @@ async function tare(viewer) {
  * @returns {Promise<boolean>} to tare anyway
  */
 async function sure(name, seen) {
-  say(byId("loaded-seen"), `${name}: ${seen}.`);
+  setText(byId("loaded-seen"), `${name}: ${seen}.`);
   loaded.returnValue = "";
   loaded.showModal();
   await new Promise((resolve) => { loaded.addEventListener("close", resolve, { once: true }); });
@@ -153,7 +157,7 @@ async function sure(name, seen) {
 /**
  * @param {"png"|"csv"} kind
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function save(kind, viewer, rooms) {
   const { session, palette } = viewer;
@@ -161,10 +165,13 @@ function save(kind, viewer, rooms) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
     return;
   }
-  if (kind === "csv") saveCsv(session, session.frame);
+  if (kind === "csv") {
+    const { name, plane, frame } = session;
+    download(name, frame, "csv", new Blob([csvText(name, plane, frame)], { type: "text/csv" }));
+  }
   else {
     const { found } = viewer;
-    const away = found?.contacts.length ? apart(found, session.frame) : "";
+    const away = found?.contacts.length ? timeOffset(found, session.frame) : "";
     const { level } = rooms.screen;
     const still = level === "live" ? "paused" : `paused, ${level}`;
     const state = (session.paused ? still : level) + (away && `, contacts of ${away}`);
@@ -188,7 +195,7 @@ function arrow(viewer, dx, dy, event) {
 function turn(viewer) {
   if (!viewer.session) return;
   viewer.cut(ACROSS[viewer.marks.along]);
-  say(byId("told"), `Cross-section along ${viewer.marks.along}.`);
+  setText(byId("told"), `Cross-section along ${viewer.marks.along}.`);
 }
 
 /** @param {Viewer} viewer */
@@ -202,12 +209,12 @@ function pin(viewer) {
 
 /**
  * @param {Viewer} viewer
- * @param {Rooms} rooms
+ * @param {Targets} rooms
  */
 function keyboard(viewer, rooms) {
   const contacts = byId("contacts-on");
   const shear = byId("shear-on");
-  keys({
+  listenForKeys({
     " ": () => viewer.pause(!viewer.session?.paused),
     ArrowLeft: (event) => arrow(viewer, -1, 0, event),
     ArrowRight: (event) => arrow(viewer, 1, 0, event),

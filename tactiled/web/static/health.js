@@ -3,13 +3,13 @@
  * @module
  */
 
-import { fixed } from "./paint.js";
+import { fixed } from "./format.js";
 
-/** @typedef {import("./stream.js").Status} Status */
+/** @import { Status } from "./sensor_stream.js" */
 
 /**
  * How the way to the service is doing; times in ms on performance.now's clock.
- * @typedef {object} Way
+ * @typedef {object} StreamState
  * @property {"connecting"|"open"|"closed"} link
  * @property {string} reason why it closed
  * @property {number} retryAt
@@ -29,13 +29,13 @@ const STALL_S = 2; // no image for so long, though the sensor is said to be live
 const OVERDUE_MS = 2500; // of the service's once-a-second word
 
 /**
- * @param {Way|null} stream
+ * @param {StreamState|null} stream
  * @param {Status|null} status the newest
  * @param {number} toldAt when that came, ms on performance.now's clock
  * @param {number} pairAt when the newest pair came; 0 before the first
  * @returns {Health}
  */
-export function judge(stream, status, toldAt, pairAt) {
+export function healthOf(stream, status, toldAt, pairAt) {
   const now = performance.now();
   const age = ageOf(status, toldAt, now);
   const seen = age === null ? "No frame yet." : `Last frame ${span(age)} ago.`;

@@ -4,21 +4,11 @@
  * @module
  */
 
-import { fit, pen } from "./paint.js";
+import { fitCanvas, context2d } from "./dom.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./plane.js").Cells} Cells */
-/** @typedef {import("./scale.js").Scale} Scale */
-
-/** The 256 colours, as pixels and as CSS. */
-export class Palette {
-  /** @param {[number, number, number][]} colors */
-  constructor(colors) {
-    /** One little-endian RGBA word a colour. */
-    this.words = Uint32Array.from(colors, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
-    this.css = colors.map(([r, g, b]) => `rgb(${r} ${g} ${b})`);
-  }
-}
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Cells, Plane } from "./geometry.js" */
 
 export class Heatmap {
   /**
@@ -28,7 +18,7 @@ export class Heatmap {
   constructor(canvas, frame) {
     this.canvas = canvas;
     this.frame = frame;
-    this._pen = pen(canvas);
+    this._pen = context2d(canvas);
     /** @type {Plane|null} */
     this._plane = null;
     /** @type {Cells|null} */
@@ -73,7 +63,7 @@ export class Heatmap {
     const height = this._plane.height * zoom;
     this.frame.style.width = `${width}px`;
     this.frame.style.height = `${height}px`;
-    if (!this._plane.isGrid) this._ratio = fit(this.canvas, width, height);
+    if (!this._plane.isGrid) this._ratio = fitCanvas(this.canvas, width, height);
   }
 
   /** Show nothing. */
@@ -83,8 +73,8 @@ export class Heatmap {
 
   /**
    * @param {Float32Array} kpa
-   * @param {Scale} scale
-   * @param {Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    */
   paint(kpa, scale, palette) {
     if (this._image) this._paintGrid(kpa, scale, palette, this._image);
@@ -93,8 +83,8 @@ export class Heatmap {
 
   /**
    * @param {Float32Array} kpa
-   * @param {Scale} scale
-   * @param {Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    * @param {ImageData} image
    */
   _paintGrid(kpa, scale, palette, image) {
@@ -116,8 +106,8 @@ export class Heatmap {
 
   /**
    * @param {Float32Array} kpa
-   * @param {Scale} scale
-   * @param {Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    */
   _paintScattered(kpa, scale, palette) {
     const plane = this._plane;
@@ -146,7 +136,7 @@ export class Heatmap {
     if (!this._hatch) {
       const tile = document.createElement("canvas");
       tile.width = tile.height = 8;
-      const draw = pen(tile);
+      const draw = context2d(tile);
       draw.fillStyle = "#8d949c";
       draw.fillRect(0, 0, 8, 8);
       draw.strokeStyle = "#5b6168";

@@ -4,9 +4,10 @@
  */
 
 import { Chart, line } from "./chart.js";
-import { byId, fixed, number, say } from "./paint.js";
+import { byId, setText } from "./dom.js";
+import { fixed, number } from "./format.js";
 
-/** @typedef {import("./api.js").Kernel} Kernel */
+/** @import { Kernel } from "./api.js" */
 
 const DECADES = -4;
 
@@ -26,7 +27,7 @@ export class KernelPanel {
     const gap = byId("kernel-gap");
     const model = byId("kernel-model");
     if (!kernel) {
-      for (const each of [nyquist, gap, model]) say(each, "\u2013");
+      for (const each of [nyquist, gap, model]) setText(each, "\u2013");
       this.draw();
       return;
     }
@@ -38,9 +39,9 @@ export class KernelPanel {
       const gain = Math.abs(kernel.gain[i]);
       this._line.y[i] = gain > 0 ? Math.log10(gain) : DECADES - 1;
     }
-    say(nyquist, `${gainText(kernel.nyquist_gain)} at ${number(kernel.nyquist_per_mm)} mm⁻¹`);
-    say(gap, kernel.smallest_gap_mm === null ? "none at this noise" : `${fixed(kernel.smallest_gap_mm, 2)} mm`);
-    say(model, `${kernel.model}, ±${gainText(kernel.error_estimate)} of the gain`);
+    setText(nyquist, `${gainText(kernel.nyquist_gain)} at ${number(kernel.nyquist_per_mm)} mm⁻¹`);
+    setText(gap, kernel.smallest_gap_mm === null ? "none at this noise" : `${fixed(kernel.smallest_gap_mm, 2)} mm`);
+    setText(model, `${kernel.model}, ±${gainText(kernel.error_estimate)} of the gain`);
     this.draw();
   }
 

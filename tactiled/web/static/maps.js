@@ -4,15 +4,16 @@
  */
 
 import { Colorbar } from "./colorbar.js";
+import { byId, setText } from "./dom.js";
 import { Heatmap } from "./heatmap.js";
 import { Overlay } from "./overlay.js";
-import { byId, say } from "./paint.js";
-import { Arrows } from "./shear.js";
+import { ShearArrows } from "./shear_arrows.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./heatmap.js").Palette} Palette */
-/** @typedef {import("./scale.js").Scale} Scale */
-/** @typedef {import("./history.js").Frame} Frame */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Plane } from "./geometry.js" */
+/** @import { Marks } from "./overlay.js" */
 
 const DESK = matchMedia("(min-width: 900px)"); // where the maps share the window's height
 const LONG = 1.5; // times the height, from which width a map on a phone has the page's whole width
@@ -24,7 +25,7 @@ export class Maps {
     this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
     this.rawMarks = new Overlay(byId("raw-marks"));
     this.restoredMarks = new Overlay(byId("restored-marks"));
-    this.arrows = new Arrows(byId("raw-shear"), byId("shear-key"));
+    this.arrows = new ShearArrows(byId("raw-shear"), byId("shear-key"));
     this.colorbar = new Colorbar(byId("colorbar"));
     this._boxes = byId("boxes");
     /** @type {Plane|null} */
@@ -49,9 +50,9 @@ export class Maps {
 
   /**
    * @param {Frame} frame
-   * @param {Scale} scale
-   * @param {Palette} palette
-   * @param {import("./overlay.js").Marks} marks
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
+   * @param {Marks} marks
    * @param {boolean} shear whether it is shown
    */
   paint(frame, scale, palette, marks, shear) {
@@ -109,7 +110,7 @@ export class Maps {
     this.arrows.resize(plane, zoom);
     const length = roundDown((0.22 * box.clientWidth) / zoom);
     byId("ruler-bar").style.width = `${length * zoom}px`;
-    say(byId("ruler-text"), `${length} mm`);
+    setText(byId("ruler-text"), `${length} mm`);
     const apart = this.restored.frame.getBoundingClientRect().top - this.raw.frame.getBoundingClientRect().top;
     byId("legend").style.setProperty("--map-height", `${apart + plane.height * zoom}px`);
     this.colorbar.forget();

@@ -3,7 +3,7 @@
  * @module
  */
 
-/** @typedef {import("./plane.js").Cells} Cells */
+/** @import { Cells } from "./geometry.js" */
 
 /**
  * @typedef {object} Measures

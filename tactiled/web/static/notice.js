@@ -3,7 +3,7 @@
  * @module
  */
 
-import { byId, say } from "./paint.js";
+import { byId, setText } from "./dom.js";
 
 const STAYS_MS = 3000;
 const BAD_STAYS_MS = 8000;
@@ -16,7 +16,7 @@ let timer = 0;
  */
 export function notice(text, bad = false) {
   const element = byId("notice");
-  say(element, text);
+  setText(element, text);
   element.hidden = false;
   element.classList.toggle("bad", bad);
   clearTimeout(timer);
@@ -27,4 +27,4 @@ export function notice(text, bad = false) {
  * @param {unknown} error
  * @returns {string}
  */
-export const words = (error) => (error instanceof Error ? error.message : String(error));
+export const messageOf = (error) => (error instanceof Error ? error.message : String(error));

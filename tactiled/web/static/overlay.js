@@ -4,17 +4,18 @@
  * @module
  */
 
-import { fit, pen } from "./paint.js";
-import { ACROSS } from "./plane.js";
+import { fitCanvas, context2d } from "./dom.js";
+import { ACROSS } from "./geometry.js";
 import { SATURATED } from "./wire.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./contacts.js").Contact} Contact */
+/** @import { Contact } from "./contacts.js" */
+/** @import { Axis, Plane } from "./geometry.js" */
+/** @import { Measures } from "./measures.js" */
 
 /**
  * What is to be marked.
  * @typedef {object} Marks
- * @property {import("./plane.js").Axis} along what the cross-section runs along
+ * @property {Axis} along what the cross-section runs along
  * @property {number} lineAt mm, where it crosses the other axis; NaN for none
  * @property {number} probeX mm; NaN for none
  * @property {number} probeY mm
@@ -31,7 +32,7 @@ export class Overlay {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this._pen = pen(canvas);
+    this._pen = context2d(canvas);
     /** @type {Plane|null} */
     this._plane = null;
     this._ratio = 1;
@@ -55,7 +56,7 @@ export class Overlay {
    */
   resize(plane, zoom) {
     this._plane = plane;
-    this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
+    this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
     this._font = `600 ${TEXT * this._ratio}px ${this._family}`;
     this._drawn.known = false;
@@ -70,7 +71,7 @@ export class Overlay {
   /**
    * Draw the marks where they are others than the last time, which of many frames they are not.
    * @param {Marks} marks
-   * @param {import("./measures.js").Measures} measures of the map's image
+   * @param {Measures} measures of the map's image
    * @param {Uint8Array|null} flags of the raw image; null where nothing is saturated
    */
   draw(marks, measures, flags) {
@@ -92,7 +93,7 @@ export class Overlay {
 
   /**
    * @param {Marks} marks
-   * @param {import("./measures.js").Measures} measures
+   * @param {Measures} measures
    * @param {boolean} crossed taxels are
    * @returns {boolean} all that is drawn already; if not, it is taken down as drawn
    */

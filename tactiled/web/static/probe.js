@@ -3,8 +3,8 @@
  * @module
  */
 
-/** @typedef {import("./heatmap.js").Heatmap} Heatmap */
-/** @typedef {import("./plane.js").Plane} Plane */
+/** @import { Plane } from "./geometry.js" */
+/** @import { Heatmap } from "./heatmap.js" */
 
 const TAP_PX = 10; // that a tap may slip, and within which a pinned place is the same
 

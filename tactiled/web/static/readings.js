@@ -3,13 +3,15 @@
  * @module
  */
 
+import { byId, setText } from "./dom.js";
+import { fixed, newtons, number } from "./format.js";
 import { measures } from "./measures.js";
-import { byId, fixed, newtons, number, say } from "./paint.js";
 import { Warnings } from "./warnings.js";
 
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./stream.js").Status} Status */
-/** @typedef {import("./api.js").Sensor} Sensor */
+/** @import { Loss, Sensor } from "./api.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Measures } from "./measures.js" */
+/** @import { Status } from "./sensor_stream.js" */
 
 /** What each method is called. */
 const METHODS = {
@@ -100,9 +102,9 @@ export class Readings {
   /** @param {Sensor} sensor */
   about(sensor) {
     const told = Object.entries(sensor.error_kinds).filter(([, count]) => count);
-    say(this._kinds, told.map(([kind, count]) => `${kind.replaceAll("_", " ")} ${count}`).join(", "));
+    setText(this._kinds, told.map(([kind, count]) => `${kind.replaceAll("_", " ")} ${count}`).join(", "));
     const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
-    say(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
+    setText(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
     this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;
   }
 
@@ -111,12 +113,12 @@ export class Readings {
     const at = this._at;
     tell(this._raw, frame ? frame.ofRaw : NOTHING);
     tell(this._restored, frame ? frame.ofRestored : NOTHING);
-    say(at.iterations, frame ? String(frame.iterations) : "\u2013");
-    say(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
-    say(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
-    say(at.noise, frame ? `${number(frame.noiseKpa, 2)} kPa` : "\u2013");
-    say(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
-    say(at.sequence, frame ? String(frame.sequence) : "\u2013");
+    setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
+    setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
+    setText(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
+    setText(at.noise, frame ? `${number(frame.noiseKpa, 2)} kPa` : "\u2013");
+    setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
+    setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }
 
   /**
@@ -128,12 +130,12 @@ export class Readings {
     this._told = status;
     this._live = live;
     const at = this._at;
-    say(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
-    say(at.jitter, time((status?.jitter_s ?? NaN) * 1e6));
-    say(at.skew, time((status?.skew_s ?? NaN) * 1e6));
+    setText(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
+    setText(at.jitter, time((status?.jitter_s ?? NaN) * 1e6));
+    setText(at.skew, time((status?.skew_s ?? NaN) * 1e6));
     for (const [kind, element] of this._loss) {
-      const count = status ? status.loss[/** @type {keyof import("./api.js").Loss} */ (kind)] : 0;
-      say(element, status ? String(count) : "\u2013");
+      const count = status ? status.loss[/** @type {keyof Loss} */ (kind)] : 0;
+      setText(element, status ? String(count) : "\u2013");
       element.classList.toggle("some", count > 0 && !HARMLESS.has(kind));
     }
   }
@@ -146,9 +148,9 @@ export class Readings {
    * @param {boolean} still it does not change: no warning is held that was told of another
    */
   made(ran, told, of, still) {
-    say(this._at.ran, ran ? methodTitle(ran) : "\u2013");
-    say(this._at.why, told && told.ran === ran ? told.why : "");
-    say(this._of, of);
+    setText(this._at.ran, ran ? methodTitle(ran) : "\u2013");
+    setText(this._at.why, told && told.ran === ran ? told.why : "");
+    setText(this._of, of);
     if (still || told?.sensor !== this._told?.sensor) this._held.clear();
     const warnings = this._held.hold(told?.warnings ?? []);
     const joined = warnings.join("\n");
@@ -167,8 +169,8 @@ export class Readings {
    * @param {number} skewS how far the two clocks are apart, s; 0 where they agree
    */
   pace(fps, latencyMs, skewS) {
-    say(this._at.fps, `${fixed(fps, 0)} fps`);
-    say(this._at.latency, Number.isFinite(latencyMs) ? `${fixed(latencyMs, 0)} ms` : "\u2013");
+    setText(this._at.fps, `${fixed(fps, 0)} fps`);
+    setText(this._at.latency, Number.isFinite(latencyMs) ? `${fixed(latencyMs, 0)} ms` : "\u2013");
     this._at.latency.title = skewS
       ? `This browser's clock is ${fixed(skewS, 1)} s off the service's: the way over the network is left out` : "";
   }
@@ -180,13 +182,13 @@ const measured = (kind) =>
 
 /**
  * @param {ReturnType<typeof measured>} at where it is told
- * @param {import("./measures.js").Measures} of an image
+ * @param {Measures} of an image
  */
 function tell(at, of) {
-  say(at.force, newtons(of.force));
-  say(at.peak, fixed(of.peak, 1));
-  say(at.x, fixed(of.x, 1));
-  say(at.y, fixed(of.y, 1));
+  setText(at.force, newtons(of.force));
+  setText(at.peak, fixed(of.peak, 1));
+  setText(at.x, fixed(of.x, 1));
+  setText(at.y, fixed(of.y, 1));
 }
 
 /**

@@ -4,11 +4,12 @@
  */
 
 import * as api from "./api.js";
-import { control } from "./control.js";
+import { byId, setText } from "./dom.js";
+import { number } from "./format.js";
 import { notice } from "./notice.js";
-import { byId, number, say } from "./paint.js";
+import { withToken } from "./token_dialog.js";
 
-/** @typedef {import("./api.js").Recording} Recording */
+/** @import { Recording } from "./api.js" */
 
 const SURE_MS = 4000; // that a delete waits for its second click
 const UNITS = ["B", "kB", "MB", "GB"];
@@ -58,13 +59,13 @@ export class Recorder {
     if (!this._records || !bus) return;
     const running = this._running;
     if (running) await this._stop(running.name);
-    else if (await control(() => api.startRecording(bus), "Not recorded")) notice(`Recording ${bus}.`);
+    else if (await withToken(() => api.startRecording(bus), "Not recorded")) notice(`Recording ${bus}.`);
     await this._look();
   }
 
   /** @param {string} name */
   async _stop(name) {
-    await control(async () => {
+    await withToken(async () => {
       const told = await api.stopRecording(name);
       const whole = told.bytes !== null && told.error === null;
       notice(whole ? `Recorded: ${name}.` : `${name}: ${about(told)}.`, !whole);
@@ -80,14 +81,14 @@ export class Recorder {
     const running = this._running;
     this._button.setAttribute("aria-pressed", String(Boolean(running)));
     this._button.disabled = !this._bus();
-    say(this._button, running ? "Stop" : "Record");
+    setText(this._button, running ? "Stop" : "Record");
     const shown = JSON.stringify(this._recordings.map((each) => [each.name, each.running, each.error]));
     if (shown !== this._shown) {
       this._shown = shown;
       this._fill();
     }
     for (const [i, each] of this._recordings.entries()) {
-      say(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), about(each));
+      setText(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), about(each));
     }
     byId("recordings-none").hidden = !this.offered || this._recordings.length > 0;
   }
@@ -154,7 +155,7 @@ export class Recorder {
         }, SURE_MS);
         return;
       }
-      if (await control(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
+      if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
       await this._look();
     });
     return button;

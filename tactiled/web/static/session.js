@@ -5,17 +5,19 @@
 
 import * as api from "./api.js";
 import { Contacts } from "./contacts.js";
-import { Deviations } from "./deviations.js";
-import { judge } from "./health.js";
-import { History } from "./history.js";
-import { Told } from "./nearest.js";
-import { Present } from "./present.js";
-import { Stream } from "./stream.js";
+import { DeviationCache } from "./deviation.js";
+import { FrameHistory } from "./frame_history.js";
+import { Freshness } from "./freshness.js";
+import { healthOf } from "./health.js";
+import { SensorStream } from "./sensor_stream.js";
+import { Timeline } from "./timeline.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
 
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./stream.js").Status} Status */
-/** @typedef {import("./plane.js").Plane} Plane */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Plane } from "./geometry.js" */
+/** @import { Health } from "./health.js" */
+/** @import { Status } from "./sensor_stream.js" */
+/** @import { Packet } from "./wire.js" */
 
 /**
  * @typedef {object} Listener
@@ -46,12 +48,12 @@ export class Session {
     this.name = name;
     this.plane = plane;
     this.feels = feels;
-    this.history = new History(plane, feels);
+    this.history = new FrameHistory(plane, feels);
     this.contacts = new Contacts();
-    /** @type {Told<Status>} */
-    this._told = new Told(TOLD, TOLD_S);
-    this.deviations = new Deviations(name, plane);
-    this.present = new Present();
+    /** @type {Timeline<Status>} */
+    this._told = new Timeline(TOLD, TOLD_S);
+    this.deviations = new DeviationCache(name, plane);
+    this.present = new Freshness();
     this.paused = false;
     /** Which kept frame is shown, 0 the newest. */
     this.back = 0;
@@ -62,7 +64,7 @@ export class Session {
     this._unpainted = 0; // frames that came since the last painting
     this._listener = listener;
     this._shear = feels && shear;
-    this.stream = new Stream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL : PRESSURES, {
+    this.stream = new SensorStream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL : PRESSURES, {
       onImages: (images) => this._take(images),
       onStatus: (status) => this._hear(status),
       onLink: () => this._linked(),
@@ -88,9 +90,9 @@ export class Session {
     return this.paused && frame ? this._told.at(frame.timestamp) : this.status;
   }
 
-  /** @returns {import("./health.js").Health} */
+  /** @returns {Health} */
   health() {
-    return judge(this.stream, this.status, this._toldAt, this._frameAt);
+    return healthOf(this.stream, this.status, this._toldAt, this._frameAt);
   }
 
   /** Watch no longer. */
@@ -152,7 +154,7 @@ export class Session {
     if (!this.paused) this.stream?.next(AHEAD - this._unpainted); // it tells of its first link while it is being made
   }
 
-  /** @param {import("./wire.js").Packet[]} images */
+  /** @param {Packet[]} images */
   _take(images) {
     if (this.paused) return;
     const raw = images[RAW];

@@ -3,9 +3,9 @@
  * @module
  */
 
-import { byId, say } from "./paint.js";
+import { byId, setText } from "./dom.js";
 
-/** @typedef {import("./api.js").Sensor} Sensor */
+/** @import { Sensor } from "./api.js" */
 
 /** What stands for all sensors at once, where a sensor's name is meant: none is called so. */
 export const ALL = "";
@@ -42,7 +42,7 @@ export class Tabs {
     const tab = this._tabs.get(name);
     if (!tab || tab.dataset.state === state) return;
     tab.dataset.state = state;
-    say(/** @type {Element} */ (tab.lastElementChild), state === "live" ? "" : state);
+    setText(/** @type {Element} */ (tab.lastElementChild), state === "live" ? "" : state);
   }
 
   /** @param {string} name */

@@ -3,7 +3,7 @@
  * @module
  */
 
-import { keep, recall } from "./store.js";
+import { keep, loadSetting } from "./storage.js";
 
 const KEY = "tactiled.theme";
 const NEXT = { system: "light", light: "dark", dark: "system" };
@@ -32,7 +32,7 @@ export function theme(button, onChange) {
     keep(KEY, now);
     show();
   };
-  const kept = recall(KEY);
+  const kept = loadSetting(KEY);
   if (kept === "light" || kept === "dark") now = kept;
   button.addEventListener("click", take);
   for (const query of ["(prefers-color-scheme: dark)", "(forced-colors: active)"]) {

@@ -4,18 +4,23 @@
  */
 
 import * as api from "./api.js";
-import { judge } from "./health.js";
+import { setText } from "./dom.js";
+import { fixed, newtons } from "./format.js";
+import { Freshness } from "./freshness.js";
+import { Plane } from "./geometry.js";
+import { healthOf } from "./health.js";
 import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
-import { words } from "./notice.js";
-import { fixed, newtons, say } from "./paint.js";
-import { Plane } from "./plane.js";
-import { Present } from "./present.js";
-import { Arrows } from "./shear.js";
+import { messageOf } from "./notice.js";
+import { ShearArrows } from "./shear_arrows.js";
 import { Warnings } from "./warnings.js";
 import { SHEAR } from "./wire.js";
 
-/** @typedef {import("./wire.js").Packet} Packet */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Status } from "./sensor_stream.js" */
+/** @import { WallStream } from "./wall_stream.js" */
+/** @import { Packet } from "./wire.js" */
 
 const AGAIN_MS = 2000; // until a shape is asked for again that could not be had
 
@@ -43,7 +48,7 @@ export class Tile {
   /**
    * @param {string} name of the sensor
    * @param {boolean} sheared its shear comes, too
-   * @param {import("./streams.js").Streams} streams that it is one of
+   * @param {WallStream} streams that it is one of
    * @param {() => void} onImage there is something to paint
    * @param {() => void} onChoose
    */
@@ -72,7 +77,7 @@ export class Tile {
     this.element.addEventListener("click", onChoose);
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
-    this._present = new Present();
+    this._present = new Freshness();
     this._held = new Warnings();
     /** @type {string[]} */
     this._warnings = [];
@@ -93,7 +98,7 @@ export class Tile {
       },
       onLink: () => this._ask(),
     });
-    /** @type {import("./stream.js").Status|null} */
+    /** @type {Status|null} */
     this._status = null;
     this._toldAt = 0;
     this._imageAt = 0;
@@ -104,7 +109,7 @@ export class Tile {
   /**
    * Lay arrows over the map.
    * @param {HTMLElement} under where their key is to stand
-   * @returns {Arrows}
+   * @returns {ShearArrows}
    */
   _over(under) {
     const canvas = layer();
@@ -113,7 +118,7 @@ export class Tile {
     key.title = "Shear: the longest arrow, x to the right, y down";
     this._frame.append(canvas);
     under.append(key);
-    return new Arrows(canvas, key);
+    return new ShearArrows(canvas, key);
   }
 
   /** Learn the sensor's shape, again and again until it is there, and ask for its images. */
@@ -127,7 +132,7 @@ export class Tile {
       this._map.use(plane, plane.restored);
       this.layout();
     } catch (error) {
-      say(this._force, words(error));
+      setText(this._force, messageOf(error));
       if (!this._stopped) setTimeout(() => this._stopped || this.start(), AGAIN_MS);
       return;
     }
@@ -212,8 +217,8 @@ export class Tile {
 
   /**
    * Show what is new.
-   * @param {import("./scale.js").Scale} scale
-   * @param {import("./heatmap.js").Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    * @param {boolean} rescaled the scale is another than the last time
    */
   paint(scale, palette, rescaled) {
@@ -228,20 +233,20 @@ export class Tile {
 
   /** Bring the words up to date. */
   read() {
-    const health = judge(this._plane && this._part, this._status, this._toldAt, this._imageAt);
+    const health = healthOf(this._plane && this._part, this._status, this._toldAt, this._imageAt);
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     this._warn(live ? this._warnings : []);
-    say(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
+    setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
     if (!this._plane || (live && this._present.held)) return;
-    say(this._force, live ? `${newtons(this._imageAt ? this._of.force : NaN)} N` : health.text);
+    setText(this._force, live ? `${newtons(this._imageAt ? this._of.force : NaN)} N` : health.text);
   }
 
   /** @param {string[]} warnings that hold of what is shown */
   _warn(warnings) {
     const count = warnings.length;
     this.element.classList.toggle("warned", count > 0);
-    say(this._doubt, count ? `${count} ${count === 1 ? "warning" : "warnings"}: ${warnings.join("; ")}` : "");
+    setText(this._doubt, count ? `${count} ${count === 1 ? "warning" : "warnings"}: ${warnings.join("; ")}` : "");
     const all = warnings.join("\n");
     if (this._doubt.title !== all) this._doubt.title = all;
   }

@@ -4,20 +4,24 @@
  */
 
 import * as api from "./api.js";
+import { CrossSection, highest } from "./cross_section.js";
+import { DisplayRange } from "./display_range.js";
+import { byId } from "./dom.js";
+import { FrameRate } from "./frame_rate.js";
+import { ACROSS, Plane } from "./geometry.js";
 import { KernelPanel } from "./kernel.js";
 import { Maps } from "./maps.js";
-import { notice, words } from "./notice.js";
-import { Pace } from "./pace.js";
-import { byId } from "./paint.js";
-import { ACROSS, Plane } from "./plane.js";
+import { notice, messageOf } from "./notice.js";
 import { Probe } from "./probe.js";
-import { Scale } from "./scale.js";
-import { Section, highest } from "./section.js";
 import { Session } from "./session.js";
-import { Trend } from "./trend.js";
+import { TrendChart } from "./trend_chart.js";
 
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./heatmap.js").Palette} Palette */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { Found } from "./contacts.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Axis } from "./geometry.js" */
+/** @import { Marks } from "./overlay.js" */
+/** @import { Status } from "./sensor_stream.js" */
 
 const STAYS = 0.85; // of the peak that the cross-section must still reach where it is
 const TRENDS_MS = 100; // between two drawings of what changes slowly
@@ -26,25 +30,25 @@ const TRENDS_MS = 100; // between two drawings of what changes slowly
  * @typedef {object} Listener
  * @property {() => void} onChange something that is told in words has changed
  * @property {() => void} onProbe somebody has pinned the probe, moved it by keys, or released it
- * @property {(status: import("./stream.js").Status) => void} onStatus
+ * @property {(status: Status) => void} onStatus
  */
 
 export class Viewer {
   /** @param {Listener} listener */
   constructor(listener) {
     this._listener = listener;
-    this.scale = new Scale();
+    this.scale = new DisplayRange();
     this.maps = new Maps();
-    this.section = new Section(byId("section"));
-    this.forces = new Trend(byId("forces"), "N", 0.1);
-    this.latencies = new Trend(byId("latencies"), "ms", 5);
+    this.section = new CrossSection(byId("section"));
+    this.forces = new TrendChart(byId("forces"), "N", 0.1);
+    this.latencies = new TrendChart(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
-    this.pace = new Pace();
+    this.pace = new FrameRate();
     this.probe = new Probe([this.maps.raw, this.maps.restored], (meant) => {
       this.refresh();
       if (meant) listener.onProbe();
     });
-    /** @type {Palette|null} */
+    /** @type {Colormap|null} */
     this.palette = null;
     /** @type {Session|null} */
     this.session = null;
@@ -56,7 +60,7 @@ export class Viewer {
     this.shear = true;
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
-    /** @type {import("./overlay.js").Marks} */
+    /** @type {Marks} */
     this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
@@ -72,7 +76,7 @@ export class Viewer {
     requestAnimationFrame(this._paint);
   }
 
-  /** @returns {import("./contacts.js").Found|null} contacts to show: of the frame that is shown, or of one near it */
+  /** @returns {Found|null} contacts to show: of the frame that is shown, or of one near it */
   get found() {
     const frame = this.session?.frame;
     return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
@@ -166,7 +170,7 @@ export class Viewer {
 
   /**
    * Let the cross-section run along an axis.
-   * @param {import("./plane.js").Axis} axis
+   * @param {Axis} axis
    */
   cut(axis) {
     this.marks.along = axis;
@@ -208,14 +212,14 @@ export class Viewer {
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
-      notice(`${name}: ${words(error)}`, true);
+      notice(`${name}: ${messageOf(error)}`, true);
       return;
     }
     try {
       const kernel = await api.kernel(name);
       if (mine === this._selection) this.kernel.use(kernel);
     } catch (error) {
-      if (mine === this._selection) notice(`Cover of ${name}: ${words(error)}`, true);
+      if (mine === this._selection) notice(`Cover of ${name}: ${messageOf(error)}`, true);
     }
   }
 

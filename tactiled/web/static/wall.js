@@ -5,11 +5,12 @@
 
 import { wallUrl } from "./api.js";
 import { Colorbar } from "./colorbar.js";
-import { byId } from "./paint.js";
-import { Streams } from "./streams.js";
+import { byId } from "./dom.js";
 import { Tile } from "./tile.js";
+import { WallStream } from "./wall_stream.js";
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
+/** @import { Sensor } from "./api.js" */
+/** @import { Viewer } from "./viewer.js" */
 
 const READ_MS = 200; // between two updates of the words
 const RATE_HZ = 15;
@@ -53,7 +54,7 @@ export class Wall {
     this._colorbar = new Colorbar(byId("wall-colorbar"));
     /** @type {Tile[]} */
     this._tiles = [];
-    /** @type {Streams|null} */
+    /** @type {WallStream|null} */
     this._streams = null;
     this._url = "";
     this._dirty = false;
@@ -71,7 +72,7 @@ export class Wall {
 
   /**
    * Show these sensors; called again, it changes nothing where they are the same.
-   * @param {import("./api.js").Sensor[]} sensors
+   * @param {Sensor[]} sensors
    */
   show(sensors) {
     const names = sensors.map((each) => each.name);
@@ -85,7 +86,7 @@ export class Wall {
     this._root.hidden = false;
     byId("main").hidden = true;
     this._skip.hash = "tiles";
-    const streams = new Streams(url);
+    const streams = new WallStream(url);
     this._url = url;
     this._tiles = names.map(
       (name) => new Tile(name, sheared.includes(name), streams, () => this.refresh(), () => this._onChoose(name)),

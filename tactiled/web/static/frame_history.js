@@ -6,9 +6,9 @@
 import { measure, measures } from "./measures.js";
 import { RAN } from "./wire.js";
 
-/** @typedef {import("./wire.js").Packet} Packet */
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./measures.js").Measures} Measures */
+/** @import { Plane } from "./geometry.js" */
+/** @import { Measures } from "./measures.js" */
+/** @import { Packet } from "./wire.js" */
 
 const FRAMES = 750; // ten seconds at 75 a second
 const BYTES = 96 * 2 ** 20; // never more memory than this
@@ -37,7 +37,7 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {Measures} ofRestored
  */
 
-export class History {
+export class FrameHistory {
   /**
    * @param {Plane} plane
    * @param {boolean} feels shear

@@ -7,7 +7,7 @@ const OLDEST_S = 0.08; // behind the quickest on record, which was under way for
 const DRIFT = 1e-3; // that the two clocks' rates may differ by
 const ROUNDS = 4; // between two paintings that are held back and asked for anew: what is late then is painted
 
-export class Present {
+export class Freshness {
   constructor() {
     /** Least of (arrival - sent), s: how far this browser's clock is ahead of the service's, and the quickest way. */
     this.least = Infinity;

@@ -4,10 +4,10 @@
  * @module
  */
 
-import { fit, pen, say } from "./paint.js";
-import { Scale } from "./scale.js";
+import { DisplayRange } from "./display_range.js";
+import { fitCanvas, context2d, setText } from "./dom.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
+/** @import { Plane } from "./geometry.js" */
 
 const LEAST = 50; // counts, the least that the longest arrow stands for: noise alone is not drawn large
 const REACH = 0.9; // of the pitch, the longest arrow's length
@@ -61,18 +61,18 @@ function ink(draw, ratio) {
   draw.stroke();
 }
 
-export class Arrows {
+export class ShearArrows {
   /**
    * @param {HTMLCanvasElement} canvas over the map
    * @param {HTMLElement} key that tells how long an arrow is: a canvas and a text
    */
   constructor(canvas, key) {
     this.canvas = canvas;
-    this.scale = new Scale(LEAST);
-    this._pen = pen(canvas);
+    this.scale = new DisplayRange(LEAST);
+    this._pen = context2d(canvas);
     this._key = key;
     this._keyCanvas = /** @type {HTMLCanvasElement} */ (key.querySelector("canvas"));
-    this._keyPen = pen(this._keyCanvas);
+    this._keyPen = context2d(this._keyCanvas);
     this._keyText = /** @type {HTMLElement} */ (key.querySelector("span"));
     /** @type {Plane|null} */
     this._plane = null;
@@ -107,7 +107,7 @@ export class Arrows {
    */
   resize(plane, zoom) {
     this._plane = plane;
-    this._ratio = fit(this.canvas, plane.width * zoom, plane.height * zoom);
+    this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
     const long = Math.min(REACH * plane.pitch, WIDE * plane.width) * zoom;
     this._long = Math.max(BOUNDS[0], Math.min(BOUNDS[1], long)) * this._ratio;
@@ -184,10 +184,10 @@ export class Arrows {
     if (this._told === this.scale.high) return;
     this._told = this.scale.high;
     const ratio = this._ratio;
-    fit(this._keyCanvas, this._long / ratio + 12, 20);
+    fitCanvas(this._keyCanvas, this._long / ratio + 12, 20);
     this._keyCanvas.style.width = `${this._long / ratio + 12}px`;
     this.drawKey(this._keyPen, this._keyCanvas.width / 2, this._keyCanvas.height / 2, this._long, ratio);
-    say(this._keyText, `${this._told} counts`);
+    setText(this._keyText, `${this._told} counts`);
   }
 
   /**

@@ -3,11 +3,11 @@
  * @module
  */
 
-import { Link } from "./link.js";
+import { ReconnectingSocket } from "./socket.js";
 import { SHEAR, isOf, packet, parse } from "./wire.js";
 
-/** @typedef {import("./wire.js").Packet} Packet */
-/** @typedef {import("./stream.js").Status} Status */
+/** @import { Status } from "./sensor_stream.js" */
+/** @import { Packet } from "./wire.js" */
 
 /**
  * @typedef {object} Listener
@@ -17,9 +17,9 @@ import { SHEAR, isOf, packet, parse } from "./wire.js";
  */
 
 /** One sensor's part of the socket: a way of its own as far as anyone can tell. */
-export class Part {
+export class TileStream {
   /**
-   * @param {Streams} all
+   * @param {WallStream} all
    * @param {string} name of the sensor
    * @param {Listener} listener
    */
@@ -59,11 +59,11 @@ export class Part {
   }
 }
 
-export class Streams extends Link {
+export class WallStream extends ReconnectingSocket {
   /** @param {string} url whose sensors become parts before it is opened */
   constructor(url) {
     super(url);
-    /** @type {Part[]} */
+    /** @type {TileStream[]} */
     this._parts = [];
     this._image = packet();
   }
@@ -71,10 +71,10 @@ export class Streams extends Link {
   /**
    * @param {string} name of the sensor
    * @param {Listener} listener
-   * @returns {Part}
+   * @returns {TileStream}
    */
   part(name, listener) {
-    const part = new Part(this, name, listener);
+    const part = new TileStream(this, name, listener);
     this._parts.push(part);
     return part;
   }

@@ -7,7 +7,7 @@
  * @param {string} key
  * @returns {string|null} null where nothing is kept, or the browser keeps nothing
  */
-export function recall(key) {
+export function loadSetting(key) {
   try {
     return localStorage.getItem(key);
   } catch {

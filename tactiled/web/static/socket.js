@@ -7,7 +7,7 @@ const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8000;
 const QUIET_MS = 4000; // the service says something at least once a second
 
-export class Link {
+export class ReconnectingSocket {
   /** @param {string} url */
   constructor(url) {
     /** @type {"connecting"|"open"|"closed"} */

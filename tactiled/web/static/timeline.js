@@ -30,7 +30,7 @@ export function nearest(count, at, timestamp, within) {
  * @param {{sequence: number, timestamp: number}} frame
  * @returns {string} how far that frame is from this one; "" where it is the same
  */
-export function apart(told, frame) {
+export function timeOffset(told, frame) {
   if (told.sequence === frame.sequence) return "";
   const away = Math.max(1, Math.round(1000 * Math.abs(told.timestamp - frame.timestamp)));
   return `${away} ms ${told.timestamp < frame.timestamp ? "before" : "after"}`;
@@ -40,7 +40,7 @@ export function apart(told, frame) {
  * What was told last, of one frame after another.
  * @template {{timestamp: number}} T
  */
-export class Told {
+export class Timeline {
   /**
    * @param {number} most that are kept
    * @param {number} within s, between the frame that something was told of and one that it may be shown with

@@ -4,13 +4,14 @@
  */
 
 import { Chart, line } from "./chart.js";
-import { hold, roundUp } from "./scale.js";
+import { hold, roundUp } from "./display_range.js";
 
-/** @typedef {import("./history.js").History} History */
+/** @import { Axes, Line } from "./chart.js" */
+/** @import { FrameHistory } from "./frame_history.js" */
 
 const SPAN_S = 10;
 
-export class Trend {
+export class TrendChart {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {string} unit
@@ -19,16 +20,16 @@ export class Trend {
   constructor(canvas, unit, least) {
     this.chart = new Chart(canvas);
     this._least = least;
-    /** @type {import("./chart.js").Line[]} */
+    /** @type {Line[]} */
     this._lines = [];
-    /** @type {import("./chart.js").Axes} */
+    /** @type {Axes} */
     this._axes = { left: -SPAN_S, right: 0, bottom: 0, top: 1, x: "time, s", y: unit };
     this._most = 0;
     this._lowest = 0;
   }
 
   /**
-   * @param {History} history
+   * @param {FrameHistory} history
    * @param {["raw"|"restored"|"accent", Float64Array][]} rings the history's that are drawn, each with its ink
    */
   use(history, rings) {
@@ -37,7 +38,7 @@ export class Trend {
   }
 
   /**
-   * @param {History} history
+   * @param {FrameHistory} history
    * @param {number} back which frame is shown
    */
   draw(history, back) {
@@ -58,7 +59,7 @@ export class Trend {
 
   /**
    * Look for the extremes of the last seconds.
-   * @param {History} history
+   * @param {FrameHistory} history
    * @returns {number} how many frames that is
    */
   _look(history) {

@@ -3,12 +3,12 @@
  * @module
  */
 
-/** @typedef {import("./history.js").Frame} Frame */
+/** @import { Frame } from "./frame_history.js" */
 
 const CLOCKS_S = 0.25; // that the browser's and the service's clocks may differ and still be compared
 const KEPT = 128; // paintings, more than a second's
 
-export class Pace {
+export class FrameRate {
   constructor() {
     this.painted = 0;
     /** Of the newest picture, ms from the frame's first bus message to the screen. */

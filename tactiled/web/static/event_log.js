@@ -4,14 +4,14 @@
  */
 
 import * as api from "./api.js";
-import { byId } from "./paint.js";
+import { byId } from "./dom.js";
 
-/** @typedef {import("./api.js").Event} Event */
+/** @import { Event } from "./api.js" */
 
 const MOST = 100; // lines
 const BAD = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised"]);
 
-export class Log {
+export class EventLog {
   constructor() {
     this._list = byId("events");
     this._newest = 0;

@@ -1,17 +1,20 @@
 /**
- * What is on the screen, as files.
+ * Both maps with their legend and readings as a PNG file.
  * @module
  */
 
-import { fixed, inks, newtons, number, pen } from "./paint.js";
-import { endsAndTicks, tickText } from "./scale.js";
+import { context2d, themeColors } from "./dom.js";
+import { download, isoTime } from "./download.js";
+import { fixed, newtons, number } from "./format.js";
+import { endsAndTicks, tickText } from "./ticks.js";
 
-/** @typedef {import("./plane.js").Cells} Cells */
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./session.js").Session} Session */
-/** @typedef {import("./maps.js").Maps} Maps */
-/** @typedef {import("./heatmap.js").Palette} Palette */
-/** @typedef {import("./scale.js").Scale} Scale */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Maps } from "./maps.js" */
+/** @import { Measures } from "./measures.js" */
+/** @import { Session } from "./session.js" */
+/** @import { ShearArrows } from "./shear_arrows.js" */
 
 const MAP = 640; // px, a map's longer side
 const EDGE = 32;
@@ -22,80 +25,14 @@ const LEGEND = 96;
 const LEAST = 220; // px, that the legend is tall at least
 const APART = 44; // px between two of its ticks
 const [LARGE, SMALL] = [19, 15]; // px, of letters
-const NONE = new Float32Array(0);
-
-/**
- * @param {string} name
- * @param {Blob} blob
- */
-function download(name, blob) {
-  const url = URL.createObjectURL(blob);
-  const link = document.createElement("a");
-  link.href = url;
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(url), 10_000);
-}
-
-/**
- * @param {string} sensor
- * @param {Frame} frame
- * @returns {string} a file's name without its ending
- */
-const stem = (sensor, frame) => `${sensor.replace(/[^\w-]+/g, "_")}-${frame.sequence}`;
-
-/**
- * @param {number} timestamp Unix s
- * @returns {string}
- */
-const moment = (timestamp) => new Date(timestamp * 1000).toISOString();
-
-/**
- * Save a frame, one line per cell.
- * @param {Session} session
- * @param {Frame} frame
- */
-export function saveCsv({ name, plane }, frame) {
-  const lines = [
-    `# sensor ${name}, frame ${frame.sequence}, ${moment(frame.timestamp)}, method ${frame.ran}`,
-    "# kpa is empty where nothing is known; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
-    `image,row,column,x_mm,y_mm,kpa,flags${frame.sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
-  ];
-  rows("raw", plane.raw, frame.raw, frame.flags, frame.sheared ? frame.shear : null, lines);
-  rows("restored", plane.restored, frame.restored, null, frame.sheared ? NONE : null, lines);
-  download(`${stem(name, frame)}.csv`, new Blob([lines.join("\n"), "\n"], { type: "text/csv" }));
-}
-
-/**
- * @param {string} image
- * @param {Cells} cells
- * @param {Float32Array} kpa
- * @param {Uint8Array|null} flags
- * @param {Float32Array|null} shear counts along x of all, then along y; empty where it is of another image
- * @param {string[]} into
- */
-function rows(image, cells, kpa, flags, shear, into) {
-  for (let i = 0; i < cells.count; i += 1) {
-    const row = Math.floor(i / cells.columns);
-    const place = `${+cells.x[i].toFixed(4)},${+cells.y[i].toFixed(4)}`;
-    const along = !shear ? "" : shear.length ? `,${plain(shear[i])},${plain(shear[cells.count + i])}` : ",,";
-    into.push(`${image},${row},${i % cells.columns},${place},${plain(kpa[i])},${flags ? flags[i] : ""}${along}`);
-  }
-}
-
-/**
- * @param {number} value
- * @returns {string} empty where nothing is known
- */
-const plain = (value) => (Number.isNaN(value) ? "" : String(+value.toFixed(4)));
 
 /**
  * Save both maps with their legend and readings.
  * @param {Session} session
  * @param {Frame} frame
  * @param {Maps} maps
- * @param {Scale} scale
- * @param {Palette} palette
+ * @param {DisplayRange} scale
+ * @param {Colormap} palette
  * @param {string} state what the page says of the frame: live, stale, ...
  * @param {boolean} shear whether it is shown
  */
@@ -104,7 +41,7 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state, she
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
-  const when = `${moment(frame.timestamp)}, ${state}`;
+  const when = `${isoTime(frame.timestamp)}, ${state}`;
   const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
   const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(told);
   const column = Math.max(w, widest([...ofRaw, ...ofRestored], SMALL));
@@ -122,11 +59,11 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state, she
   if (shear) sheet.arrow(maps.arrows, EDGE, HEAD + tall + 84 + KEY, w);
   sheet.write(size, EDGE, HEAD + tall + 84, SMALL, sheet.ink.muted);
   sheet.legend(2 * column + 3 * EDGE, scale, palette);
-  canvas.toBlob((blob) => blob && download(`${stem(name, frame)}.png`, blob), "image/png");
+  canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
 }
 
 /**
- * @param {import("./measures.js").Measures} of an image
+ * @param {Measures} of an image
  * @returns {string[]} what stands below its map, line by line
  */
 function told(of) {
@@ -140,8 +77,8 @@ function told(of) {
  * @returns {number} px, of the widest
  */
 function widest(texts, size) {
-  const draw = pen(document.createElement("canvas"));
-  draw.font = `${size}px ${inks().font}`;
+  const draw = context2d(document.createElement("canvas"));
+  draw.font = `${size}px ${themeColors().font}`;
   return Math.ceil(Math.max(...texts.map((each) => draw.measureText(each).width)));
 }
 
@@ -152,9 +89,9 @@ class Sheet {
    * @param {number} tall px between head and foot
    */
   constructor(canvas, tall) {
-    this.ink = inks();
+    this.ink = themeColors();
     this._tall = tall;
-    this._pen = pen(canvas);
+    this._pen = context2d(canvas);
     this._pen.fillStyle = this.ink.panel;
     this._pen.fillRect(0, 0, canvas.width, canvas.height);
   }
@@ -196,7 +133,7 @@ class Sheet {
 
   /**
    * Tell how long an arrow is.
-   * @param {import("./shear.js").Arrows} arrows
+   * @param {ShearArrows} arrows
    * @param {number} x
    * @param {number} y
    * @param {number} w of the map
@@ -209,8 +146,8 @@ class Sheet {
 
   /**
    * @param {number} x
-   * @param {Scale} scale
-   * @param {Palette} palette
+   * @param {DisplayRange} scale
+   * @param {Colormap} palette
    */
   legend(x, scale, palette) {
     const h = this._tall;

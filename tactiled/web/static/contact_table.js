@@ -3,14 +3,15 @@
  * @module
  */
 
-import { fixed, newtons, say } from "./paint.js";
+import { setText } from "./dom.js";
+import { fixed, newtons } from "./format.js";
 
-/** @typedef {import("./contacts.js").Contact} Contact */
+/** @import { Contact } from "./contacts.js" */
 
 const MOST = 6; // rows, the strongest
 const COLUMNS = 6;
 
-export class ContactList {
+export class ContactTable {
   /** @param {HTMLElement} root that holds the table and the line for where there is nothing to list */
   constructor(root) {
     this._body = /** @type {HTMLTableSectionElement} */ (root.querySelector("tbody"));
@@ -29,7 +30,7 @@ export class ContactList {
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    say(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? untouched(taxels, unknown) : "–");
+    setText(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? untouched(taxels, unknown) : "–");
     while (this._body.rows.length < count) this._body.append(row());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
     for (let i = 0; contacts && i < count; i += 1) fill(this._body.rows[i].cells, contacts[i]);
@@ -62,10 +63,10 @@ function row() {
  * @param {Contact} contact
  */
 function fill(cells, contact) {
-  say(cells[0], String(contact.id));
-  say(cells[1], newtons(contact.force_n));
-  say(cells[2], fixed(contact.peak_kpa, 0));
-  say(cells[3], fixed(contact.area_mm2, 0));
-  say(cells[4], fixed(contact.x_mm, 1));
-  say(cells[5], fixed(contact.y_mm, 1));
+  setText(cells[0], String(contact.id));
+  setText(cells[1], newtons(contact.force_n));
+  setText(cells[2], fixed(contact.peak_kpa, 0));
+  setText(cells[3], fixed(contact.area_mm2, 0));
+  setText(cells[4], fixed(contact.x_mm, 1));
+  setText(cells[5], fixed(contact.y_mm, 1));
 }

@@ -4,16 +4,16 @@
  */
 
 import * as api from "./api.js";
-import { nearest } from "./nearest.js";
+import { nearest } from "./timeline.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./history.js").Frame} Frame */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Plane } from "./geometry.js" */
 
 const KEPT = 32;
 const HOLDS_S = 1.5; // between the frame that a deviation is of and one that it is drawn with
 const ASK_MS = 500; // it costs the service more than the image itself
 
-export class Deviations {
+export class DeviationCache {
   /**
    * @param {string} name of the sensor
    * @param {Plane} plane

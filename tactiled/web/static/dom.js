@@ -19,7 +19,7 @@ export function byId(id) {
  * @param {Element} element
  * @param {string} text
  */
-export function say(element, text) {
+export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
@@ -27,7 +27,7 @@ export function say(element, text) {
  * @param {HTMLCanvasElement} canvas
  * @returns {CanvasRenderingContext2D}
  */
-export function pen(canvas) {
+export function context2d(canvas) {
   const context = canvas.getContext("2d");
   if (!context) throw new Error("this browser gives no 2D canvas");
   return context;
@@ -40,7 +40,7 @@ export function pen(canvas) {
  * @param {number} height CSS px
  * @returns {number} device pixels per CSS px
  */
-export function fit(canvas, width, height) {
+export function fitCanvas(canvas, width, height) {
   const ratio = window.devicePixelRatio || 1;
   const w = Math.max(1, Math.round(width * ratio));
   const h = Math.max(1, Math.round(height * ratio));
@@ -51,7 +51,7 @@ export function fit(canvas, width, height) {
 
 /**
  * The page's colours as the theme has them now.
- * @typedef {object} Inks
+ * @typedef {object} ThemeColors
  * @property {string} text
  * @property {string} muted
  * @property {string} line
@@ -63,8 +63,8 @@ export function fit(canvas, width, height) {
  * @property {boolean} forced the system allows few colours: they alone tell nothing apart
  */
 
-/** @returns {Inks} */
-export function inks() {
+/** @returns {ThemeColors} */
+export function themeColors() {
   const swatch = document.createElement("i");
   swatch.hidden = true;
   document.body.append(swatch);
@@ -80,36 +80,4 @@ export function inks() {
   };
   swatch.remove();
   return found;
-}
-
-/**
- * @param {number} value
- * @param {number} digits significant ones
- * @returns {string} with a real minus sign; a dash where there is no number
- */
-export function number(value, digits = 3) {
-  if (!Number.isFinite(value)) return "\u2013";
-  const size = Math.abs(value);
-  const decimals = size === 0 ? digits - 1 : digits - 1 - Math.floor(Math.log10(size));
-  return value.toFixed(Math.max(0, Math.min(digits - 1, decimals))).replace("-", "\u2212");
-}
-
-/**
- * @param {number} value
- * @param {number} decimals
- * @returns {string} with a real minus sign, never "−0.0"; a dash where there is no number
- */
-export function fixed(value, decimals) {
-  if (!Number.isFinite(value)) return "\u2013";
-  const text = value.toFixed(decimals);
-  return Number(text) === 0 ? (0).toFixed(decimals) : text.replace("-", "\u2212");
-}
-
-/**
- * @param {number} force N
- * @returns {string} with two decimals from 0.1 N on, with three significant digits below; without its unit
- */
-export function newtons(force) {
-  const size = Math.abs(force);
-  return size < 0.09995 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : fixed(force, 2);
 }

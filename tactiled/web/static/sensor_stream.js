@@ -3,17 +3,18 @@
  * @module
  */
 
-import { Link } from "./link.js";
+import { ReconnectingSocket } from "./socket.js";
 import { kindOf, packet, parse } from "./wire.js";
 
-/** @typedef {import("./wire.js").Packet} Packet */
-/** @typedef {import("./api.js").Loss} Loss */
+/** @import { Loss, State } from "./api.js" */
+/** @import { Found } from "./contacts.js" */
+/** @import { Packet } from "./wire.js" */
 
 /**
  * @typedef {object} Status
  * @property {"status"} type
  * @property {string} sensor
- * @property {import("./api.js").State} state
+ * @property {State} state
  * @property {number|null} age_s
  * @property {number} rate_hz
  * @property {number|null} jitter_s
@@ -39,12 +40,12 @@ import { kindOf, packet, parse } from "./wire.js";
  *   the call
  * @property {(status: Status) => void} onStatus
  * @property {() => void} onLink the link's state changed
- * @property {(found: import("./contacts.js").Found) => void} [onContacts]
+ * @property {(found: Found) => void} [onContacts]
  */
 
 const NEXT = JSON.stringify({ type: "next" });
 
-export class Stream extends Link {
+export class SensorStream extends ReconnectingSocket {
   /**
    * @param {string} url
    * @param {number[]} kinds of image that the address asks for
@@ -101,7 +102,7 @@ export class Stream extends Link {
     this._listener.onLink();
   }
 
-  /** @param {Status|import("./contacts.js").Found} message */
+  /** @param {Status|Found} message */
   _tell(message) {
     if (message.type === "contacts") {
       this._listener.onContacts?.(message);

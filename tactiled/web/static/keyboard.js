@@ -3,7 +3,7 @@
  * @module
  */
 
-import { keep, recall } from "./store.js";
+import { keep, loadSetting } from "./storage.js";
 
 const KEY = "tactiled.keys";
 const TYPED_IN = "input:not([type=checkbox], [type=range]), select, textarea";
@@ -13,8 +13,8 @@ const TYPED_IN = "input:not([type=checkbox], [type=range]), select, textarea";
  * @param {Record<string, (event: KeyboardEvent) => void>} actions by `event.key`, letters in lower case
  * @param {HTMLInputElement} on box that is checked where keys of one character act; the browser keeps it so
  */
-export function keys(actions, on) {
-  on.checked = recall(KEY) !== "off";
+export function listenForKeys(actions, on) {
+  on.checked = loadSetting(KEY) !== "off";
   on.addEventListener("change", () => keep(KEY, on.checked ? "on" : "off"));
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || document.querySelector("dialog[open]")) return;

@@ -4,16 +4,14 @@
  */
 
 import { Chart, line } from "./chart.js";
-import { fixed } from "./paint.js";
-import { ACROSS } from "./plane.js";
+import { fixed } from "./format.js";
+import { ACROSS } from "./geometry.js";
 
-/** @typedef {import("./plane.js").Plane} Plane */
-/** @typedef {import("./plane.js").Axis} Axis */
-/** @typedef {import("./plane.js").Cells} Cells */
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./scale.js").Scale} Scale */
-/** @typedef {import("./chart.js").Line} Line */
-/** @typedef {import("./overlay.js").Marks} Marks */
+/** @import { Axes, Line } from "./chart.js" */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Cells, Plane } from "./geometry.js" */
+/** @import { Marks } from "./overlay.js" */
 
 const UNITS = { x: "x, mm", y: "y, mm" };
 const SPREAD = 2; // standard deviations to either side of the restored line
@@ -21,7 +19,7 @@ const MARGIN = 0.06; // of the range, drawn below it
 const DEEP = 0.4; // of the range, drawn below it while something is there
 const HOLD = 180; // frames for which that stays, so that the axis does not jump
 
-export class Section {
+export class CrossSection {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.chart = new Chart(canvas);
@@ -32,7 +30,7 @@ export class Section {
     this._restored = line(0, "restored");
     this._lines = [this._raw, this._restored];
     this._deviation = line(0, "restored"); // along the same cells
-    /** @type {import("./chart.js").Axes} */
+    /** @type {Axes} */
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: UNITS.x, y: "kPa" };
   }
 
@@ -48,7 +46,7 @@ export class Section {
   /**
    * @param {Frame|null} frame
    * @param {Marks} marks where the line and the probe are
-   * @param {Scale} scale
+   * @param {DisplayRange} scale
    * @param {Float32Array|null} deviation kPa, of each restored cell; null where it is not known
    */
   draw(frame, marks, scale, deviation) {

@@ -3,17 +3,20 @@
  * @module
  */
 
-import { ContactList } from "./contactlist.js";
-import { apart } from "./nearest.js";
-import { byId, fixed, say } from "./paint.js";
-import { ACROSS } from "./plane.js";
+import { ContactTable } from "./contact_table.js";
+import { byId, setText } from "./dom.js";
+import { fixed } from "./format.js";
+import { ACROSS } from "./geometry.js";
 import { Readings } from "./readings.js";
+import { timeOffset } from "./timeline.js";
 import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
 
-/** @typedef {import("./viewer.js").Viewer} Viewer */
-/** @typedef {import("./history.js").Frame} Frame */
-/** @typedef {import("./health.js").Health} Health */
-/** @typedef {import("./session.js").Session} Session */
+/** @import { DisplayRange } from "./display_range.js" */
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Plane } from "./geometry.js" */
+/** @import { Health } from "./health.js" */
+/** @import { Session } from "./session.js" */
+/** @import { Viewer } from "./viewer.js" */
 
 const FLAGS = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
 const PILL = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
@@ -22,10 +25,10 @@ const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The s
 /** @type {Health} */
 const CONNECTING = { level: "connecting", title: "CONNECTING", text: "" };
 
-export class Screen {
+export class PageText {
   constructor() {
     this.readings = new Readings();
-    this.contacts = new ContactList(byId("contact-list"));
+    this.contacts = new ContactTable(byId("contact-list"));
     this._found = byId("contacts-of");
     this._level = "";
     this._along = ""; // as the section's words tell it
@@ -59,14 +62,14 @@ export class Screen {
     this._made(session, frame);
     this.readings.status(session?.status ?? null, live);
     this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
-    say(byId("probe"), probed(viewer, frame) || "Point at a map to read it; click or tap to pin.");
+    setText(byId("probe"), probed(viewer, frame) || "Point at a map to read it; click or tap to pin.");
     this._playback(session, frame, live);
     this.range(viewer.scale);
     const { found } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
     this.contacts.show(found?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
-    const away = paused && found && frame ? apart(found, frame) : "";
-    say(this._found, away ? `of ${away}` : "in the restored image");
+    const away = paused && found && frame ? timeOffset(found, frame) : "";
+    setText(this._found, away ? `of ${away}` : "in the restored image");
     this._section(viewer, frame);
   }
 
@@ -78,7 +81,7 @@ export class Screen {
     const { along, lineAt } = viewer.marks;
     const known = frame && Number.isFinite(lineAt);
     const where = known ? `${ACROSS[along]} ${fixed(lineAt, 1)} mm${viewer.probe.pinned ? ", pinned" : ""}` : "";
-    say(byId("section-where"), where);
+    setText(byId("section-where"), where);
     if (this._along === along) return;
     this._along = along;
     const turn = byId("section-turn");
@@ -98,7 +101,7 @@ export class Screen {
     if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "", false);
     else if (!told) this.readings.made(frame.ran, null, "words not told", true);
     else {
-      const away = apart(told, frame);
+      const away = timeOffset(told, frame);
       this.readings.made(frame.ran, told, away && `words of ${away}`, true);
     }
   }
@@ -113,15 +116,15 @@ export class Screen {
     if (health.level !== this._level) {
       this._level = health.level;
       const what = health.level === "live" ? `${name} is live` : `${name || "service"}: ${health.title.toLowerCase()}. ${health.text}`;
-      say(byId("announce"), health.level === "connecting" ? "" : what);
+      setText(byId("announce"), health.level === "connecting" ? "" : what);
       document.body.dataset.level = health.level;
     }
     document.body.classList.toggle("paused", paused);
     byId("banner").hidden = health.title === "" || health.level === "connecting";
-    say(byId("banner-title"), health.title);
-    say(byId("banner-text"), health.text);
+    setText(byId("banner-title"), health.title);
+    setText(byId("banner-text"), health.text);
     byId("banner-action").hidden = health.level !== "disconnected" || !closed;
-    say(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL[health.level]);
+    setText(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL[health.level]);
     const title = name ? `${name}${health.level === "live" ? "" : ` (${health.level})`}, tactiled` : "tactiled";
     if (document.title !== title) document.title = title;
   }
@@ -132,11 +135,11 @@ export class Screen {
    */
   tellProbe(viewer) {
     const read = viewer.probe.pinned ? probed(viewer, viewer.session?.frame ?? null) : "";
-    say(byId("told"), read || "Probe released.");
+    setText(byId("told"), read || "Probe released.");
   }
 
   /**
-   * @param {import("./scale.js").Scale} scale
+   * @param {DisplayRange} scale
    * @param {boolean} [typed] what somebody typed into its fields was taken or refused: they show the range too
    */
   range(scale, typed = false) {
@@ -155,14 +158,14 @@ export class Screen {
     const back = session?.back ?? 0;
     const paused = session?.paused ?? false;
     this._pause.setAttribute("aria-pressed", String(paused));
-    say(this._pause, paused ? "Go live" : "Pause");
+    setText(this._pause, paused ? "Go live" : "Pause");
     this._scrub.max = String(Math.max(0, kept - 1));
     this._scrub.value = String(kept - 1 - back);
     this._scrub.disabled = kept < 2;
     const newest = session?.history.at(0);
     const when = frame && newest && back ? `${fixed(frame.timestamp - newest.timestamp, 2)} s` : "newest";
     const text = paused ? when : live ? "live" : "last";
-    say(byId("when"), text);
+    setText(byId("when"), text);
     if (this._scrub.getAttribute("aria-valuetext") !== text) this._scrub.setAttribute("aria-valuetext", text);
   }
 }
@@ -177,7 +180,7 @@ function probed({ session, probe: { x, y } }, frame) {
 }
 
 /**
- * @param {import("./plane.js").Plane} plane
+ * @param {Plane} plane
  * @param {Frame} frame
  * @param {number} x mm
  * @param {number} y mm

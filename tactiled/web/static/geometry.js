@@ -3,7 +3,7 @@
  * @module
  */
 
-/** @typedef {import("./api.js").Geometry} Geometry */
+/** @import { Geometry } from "./api.js" */
 
 /**
  * One image's cells.

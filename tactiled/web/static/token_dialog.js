@@ -4,8 +4,8 @@
  */
 
 import { ApiError, showToken } from "./api.js";
-import { notice, words } from "./notice.js";
-import { byId, say } from "./paint.js";
+import { byId, setText } from "./dom.js";
+import { notice, messageOf } from "./notice.js";
 
 const dialog = /** @type {HTMLDialogElement} */ (byId("token"));
 const field = /** @type {HTMLInputElement} */ (byId("token-field"));
@@ -16,7 +16,7 @@ const field = /** @type {HTMLInputElement} */ (byId("token-field"));
  * @param {string} failed what to say where it fails
  * @returns {Promise<boolean>} it was done
  */
-export async function control(action, failed) {
+export async function withToken(action, failed) {
   for (;;) {
     try {
       await action();
@@ -24,7 +24,7 @@ export async function control(action, failed) {
     } catch (error) {
       const refused = error instanceof ApiError && (error.status === 401 || error.status === 403);
       if (refused && await ask(error.message)) continue;
-      notice(`${failed}: ${words(error)}`, true);
+      notice(`${failed}: ${messageOf(error)}`, true);
       return false;
     }
   }
@@ -43,7 +43,7 @@ async function ask(why) {
       await showToken(given);
       return true;
     } catch (error) {
-      text = words(error);
+      text = messageOf(error);
     }
   }
 }
@@ -53,7 +53,7 @@ async function ask(why) {
  * @returns {Promise<string>} what was typed; "" where the dialog was left
  */
 function once(why) {
-  say(byId("token-why"), why);
+  setText(byId("token-why"), why);
   field.value = "";
   dialog.returnValue = "";
   dialog.showModal();

@@ -1,0 +1,38 @@
+/**
+ * A frame as CSV, one line per cell.
+ * @module
+ */
+
+import { isoTime } from "./download.js";
+
+/** @import { Frame } from "./frame_history.js" */
+/** @import { Cells, Plane } from "./geometry.js" */
+
+/**
+ * @param {string} name of the sensor
+ * @param {Plane} plane
+ * @param {Frame} frame
+ * @returns {string}
+ */
+export function csvText(name, plane, frame) {
+  const { sheared, shear } = frame;
+  const lines = [
+    `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.ran}`,
+    "# kpa is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
+    `image,row,column,x_mm,y_mm,kpa,flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
+  ];
+  for (let i = 0; i < plane.raw.count; i += 1) {
+    const shears = sheared ? `,${decimal(shear[i])},${decimal(shear[plane.raw.count + i])}` : "";
+    lines.push(`raw,${place(plane.raw, i)},${decimal(frame.raw[i])},${frame.flags[i]}${shears}`);
+  }
+  for (let i = 0; i < plane.restored.count; i += 1) {
+    lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
+  }
+  return `${lines.join("\n")}\n`;
+}
+
+/** @param {Cells} cells @param {number} i */
+const place = ({ columns, x, y }, i) => `${Math.floor(i / columns)},${i % columns},${decimal(x[i])},${decimal(y[i])}`;
+
+/** @param {number} value @returns {string} empty without data */
+const decimal = (value) => (Number.isNaN(value) ? "" : String(+value.toFixed(4)));
