@@ -25,7 +25,9 @@ from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.cover.summary import Meaning, meaning
+from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
+from tactiled.frames import FrameWarning
 from tactiled.geometry import Array, Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import require
@@ -42,7 +44,6 @@ LOG = logging.getLogger(__name__)
 CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
 SIDE = 1024  # of them in a row: as many as an array may have taxels in one
 THICK = 2.0  # pitches: a smallest gap above this is the cover's doing
-UNCALIBRATED = "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +61,7 @@ class SensorPlan:
     calibration: Calibration
     method: str
     stale_after_s: float
-    warnings: tuple[str, ...]  # that hold for every image
+    warnings: tuple[FrameWarning, ...]  # that hold for every image
 
     @property
     def cell_mm(self) -> float:
@@ -111,7 +112,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
-        warnings=_standing(sensor, meaning(kernel, array), array),
+        warnings=_constant_warnings(sensor, meaning(kernel, array), array),
     )
 
 
@@ -136,13 +137,13 @@ def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
         raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
 
 
-def _standing(sensor: schema.Sensor, told: Meaning, array: Array) -> tuple[str, ...]:
-    """What is to be said of every image of a sensor."""
-    said = [] if sensor.calibration.kpa_per_count else [UNCALIBRATED]
-    if told.smallest_gap > THICK * array.pitch:
-        gap = f"finer than {told.smallest_gap:.2g} mm" if np.isfinite(told.smallest_gap) else "at all"
-        said.append(f"the cover is thick for a pitch of {array.pitch:g} mm: at 1 % noise no gap {gap} survives it")
-    return tuple(said)
+def _constant_warnings(sensor: schema.Sensor, summary: Meaning, array: Array) -> tuple[FrameWarning, ...]:
+    """Warnings of every image of a sensor."""
+    warnings = [] if sensor.calibration.kpa_per_count else [warning("uncalibrated")]
+    if summary.smallest_gap > THICK * array.pitch:
+        gap = f"finer than {summary.smallest_gap:.2g} mm" if np.isfinite(summary.smallest_gap) else "at all"
+        warnings.append(warning("thick_cover", pitch_mm=array.pitch, gap=gap))
+    return tuple(warnings)
 
 
 def make_stack(sensor: schema.Sensor) -> Stack:

@@ -67,6 +67,15 @@ class RawFrame:
     arrived: float = 0.0  # s, when its newest message came, on a clock that never steps: for ages and windows
 
 
+@dataclass(frozen=True, slots=True)
+class FrameWarning:
+    """Something known against an image."""
+
+    code: str  # one of `diagnostics.warning_codes`: programs compare this
+    text: str  # for people
+    taxels: int | None = None  # how many it is about; None where that does not apply
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
     """One frame in kPa, as measured and as restored, with everything known against it."""
@@ -85,7 +94,7 @@ class Image:
     noise_gain: float  # restored noise over raw noise
     resolution_mm: float  # the finest half-period that the restored image carries above its noise
     loss: Loss = field(default_factory=Loss)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[FrameWarning, ...] = ()
     shear: NDArray[np.float32] | None = (
         None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
     )

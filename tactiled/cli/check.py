@@ -27,7 +27,7 @@ def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML)
     for plan in (sensor.plan for sensor in service.sensors.values()):
         console.print(_table(plan, meaning(plan.kernel, plan.array)))
         for warning in plan.warnings:
-            console.print(f"  {warning}")
+            console.print(f"  {warning.text}")
     console.print(
         f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}", markup=False
     )

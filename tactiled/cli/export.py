@@ -144,5 +144,5 @@ def _about(recording: Recording, plan: SensorPlan, loss: Loss) -> dict[str, Any]
         "flag_bits": FLAGS,
         "loss_kinds": LOSS,
         "loss": asdict(loss),
-        "warnings": plan.warnings,
+        "warnings": [asdict(each) for each in plan.warnings],
     }

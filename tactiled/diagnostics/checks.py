@@ -1,7 +1,7 @@
-"""What a frame and its image show against themselves: faults that need no truth to be seen.
+"""Checks of a frame and its image against themselves: faults that show without knowing the true pressure.
 
 Pressure never pulls and a cover only smooths, whatever is pressed. So no part of a frame lies further below zero
-than its noise goes, and the modes that the cover weakens most hold no less than the noise.
+than its noise explains, and the modes that the cover weakens most hold no less than the noise.
 """
 
 from typing import Any
@@ -10,151 +10,148 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtri
 
+from tactiled.diagnostics.warning_codes import WarningCode, warning
+from tactiled.frames import FrameWarning
 from tactiled.restore.blur import Blur
 
-EVERY = 16  # frames between two looks
-IN_A_ROW = 3  # looks that must agree before anything is said
-CHANCE = 1e-4  # that noise alone, white and as told, raises one of the doubts that are about it
-TWICE = 2.0  # times the noise told, or half of it: what is worth a warning
-PARTS = 4  # of a frame along each axis
-FINEST = 24  # modes that hold less than a quarter of the noise's power with no more than that chance
-SMOOTH = 8  # of so many modes one counts among those that the cover weakens most, if that is more
-FAINT = 0.02  # of the highest pressure: less is no offset that anyone would mind
-EVEN = 1.25  # times the least pressed part that a quarter of the parts may reach to pass for an offset
-MODEL = 0.01  # of the frame's peak: what a true model misses, as scenes do not lie on its grid
-FAR = 3.5  # times what is expected of the residual's root mean square
-OUT = 16.0  # times what is expected of one taxel's residual
-FEW = 9  # taxels, a dead one and its neighbours, that may be out before it is the model that is
-BELOW = 7.0  # times the noise
-CLEAR = 10.0  # noise standard deviations from which the frame is pressed at all
-LEVEL = 3  # taxels that share the highest value
-MOVED = 4.0  # standard deviations by which an image is stronger than its frame if its force is from elsewhere
-STRONGER = 0.02  # of its strength: one of them, however faint the noise
-RIM = 1.5  # times the highest pressure inside that stands at the rim
+# `tactiled bench stability` counts how often these bounds raise a warning on sound frames.
+CHECK_EVERY_FRAMES = 16
+CHECKS_IN_A_ROW = 3  # that must agree before a warning is raised
+FALSE_ALARM = 1e-4  # chance that white noise, as configured, raises one of the warnings about noise
+NOISE_RATIO = 2.0  # of true to configured noise, or the inverse, that is worth a warning
+PARTS_PER_AXIS = 4  # of a frame
+WEAK_MODES = 24  # of them hold less than a quarter of the noise's power with no more than that chance
+WEAK_MODES_PER = 8  # modes one counts among those that the cover weakens most, if that is more
+MIN_OFFSET = 0.02  # of the highest pressure: a lower offset does not matter
+EVEN_RATIO = 1.25  # of a quarter of the parts to the least pressed part, at most, if all have the same offset
+MODEL_ERROR = 0.01  # of the frame's peak: what a true model misses, as scenes do not lie on its grid
+MAX_RESIDUAL_RMS = 3.5  # times the expected one
+MAX_RESIDUAL = 16.0  # of one taxel, times the expected one
+MAX_OUTLIERS = 9  # taxels, a dead one and its neighbours; with more of them the cover's model is wrong
+BELOW_ZERO = 7.0  # times the noise
+PRESSED = 10.0  # times the noise: a lower peak is no contact
+PLATEAU_TAXELS = 3  # that share the highest value
+EXCESS_SIGMAS = 4.0  # by which an image is stronger than its frame if its force is from elsewhere
+EXCESS_RATIO = 0.02  # of its strength: one of these sigmas, however faint the noise
+EDGE_RATIO = 1.5  # of the highest pressure at the rim to the highest inside
 
-RESIDUAL = "the restored image does not match the data: check the cover settings and look for faulty taxels"
-OUTLIER = "single taxels disagree with all around them: dead or damaged? name them in calibration.dead"
-NEGATIVE = "readings are negative: unload and tare, or check noise_kpa"
-LIFTED = "no part of the array is free of pressure: if nothing lies on all of it, tare"
-UNLIKE = "the finest patterns hold less than half the noise told: is it shared by taxels, or less than told?"
-PLATEAU = "several taxels share the highest value: saturated? set calibration.saturation"
-EDGE = "a contact reaches over the edge: what presses outside the array is felt inside"
-
-Frames = NDArray[np.float32]
+Floats = NDArray[np.float32]
+Flags = NDArray[np.uint8]
 
 
-class Doubt:
-    """Looks at every EVERY-th frame of one array and says what it has seen IN_A_ROW times running."""
+class FrameChecks:
+    """Checks every CHECK_EVERY_FRAMES-th frame of one array; warns of what CHECKS_IN_A_ROW checks show."""
 
-    def __init__(self, blur: Blur, floor: float = 0.0) -> None:
-        """`floor` (kPa) is what rounding to counts alone makes of the noise."""
-        self._blur, self._floor = blur, floor
+    def __init__(self, blur: Blur, floor_kpa: float = 0.0) -> None:
+        """`floor_kpa` is the part of the noise that rounding to counts makes."""
+        self._blur, self._floor = blur, floor_kpa
         self._grid = len(blur.surface_shape) == 2 and min(blur.surface_shape) > 2
         self._rim = np.ones(blur.surface_shape, bool)
         if self._grid:
             self._rim[1:-1, 1:-1] = False
         self._parts = _Parts(blur.frame_shape)
         self._cells = _Parts(blur.surface_shape)
-        self._most_below = _most_below(int(np.prod(blur.frame_shape)))
-        self._there = blur.modes.to_taxel_modes()
+        self._max_below = _max_below(int(np.prod(blur.frame_shape)))
+        self._to_modes = blur.modes.to_taxel_modes()
         self._weak = _weakest(blur.modes.gain)
         self._frames = 0
-        self._seen: dict[str, int] = {}
-        self._said: tuple[str, ...] = ()
+        self._counts: dict[WarningCode, int] = {}  # checks in a row that showed it
+        self._warnings: tuple[FrameWarning, ...] = ()
 
     def __call__(
-        self, raw: Frames, flags: NDArray[np.uint8], image: Frames, noise: float, method: str = ""
-    ) -> tuple[str, ...]:
-        """What is to be said of this frame: `raw` and `image` in kPa, `noise` a taxel's (kPa)."""
+        self, raw: Floats, flags: Flags, image: Floats, noise: float, method: str = ""
+    ) -> tuple[FrameWarning, ...]:
+        """Warnings of this frame; arguments as of `check`."""
         self._frames += 1
-        if self._frames % EVERY == 1:
-            found = self.look(raw, flags, image, noise, method)
-            self._seen = {text: self._seen.get(text, 0) + 1 for text in found}
-            self._said = tuple(text for text, times in self._seen.items() if times >= IN_A_ROW)
-        return self._said
+        if self._frames % CHECK_EVERY_FRAMES == 1:
+            codes = self.check(raw, flags, image, noise, method)
+            self._counts = {code: self._counts.get(code, 0) + 1 for code in codes}
+            self._warnings = tuple(warning(code) for code, n in self._counts.items() if n >= CHECKS_IN_A_ROW)
+        return self._warnings
 
-    def look(
-        self, raw: Frames, flags: NDArray[np.uint8], image: Frames, noise: float, method: str = ""
-    ) -> tuple[str, ...]:
-        """What one frame shows; `method` is what restored it."""
+    def check(
+        self, raw: Floats, flags: Flags, image: Floats, noise: float, method: str = ""
+    ) -> tuple[WarningCode, ...]:
+        """What one frame shows: `raw` and `image` in kPa, `noise` of a taxel in kPa, `method` restored it."""
         sound = flags == 0
         if not sound.any():
             return ()
         predicted = self._blur.forward(image)
-        whole = np.where(sound, raw, predicted)
-        tests = {
-            NEGATIVE: self._negative(raw[sound], np.where(sound, raw, np.float32(0)), sound, noise),
-            LIFTED: self._lifted(image, noise),
-            UNLIKE: self._unlike(whole, noise * float(np.sqrt(sound.mean()))),
+        completed = np.where(sound, raw, predicted)
+        offset = self._even_offset(image, noise)
+        tests: dict[WarningCode, bool] = {
+            "negative": self._negative(raw[sound], np.where(sound, raw, np.float32(0)), sound, noise),
+            "offset": offset,
+            "noise_low": self._noise_low(completed, noise * float(np.sqrt(sound.mean()))),
         }
-        found = [text for text, there in tests.items() if there]
+        codes = [code for code, shown in tests.items() if shown]
         pressure = raw[sound]
         peak = float(pressure.max())
-        if peak < CLEAR * noise:
-            return tuple(found)
-        expected = float(np.hypot(noise, MODEL * np.abs(pressure).max()))
-        if np.count_nonzero(pressure == peak) >= LEVEL and peak > CLEAR * expected:
-            found.append(PLATEAU)
-        # The image of points shows cells, and their fit, which stood, was of what lies between them. A raw one has
-        # the cover's blur in it, and explains no frame.
+        if peak < PRESSED * noise:
+            return tuple(codes)
+        expected = float(np.hypot(noise, MODEL_ERROR * np.abs(pressure).max()))
+        if np.count_nonzero(pressure == peak) >= PLATEAU_TAXELS and peak > PRESSED * expected:
+            codes.append("plateau")
+        # An image of points shows whole cells, but their fit, which matched, was of positions between them. A raw
+        # image still has the cover's blur in it, and explains no frame.
         if method not in ("points", "raw"):
-            found += _unexplained(np.abs(predicted[sound] - pressure) / expected)
-            if LIFTED not in found and self._moved(whole, predicted, noise):
-                found.append(LIFTED)
+            codes += _residual(np.abs(predicted[sound] - pressure) / expected)
+            if not offset and self._moved_offset(completed, predicted, noise):
+                codes.append("offset")
         if self._grid and self._over_the_edge(image):
-            found.append(EDGE)
-        return tuple(found)
+            codes.append("edge")
+        return tuple(codes)
 
-    def _negative(self, pressure: Frames, zeroed: Frames, sound: NDArray[np.bool_], noise: float) -> bool:
+    def _negative(self, pressure: Floats, zeroed: Floats, sound: NDArray[np.bool_], noise: float) -> bool:
         """Whether one taxel, a part of the array or all together lie further below zero than noise does."""
-        if float(pressure.min()) < -BELOW * float(np.hypot(noise, MODEL * np.abs(pressure).max())):
+        if float(pressure.min()) < -BELOW_ZERO * float(np.hypot(noise, MODEL_ERROR * np.abs(pressure).max())):
             return True
         count = self._parts.sums(sound)
         lowest = float((self._parts.sums(zeroed) / np.sqrt(np.maximum(count, 1))).min())
-        if lowest < noise * _surely(count.size):
+        if lowest < noise * _lowest_sigmas(count.size):
             return True
         below = np.minimum(pressure, 0)
-        return float(np.dot(below, below)) > self._most_below * noise**2
+        return float(np.dot(below, below)) > self._max_below * noise**2
 
-    def _lifted(self, image: Frames, noise: float) -> bool:
+    def _even_offset(self, image: Floats, noise: float) -> bool:
         """Whether every part of the image is pressed, and a quarter of the parts alike."""
         means = np.sort(self._cells.sums(image) / self._cells.counts, axis=None)
-        least, quarter = float(means[0]), float(means[(means.size - 1) // 4])
-        surely = -_surely(1) * noise / float(np.sqrt(self._parts.counts.min()))
-        return least > max(surely, FAINT * float(image.max())) and quarter < EVEN * least
+        lowest, quarter = float(means[0]), float(means[(means.size - 1) // 4])
+        certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.min()))
+        return lowest > max(certain, MIN_OFFSET * float(image.max())) and quarter < EVEN_RATIO * lowest
 
-    def _moved(self, whole: Frames, predicted: Frames, noise: float) -> bool:
+    def _moved_offset(self, completed: Floats, predicted: Floats, noise: float) -> bool:
         """Whether the image is stronger than its frame, and no quarter of the frame's parts is free.
 
-        Total force is kept: an offset too faint beside the noise to pass for pressure, cell by cell, is moved onto
-        the contacts. Its parts put together, the frame still tells of it.
+        Restoration keeps total force: it moves an offset that noise hides in each cell onto the contacts. The
+        frame's parts together still show it.
         """
         strength = float(np.vdot(predicted, predicted))
-        more = strength - float(np.vdot(predicted, whole))
-        if more <= MOVED * float(np.hypot(noise * np.sqrt(strength), STRONGER * strength)):
+        excess = strength - float(np.vdot(predicted, completed))
+        if excess <= EXCESS_SIGMAS * float(np.hypot(noise * np.sqrt(strength), EXCESS_RATIO * strength)):
             return False
-        least = np.sort(self._parts.sums(whole) / self._parts.counts, axis=None)
-        quarter = least[: max(1, least.size // 4)]
-        surely = -_surely(1) * noise / float(np.sqrt(self._parts.counts.mean() * quarter.size))
-        return float(quarter.mean()) > surely
+        means = np.sort(self._parts.sums(completed) / self._parts.counts, axis=None)
+        quarter = means[: max(1, means.size // 4)]
+        certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.mean() * quarter.size))
+        return float(quarter.mean()) > certain
 
-    def _unlike(self, whole: Frames, noise: float) -> bool:
-        """Whether the weakest modes hold less than half the noise; not where the noise is but rounding."""
-        if self._weak is None or noise <= TWICE * self._floor:
+    def _noise_low(self, completed: Floats, noise: float) -> bool:
+        """Whether the weakest modes hold less than half the noise; unknown where noise is only rounding."""
+        if self._weak is None or noise <= NOISE_RATIO * self._floor:
             return False
-        weakest = self._there(whole, self._there.empty()).reshape(-1)[self._weak]
-        return float(np.dot(weakest, weakest)) < (noise / TWICE) ** 2 * weakest.size
+        weakest = self._to_modes(completed, self._to_modes.empty()).reshape(-1)[self._weak]
+        return float(np.dot(weakest, weakest)) < (noise / NOISE_RATIO) ** 2 * weakest.size
 
-    def _over_the_edge(self, image: Frames) -> bool:
-        return float(image[self._rim].max()) > RIM * float(image[~self._rim].max())
+    def _over_the_edge(self, image: Floats) -> bool:
+        return float(image[self._rim].max()) > EDGE_RATIO * float(image[~self._rim].max())
 
 
 class _Parts:
-    """The parts of an array that are summed each for itself: PARTS along both axes, or as many of a layout."""
+    """The parts of an array that are summed each for itself: PARTS_PER_AXIS squared, of a layout as many."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
-        most = PARTS if len(shape) == 2 else PARTS**2
-        self._first = [np.linspace(0, n, min(n, most), endpoint=False).astype(int) for n in shape]
+        parts = PARTS_PER_AXIS if len(shape) == 2 else PARTS_PER_AXIS**2
+        self._first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in shape]
         self.counts = self.sums(np.ones(shape, np.float32))
 
     def sums(self, values: NDArray[Any]) -> NDArray[np.float64]:
@@ -165,29 +162,29 @@ class _Parts:
         return summed
 
 
-def _surely(parts: int) -> float:
-    """Standard deviations below zero that the lowest of `parts` hardly ever lies."""
-    return float(ndtri(CHANCE / parts))
+def _lowest_sigmas(parts: int) -> float:
+    """Where the lowest of `parts` lies below, in standard deviations of noise, with the chance FALSE_ALARM."""
+    return float(ndtri(FALSE_ALARM / parts))
 
 
-def _most_below(size: int) -> float:
-    """What the squares below zero of `size` unpressed taxels hardly ever add up to, over the noise's variance.
+def _max_below(size: int) -> float:
+    """What the squares below zero of `size` unpressed taxels add up to, over the noise's variance, at most.
 
     Their sum has the mean n / 2 and the variance 5 n / 4 of a gamma distribution of shape n / 5 and scale 5 / 2;
-    noise of TWICE the strength on half of the taxels reaches n.
+    noise of NOISE_RATIO times the strength on half of the taxels reaches n.
     """
-    return max(2.5 * float(gammainccinv(size / 5, CHANCE)), size * TWICE**2 / 4)
+    return max(2.5 * float(gammainccinv(size / 5, FALSE_ALARM)), size * NOISE_RATIO**2 / 4)
 
 
 def _weakest(gain: NDArray[np.float64]) -> NDArray[np.intp] | None:
     """Which modes the cover weakens most; None where they are too few to tell half the noise from all of it."""
-    count = max(FINEST, gain.size // SMOOTH)
+    count = max(WEAK_MODES, gain.size // WEAK_MODES_PER)
     return np.argsort(gain, axis=None)[:count] if count <= gain.size // 2 else None
 
 
-def _unexplained(rest: Frames) -> list[str]:
-    """What a residual, over what is expected of it, says."""
-    out = int(np.count_nonzero(rest > OUT))
-    if out > FEW or float(np.sqrt(np.mean(np.square(rest)))) > FAR:
-        return [RESIDUAL]
-    return [OUTLIER] if out else []
+def _residual(ratios: Floats) -> list[WarningCode]:
+    """What a residual shows, as ratios to the expected one."""
+    outliers = int(np.count_nonzero(ratios > MAX_RESIDUAL))
+    if outliers > MAX_OUTLIERS or float(np.sqrt(np.mean(np.square(ratios)))) > MAX_RESIDUAL_RMS:
+        return ["cover_mismatch"]
+    return ["outliers"] if outliers else []

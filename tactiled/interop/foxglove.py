@@ -36,6 +36,14 @@ BUS = {
         "data": {"type": "string", "contentEncoding": "base64"},
     },
 }
+WARNING = {
+    "type": "object",
+    "properties": {
+        "code": {"type": "string", "description": "for programs: it does not change"},
+        "taxels": {"type": ["integer", "null"], "description": "how many it is about, where that applies"},
+        "text": {"type": "string", "description": "for people: it may change"},
+    },
+}
 STATUS = {
     "title": "tactiled status",
     "type": "object",
@@ -50,7 +58,7 @@ STATUS = {
         "force_n": {"type": "number", "description": "whole force of the restored image"},
         "peak_kpa": {"type": "number", "description": "highest pressure of the restored image"},
         "loss": {"type": "object", "description": "counts so far by kind"},
-        "warnings": {"type": "array", "items": {"type": "string"}},
+        "warnings": {"type": "array", "items": WARNING},
     },
 }
 STATE = {
@@ -168,7 +176,7 @@ class Topics:
         told = {key: getattr(image, key) for key in STATUS["properties"] if hasattr(image, key)}
         told["force_n"] = float(np.dot(self._areas, image.restored.reshape(-1)))
         told["peak_kpa"] = float(image.restored.max(initial=0))
-        told["loss"], told["warnings"] = asdict(image.loss), list(image.warnings)
+        told["loss"], told["warnings"] = asdict(image.loss), [asdict(each) for each in image.warnings]
         made = [
             self._raw.message(image.time, pressure_kpa=image.raw, flags=image.flags),
             self._restored.message(image.time, pressure_kpa=image.restored),

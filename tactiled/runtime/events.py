@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Literal
 
+from tactiled.frames import FrameWarning
+
 Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
@@ -31,6 +33,7 @@ class Event:
     sensor: str | None
     bus: str | None
     text: str
+    warning: FrameWarning | None = None  # that was raised or cleared
 
 
 class Events:
@@ -43,10 +46,17 @@ class Events:
         self._listeners: list[Callable[[], None]] = []
         self.newest = 0  # id
 
-    def add(self, kind: Kind, text: str, sensor: str | None = None, bus: str | None = None) -> None:
+    def add(
+        self,
+        kind: Kind,
+        text: str,
+        sensor: str | None = None,
+        bus: str | None = None,
+        warning: FrameWarning | None = None,
+    ) -> None:
         """Note what happened, and wake who waits for it."""
         with self._lock:
-            event = Event(next(self._ids), self._clock(), kind, sensor, bus, text)
+            event = Event(next(self._ids), self._clock(), kind, sensor, bus, text, warning)
             self._kept.append(event)
             self.newest = event.id
             listeners = tuple(self._listeners)

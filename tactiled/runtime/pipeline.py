@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.tare import load_seen
-from tactiled.diagnostics.checks import Doubt
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, RawFrame
+from tactiled.diagnostics.checks import FrameChecks
+from tactiled.diagnostics.warning_codes import WarningCode, warning
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Image, RawFrame
 from tactiled.geometry import Array, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make, require
@@ -21,6 +22,7 @@ NOISE_FRAMES = 32  # frames from which an unknown noise is measured
 PAUSE_FRAMES = 992  # until it is measured again, to see whether it is still as told
 LOUD = 2.0  # times the noise told that are worth a warning
 TARE_FRAMES = 16  # frames that a tare averages
+FLAG_CODES: dict[WarningCode, int] = {"missing": MISSING, "bad": BAD, "dead": DEAD, "saturated": SATURATED}
 
 
 class Pipeline:
@@ -37,7 +39,7 @@ class Pipeline:
         blur: Blur,
         calibration: Calibration,
         method: str = "auto",
-        warnings: tuple[str, ...] = (),  # that hold for every image, such as a missing calibration
+        warnings: tuple[FrameWarning, ...] = (),  # that hold for every image, such as a missing calibration
         clock: Callable[[], float] = perf_counter,
     ) -> None:
         self.name, self.array, self.blur = name, array, blur
@@ -48,7 +50,7 @@ class Pipeline:
         self._no_shear = np.full((2, array.size), np.nan, np.float32)  # NaN until tared
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = 0  # times
-        self._doubt = Doubt(blur, calibration.floor_kpa)
+        self._checks = FrameChecks(blur, calibration.floor_kpa)
         self._method = ""
         self.set_method(method)
         self._restorer = self._make()
@@ -142,7 +144,7 @@ class Pipeline:
         if self._made != (self._method, self._noise.kpa):
             self._restorer = self._make()
         done = self._restorer(raw, flags)
-        said = self._doubt(raw, flags, done.image, self._noise.kpa, done.method)
+        shown = self._checks(raw, flags, done.image, self._noise.kpa, done.method)
         return Image(
             sensor=self.name,
             sequence=frame.sequence,
@@ -158,7 +160,7 @@ class Pipeline:
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._warnings + self._noise.warning + _doubts(flags) + said,
+            warnings=self._warnings + self._noise.warning + _flag_warnings(flags) + shown,
             shear=self._sheared(frame.shear, flags),
             arrived=frame.arrived,
         )
@@ -173,22 +175,12 @@ class Pipeline:
         return tared.reshape((2, *self.array.frame_shape))
 
 
-def _doubts(flags: NDArray[np.uint8]) -> tuple[str, ...]:
-    """A sentence for each kind of taxel that this frame cannot believe."""
+def _flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
+    """A warning for each flag that some taxels have."""
     if not flags.any():
         return ()
-    kinds = (
-        (MISSING, "did not arrive: restored from their neighbours"),
-        (BAD, "called faulty by the sensor: restored from their neighbours"),
-        (DEAD, "dead: restored from their neighbours"),
-        (SATURATED, "saturated: their pressure is a lower bound"),
-    )
-    counted = ((np.count_nonzero(flags & kind), text) for kind, text in kinds)
-    return tuple(
-        f"1 taxel {text.replace('their', 'its')}" if count == 1 else f"{count} taxels {text}"
-        for count, text in counted
-        if count
-    )
+    counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
+    return tuple(warning(code, count) for code, count in counts if count)
 
 
 class _Noise:
@@ -197,7 +189,7 @@ class _Noise:
     def __init__(self, calibration: Calibration) -> None:
         self._floor, self._told = calibration.floor_kpa, calibration.noise_kpa
         self.kpa = self._told or self._floor
-        self.warning: tuple[str, ...] = ()
+        self.warning: tuple[FrameWarning, ...] = ()
         self._measured = False
         self._frames: list[NDArray[np.float32]] = []
         self._pause = 0
@@ -217,7 +209,9 @@ class _Noise:
             self.kpa, self._measured = found, True
         loud = found > LOUD * self.kpa
         source = "configured" if self._told else "measured at the start"
-        self.warning = (f"noise is {found:.2g} kPa, and {self.kpa:.2g} kPa was {source}",) if loud else ()
+        self.warning = ()
+        if loud:
+            self.warning = (warning("noise_high", measured_kpa=found, noise_kpa=self.kpa, source=source),)
 
 
 class _Tare:

@@ -1,16 +1,14 @@
 """Sees when a sensor, a bus or a warning changes, and makes events of it."""
 
-import re
 import threading
 import time
 from collections.abc import Iterable, Mapping
 from typing import Protocol, get_args
 
-from tactiled.frames import Image
+from tactiled.frames import FrameWarning, Image
 from tactiled.runtime.events import CLEAR_S, Events, Faults, Kind
 
 LOOK_S = 0.1
-NUMBER = re.compile(r"\d[\d.]*(e[-+]?\d+)?")
 KINDS: Mapping[str, Kind] = {kind: kind for kind in get_args(Kind)}
 
 
@@ -19,20 +17,20 @@ class Heard:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._texts: dict[str, str] = {}
+        self._warnings: dict[str, FrameWarning] = {}
 
     def add(self, image: Image) -> None:
-        """Hear one image; those that differ in their numbers only are one."""
+        """Note the warnings of one image."""
         if not image.warnings:
             return
         with self._lock:
-            self._texts.update((text, text) for text in image.warnings)
+            self._warnings.update((each.code, each) for each in image.warnings)
 
-    def drain(self) -> dict[str, str]:
-        """The newest text of each warning heard, by what it is without its numbers."""
+    def drain(self) -> dict[str, FrameWarning]:
+        """The newest warning of each code since the last call."""
         with self._lock:
-            texts, self._texts = self._texts, {}
-        return {NUMBER.sub("#", text): text for text in texts}
+            warnings, self._warnings = self._warnings, {}
+        return warnings
 
 
 class Health(Protocol):
@@ -77,7 +75,7 @@ class Watch:
         self._sensors, self._events, self._faults = tuple(sensors), events, faults
         self._states = {each.name: "silent" for each in self._sensors}
         self._down: dict[str, str | None] = {each.bus_name: None for each in self._sensors}
-        self._warned: dict[str, dict[str, tuple[str, float]]] = {each.name: {} for each in self._sensors}
+        self._warned: dict[str, dict[str, tuple[FrameWarning, float]]] = {each.name: {} for each in self._sensors}
         self._tares = {each.name: (0, 0) for each in self._sensors}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -134,12 +132,12 @@ class Watch:
 
     def _warnings(self, sensor: Watched, now: float) -> None:
         warned = self._warned[sensor.name]
-        for warning, text in sensor.heard.drain().items():
-            if warning not in warned:
-                self._events.add("warning_raised", text, sensor.name)
-            warned[warning] = text, now
+        for code, warning in sensor.heard.drain().items():
+            if code not in warned:
+                self._events.add("warning_raised", warning.text, sensor.name, warning=warning)
+            warned[code] = warning, now
         if self._states[sensor.name] != "live":
             return
-        for warning in [each for each, (_, heard) in warned.items() if now - heard > CLEAR_S]:
-            text, _ = warned.pop(warning)
-            self._events.add("warning_cleared", text, sensor.name)
+        for code in [each for each, (_, raised) in warned.items() if now - raised > CLEAR_S]:
+            warning, _ = warned.pop(code)
+            self._events.add("warning_cleared", warning.text, sensor.name, warning=warning)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactiled.diagnostics.checks import Doubt
+from tactiled.diagnostics.checks import FrameChecks
 from tactiled.restore.methods import make
 from tactiled.study.skin import Skin, films
 
@@ -25,13 +25,15 @@ def measure(skins: Iterable[Skin], noises: tuple[float, ...], places: int, seed:
     said: Counter[str] = Counter()
     frames = wrong = 0
     for skin in skins:
-        doubt = Doubt(skin.blur)
+        checks = FrameChecks(skin.blur)
         for noise in noises:
             for place in range(places):
                 for film in films(skin, noise, 1, seed + place):
                     frame = film.frames[0]
                     done = make("auto", skin.blur, film.sigma)(frame)
-                    found = doubt.look(frame, np.zeros(frame.shape, np.uint8), done.image, film.sigma, done.method)
+                    found = checks.check(
+                        frame, np.zeros(frame.shape, np.uint8), done.image, film.sigma, done.method
+                    )
                     frames += 1
                     wrong += bool(found)
                     said.update(found)

@@ -88,7 +88,7 @@ def _warnings(found: Findings) -> Iterator[str]:
         " wrongly at a first look; it says nothing before it has seen the same three times running.",
         f"Of {more.frames} more sound frames, scenes at other places under the covers and noises above,"
         f" {more.wrong} ({100 * more.wrong / more.frames:.2f} %) come with a warning at a first look"
-        + "".join(f"; {count} x “{words}”" for words, count in sorted(more.said.items()))
+        + "".join(f"; {count} x {code}" for code, count in sorted(more.said.items()))
         + ".",
     )
 

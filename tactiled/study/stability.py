@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tactiled.diagnostics.checks import Doubt
+from tactiled.diagnostics.checks import FrameChecks
+from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.noise import estimate
 from tactiled.runtime.pipeline import LOUD
@@ -24,7 +25,7 @@ THEIRS = ("skimage wiener", "skimage rl")
 BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
 WORSE = 1.02  # times the raw image's error: more is a failure
 HONEST = 0.5  # of the true error: a claimed deviation of less is no warning
-NOISY = "there is more noise than told"
+NOISY: WarningCode = "noise_high"
 ALARMS = 0.005  # share of sound images that each sign may call doubtful
 
 
@@ -44,7 +45,7 @@ class Row:
     claimed: float  # kPa, root mean square of the standard deviation that we state; NaN where none is stated
     signs: Signs
     flagged: bool  # some taxels carry flags, which the image's warnings name
-    warned: tuple[str, ...] = ()  # what the service would say of such frames
+    warned: tuple[WarningCode, ...] = ()  # what the service would say of such frames
     lawful: bool | None = None  # of an image of auto that fails silently: whether some press explains its frame
 
 
@@ -114,10 +115,10 @@ def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
     ]
 
 
-def _warned(case: Case, image: Frames, ran: str) -> tuple[str, ...]:
+def _warned(case: Case, image: Frames, ran: str) -> tuple[WarningCode, ...]:
     flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
-    doubt = Doubt(case.skin.blur, case.floor)
-    said = doubt.look(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
+    checks = FrameChecks(case.skin.blur, case.floor)
+    said = checks.check(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
     loud = case.still is not None and estimate(case.still) > LOUD * case.noise
     return (*said, NOISY) if loud else said
 
@@ -231,7 +232,7 @@ def sound(found: Found, method: str) -> list[Row]:
     return [row for sweep, all_ in found if sweep.name in told for row in all_ if row.method == method]
 
 
-def false_warnings(found: Found, method: str) -> list[str]:
+def false_warnings(found: Found, method: str) -> list[WarningCode]:
     """What the service would say of sound images that are no worse than raw."""
     return sorted(said for row in sound(found, method) if row.over_raw <= WORSE for said in row.warned)
 

@@ -6,7 +6,6 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.build import UNCALIBRATED
 from tactiled.bus.faults import KINDS
 from tactiled.cover.summary import meaning
 from tactiled.frames import Image
@@ -223,7 +222,7 @@ def calibration(sensor: Sensor) -> CalibrationForm:
     """A sensor's calibration as it is now."""
     configured = sensor.calibration
     return CalibrationForm(
-        calibrated=UNCALIBRATED not in sensor.plan.warnings,
+        calibrated=all(each.code != "uncalibrated" for each in sensor.plan.warnings),
         kpa_per_count=configured.kpa_per_count,
         no_load=sensor.no_load.tolist(),
         tared=sensor.tared,

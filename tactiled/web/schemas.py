@@ -5,6 +5,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactiled.bus.faults import KINDS
+from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.runtime.sensor import State
@@ -113,6 +114,20 @@ class Health(Form):
     )
 
 
+class WarningForm(Form):
+    """Something known against an image."""
+
+    model_config = ConfigDict(frozen=True, from_attributes=True)
+
+    code: WarningCode = Field(description="for programs: it does not change", examples=["saturated"])
+    taxels: int | None = Field(
+        None, description="how many it is about; null where that does not apply", examples=[3]
+    )
+    text: str = Field(
+        description="for people: it may change", examples=["3 taxels saturated: their pressure is a lower bound"]
+    )
+
+
 class Frame(Form):
     """One image of one sensor."""
 
@@ -137,7 +152,7 @@ class Frame(Form):
     noise_gain: float = Field(description="restored noise over raw noise", examples=[1.4])
     resolution_mm: float = Field(description="finest half-period above the noise", examples=[1.2])
     loss: Loss
-    warnings: tuple[str, ...] = Field(examples=[()])
+    warnings: tuple[WarningForm, ...]
 
 
 class StreamStatus(Form):
@@ -166,7 +181,7 @@ class StreamStatus(Form):
     noise_kpa: float | None = Field(None, examples=[0.2])
     noise_gain: float | None = Field(None, examples=[1.4])
     resolution_mm: float | None = Field(None, examples=[1.2])
-    warnings: tuple[str, ...] = Field((), examples=[()])
+    warnings: tuple[WarningForm, ...] = ()
 
 
 class ContactForm(Form):

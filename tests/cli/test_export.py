@@ -236,7 +236,7 @@ def test_a_skin_without_a_grid(tmp_path):
     with np.load(out) as got:
         assert got["raw"].shape == (15, 60)
         assert got["restored"].shape == (15, len(got["cells_mm"]))
-        assert "uncalibrated" in json.loads(got["provenance"].item())["warnings"][0]
+        assert json.loads(got["provenance"].item())["warnings"][0]["code"] == "uncalibrated"
 
 
 def test_one_of_several_sensors(tmp_path, config, lossy):

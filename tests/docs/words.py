@@ -3,21 +3,12 @@
 from collections.abc import Iterator, Mapping
 from typing import get_args
 
-import numpy as np
-
-from tactiled import build
 from tactiled.bus.faults import KINDS
-from tactiled.calibrate.calibration import Calibration
-from tactiled.config import parse
-from tactiled.config.example import EXAMPLE
-from tactiled.cover.summary import meaning
-from tactiled.diagnostics import checks
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED
+from tactiled.diagnostics.warning_codes import TEXTS, warning
 from tactiled.restore import auto
 from tactiled.restore import methods as table_of_methods
 from tactiled.restore import points as fit
 from tactiled.runtime.events import Kind
-from tactiled.runtime.pipeline import _doubts, _Noise
 from tactiled.web.schemas import Loss
 from tests.docs.table import code, sentence, table
 
@@ -120,16 +111,26 @@ REASONS = {
     fit.TOO_THIN: "`nnls` in place of `points`",
     table_of_methods.NO_AREA: "`nnls` in place of `tv`",
 }
-DIAGNOSES = {
-    checks.RESIDUAL: "Compare the cover's settings, above all its thickness, with the real cover; look for faulty "
-    "taxels.",
-    checks.OUTLIER: "List taxels that do not work in `calibration.dead`.",
-    checks.NEGATIVE: "Unload the array and tare it; or correct `noise_kpa`.",
-    checks.LIFTED: "If nothing presses on all of the array, tare it.",
-    checks.UNLIKE: "Correct `noise_kpa`; or neighbouring taxels share their noise.",
-    checks.PLATEAU: "Set `calibration.saturation`.",
-    checks.EDGE: "Do not trust the rows at the edge.",
+WARNINGS = {
+    "uncalibrated": "Set `calibration.kpa_per_count`.",
+    "thick_cover": "The cover destroys finer detail; use a thinner or stiffer one if you need it.",
+    "noise_high": "Look for interference; or correct `noise_kpa`.",
+    "missing": "Look for lost messages in the counts of [the bus](bus.md).",
+    "bad": "The board reports these taxels as out of range or not connected.",
+    "dead": "`calibration.dead` lists these taxels.",
+    "saturated": "The load exceeds the range of the taxels.",
+    "cover_mismatch": "Compare the cover's settings, above all its thickness, with the real cover; look for "
+    "faulty taxels.",
+    "outliers": "List taxels that do not work in `calibration.dead`.",
+    "negative": "Unload the array and tare it; or correct `noise_kpa`.",
+    "offset": "If nothing presses on all of the array, tare it.",
+    "noise_low": "Correct `noise_kpa`; or neighbouring taxels share their noise.",
+    "plateau": "Set `calibration.saturation`.",
+    "edge": "Do not trust the rows at the edge.",
 }
+WARNING_VALUES = {
+    "pitch_mm": 1, "gap": "finer than 3.1 mm", "measured_kpa": 0.5, "noise_kpa": 0.2, "source": "configured"
+}  # fmt: skip
 
 
 def loss() -> Iterator[str]:
@@ -155,30 +156,8 @@ def reasons() -> Iterator[str]:
 
 
 def warnings() -> Iterator[str]:
-    """Those that hold for every image, those of single taxels, and what frames show against themselves."""
-    _all_of(DIAGNOSES, checks)
-    thick = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 6.0").replace("kpa_per_count = 0.05", "")
-    sensor = parse(thick.replace('"fem" ', '"layered" ').replace("shear_n", "# shear_n"), "palm.toml").sensor[
-        "palm"
-    ]
-    plan = build.sensor_plan("palm", sensor)
-    uncalibrated, gap = build._standing(sensor, meaning(plan.kernel, plan.array), plan.array)
-    noise = _Noise(Calibration(noise_kpa=0.2))
-    noise._judge(0.5)
-    missing, bad, dead, saturated = (
-        _doubts(np.full(2, kind, np.uint8))[0] for kind in (MISSING, BAD, DEAD, SATURATED)
-    )
-    rows = [
-        (uncalibrated, "Set `calibration.kpa_per_count`."),
-        (gap, "The cover destroys finer detail; use a thinner or stiffer one if you need it."),
-        (noise.warning[0], "Look for interference; or correct `noise_kpa`."),
-        (missing, "Look for lost messages in the counts of [the bus](bus.md)."),
-        (bad, "The board reports these taxels as out of range or not connected."),
-        (dead, "`calibration.dead` lists these taxels."),
-        (saturated, "The load exceeds the range of the taxels."),
-        *DIAGNOSES.items(),
-    ]
-    yield from table(("Warning", "What to do"), rows)
+    rows = ([code(each), warning(each, 2, **WARNING_VALUES).text, WARNINGS[each]] for each in TEXTS)
+    yield from table(("`code`", "Text", "What to do"), rows)
 
 
 def _all_of(known: Mapping[str, str], *modules: object) -> None:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tactiled.diagnostics.warning_codes import warning
 from tactiled.runtime.events import CLEAR_S, Events, Faults
 from tactiled.runtime.watch import Heard, Watch
 from tests.conftest import until
@@ -60,8 +61,8 @@ class Sensor:
     def lapse(self):
         self.lapsed += self.taring and self.state != "live"
 
-    def warn(self, *texts):
-        self.heard.add(SimpleNamespace(warnings=texts))
+    def warn(self, code, taxels):
+        self.heard.add(SimpleNamespace(warnings=(warning(code, taxels),)))
 
 
 @pytest.fixture
@@ -117,17 +118,17 @@ def test_a_tare_lapses_when_the_sensor_is_no_longer_live(palm, told):
     assert told() == []
 
 
-def test_a_warning_is_raised_once_whatever_its_numbers_and_cleared_when_it_is_gone_for_a_while(palm, told):
+def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(palm, told):
     palm.state = "live"
     told()
-    palm.warn("2 taxels dead")
-    palm.warn("3 taxels dead")
-    assert told(0.0) == [("warning_raised", "palm", "3 taxels dead")]
-    palm.warn("4 taxels dead")
+    palm.warn("dead", 2)
+    palm.warn("dead", 3)
+    assert told(0.0) == [("warning_raised", "palm", warning("dead", 3).text)]
+    palm.warn("dead", 4)
     assert told(0.9 * CLEAR_S) == []
     assert told(1.8 * CLEAR_S) == []
-    assert told(2.0 * CLEAR_S) == [("warning_cleared", "palm", "4 taxels dead")]
-    palm.warn("5 taxels dead")
+    assert told(2.0 * CLEAR_S) == [("warning_cleared", "palm", warning("dead", 4).text)]
+    palm.warn("dead", 5)
     assert [kind for kind, *_ in told(3 * CLEAR_S)] == ["warning_raised"]
     palm.state = "stale"
     assert [kind for kind, *_ in told(9 * CLEAR_S)] == ["sensor_stale"]  # silence clears nothing

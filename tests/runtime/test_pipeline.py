@@ -1,11 +1,13 @@
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tactiled.calibrate.calibration import Calibration
+from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Loss, RawFrame
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Loss, RawFrame
 from tactiled.geometry import grid, layout, tiling
 from tactiled.restore.blur import Blur
 from tactiled.runtime.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
@@ -33,6 +35,10 @@ def frame(counts, sequence=0, flags=None):
     return RawFrame(sequence, 12.5, 0.001, counts, flags, Loss(lost=3))
 
 
+def codes(image):
+    return [each.code for each in image.warnings]
+
+
 def pressed(background=100):
     counts = np.full(SHAPE, background)
     counts[2:4, 2:4] += 400
@@ -40,11 +46,11 @@ def pressed(background=100):
 
 
 def test_an_image_says_where_it_comes_from(make):
-    image = make("wiener", ("uncalibrated",), no_load=100, kpa_per_count=0.5, noise_kpa=0.5).process(
+    image = make("wiener", (warning("uncalibrated"),), no_load=100, kpa_per_count=0.5, noise_kpa=0.5).process(
         frame(pressed(), 7)
     )
     assert (image.sensor, image.sequence, image.time, image.loss.lost) == ("palm", 7, 12.5, 3)
-    assert (image.method, image.noise_kpa, image.warnings) == ("wiener", 0.5, ("uncalibrated",))
+    assert (image.method, image.noise_kpa, codes(image)) == ("wiener", 0.5, ["uncalibrated"])
     assert image.raw.shape == image.restored.shape == SHAPE
     assert image.raw[2, 2] == 200
     assert image.restored[2, 2] > image.raw[2, 2]
@@ -93,13 +99,14 @@ def test_a_taxel_that_is_not_known_is_null_in_raw_inferred_in_restored_and_told(
     assert np.isfinite(image.restored).all()
     assert image.restored[2, 2] > 50
     assert image.flags[5, 4] == DEAD
-    assert [warning[:11] for warning in image.warnings] == ["1 taxel did", "1 taxel cal", "1 taxel dea"]
+    assert [(each.code, each.taxels) for each in image.warnings] == [("missing", 1), ("bad", 1), ("dead", 1)]
+    assert image.warnings[2].text == "1 taxel dead: restored from its neighbours"
 
 
 def test_saturation_is_told(make):
     image = make(no_load=100, saturation=500, noise_kpa=0.5).process(frame(pressed()))
     assert np.count_nonzero(image.flags & SATURATED) == 4
-    assert image.warnings == ("4 taxels saturated: their pressure is a lower bound",)
+    assert image.warnings == (FrameWarning("saturated", "4 taxels saturated: their pressure is a lower bound", 4),)
 
 
 def test_an_unknown_noise_is_measured_from_the_first_frames(make):
@@ -200,6 +207,6 @@ def test_noise_that_is_louder_than_told_is_told(make):
     for n in range(NOISE_FRAMES + 1):
         image = pipeline.process(frame(np.round(pressed() + random.normal(0, 4, SHAPE)), n))
     assert image.noise_kpa == 0.5
-    warning = image.warnings[0]
-    assert warning.startswith(("noise is 4", "noise is 3.", "noise is 5"))
-    assert warning.endswith("kPa, and 0.5 kPa was configured")
+    raised = image.warnings[0]
+    assert raised.code == "noise_high"
+    assert re.fullmatch(r"noise is [3-5](\.\d)? kPa, and 0.5 kPa was configured", raised.text)

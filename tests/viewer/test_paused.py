@@ -53,7 +53,7 @@ def test_a_frame_shown_still_is_told_with_its_own_method_and_reason_or_with_none
         if of:
             assert ANOTHER.search(of) or of == "words not told"
         else:
-            assert (why, warnings) == (image.why, "\n".join(image.warnings))
+            assert (why, warnings) == (image.why, "\n".join(each.text for each in image.warnings))
             owned += 1
         page.keyboard.press("ArrowLeft")
         turned(page)

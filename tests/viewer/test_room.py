@@ -171,7 +171,8 @@ HELD = """async () => {
   const { Warnings } = await import("/static/warnings.js");
   const real = performance.now, held = new Warnings();
   const at = (ms, ...told) => ((performance.now = () => ms), held.hold(told));
-  const said = [at(0, "2 taxels dead"), at(1000, "1 taxel dead"), at(3900), at(4001)];
+  const dead = (text) => ({ code: "dead", text, taxels: null });
+  const said = [at(0, dead("2 taxels dead")), at(1000, dead("1 taxel dead")), at(3900), at(4001)];
   performance.now = real;
   return said;
 }"""

@@ -25,6 +25,9 @@ class EventForm(schemas.Form):
     sensor: str | None = Field(examples=["palm"])
     bus: str | None = Field(examples=[None])
     text: str = Field(description="one line for people", examples=["no frame for 0.6 s"])
+    warning: schemas.WarningForm | None = Field(
+        None, description="that was raised or cleared; null in other events", examples=[None]
+    )
 
 
 class EventsForm(schemas.Form):

@@ -78,6 +78,13 @@ const TIMEOUT_MS = 8000;
  */
 
 /**
+ * @typedef {object} Warning
+ * @property {string} code
+ * @property {number|null} taxels how many it is about, where that applies
+ * @property {string} text
+ */
+
+/**
  * @typedef {object} Event
  * @property {number} id
  * @property {number} time Unix s
@@ -85,6 +92,7 @@ const TIMEOUT_MS = 8000;
  * @property {string|null} sensor
  * @property {string|null} bus
  * @property {string} text
+ * @property {Warning|null} warning that was raised or cleared
  */
 
 /** An answer that is not a success, with the service's own words where it gave any. */

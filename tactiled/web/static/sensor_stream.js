@@ -31,7 +31,7 @@ import { kindOf, packet, parse } from "./wire.js";
  * @property {number} noise_kpa
  * @property {number} noise_gain
  * @property {number} resolution_mm
- * @property {string[]} warnings
+ * @property {import("./api.js").Warning[]} warnings
  */
 
 /**

@@ -3,11 +3,13 @@
  * @module
  */
 
+/** @typedef {import("./api.js").Warning} Warning */
+
 const HOLD_MS = 3000;
 
 export class Warnings {
   constructor() {
-    /** @type {Map<string, {text: string, at: number}>} */
+    /** @type {Map<string, {text: string, at: number}>} by code */
     this._held = new Map();
   }
 
@@ -17,20 +19,13 @@ export class Warnings {
   }
 
   /**
-   * @param {string[]} told now
-   * @returns {string[]} these and what was told a little before, each in its newest numbers
+   * @param {Warning[]} warnings now
+   * @returns {string[]} texts of these and of those a little before, each in its newest numbers
    */
-  hold(told) {
+  hold(warnings) {
     const at = performance.now();
-    for (const text of told) this._held.set(kind(text), { text, at });
+    for (const { code, text } of warnings) this._held.set(code, { text, at });
     for (const [each, last] of this._held) if (at - last.at > HOLD_MS) this._held.delete(each);
     return [...this._held.values()].map((each) => each.text);
   }
 }
-
-/**
- * @param {string} text
- * @returns {string} the same for warnings that differ in their numbers only
- */
-const kind = (text) =>
-  text.replaceAll(/\d[\d.]*(e[-+]?\d+)?/g, "#").replaceAll("taxels", "taxel").replaceAll("their", "its");

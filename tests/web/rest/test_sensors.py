@@ -89,7 +89,10 @@ def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
     assert all(value is None for value in values[:taxels])
     assert all(value is not None for value in values[taxels:])
     assert (flags[:taxels] == 1).all()
-    assert told["warnings"] == [f"{taxels} taxels did not arrive: restored from their neighbours"]
+    text = f"{taxels} taxels did not arrive: restored from their neighbours"
+    raised = {"code": "missing", "taxels": taxels, "text": text}
+    assert told["warnings"] == [raised]
+    until(lambda: raised in [each["warning"] for each in client.get("/events").json()["events"]])
     assert None not in np.ravel(client.get("/sensors/palm/frames/restored").json()["values"])
 
 

@@ -1,0 +1,34 @@
+"""Every warning of an image: a code for programs, which never changes, and a text for people, which may."""
+
+from typing import Literal
+
+from tactiled.frames import FrameWarning
+
+WarningCode = Literal[
+    "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
+    "outliers", "negative", "offset", "noise_low", "plateau", "edge",
+]  # fmt: skip
+TEXTS: dict[WarningCode, str] = {
+    "uncalibrated": "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa",
+    "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
+    "noise_high": "noise is {measured_kpa:.2g} kPa, and {noise_kpa:.2g} kPa was {source}",
+    "missing": "{taxels} did not arrive: restored from {their} neighbours",
+    "bad": "{taxels} called faulty by the sensor: restored from {their} neighbours",
+    "dead": "{taxels} dead: restored from {their} neighbours",
+    "saturated": "{taxels} saturated: {their} pressure is a lower bound",
+    "cover_mismatch": "the image does not match the data: check the cover settings and look for faulty taxels",
+    "outliers": "single taxels disagree with their neighbours: list dead or damaged ones in calibration.dead",
+    "negative": "readings are negative: unload and tare, or check noise_kpa",
+    "offset": "no part of the array is free of pressure: if nothing lies on all of it, tare",
+    "noise_low": "fine patterns have under half of the configured noise: lower noise_kpa, or taxels share noise",
+    "plateau": "several taxels share the highest value: if they are saturated, set calibration.saturation",
+    "edge": "a contact reaches over the edge: what presses outside the array is felt inside",
+}
+
+
+def warning(code: WarningCode, taxels: int | None = None, **values: object) -> FrameWarning:
+    """The warning of a code; `values` fill in its text, and so does the number of `taxels` that it is about."""
+    counted = (
+        {"taxels": "1 taxel", "their": "its"} if taxels == 1 else {"taxels": f"{taxels} taxels", "their": "their"}
+    )
+    return FrameWarning(code, TEXTS[code].format(**counted, **values), taxels)
