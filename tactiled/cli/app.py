@@ -1,9 +1,9 @@
-"""The command line's one door: a clear line and exit code 2 for every error that is the user's to mend."""
+"""The command line's entry point: one line and exit code 2 for every error that the user can mend."""
 
 import gc
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event
 from typing import Annotated
@@ -12,10 +12,10 @@ import typer
 from typer.completion import completion_init  # type: ignore[attr-defined]  # not in its __all__
 
 from tactiled.cli.verbs import BenchVerbs, Verbs
-from tactiled.errors import ConfigError, TactileError
+from tactiled.errors import TactileError
 
-INTERRUPTED = 130  # exit code
-STOPS = signal.SIGINT, signal.SIGTERM
+EXIT_REFUSED, EXIT_INTERRUPTED = 2, 130
+STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 
 app = typer.Typer(
     name="tactiled",
@@ -29,9 +29,8 @@ bench = typer.Typer(cls=BenchVerbs, help="Measure speed and accuracy on this mac
 app.add_typer(bench, name="bench")
 
 
-def _print_version(asked: bool) -> None:
-    """Print the version and exit, if it is asked for."""
-    if asked:
+def _print_version(requested: bool) -> None:
+    if requested:
         from tactiled import __version__  # looked up in the package's metadata
 
         typer.echo(f"tactiled {__version__}")
@@ -48,29 +47,23 @@ def tactiled(
 
 
 def main() -> None:
-    """Run the command line; SIGTERM ends it as Ctrl-C does, so that no temporary file stays."""
+    """Run the command line; SIGTERM ends it as Ctrl-C does, so that temporary files are removed."""
     signal.signal(signal.SIGTERM, _interrupt)
-    gc.disable()  # imports leave no garbage; behind the verb's own it is looked for again
-    completion_init()  # tells shells what to complete, when they ask by the environment
+    gc.disable()  # imports leave no garbage; `Verbs` enables it again
+    completion_init()  # answers shells that ask by the environment
     try:
         app()
     except TactileError as error:
-        _say(str(error))
-        sys.exit(2)
+        typer.echo(f"tactiled: {error}", err=True)
+        sys.exit(EXIT_REFUSED)
     except SystemExit as end:
-        if end.code == INTERRUPTED:
-            _say("interrupted: unfinished files are removed")
+        if end.code == EXIT_INTERRUPTED:
+            typer.echo("tactiled: interrupted: unfinished files are removed", err=True)
         raise
 
 
-def _say(line: str) -> None:
-    from rich.console import Console  # which only errors need here
-
-    Console(stderr=True, soft_wrap=True, highlight=False).print("tactiled:", line, markup=False)
-
-
 def _interrupt(*_: object) -> None:
-    for each in STOPS:  # a second one would end the clearing up
+    for each in STOP_SIGNALS:  # a second one would end the cleaning up
         signal.signal(each, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -78,7 +71,7 @@ def _interrupt(*_: object) -> None:
 @contextmanager
 def _handled(handler: Callable[..., object]) -> Iterator[None]:
     """Have Ctrl-C and SIGTERM call `handler` meanwhile."""
-    before = {each: signal.signal(each, handler) for each in STOPS}
+    before = {each: signal.signal(each, handler) for each in STOP_SIGNALS}
     try:
         yield
     finally:
@@ -99,12 +92,3 @@ def stoppable() -> Iterator[None]:
     """A block that Ctrl-C and SIGTERM end alike, which is no failure."""
     with _handled(_interrupt), suppress(KeyboardInterrupt):
         yield
-
-
-def choose(option: str, name: str | None, known: Collection[str]) -> str:
-    """The one of `known` that --`option` names, or the only one there is; ConfigError otherwise."""
-    if name is None and len(known) > 1:
-        raise ConfigError(f"--{option} is missing: choose one of {', '.join(known)}")
-    if name is not None and name not in known:
-        raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(known)}")
-    return name or next(iter(known))

@@ -1,8 +1,6 @@
 """`tactiled check`: whether a configuration is right, and what its cover will do to its array."""
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -10,53 +8,50 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import SensorPlan
+from tactiled.cli import options
 from tactiled.cli.prepare import prepared
 from tactiled.config import tls
 from tactiled.cover.summary import Meaning, meaning
 from tactiled.interop.foxglove import need
 
 
-def check(config: Annotated[Path, typer.Argument(help="Configuration file (TOML).")]) -> None:
+def check(config: options.Config) -> None:
     """Check a configuration, and print the effect of each cover on its array."""
     with threadpool_limits(1):
         service = prepared(config)
     tls.context(service.config.server)
     if service.config.server.foxglove is not None:
         need("server.foxglove")
-    console = Console(soft_wrap=True, highlight=False)
-    for plan in (sensor.plan for sensor in service.sensors.values()):
-        console.print(_table(plan, meaning(plan.kernel, plan.array)))
+    for sensor in service.sensors.values():
+        plan = sensor.plan
+        Console(soft_wrap=True, highlight=False).print(_table(plan, meaning(plan.kernel, plan.array)))
         for warning in plan.warnings:
-            console.print(f"  {warning.text}")
-    console.print(
-        f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}", markup=False
-    )
+            typer.echo(f"  {warning.text}")
+    typer.echo(f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}")
 
 
-def _count(named: Mapping[str, object], what: str) -> str:
-    plural = what + ("es" if what.endswith("s") else "s")
-    return f"{len(named)} {what if len(named) == 1 else plural}"
+def _count(named: Mapping[str, object], noun: str) -> str:
+    plural = noun + ("es" if noun.endswith("s") else "s")
+    return f"{len(named)} {noun if len(named) == 1 else plural}"
 
 
-def _table(plan: SensorPlan, told: Meaning) -> Table:
+def _table(plan: SensorPlan, summary: Meaning) -> Table:
     """What a person wants to know of one sensor before it runs."""
     table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
     array = plan.array
-    form = " x ".join(map(str, array.frame_shape))
-    gap = (
-        f"{told.smallest_gap:.2f} mm (the {told.limit} sets it)"
-        if told.smallest_gap < 1e3
-        else "none is resolvable"
-    )
-    rows = (
-        ("array", f"{form} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm"),
-        ("messages a frame", f"{plan.codec.segments}"),
-        ("cover", f"solved by {plan.kernel.model}, gain right to {plan.kernel.error_estimate:.1g}"),
-        ("gain 0.5 / 0.1 at", f"{told.half_gain:.3f} / {told.tenth_gain:.3f} cycles/mm"),
-        ("gain at the taxel Nyquist", f"{told.nyquist_gain:.4f} at {told.nyquist:.3f} cycles/mm"),
-        ("noise amplification of full restoration", f"{told.noise_gain:.1f} times"),
-        ("smallest resolvable gap", f"{gap}, at a noise of 1 % of the pressure"),
-    )
-    for row in rows:
+    shape = " x ".join(map(str, array.frame_shape))
+    gap = f"{summary.smallest_gap:.2f} mm (the {summary.limit} sets it)"
+    if summary.smallest_gap >= 1e3:
+        gap = "none is resolvable"
+    rows = {
+        "array": f"{shape} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm",
+        "messages a frame": f"{plan.codec.segments}",
+        "cover": f"solved by {plan.kernel.model}, gain right to {plan.kernel.error_estimate:.1g}",
+        "gain 0.5 / 0.1 at": f"{summary.half_gain:.3f} / {summary.tenth_gain:.3f} cycles/mm",
+        "gain at the taxel Nyquist": f"{summary.nyquist_gain:.4f} at {summary.nyquist:.3f} cycles/mm",
+        "noise amplification of full restoration": f"{summary.noise_gain:.1f} times",
+        "smallest resolvable gap": f"{gap}, at a noise of 1 % of the pressure",
+    }
+    for row in rows.items():
         table.add_row(*row)
     return table

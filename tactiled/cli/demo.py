@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import make_stack
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
+from tactiled.cli import options
 from tactiled.cli.app import stoppable
-from tactiled.cli.run import Foxglove
 from tactiled.config import Config, Server, parse
 from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
@@ -45,7 +45,7 @@ def demo(
     rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 100.0,
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
-    foxglove: Foxglove = None,
+    foxglove: options.Foxglove = None,
 ) -> None:
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)

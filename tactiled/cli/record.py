@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from tactiled.bus.recorder import Recorder, open_tap
 from tactiled.bus.recorder import record as record_bus
-from tactiled.cli.app import choose, interrupted
+from tactiled.cli import options
+from tactiled.cli.app import interrupted
 from tactiled.config import Config, Server, load
 from tactiled.errors import ConfigError
 
@@ -18,16 +18,12 @@ def record(
         Path, typer.Argument(help="File to write, never overwritten: .log, .asc, .blf, .log.gz, .asc.gz.")
     ],
     config: Annotated[Path | None, typer.Option(help="Record a bus of this file.")] = None,
-    bus: Annotated[str | None, typer.Option(help="Which, where the file has several.")] = None,
-    interface: Annotated[
-        str | None, typer.Option(help="Or python-can's name of an interface: socketcan, slcan, udp_multicast, ...")
-    ] = None,
-    channel: Annotated[str | None, typer.Option(help="Its channel: can0, /dev/ttyUSB0, 239.74.163.2, ...")] = None,
-    bitrate: Annotated[
-        int | None, typer.Option(help="Bits a second, where the interface sets them.", min=1)
-    ] = None,
+    bus: options.Bus = None,
+    interface: options.Interface = None,
+    channel: options.Channel = None,
+    bitrate: options.Bitrate = None,
     fd: Annotated[bool, typer.Option("--fd", help="Open the interface for CAN FD.")] = False,
-    seconds: Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)] = None,
+    seconds: options.Seconds = None,
     leave_mb: Annotated[
         float | None,
         typer.Option(
@@ -38,35 +34,32 @@ def record(
     ] = None,
 ) -> None:
     """Record all messages of a bus to a file, also of other devices, and error frames."""
-    given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
-    read = load(config) if config else None
-    settings = bus_settings(read, bus, interface, given)
+    settings = load(config) if config else None
+    keys = options.present(channel=channel, bitrate=bitrate, fd=fd or None)
+    tap = open_tap(**_bus(settings, bus, interface, keys))
     if leave_mb is None:
-        leave_mb = (read.server if read else Server()).recordings_leave_mb
-    console = Console(soft_wrap=True, highlight=False)
-    tap = open_tap(**settings)
+        leave_mb = (settings.server if settings else Server()).recordings_leave_mb
     try:
         with interrupted() as stop:
             recorder = Recorder(out, leave_mb=leave_mb)
-            console.print(f"{tap.label}: recording to {out}: press Ctrl-C to stop", markup=False)
+            typer.echo(f"{tap.label}: recording to {out}: press Ctrl-C to stop")
             written = record_bus(tap, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
         tap.close()
-    missed = f", and {tap.unreadable} that could not be decoded" if tap.unreadable else ""
-    console.print(f"{out}: {written} messages{missed}", markup=False)
+    unreadable = f", and {tap.unreadable} that could not be decoded" if tap.unreadable else ""
+    typer.echo(f"{out}: {written} messages{unreadable}")
 
 
-def bus_settings(
-    config: Config | None, bus: str | None, interface: str | None, given: dict[str, Any]
-) -> dict[str, Any]:
-    """What to open a bus with: a file's, or that of the options; ConfigError where neither or both say which."""
-    options = {key: value for key, value in given.items() if value is not None}
-    if config is None:
-        if interface is None:
-            raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
-        if bus is not None:
-            raise ConfigError(f"--bus {bus}: names a bus of a --config, and there is none")
-        return {"interface": interface} | options
-    if interface is not None or options:
-        raise ConfigError("--config: says how to open the bus: leave out --interface and the options beside it")
-    return config.bus[choose("bus", bus, config.bus)].settings()
+def _bus(config: Config | None, bus: str | None, interface: str | None, keys: dict[str, Any]) -> dict[str, Any]:
+    """What to open: a file's bus or that of the options; ConfigError where neither or both name one."""
+    if config is not None:
+        if interface is not None or keys:
+            raise ConfigError(
+                "--config: says how to open the bus: leave out --interface and the options beside it"
+            )
+        return config.bus[options.choose("bus", bus, config.bus)].settings()
+    if interface is None:
+        raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
+    if bus is not None:
+        raise ConfigError(f"--bus {bus}: names a bus of a --config, and there is none")
+    return {"interface": interface} | keys

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 from threadpoolctl import threadpool_limits
 
 from tactiled.bus.replay import Replay
-from tactiled.cli.app import choose, stoppable
-from tactiled.config import Config, Server, load
+from tactiled.cli import options
+from tactiled.cli.app import stoppable
+from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
@@ -17,9 +17,9 @@ from tactiled.web.server import serve
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")],
-    config: Annotated[Path, typer.Option(help="Configuration file (TOML) of what was recorded.")],
-    bus: Annotated[str | None, typer.Option(help="Bus to replay, if the file has several.")] = None,
+    file: options.Recording,
+    config: options.RecordedConfig,
+    bus: options.Bus = None,
     speed: Annotated[
         float, typer.Option(help="1: the recorded pace; N: N times that; 0: no pauses.", min=0)
     ] = 1.0,
@@ -28,11 +28,12 @@ def replay(
 ) -> None:
     """Restore every frame of a recording and serve it as `run` does; every run gives the same images."""
     settings = one_bus(load(config), bus)
+    address = settings.server.model_dump(exclude_unset=True) | options.present(host=host, port=port)
+    server = validated(Server, address, f"--host {host}")
     with threadpool_limits(1):
         service = replaying(settings, file, speed)
-        at = _server(settings.server, host, port)
         with stoppable(), service.running():
-            serve(service, at)
+            serve(service, server)
 
 
 def replaying(settings: Config, file: Path, speed: float) -> Service:
@@ -59,18 +60,8 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
 
 def one_bus(settings: Config, bus: str | None) -> Config:
     """The configuration of one bus and its sensors; ConfigError where it has none."""
-    name = choose("bus", bus, settings.bus)
+    name = options.choose("bus", bus, settings.bus)
     sensors = {key: each for key, each in settings.sensor.items() if each.bus == name}
     if not sensors:
         raise ConfigError(f"bus {name}: no sensor of the configuration is on it")
     return settings.model_copy(update={"bus": {name: settings.bus[name]}, "sensor": sensors})
-
-
-def _server(server: Server, host: str | None, port: int | None) -> Server:
-    """The file's server at another address; ConfigError where it may not be served there."""
-    given = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
-    try:
-        return Server(**(server.model_dump(exclude_unset=True) | given))
-    except ValidationError as error:
-        says = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise ConfigError(f"--host {host}: {says} in [server]") from error

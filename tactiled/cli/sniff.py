@@ -11,9 +11,9 @@ from rich.console import Console
 from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Found, Heard, recognise
 from tactiled.cli.app import interrupted
+from tactiled.cli.options import new_file
 from tactiled.config import parse
 from tactiled.errors import ConfigError
-from tactiled.files import whole
 from tactiled.frames import Message
 
 POLL_S = 0.05  # how long a read waits
@@ -174,8 +174,5 @@ def _lines(settings: dict[str, Any]) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    try:
-        with whole(path) as part:
-            part.write_text(text, "utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error
+    with new_file(path) as part:
+        part.write_text(text, "utf-8")

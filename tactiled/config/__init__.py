@@ -1,6 +1,6 @@
-"""The configuration file: what it may say, how it is read, what the rooms make of it."""
+"""The configuration file: what it may hold, and how it is read."""
 
-from tactiled.config.load import load, parse
+from tactiled.config.load import load, parse, validated
 from tactiled.config.schema import Config, Sensor, Server
 
-__all__ = ["Config", "Sensor", "Server", "load", "parse"]
+__all__ = ["Config", "Sensor", "Server", "load", "parse", "validated"]

@@ -1,4 +1,4 @@
-"""From where to where a number of the configuration may be: checked, and said with its unit in the error."""
+"""Bounds of the numbers of the configuration, with their units in the error."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -19,12 +19,12 @@ class Bounds:
     signed: bool = False
 
     def __str__(self) -> str:
-        """Say what may be given."""
+        """The range in words, for errors."""
         low, high = (
             f"{end:g}".replace("e+0", "e") if isinstance(end, float) else f"{end}" for end in (self.low, self.high)
         )
-        either = ", of either sign" if self.signed else ""
-        return f"{'0, or ' if self.zero else ''}{low} to {high}{self.unit and ' '}{self.unit}{either}"
+        sign = ", of either sign" if self.signed else ""
+        return f"{'0, or ' if self.zero else ''}{low} to {high}{self.unit and ' '}{self.unit}{sign}"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_after_validator_function(self._checked, handler(source))

@@ -1,4 +1,4 @@
-"""What a configuration file may say: every key, its unit in its name, its bounds."""
+"""What a configuration file may hold: every key, its unit in its name, its bounds."""
 
 import re
 from pathlib import Path
@@ -17,25 +17,25 @@ from pydantic import (
 from tactiled.bus.redact import HARMLESS, reveal
 from tactiled.config.bounds import Bounds, Counts, Pitch, Place, Port
 from tactiled.config.codecs import Codec
-from tactiled.config.section import Foreign, Section, Shown
+from tactiled.config.section import Foreign, Redacted, Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-SHOWN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # all that header, cookie and address carry as it is
+TOKEN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # header, cookie and address carry these unchanged
 
 
-def _shown(token: SecretStr) -> SecretStr:
+def _check_token(token: SecretStr) -> SecretStr:
     """Refuse a token that no client could show."""
-    if not SHOWN.fullmatch(token.get_secret_value()):
+    if not TOKEN.fullmatch(token.get_secret_value()):
         raise ValueError(
             'holds what a client cannot show: give visible ASCII characters, none of " # % & + , ; \\'
         )
     return token
 
 
-Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_shown)]
+Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_check_token)]
 
 
 class Server(Section):
@@ -109,7 +109,7 @@ class Bus(Foreign):
 
     interface: str
     """Interface of python-can: `socketcan`, `slcan`, `pcan`, `kvaser`, `udp_multicast`, `virtual`, ..."""
-    channel: Annotated[str | int | None, WrapValidator(_channel), Shown] = None
+    channel: Annotated[str | int | None, WrapValidator(_channel), Redacted] = None
     """Channel of that interface, such as `can0` or `/dev/ttyUSB0`."""
 
     def settings(self) -> dict[str, Any]:

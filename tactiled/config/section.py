@@ -18,17 +18,17 @@ def _serialize(value: Any, info: SerializationInfo) -> Any:
     return show(value) if info.mode == "json" else value
 
 
-Shown = PlainSerializer(_serialize)
+Redacted = PlainSerializer(_serialize)
 
 
 class Foreign(BaseModel):
     """A table whose other keys another package knows, passed on as they are; its texts are secrets."""
 
     model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
-    __pydantic_extra__: dict[str, Annotated[Any, Shown]]
+    __pydantic_extra__: dict[str, Annotated[Any, Redacted]]
     harmless: ClassVar[frozenset[str]] = frozenset({"name"})  # keys whose texts are none
 
     @model_validator(mode="before")
     @classmethod
-    def _seal(cls, given: Any) -> Any:
-        return seal(given, cls.harmless) if isinstance(given, dict) else given
+    def _seal(cls, table: Any) -> Any:
+        return seal(table, cls.harmless) if isinstance(table, dict) else table

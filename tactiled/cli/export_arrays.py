@@ -1,0 +1,160 @@
+"""Exports as files of arrays: .npz and HDF5. Arrays grow on the disk, so that a long recording takes no memory."""
+
+import io
+import json
+import zipfile
+from contextlib import ExitStack
+from dataclasses import astuple, fields
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.errors import ConfigError
+from tactiled.frames import Image, Loss, Message
+
+Arrays = dict[str, NDArray[Any]]
+LOSS_KINDS = tuple(each.name for each in fields(Loss))
+METHOD_NAME = "<U16"  # longer than any method's name
+FRAMES_AT_ONCE = 1024  # that are copied to HDF5
+
+
+class Columns:
+    """One file for each array of a frame."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._files = folder, ExitStack()
+        self._columns: dict[str, BinaryIO] = {}
+        self._row: Arrays = {}
+        self._count = 0
+
+    def add(self, row: Arrays) -> None:
+        """Append one frame."""
+        for name, array in row.items():
+            if name not in self._columns:
+                self._columns[name] = self._files.enter_context((self._folder / name).open("wb"))
+            self._columns[name].write(array.tobytes())
+        self._row, self._count = row, self._count + 1
+
+    def arrays(self) -> Arrays:
+        """All arrays, frames first, mapped from their files; no frame can be added after it."""
+        self.close()
+        return {
+            name: np.memmap(self._folder / name, array.dtype, "r", shape=(self._count, *array.shape))
+            for name, array in self._row.items()
+        }
+
+    def close(self) -> None:
+        """Close the files."""
+        self._files.close()
+
+
+class NpzExport:
+    """numpy's .npz."""
+
+    def __init__(self, path: Path, folder: Path, plan: SensorPlan) -> None:
+        self._path, self._columns = path, Columns(folder)
+        self._places = {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions}
+        self.close = self._columns.close
+
+    @classmethod
+    def check(cls) -> None:
+        """Raise ConfigError where what it needs is not installed."""
+
+    def add_message(self, message: Message) -> None:
+        """Take one message, before the image that it completes."""
+
+    def add_image(self, image: Image) -> None:
+        """Take one image."""
+        self._columns.add(row(image))
+
+    def finish(self, provenance: dict[str, Any]) -> None:
+        """Write the file, `provenance` as JSON in it."""
+        self.save(self._path, self._columns.arrays() | self._places, provenance)
+
+    @staticmethod
+    def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:
+        """Write arrays, and `provenance` as one more."""
+        text = np.array(json.dumps(provenance, indent=1))
+        with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+            for name, array in (arrays | {"provenance": text}).items():
+                entry = zipfile.ZipInfo(f"{name}.npy")  # without a date: the same export is the same file
+                with archive.open(entry, "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, array, allow_pickle=False)
+
+
+class Hdf5Export(NpzExport):
+    """HDF5, with the unit of each array beside it."""
+
+    @classmethod
+    def check(cls) -> None:
+        """Raise ConfigError where h5py is not installed."""
+        if not find_spec("h5py"):
+            raise ConfigError("--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz")
+
+    @staticmethod
+    def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:
+        """Write arrays as datasets, and `provenance` as an attribute of the file."""
+        import h5py
+
+        with _DeferredErrors(path, "w+") as disk:
+            with h5py.File(disk, "w") as file:
+                for name, array in arrays.items():
+                    _add_dataset(file, name, array, provenance["units"].get(name))
+                file.attrs["provenance"] = json.dumps(provenance, indent=1)
+            if disk.error is not None:
+                raise disk.error
+
+
+def _add_dataset(file: Any, name: str, array: NDArray[Any], unit: str | None) -> None:
+    """Copy an array piece by piece; HDF5 has texts as bytes."""
+    dtype = np.dtype(f"S{array.dtype.itemsize // 4}") if array.dtype.kind == "U" else array.dtype
+    dataset = file.create_dataset(name, array.shape, dtype)
+    for start in range(0, len(array), FRAMES_AT_ONCE):
+        piece = slice(start, start + FRAMES_AT_ONCE)
+        dataset[piece] = array[piece].astype(dtype, copy=False)
+    if unit is not None:
+        dataset.attrs["units"] = unit
+
+
+class _DeferredErrors(io.FileIO):
+    """A file that keeps its first error from HDF5, which ends the process over one while it closes a file."""
+
+    error: OSError | None = None  # after it nothing more is written
+
+    def write(self, data: Any) -> int:
+        """Write all of it, or nothing from the first error on."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while rest and self.error is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.error = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the size, unless a write has failed."""
+        try:
+            return super().truncate(size) if self.error is None else 0
+        except OSError as error:
+            self.error = error
+        return 0
+
+
+def row(image: Image) -> Arrays:
+    """What an export has of one frame."""
+    shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
+    return shear | {
+        "raw": image.raw.astype("<f4", copy=False),
+        "restored": image.restored.astype("<f4", copy=False),
+        "flags": image.flags,
+        "time": np.array(image.time, "<f8"),
+        "sequence": np.array(image.sequence, "<i8"),
+        "method": np.array(image.method, METHOD_NAME),
+        "noise_kpa": np.array(image.noise_kpa, "<f8"),
+        "loss": np.array(astuple(image.loss), "<i8"),
+    }

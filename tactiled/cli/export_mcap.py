@@ -1,0 +1,57 @@
+"""Exports as MCAP: images and status in Foxglove's schemas, and the bus's data frames."""
+
+import json
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from tactiled import __version__
+from tactiled.build import SensorPlan
+from tactiled.errors import ConfigError
+from tactiled.frames import Image, Message
+from tactiled.interop import foxglove
+
+
+class McapExport:
+    """One MCAP file, written as messages and images come."""
+
+    @classmethod
+    def check(cls) -> None:
+        """Raise ConfigError where mcap or Foxglove's SDK is not installed."""
+        if not find_spec("mcap"):
+            raise ConfigError("--out: .mcap needs mcap: pip install 'tactiled[foxglove]', or export to .npz")
+        foxglove.need("--out: .mcap")
+
+    def __init__(self, path: Path, _: Path, plan: SensorPlan) -> None:
+        from mcap.writer import Writer
+
+        self._file = path.open("wb")
+        self.close = self._file.close
+        self._writer: Any = Writer(self._file)  # partly untyped
+        self._writer.start(library=f"tactiled {__version__}")
+        self._topics = foxglove.Topics(plan.name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
+        self._bus = self._channel(foxglove.bus_topic(plan.bus))
+        self._channels = [self._channel(each) for each in self._topics.topics]
+
+    def _channel(self, topic: foxglove.Topic) -> int:
+        schema = self._writer.register_schema(topic.schema, topic.schema_encoding, topic.schema_data)
+        return int(self._writer.register_channel(topic.name, topic.encoding, schema))
+
+    def _add(self, channel: int, time: float, data: bytes) -> None:
+        at = foxglove.stamp(time)
+        self._writer.add_message(channel, at, data, at)
+
+    def add_message(self, message: Message) -> None:
+        """Write one message of the bus."""
+        self._add(self._bus, message.time, foxglove.bus_message(message))
+
+    def add_image(self, image: Image) -> None:
+        """Write one image and its status."""
+        for channel, data in zip(self._channels, self._topics.messages(image), strict=True):
+            self._add(channel, image.time, data)
+
+    def finish(self, provenance: dict[str, Any]) -> None:
+        """Write the rest, `provenance` in the metadata."""
+        self._writer.add_metadata("provenance", {"json": json.dumps(provenance)})
+        self._writer.finish()
+        self._file.close()

@@ -1,0 +1,55 @@
+"""Options that several verbs have, and what is checked of them alike."""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tactiled.errors import ConfigError, TactileError
+from tactiled.files import whole
+
+Config = Annotated[Path, typer.Argument(help="Configuration file (TOML).")]
+Recording = Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")]
+RecordedConfig = Annotated[Path, typer.Option("--config", help="Configuration file (TOML) of what was recorded.")]
+Bus = Annotated[str | None, typer.Option(help="Bus of the configuration, if it has several.")]
+Sensor = Annotated[str | None, typer.Option(help="Sensor of the configuration, if it has several.")]
+Interface = Annotated[
+    str | None, typer.Option(help="python-can's name of the interface: socketcan, slcan, udp_multicast, ...")
+]
+Channel = Annotated[str | None, typer.Option(help="Its channel: can0, /dev/ttyUSB0, 239.74.163.2, ...")]
+Bitrate = Annotated[int | None, typer.Option(help="Bits a second, if the interface sets them.", min=1)]
+Seconds = Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)]
+Foxglove = Annotated[
+    int | None,
+    typer.Option(metavar="PORT", help="Serve Foxglove's apps too, on this port of loopback.", min=0, max=65535),
+]
+
+
+def choose(option: str, name: str | None, known: Collection[str]) -> str:
+    """The one of `known` that --`option` names, or the only one there is; ConfigError otherwise."""
+    if name is None and len(known) > 1:
+        raise ConfigError(f"--{option} is missing: choose one of {', '.join(known)}")
+    if name is not None and name not in known:
+        raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(known)}")
+    return name or next(iter(known))
+
+
+def present(**options: Any) -> dict[str, Any]:
+    """Those options that are not None."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """A path to write to, which becomes `path` if the block ends well; TactileError where that cannot be."""
+    try:
+        if path.exists():
+            raise FileExistsError
+        with whole(path) as part:
+            yield part
+    except FileExistsError as error:
+        raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
+    except OSError as error:
+        raise TactileError(f"{path}: {error.strerror or error}: nothing is written") from error
