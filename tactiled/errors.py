@@ -1,10 +1,10 @@
-"""The errors a user can meet, by whose fault they are."""
+"""The errors that a user can meet, by their cause."""
 
 from collections.abc import Iterable
 
 
 class TactileError(Exception):
-    """Anything tactiled refuses or fails at; the text is one line that names the thing and what to do."""
+    """Anything that tactiled refuses or fails at; the text is one line: what is wrong, and what to do."""
 
 
 class ConfigError(TactileError):
@@ -12,11 +12,11 @@ class ConfigError(TactileError):
 
 
 class PhysicsError(TactileError):
-    """A cover that cannot be solved as asked: the text names the parameter and its value."""
+    """A cover cannot be solved: the text names the parameter and its value."""
 
 
 class CodecError(TactileError):
-    """A message on a sensor's own id that its codec cannot mean."""
+    """A message on a sensor's own id does not fit its layout."""
 
 
 class BusError(TactileError):
@@ -27,17 +27,17 @@ class UnknownSensorError(TactileError):
     """A sensor name that the configuration does not have."""
 
     @classmethod
-    def among(cls, name: str, there: Iterable[str]) -> "UnknownSensorError":
-        """Of a name that is none of those there are; a long one is cut."""
-        return cls(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(there)}")
+    def among(cls, name: str, configured: Iterable[str]) -> "UnknownSensorError":
+        """The error for a name that is not configured; a long one is cut."""
+        return cls(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(configured)}")
 
 
 class NotLiveError(TactileError):
-    """What needs frames that come, asked of a sensor that gets none."""
+    """A request needs live frames, and the sensor gets none."""
 
 
 class LoadedError(TactileError):
-    """A tare asked of an array that shows a load; `seen` says what it shows, and force tares anyway."""
+    """A tare of an array that shows a load, which `seen` describes; force tares anyway."""
 
     def __init__(self, text: str, seen: str) -> None:
         super().__init__(text)
@@ -45,8 +45,8 @@ class LoadedError(TactileError):
 
 
 class NoShearError(TactileError):
-    """Shear asked of a sensor whose skin feels none."""
+    """Shear of a sensor whose skin measures none."""
 
 
 class StateError(TactileError):
-    """What a client wants kept cannot be written."""
+    """The file of kept methods cannot be written."""

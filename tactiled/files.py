@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written under another name, then given their own."""
+"""Files that are complete or absent: written under another name, then renamed."""
 
 import errno
 import os
@@ -7,14 +7,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 
-NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # what a file system without links says
+NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of file systems without them
 
 
 @contextmanager
-def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """A path to write to; what is there becomes `path` where the block ends well, and goes where it does not.
+def atomic_write(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """A path to write to: it becomes `path` where the block ends well, and is removed where it does not.
 
-    OSError where it cannot be, FileExistsError where something is at `path` by the end and not to `replace`.
+    OSError where that fails; FileExistsError where `path` exists by then and `replace` is false.
     """
     part = path.with_name(f".tactiled-{token_hex(8)}.part")
     try:
@@ -24,20 +24,20 @@ def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         if replace:
             part.replace(path)
         else:
-            _name(part, path)
+            _rename_new(part, path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
 
 
-def _name(part: Path, path: Path) -> None:
-    """Give a file the name `path`, which must be free."""
+def _rename_new(part: Path, path: Path) -> None:
+    """Give a file the name `path`; FileExistsError where it is taken."""
     try:
         path.hardlink_to(part)
     except OSError as error:
-        if error.errno not in NO_LINKS:
+        if error.errno not in NO_HARD_LINKS:
             raise
-        path.open("xb").close()  # takes the name: nobody else gets it meanwhile
+        path.open("xb").close()  # reserves the name
         try:
             part.replace(path)
         except BaseException:

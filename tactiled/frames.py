@@ -1,4 +1,4 @@
-"""The frozen values that ride the belt from the bus to the browser; none of them owns behaviour."""
+"""The frozen values that pass from the bus to the browser; none of them owns behaviour."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias

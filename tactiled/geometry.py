@@ -13,9 +13,9 @@ from tactiled.errors import ConfigError
 Aperture = Literal["square", "round"]
 
 NEIGHBOURS = 3  # nearest taxels whose mean distance is a layout's spacing
-RIM = 0.7  # spacings that a cell at the rim of a layout reaches out from its taxel
-FINE = 8  # squares a spacing that a layout's cells are made of
-SQUARES = 1_000_000  # over all of a layout: ten times what 1024 taxels need that are evenly spread
+RIM_SPACINGS = 0.7  # that a cell at the rim of a layout reaches out from its taxel
+SQUARES_PER_SPACING = 8  # that a layout's cells are made of
+MAX_SQUARES = 1_000_000  # of a layout: ten times what 1024 evenly spread taxels need
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,9 +74,9 @@ def layout(positions: NDArray[np.float64], width: float | None = None, aperture:
         raise ConfigError("array has one position and no aperture: give aperture_mm, the size of its taxel")
     if positions.ndim != 2 or len(positions) < 2 or not np.isfinite(positions).all():
         return Array(positions, width or 1.0, width or 1.0, aperture)
-    gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
-    gaps[np.diag_indices_from(gaps)] = np.inf
-    pitch = float(gaps.min())
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    pitch = float(distances.min())
     return Array(positions, pitch, width or pitch, aperture)
 
 
@@ -104,7 +104,7 @@ class Cells:
 def tiling(array: Array, refine: int = 1) -> Cells:
     """Cells that cover the surface over an array: squares of a grid, refined; else what is nearest to each taxel.
 
-    At a layout's rim a cell reaches RIM times the spacing out from its taxel.
+    At a layout's rim a cell reaches RIM_SPACINGS times the spacing out from its taxel.
     """
     if array.shape is not None:
         side = array.pitch / refine
@@ -114,12 +114,12 @@ def tiling(array: Array, refine: int = 1) -> Cells:
         return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
     tree = cKDTree(array.positions)
     spacing = _spacing(tree, array)
-    reach, side = RIM * spacing, min(spacing, 2 * array.pitch) / FINE
+    reach, side = RIM_SPACINGS * spacing, min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
     low, high = array.positions.min(axis=0) - reach, array.positions.max(axis=0) + reach
-    if np.prod((high - low) / side) > SQUARES:
-        wide, high_mm = np.ptp(array.positions, axis=0)
+    if np.prod((high - low) / side) > MAX_SQUARES:
+        width, height = np.ptp(array.positions, axis=0)
         raise ConfigError(
-            f"array positions spread over {wide:g} x {high_mm:g} mm, and two are {array.pitch:g} mm apart: "
+            f"array positions spread over {width:g} x {height:g} mm, and two are {array.pitch:g} mm apart: "
             "too far from even; split it into several sensors"
         )
     x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))

@@ -1,10 +1,10 @@
-"""`tactiled cover`: what a cover lets through, and what that means for an array."""
+"""`tactiled cover`: a cover's gain, and what it means for an array."""
 
 import json
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tactiled.build import make_array, make_stack
+from tactiled.cli import options
 from tactiled.config import load
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
@@ -25,12 +26,13 @@ Floats = NDArray[np.float64]
 
 LAYER_HELP = (
     "T,E,NU of one layer in place of the cover's three options; repeat it from the top down. "
-    "T,E,NU,loose slides on what lies under it."
+    "T,E,NU,loose slides on the layer under it."
 )
 PROFILE_HELP = (
     "R,RISE: at radius R mm the top layer is RISE mm thicker; repeat it from R = 0 out to a RISE of 0 "
     "for a boss, a dimple (RISE below 0) or an edge round the load."
 )
+ROUND_FREQUENCIES = (np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]).round(9).ravel()  # 1/mm
 
 
 def cover(
@@ -43,10 +45,10 @@ def cover(
     sensor_poisson: Annotated[float, typer.Option(help="Under the cover: Poisson's ratio.")] = 0.3,
     profile: Annotated[list[str] | None, typer.Option(help=PROFILE_HELP)] = None,
     footprint: Annotated[
-        float | None, typer.Option(help="Press evenly on a disc of this radius, mm, and tell the stress.")
+        float | None, typer.Option(help="Press evenly on a disc of this radius, mm, and print the stress.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Take cover and array from this file.")] = None,
-    sensor: Annotated[str | None, typer.Option(help="Which sensor of the file.")] = None,
+    sensor: options.Sensor = None,
     pitch: Annotated[float, typer.Option(help="Distance between taxels, mm.")] = 1.0,
     noise: Annotated[float, typer.Option(help="A taxel's noise over the indenters' pressure.")] = 0.01,
     at: Annotated[str | None, typer.Option(help="Frequencies to print, 1/mm, with commas.")] = None,
@@ -62,100 +64,81 @@ def cover(
     array = grid(1, 1, pitch)
     if config:
         stack, array = _configured(config, sensor)
-    asked = None if at is None else _frequencies(at)
-    bent = _profile(profile)
+    q, rise = None if at is None else _frequencies(at), _profile(profile or [])
+    if footprint is not None and model != "fem":
+        raise ConfigError("--footprint needs --model fem: leave one of them out")
     start = perf_counter()
-    kernel = solve(stack, model, accuracy, bent, perf_counter, budget)
+    kernel = solve(stack, model, accuracy, rise, perf_counter, budget)
     seconds = perf_counter() - start
-    told = meaning(kernel, array, noise)
-    press = None if footprint is None else _pressed(stack, model, footprint, accuracy, bent, start + budget)
-    q = _telling(told) if asked is None else asked
+    summary, press = meaning(kernel, array, noise), None
+    if q is None:
+        low, high = summary.half_gain / 8, 2 * summary.tenth_gain
+        q = np.array([each for each in ROUND_FREQUENCIES if low < each < high])
+    if footprint is not None:
+        press = pressed(stack, footprint, accuracy, rise, lambda: perf_counter() > start + budget)
     if as_json:
-        print(json.dumps(_record(kernel, q, seconds, told) | _footprint(footprint, press)))
+        print(json.dumps(_record(kernel, q, seconds, summary) | _press_record(footprint, press)))
     else:
-        _show(kernel, q, seconds, told, noise)
+        _show(kernel, q, seconds, summary, noise)
         _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
 
 
-def _numbers(name: str, text: str) -> list[float]:
-    """Read numbers with commas between them."""
+def _numbers(option: str, text: str) -> list[float]:
+    """Numbers with commas between them."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise ConfigError(f"--{name} {text}: give numbers with commas between them") from error
+        raise ConfigError(f"--{option} {text}: give numbers with commas between them") from error
 
 
 def _frequencies(text: str) -> Floats:
-    """Read --at."""
+    """The values of --at, 1/mm."""
     q = np.array(_numbers("at", text))
     if not (np.isfinite(q).all() and (q >= 0).all()):
         raise ConfigError(f"--at {text}: give finite frequencies of 0 or more, 1/mm")
     return q
 
 
-def _telling(told: Meaning) -> Floats:
-    """Choose round frequencies over the fall of a gain."""
-    round_ones = (np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]).round(9)
-    return np.asarray(round_ones[(round_ones > told.half_gain / 8) & (round_ones < 2 * told.tenth_gain)])
-
-
-def _stack(layers: list[str], base: Layer) -> Stack:
-    """Read every --layer and lay them over the sensor."""
-    parsed, bonds = [], []
-    for text in layers:
-        numbers = _numbers("layer", text.removesuffix(",loose"))
+def _stack(texts: list[str], base: Layer) -> Stack:
+    """The layers of every --layer over the sensor."""
+    layers = [_numbers("layer", text.removesuffix(",loose")) for text in texts]
+    for text, numbers in zip(texts, layers, strict=True):
         if len(numbers) != 3:
             raise ConfigError(
                 f"--layer {text}: give T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio"
             )
-        parsed.append(Layer(*numbers))
-        bonds.append(not text.endswith(",loose"))
-    return Stack((*parsed, base), sensing=len(parsed), bonds=(*bonds, True))
+    bonds = (*(not text.endswith(",loose") for text in texts), True)
+    return Stack((*(Layer(*numbers) for numbers in layers), base), sensing=len(layers), bonds=bonds)
 
 
-def _profile(points: list[str] | None) -> Profile | None:
-    """Read every --profile."""
-    if not points:
-        return None
-    numbers = [_numbers("profile", text) for text in points]
-    for text, pair in zip(points, numbers, strict=True):
-        if len(pair) != 2:
+def _profile(texts: list[str]) -> Profile | None:
+    """The points of every --profile."""
+    points = [_numbers("profile", text) for text in texts]
+    for text, point in zip(texts, points, strict=True):
+        if len(point) != 2:
             raise ConfigError(f"--profile {text}: give R,RISE in mm")
-    radius, rise = zip(*numbers, strict=True)
-    return Profile(radius, rise)
+    return Profile(*zip(*points, strict=True)) if points else None
 
 
 def _configured(path: Path, name: str | None) -> tuple[Stack, Array]:
-    """Take one sensor's cover and array from a configuration."""
+    """Cover and array of a sensor of a configuration."""
     sensors = load(path).sensor
-    if name is None and len(sensors) == 1:
-        name = next(iter(sensors))
-    if name not in sensors:
-        raise ConfigError(f"--sensor {name}: {path} has {', '.join(sensors) or 'no sensor'}; name one of them")
-    return make_stack(sensors[name]), make_array(sensors[name])
+    sensor = sensors[options.choose("sensor", name, sensors)]
+    return make_stack(sensor), make_array(sensor)
 
 
-def _pressed(
-    stack: Stack, model: str, radius: float, accuracy: float, profile: Profile | None, end: float
-) -> Press:
-    """Solve a footprint; time is up at `end` (s)."""
-    if model != "fem":
-        raise ConfigError("--footprint needs --model fem: leave one of them out")
-    return pressed(stack, radius, accuracy, profile, lambda: perf_counter() > end)
-
-
-def _footprint(radius: float | None, press: Press | None) -> dict[str, object]:
+def _press_record(radius: float | None, press: Press | None) -> dict[str, Any]:
     """What --footprint adds to --json."""
     if press is None:
         return {}
-    told = {"r": press.r.tolist(), "stress": press.stress.tolist(), "error_estimate": press.error_estimate}
-    return {"footprint": {"radius": radius, **told}}
+    stress = {"r": press.r.tolist(), "stress": press.stress.tolist(), "error_estimate": press.error_estimate}
+    return {"footprint": {"radius": radius} | stress}
 
 
-def _record(kernel: Kernel, q: Floats, seconds: float, told: Meaning) -> dict[str, object]:
-    """What --json prints; null stands for infinity, which JSON does not know."""
+def _record(kernel: Kernel, q: Floats, seconds: float, summary: Meaning) -> dict[str, Any]:
+    """What --json prints; null stands for infinity, which JSON does not have."""
     return {
         "model": kernel.model,
         "q": q.tolist(),
@@ -164,38 +147,37 @@ def _record(kernel: Kernel, q: Floats, seconds: float, told: Meaning) -> dict[st
         "seconds": seconds,
         "mesh": kernel.mesh,
         "unknowns": kernel.unknowns,
-        "meaning": {name: None if value == np.inf else value for name, value in asdict(told).items()},
+        "meaning": {name: None if value == np.inf else value for name, value in asdict(summary).items()},
     }
 
 
-def _show(kernel: Kernel, q: Floats, seconds: float, told: Meaning, noise: float) -> None:
+def _show(kernel: Kernel, q: Floats, seconds: float, summary: Meaning, noise: float) -> None:
     """Print the table of gains, what it means, and how far to trust it."""
-    console = Console(highlight=False, soft_wrap=True)
-    table = Table("q (1/mm)", "half wave (mm)", "gain", title="What the cover lets through")
+    table = Table("q (1/mm)", "half wave (mm)", "gain", title="Gain of the cover")
     for frequency, gain in zip(q, kernel.gain_at(q), strict=True):
         half = f"{1 / (2 * frequency):.3g}" if frequency else "∞"
         table.add_row(f"{frequency:g}", half, f"{gain:.4f}")
-    console.print(table)
-    console.print(f"Gain 0.5 at {told.half_gain:.3g}/mm and 0.1 at {told.tenth_gain:.3g}/mm.")
-    console.print(
-        f"Finest wave the taxels can tell, {told.nyquist:.3g}/mm: gain {told.nyquist_gain:.3g}; "
-        f"undoing cover and aperture there amplifies noise {told.noise_gain:.3g} times."
-    )
-    why = "finer is lost in the cover" if told.limit == "cover" else "the taxels stand no closer"
-    gap = f"{told.smallest_gap:.3g} mm ({why})" if np.isfinite(told.smallest_gap) else "none"
-    console.print(f"Smallest gap between two indenters that survives noise of {noise:g} of their pressure: {gap}.")
+    Console(highlight=False).print(table)
+    reason = "finer is lost in the cover" if summary.limit == "cover" else "the taxels stand no closer"
+    gap = f"{summary.smallest_gap:.3g} mm ({reason})" if np.isfinite(summary.smallest_gap) else "none"
     columns, rows = kernel.mesh
     how = f"{columns} x {rows} elements, {kernel.unknowns} unknowns" if kernel.model == "fem" else "exact"
-    console.print(f"Error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms).")
+    typer.echo(
+        f"Gain 0.5 at {summary.half_gain:.3g}/mm and 0.1 at {summary.tenth_gain:.3g}/mm.\n"
+        f"Taxel Nyquist frequency {summary.nyquist:.3g}/mm: gain {summary.nyquist_gain:.3g}; "
+        f"undoing cover and aperture there amplifies noise {summary.noise_gain:.3g} times.\n"
+        f"Smallest resolvable gap between two indenters, at a noise of {noise:g} of their pressure: {gap}.\n"
+        f"Error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms)."
+    )
 
 
 def _show_press(radius: float | None, press: Press | None) -> None:
-    """Print what a footprint leaves in the middle, and how far out."""
+    """Print the stress under a footprint: in the middle, and how far out."""
     if press is None:
         return
     middle = press.stress[0]
     half, tenth = (press.r[np.flatnonzero(press.stress >= part * middle)[-1]] for part in (0.5, 0.1))
-    Console(highlight=False, soft_wrap=True).print(
+    typer.echo(
         f"Pressed on a disc of {radius:g} mm radius: {middle:.3f} of the pressure in the middle, half of that "
         f"{half:.2g} mm and a tenth {tenth:.2g} mm from it; "
         f"error {press.error_estimate:.1e} of the pressure or less."
@@ -203,11 +185,11 @@ def _show_press(radius: float | None, press: Press | None) -> None:
 
 
 def _plot(path: Path, kernel: Kernel) -> None:
-    """Draw the kernel beside the other model's, which knows flat layers only."""
+    """Draw the kernel beside the other model's, which is of flat layers only."""
     from tactiled.study import charts  # matplotlib takes half a second that only this option needs
 
     if kernel.profile:
-        raise ConfigError("--plot draws both models, and the exact one knows no --profile: leave one of them out")
+        raise ConfigError("--plot draws both models, and the exact one has no --profile: leave one of them out")
     kernels = {
         model: kernel if model == kernel.model else solve(kernel.stack, model) for model in ("fem", "layered")
     }

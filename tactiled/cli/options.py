@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from tactiled.errors import ConfigError, TactileError
-from tactiled.files import whole
+from tactiled.files import atomic_write
 
 Config = Annotated[Path, typer.Argument(help="Configuration file (TOML).")]
 Recording = Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")]
@@ -47,7 +47,7 @@ def new_file(path: Path) -> Iterator[Path]:
     try:
         if path.exists():
             raise FileExistsError
-        with whole(path) as part:
+        with atomic_write(path) as part:
             yield part
     except FileExistsError as error:
         raise ConfigError(f"{path} is there already: name another file, or remove it first") from error

@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from tactiled.cover.cache import cache_folder
-from tactiled.files import whole
+from tactiled.files import atomic_write
 from tactiled.restore.forms import Forms
 
 
@@ -43,5 +43,5 @@ def _known(path: Path, forms: Forms) -> str | None:
 
 def _keep(path: Path, name: str) -> None:
     """Write it whole or not at all; of several that do so at once the first stays."""
-    with suppress(FileExistsError), whole(path) as part:
+    with suppress(FileExistsError), atomic_write(path) as part:
         part.write_text(name)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.files import whole
+from tactiled.files import atomic_write
 
 Floats = NDArray[np.float64]
 Report = Callable[[str], object]
@@ -43,7 +43,7 @@ def kept(
     table = make()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path, replace=True) as part:
+        with atomic_write(path, replace=True) as part:
             part.write_bytes(_content(table, key))
     except OSError as error:
         report(f"{path}: {_why(error)}: it is not kept")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibration
 from tactiled.errors import ConfigError
-from tactiled.files import whole
+from tactiled.files import atomic_write
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make
@@ -160,7 +160,7 @@ def created(path: Path) -> Iterator[BinaryIO]:
     if not plain:
         raise ConfigError(f"{path}: no plain file: give a file that can be written")
     try:
-        with whole(target, replace=True) as part, part.open("wb") as file:
+        with atomic_write(target, replace=True) as part, part.open("wb") as file:
             yield file
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}: give a file that can be written") from error

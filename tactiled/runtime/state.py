@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tactiled.errors import ConfigError, StateError
-from tactiled.files import whole
+from tactiled.files import atomic_write
 
 VERSION = 1
 
@@ -65,7 +65,7 @@ def _write(path: Path, content: object) -> None:
     """Replace a file at once."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path, replace=True) as part:
+        with atomic_write(path, replace=True) as part:
             part.write_text(json.dumps(content, indent=1), "utf-8")
     except OSError as error:
         raise StateError(f"state {path}: {error.strerror}: nothing was kept") from error
