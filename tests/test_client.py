@@ -127,50 +127,50 @@ def come(inbox, name, sequence):
 
 
 def given(inbox):
-    image = inbox.ready()
+    image = inbox.pop()
     return image and (image.sensor, image.sequence)
 
 
 def test_of_several_sensors_what_waited_for_a_slow_loop_gives_way_to_what_is_newer(inbox):
-    assert len(inbox.asks()) == 2
+    assert len(inbox.requests()) == 2
     come(inbox, "palm", 1)
     assert given(inbox) == ("palm", 1)
     inbox.clock.wait(5)
-    inbox.wanted()
-    assert inbox.asks() == ['{"type": "next", "sensor": "palm"}']
+    inbox.ask()
+    assert inbox.requests() == ['{"type": "next", "sensor": "palm"}']
     come(inbox, "tip", 1)
     assert given(inbox) is None
-    assert inbox.asks() == ['{"type": "next", "sensor": "tip"}']
+    assert inbox.requests() == ['{"type": "next", "sensor": "tip"}']
     come(inbox, "palm", 500)
     assert given(inbox) is None  # or the tip would never have its turn
     come(inbox, "tip", 500)
     assert given(inbox) == ("tip", 500)
-    inbox.wanted()
+    inbox.ask()
     assert given(inbox) == ("palm", 500)
 
 
 def test_of_several_sensors_a_slow_one_has_its_turn_in_a_slow_loop(inbox):
-    inbox.asks()
+    inbox.requests()
     come(inbox, "palm", 1)
     assert given(inbox) == ("palm", 1)
     inbox.clock.wait(0.3)
-    inbox.wanted()
+    inbox.ask()
     come(inbox, "tip", 1)
     assert given(inbox) is None
-    inbox.clock.wait(inbox.waits())
+    inbox.clock.wait(inbox.wait_s())
     assert given(inbox) == ("tip", 1)
 
 
 def test_of_several_sensors_a_fast_loop_waits_for_none_and_what_waits_is_renewed(inbox):
-    assert inbox.waits() == math.inf
-    inbox.asks()
+    assert inbox.wait_s() == math.inf
+    inbox.requests()
     for name in ("palm", "tip"):
         come(inbox, name, 1)
-    assert inbox.asks() == []  # before the loop asks
+    assert inbox.requests() == []  # before the loop asks
     assert given(inbox) == ("palm", 1)
     inbox.clock.wait(0.05)
-    inbox.wanted()
-    assert len(inbox.asks()) == 2
+    inbox.ask()
+    assert len(inbox.requests()) == 2
     come(inbox, "palm", 5)
     come(inbox, "tip", 2)
     assert given(inbox) == ("tip", 2)
@@ -188,7 +188,7 @@ def test_a_loop_that_pauses_a_minute_costs_no_connection(url, monkeypatch, caplo
     assert next(stream).sequence > before.sequence
     stream.close()
     assert not caplog.records
-    assert module.WAITING > 600
+    assert module.MAX_QUEUE > 600
 
 
 @pytest.mark.parametrize("path", [ROOT / "README.md", GUIDE], ids=["readme", "guide"])
@@ -327,14 +327,14 @@ def test_patience_ends_at_a_server_that_says_nothing():
 def test_no_attempt_waits_longer_than_patience(monkeypatch):
     monkeypatch.setattr(module, "time", clock := Clock())
     stream = module._Stream(connect("http://127.0.0.1:9"), "palm", 0.0, 7.0, False)
-    stream.wanted()
+    stream.ask()
     refused, began = ConnectionRefusedError(111, "Connection refused"), clock.now
     while clock.now - began < 7.0:
         clock.wait(stream.failed(refused))
     with pytest.raises(TactileError, match=r"7\.0 s: Connection refused: is the service running\?"):
         stream.failed(refused)
     assert clock.now - began == 7.0
-    assert stream.options()["open_timeout"] == module.LAST_S
+    assert stream.options()["open_timeout"] == module.MIN_CONNECT_S
 
 
 GARBAGE = {
@@ -459,7 +459,9 @@ NONE = (
     "http://h:0",
     "http://u:p@h",
     "http://h ost",
-    "http://a..b",
+    "http://h?x=1",
+    "http://h?token=a&token=b",
+    "http://h/#palm",
     "http://[::1",
     "http://h/\n",
     "http://h/é",
@@ -468,17 +470,8 @@ NONE = (
 
 @pytest.mark.parametrize("url", NONE)
 def test_an_address_that_is_none_is_refused(url):
-    with pytest.raises(ConfigError, match=re.escape(f"url = {url!r}: give the service's address")):
+    with pytest.raises(ConfigError, match=re.escape("give the service's address")):
         connect(url)
-
-
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [("?x=1", "no x"), ("#palm", "no #palm"), ("?token=a&y=2", "no y"), ("?token=a&token=b", "no second")],
-)
-def test_what_else_follows_an_address_is_refused(more, told):
-    with pytest.raises(ConfigError, match=rf"may follow it, {told}$"):
-        connect("http://h/" + more)
 
 
 @pytest.mark.parametrize("token", ["a\nb", "€", "ä", 3])
@@ -556,11 +549,11 @@ def test_a_connection_that_breaks_is_told():
         (ConnectionClosedError(Close(1009, ""), None), "closed (1009)"),
     ):
         stream.failed(error)
-        assert stream._refused == told
+        assert stream._error == told
 
 
 def test_what_websockets_says_of_an_end_is_not_shown():
-    assert not module.QUIET.isEnabledFor(logging.ERROR)
+    assert not module.WEBSOCKETS_LOG.isEnabledFor(logging.ERROR)
 
 
 def test_a_client_needs_numpy_and_websockets_alone():

@@ -5,18 +5,15 @@ from pathlib import Path
 from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
-from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES as PACKED
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.runtime.service import Service
 from tactiled.web.http import problems
-from tactiled.web.http.auth import Guard
-from tactiled.web.http.gzip import Gzip
+from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
-from tactiled.web.http.limits import Rates, Streams
-from tactiled.web.http.ranges import Ranges
-from tactiled.web.http.tokens import Keys
+from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.rest import config, events, frames, metrics, recordings, restore, sensors, shear
 from tactiled.web.rest.common import WRONG, declared, turns
 from tactiled.web.rest.constant import constant, text
@@ -26,8 +23,8 @@ from tactiled.web.ws.feed import Feed, ticking
 
 STATIC = Path(__file__).parent / "static"
 SWAGGER = ("fastapi_offline", "static")  # package and folder that hold Swagger UI
-SMALL = 2048  # bytes that are sent as they are
-NO_GAIN = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures hardly compress
+MIN_GZIP_BYTES = 2048
+INCOMPRESSIBLE = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures are noise
 ABOUT = """Raw and restored pressure images of covered tactile arrays.
 
 Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in AsyncAPI by
@@ -53,9 +50,9 @@ def create(service: Service, server: Server) -> FastAPI:
     app.state.service, app.state.server = service, server
     app.state.films = restore.Films()
     app.state.constants = {}
-    app.state.streams = Streams(server.streams_per_client, server.streams)
-    app.state.waiting = Streams(events.WAITING_PER_CLIENT, events.WAITING, "events_waiting")
-    app.state.turns = turns(Rates(server.control_per_minute))  # apart from changes: who looks may still change
+    app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
+    app.state.waiting = ConcurrencyLimit(events.WAITING_PER_CLIENT, events.WAITING, "events_waiting")
+    app.state.turns = turns(RateLimit(server.control_per_minute))  # apart from changes: who looks may still change
     for router in (shear.router, sensors.router, frames.router, events.router, config.router, restore.router):
         app.include_router(router, responses=WRONG)
     if server.recordings is not None:
@@ -66,7 +63,7 @@ def create(service: Service, server: Server) -> FastAPI:
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.make())
     app.include_router(xela.make(feeds))
-    app.include_router(stream.nowhere())  # behind all other streams
+    app.include_router(stream.no_stream())  # behind all other streams
 
     @app.get("/api/v1/openapi.json", include_in_schema=False)
     async def openapi(request: Request) -> Response:
@@ -82,10 +79,12 @@ def create(service: Service, server: Server) -> FastAPI:
 
     app.mount("/static/swagger", StaticFiles(packages=[SWAGGER]), name="swagger")
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
-    app.add_middleware(Gzip, minimum_size=SMALL, compresslevel=4, exclude_content_types=(*NO_GAIN, *PACKED))
-    app.add_middleware(Ranges)
+    uncompressed = (*INCOMPRESSIBLE, *DEFAULT_EXCLUDED_CONTENT_TYPES)
+    app.add_middleware(
+        GZipMiddleware, minimum_size=MIN_GZIP_BYTES, compresslevel=4, exclude_content_types=uncompressed
+    )
     app.add_middleware(Head)
-    bounds = {"rates": Rates(server.control_per_minute), "streams": app.state.streams}
-    app.add_middleware(Guard, server=server, **bounds)  # the last added is the first met
-    app.openapi = complete(app, Keys(server).needed)  # type: ignore[method-assign]
+    limits = {"rates": RateLimit(server.control_per_minute), "streams": app.state.streams}
+    app.add_middleware(AccessControl, server=server, **limits)  # the last added is the first met
+    app.openapi = complete(app, Tokens(server).required)  # type: ignore[method-assign]
     return app

@@ -72,7 +72,7 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
             ws=WebSocket,
             h11_max_incomplete_event_size=bounds.MAX_HEAD,
             timeout_keep_alive=3600,  # State.IDLE has the bound
-            ws_max_size=session.MOST,
+            ws_max_size=session.MAX_MESSAGE_BYTES,
             ws_ping_interval=session.PING_S,
             ws_ping_timeout=session.PING_S,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves

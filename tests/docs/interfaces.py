@@ -17,7 +17,8 @@ from tactiled.runtime.service import Service
 from tactiled.web.app import create
 from tactiled.web.http.places import Places
 from tactiled.web.rest import metrics as prometheus
-from tactiled.web.ws.asyncapi import QUERY, SENSORS, SHEAR
+from tactiled.web.ws.asyncapi import parameters as query_parameters
+from tactiled.web.ws.query import SensorsQuery, StreamQuery
 from tactiled.web.ws.session import CLOSES
 from tactiled.wire import LAYOUT
 from tests.docs.table import code, sentence, table
@@ -85,7 +86,7 @@ def metrics() -> Iterator[str]:
 
 def stream_parameters() -> Iterator[str]:
     rows: list[list[str]] = []
-    for name, each in QUERY.items():
+    for name, each in query_parameters(SensorsQuery).items():
         form = "string"
         if name == "kinds":
             form = "some of `raw`, `restored`, `shear`, each once, with commas between"
@@ -94,9 +95,8 @@ def stream_parameters() -> Iterator[str]:
         elif "minimum" in each:
             form = f"{each['type']}, {each['minimum']} to {each['maximum']}"
         default = code(each["default"]) if "default" in each else "–"
-        rows.append([code(name), form, default, sentence(each.get("description", ""))])
-    for name, each in (("sensors", SENSORS), ("shear", SHEAR)):
-        rows.append([code(name), "string", "–", f"Only on `/stream`: {each['description']}."])
+        several = "" if name in StreamQuery.model_fields else "Only on `/stream`: "
+        rows.append([code(name), form, default, sentence(several + each["description"])])
     yield from table(("Parameter", "Value", "Default", "Meaning"), rows)
 
 

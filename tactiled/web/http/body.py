@@ -8,26 +8,26 @@ from starlette.types import Message, Receive, Scope
 
 from tactiled.web.http.problems import Problem
 
-MOST = 64 << 10  # bytes; no request but a film needs as much
-MOST_FILM = 64 << 20  # bytes
-IN_TIME_S = 60.0
-FILM = "/api/v1/restore"
+MAX_BODY_BYTES = 64 << 10  # no request but an upload of frames needs as much
+MAX_UPLOAD_BYTES = 64 << 20
+BODY_TIMEOUT_S = 60.0
+UPLOAD_PATH = "/api/v1/restore"
 
 
 class Body:
-    """A request's body, of which no more comes in than it may have: Problem 413, or 408 where it is too late."""
+    """The body of a request: Problem 413 as soon as it is too large, 408 where it is too late."""
 
     def __init__(self, scope: Scope, receive: Receive) -> None:
         headers = Headers(scope=scope)
-        self._receive, self._film = receive, scope["path"] == FILM
-        self._most = MOST_FILM if self._film else MOST
-        self._told, self._size = headers.get("content-length", "0"), 0
-        self._end = asyncio.get_running_loop().time() + IN_TIME_S
-        self.whole = self._told == "0" and "transfer-encoding" not in headers
+        self._receive, self._upload = receive, scope["path"] == UPLOAD_PATH
+        self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BODY_BYTES
+        self._length, self._size = headers.get("content-length", "0"), 0
+        self._deadline = asyncio.get_running_loop().time() + BODY_TIMEOUT_S
+        self.complete = self._length == "0" and "transfer-encoding" not in headers
 
-    async def taken(self) -> Receive:
-        """Take it in, unless it is a film; gives what it is read from. ClientDisconnect if it ends before."""
-        if self.whole or self._film:
+    async def receiver(self) -> Receive:
+        """Read the body, unless it is an upload; gives its ASGI receiver. ClientDisconnect if it breaks off."""
+        if self.complete or self._upload:
             return self._next
         body, more = bytearray(), True
         while more:
@@ -36,29 +36,29 @@ class Body:
                 raise ClientDisconnect
             body += message["body"]
             more = message["more_body"]
-        waiting: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
+        messages: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
 
-        async def again() -> Message:
-            return waiting.pop() if waiting else await self._receive()
+        async def replay() -> Message:
+            return messages.pop() if messages else await self._receive()
 
-        return again
+        return replay
 
     async def _next(self) -> Message:
-        """The next piece; behind the last, the end of the connection, which may be far."""
-        if self.whole:
+        """The next part of the body; after the last, the client's disconnection."""
+        if self.complete:
             return await self._receive()
-        if self._told.isdecimal() and int(self._told) > self._most:
+        if self._length.isdecimal() and int(self._length) > self._limit:
             raise self._too_large()
         try:
-            async with asyncio.timeout_at(self._end):
+            async with asyncio.timeout_at(self._deadline):
                 message = await self._receive()
         except TimeoutError as error:
-            raise Problem(408, f"the body did not come within {IN_TIME_S:g} s") from error
+            raise Problem(408, f"the body did not come within {BODY_TIMEOUT_S:g} s") from error
         self._size += len(message.get("body", b""))
-        if self._size > self._most:
+        if self._size > self._limit:
             raise self._too_large()
-        self.whole = not message.get("more_body", False)
+        self.complete = not message.get("more_body", False)
         return message
 
     def _too_large(self) -> Problem:
-        return Problem(413, f"a body of more than {self._most >> 10} KiB: send it in parts")
+        return Problem(413, f"a body of more than {self._limit >> 10} KiB: send it in parts")

@@ -1,7 +1,7 @@
 """A connection from its first byte to its last: which state it is in, and that it keeps to that state's bound.
 
-uvicorn's own protocols parse and answer; they stand behind a `Door` and know nothing of this. The state is read
-off h11's and websockets' own machines after every step, so no step can be forgotten here.
+uvicorn's own protocols parse and answer; they write to a `ProxyTransport` and know nothing of this. The state is
+read off h11's and websockets' own machines after every step, so no step can be forgotten here.
 """
 
 import asyncio
@@ -25,22 +25,14 @@ LOG = logging.getLogger(__name__)
 FULL = "every connection is taken: come again later"
 
 
-class _Gone(asyncio.Transport):
-    """The transport of a connection that is lost."""
+class _ClosedTransport(asyncio.Transport):
+    """Takes the place of a lost connection's transport, which with TLS holds 256 kB."""
 
     def is_closing(self) -> bool:
-        """It is closed."""
         return True
 
     def abort(self) -> None:
-        """Do nothing more."""
-
-    def get_extra_info(self, _: str, default: Any = None) -> Any:
-        """Nothing is known any more."""
-        return default
-
-
-GONE = _Gone()
+        return
 
 
 class Connection(asyncio.Protocol):
@@ -75,7 +67,7 @@ class Connection(asyncio.Protocol):
         """Take a place, and begin with the handshake of TLS or the first request."""
         self.transport = transport
         peer = transport.get_extra_info("peername")
-        self._place = Place(network(peer[0]) if peer else "", self._evictable, self._expire)
+        self._place = Place(network(peer[0]) if peer else "", lambda: self._bound.evictable, self._expire)
         if not self._places.take(self._place):
             self._turn_away()
         elif self._tls is None:
@@ -93,7 +85,7 @@ class Connection(asyncio.Protocol):
         self.half_closed = True
         if self._opened:
             self._inner.connection_lost(exc)
-        self.transport = GONE  # TLS keeps 256 kB for each
+        self.transport = _ClosedTransport()
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, in pieces if they are many."""
@@ -101,7 +93,7 @@ class Connection(asyncio.Protocol):
             if self.state is State.TLS:  # right behind the handshake
                 self._backlog += data
             return
-        if self._backlog or self._turn or self._is_held() or len(data) > self._bound.piece:
+        if self._backlog or self._turn or self._must_wait() or len(data) > self._bound.piece:
             self._backlog += data
         else:
             self._take(data)
@@ -152,11 +144,8 @@ class Connection(asyncio.Protocol):
     def _open(self, transport: asyncio.Transport) -> None:
         self.transport, self._opened = transport, True
         self._enter(State.HEAD)
-        self._inner.connection_made(Door(self))
+        self._inner.connection_made(ProxyTransport(self))
         self._arrange_reading()
-
-    def _evictable(self) -> bool:
-        return self._bound.evictable
 
     async def _shake_hands(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
         """Go on in TLS; a client that speaks none, or none in time, is cut off."""
@@ -235,7 +224,7 @@ class Connection(asyncio.Protocol):
         self._busy_s = max(0.0, self._busy_s - (now - self._busy_at) * bound.share) + now - began
         self._busy_at = now
 
-    def _rest(self) -> float:
+    def _pause_s(self) -> float:
         """How long (s) the client's bytes must wait until they have had no more than their share."""
         share = self._bound.share
         if share == 1.0 or self._busy_s <= bounds.BURST_S:
@@ -247,11 +236,10 @@ class Connection(asyncio.Protocol):
         if not self._opened or self.transport.is_closing():
             self._backlog.clear()
             return
-        held = self._is_held()
-        rest = self._rest()
-        if not held and self._turn is None and (self._backlog or rest):
-            self._turn = self._loop.call_later(rest, self._take_turn)
-        if held or self._backlog or self._turn:
+        must_wait, pause_s = self._must_wait(), self._pause_s()
+        if not must_wait and self._turn is None and (self._backlog or pause_s):
+            self._turn = self._loop.call_later(pause_s, self._take_turn)
+        if must_wait or self._backlog or self._turn:
             self.transport.pause_reading()
         else:
             self.transport.resume_reading()
@@ -259,13 +247,13 @@ class Connection(asyncio.Protocol):
     def _take_turn(self) -> None:
         self._turn = None
         size = self._bound.piece
-        if self._backlog and not self._is_held() and not self.transport.is_closing():
+        if self._backlog and not self._must_wait() and not self.transport.is_closing():
             piece = bytes(self._backlog[:size])
             del self._backlog[:size]
             self._take(piece)
         self._arrange_reading()
 
-    def _is_held(self) -> bool:
+    def _must_wait(self) -> bool:
         """Whether the inner protocol must not have more now: it said so, or its handshake or client is behind."""
         if self.half_closed:
             return False
@@ -280,7 +268,7 @@ class Connection(asyncio.Protocol):
         self._deadline = self._turn = None
 
 
-class Door(asyncio.Transport):
+class ProxyTransport(asyncio.Transport):
     """A connection's transport as the inner protocols see it."""
 
     def __init__(self, connection: Connection) -> None:

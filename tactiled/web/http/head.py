@@ -1,10 +1,10 @@
-"""HEAD wherever there is GET (RFC 9110, 9.1): the same headers, and no body."""
+"""HEAD wherever there is GET (RFC 9110, 9.1), to which FastAPI answers 405 (fastapi/fastapi#1773)."""
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
 class Head:
-    """Has an application answer HEAD as it does GET, and keeps the body back."""
+    """Answers HEAD as GET, without the body."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -16,13 +16,15 @@ class Head:
             return
         ended = False
 
-        async def bare(message: Message) -> None:
+        async def send_without_body(message: Message) -> None:
             nonlocal ended
             if message["type"] != "http.response.body":
                 await send(message)
-            elif not ended:  # a file is read no further once the server has told that the answer is complete
+            elif not ended:  # the server then reports a disconnection, at which no more of a file is read
                 ended = True
                 await send({"type": "http.response.body"})
 
-        headers = [(name, value) for name, value in scope["headers"] if name != b"range"]  # which is GET's alone
-        await self._app({**scope, "method": "GET", "headers": headers}, receive, bare)
+        headers = [
+            (name, value) for name, value in scope["headers"] if name != b"range"
+        ]  # RFC 9110, 14.2: GET only
+        await self._app({**scope, "method": "GET", "headers": headers}, receive, send_without_body)

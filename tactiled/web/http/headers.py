@@ -1,4 +1,4 @@
-"""Headers of every answer: what a browser may do with it."""
+"""Security headers of every response."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -11,6 +11,4 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-STRICT_TRANSPORT_SECURITY = {
-    "Strict-Transport-Security": "max-age=31536000"
-}  # a year; a browser keeps it for all ports
+STRICT_TRANSPORT_SECURITY = {"Strict-Transport-Security": "max-age=31536000"}  # a year, for all ports of the host

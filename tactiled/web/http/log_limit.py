@@ -22,10 +22,10 @@ class LogLimit(logging.Filter):
         """Whether to log a message; kinds differ by their text, but for numbers and values filled in."""
         kind, now = NUMBER.sub("#", str(record.msg)), self._clock()
         began, count = self._minutes.get(kind, (now, 0))
-        left_out = 0
+        suppressed = 0
         if now - began >= MINUTE_S:
-            left_out, began, count = max(0, count - MAX_A_MINUTE), now, 0
+            suppressed, began, count = max(0, count - MAX_A_MINUTE), now, 0
         self._minutes[kind] = began, count + 1
-        if left_out:
-            record.msg = f"{record.msg} ({left_out} like it were left out before)"
+        if suppressed:
+            record.msg = f"{record.msg} ({suppressed} like it were left out before)"
         return count < MAX_A_MINUTE

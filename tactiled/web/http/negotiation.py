@@ -1,8 +1,8 @@
-"""What Accept, Accept-Encoding and If-None-Match headers say."""
+"""What Accept and If-None-Match headers say."""
 
 
 def like(part: str) -> tuple[float, str]:
-    """How much a part of an Accept or Accept-Encoding header likes which media type or coding."""
+    """How much a part of an Accept header likes which media type."""
     media, *parameters = (each.strip().lower() for each in part.split(";"))
     weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
     return (float(weight) if weight.isascii() and weight.replace(".", "", 1).isdigit() else 0.0), media
@@ -10,5 +10,5 @@ def like(part: str) -> tuple[float, str]:
 
 def named(tag: str, header: str) -> bool:
     """Whether an If-None-Match header names a tag; weak and strong ones are the same there."""
-    known = {each.strip().removeprefix("W/") for each in header.split(",")}
-    return bool(known & {tag.removeprefix("W/"), "*"})
+    tags = {each.strip().removeprefix("W/") for each in header.split(",")}
+    return bool(tags & {tag.removeprefix("W/"), "*"})

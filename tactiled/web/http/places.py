@@ -28,8 +28,8 @@ def limit(streams: int) -> int:
 class Places:
     """The open connections of one server, oldest first; lives on its event loop."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
         self._open: dict[Place, None] = {}
         self.dropped = {"evicted": 0, "refused": 0}  # so far
 
@@ -58,12 +58,12 @@ class Places:
 
     def _crowd(self, client: str) -> list[Place] | None:
         """The connections of which one is too many, if one more would be."""
-        if self.open < self._most * CLIENT_SHARE:
+        if self.open < self._limit * CLIENT_SHARE:
             return None
         own = [each for each in self._open if each.client == client]
-        if not _proxy(client) and len(own) >= self._most * CLIENT_SHARE:
+        if not _proxy(client) and len(own) >= self._limit * CLIENT_SHARE:
             return own
-        return list(self._open) if self.open >= self._most else None
+        return list(self._open) if self.open >= self._limit else None
 
 
 def _proxy(client: str) -> bool:

@@ -13,6 +13,7 @@ from tactiled.errors import ConfigError, LoadedError, NoShearError, NotLiveError
 from tactiled.web import schemas
 
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
+MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 
 
 class Problem(HTTPException):
@@ -30,13 +31,23 @@ def response(status: int, detail: str, headers: Mapping[str, str] | None = None,
     )
 
 
+def close_code(status: int) -> int:
+    """The code of a WebSocket's close frame for an HTTP status."""
+    return 4000 + status
+
+
+def close_reason(reason: str) -> str:
+    """As much of a reason as a close frame holds."""
+    return reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
+
+
 def install(app: FastAPI) -> None:
     """Answer every error of an application in this form."""
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> Response:
         detail, headers = str(error.detail), dict(error.headers or {})
-        if error.status_code == 405:
+        if error.status_code == 405:  # Starlette's Allow has the methods of one of several routes
             headers["Allow"] = ", ".join(_methods(app, request))
         if isinstance(error.__cause__, UnicodeDecodeError | RecursionError):
             detail = f"body: {error.__cause__}"
@@ -66,34 +77,26 @@ def install(app: FastAPI) -> None:
             kind = request.headers.get("content-type", "none")
             return response(415, f"Content-Type: {kind:.80}: give application/json")
         status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
-        return response(status, "; ".join(_say(each) for each in wrong))
+        return response(status, "; ".join(_describe(each) for each in wrong))
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:
-    """Every method that the path of a request has."""
-    if request.scope.get("root_path"):  # of a folder of files
-        return ["GET", "HEAD"]
-    scopes = {method: {**request.scope, "method": method} for method in VERBS}
-    found = {
-        method
-        for method, scope in scopes.items()
-        if any(route.matches(scope)[0] is Match.FULL for route in app.routes)
-    }
-    return sorted(found | {"HEAD"} if "GET" in found else found)
+    """Every method that the path of a request has; a path in a folder of files has no route of its own."""
+
+    def exists(verb: str) -> bool:
+        scope = {**request.scope, "method": verb}
+        return any(route.matches(scope)[0] is Match.FULL for route in app.routes)
+
+    methods = list(filter(exists, VERBS)) or ["GET"]
+    return sorted([*methods, "HEAD"]) if "GET" in methods else methods
 
 
-def _say(error: Mapping[str, Any]) -> str:
+def _describe(error: Mapping[str, Any]) -> str:
+    """One validation error in a line."""
     source, *path = error["loc"]
     if error["type"] == "json_invalid":
         return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
+    value = error.get("input")
     if source == "body" and not path:
-        return _say_body(error)
-    return f"{'.'.join(map(str, path)) or source} = {error.get('input')!r:.80}: {error['msg']}"
-
-
-def _say_body(error: Mapping[str, Any]) -> str:
-    """What is wrong with a body as a whole."""
-    given = error["input"]
-    if given is None:
-        return "body: none came: give a JSON object"
-    return f"body = {given!r:.80}: give a JSON object"
+        return f"body{'' if value is None else f' = {value!r:.80}'}: give a JSON object"
+    return f"{'.'.join(map(str, path)) or source} = {value!r:.80}: {error['msg']}"

@@ -1,8 +1,8 @@
-"""uvicorn's protocols: errors become problems, and a WebSocket tells how far its client has read.
+"""uvicorn's protocols: errors become problems, and a WebSocket knows how far its client has read.
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
-a ping follows every few messages; a client answers when it has read that far. Until then `room` is not set, and
-whoever streams waits for it before it takes the newest image.
+a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
+stream takes the newest image.
 """
 
 import asyncio
@@ -33,13 +33,11 @@ MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
 PROTOCOL = "tactiled.protocol"
 ENDS = "the service ends"
-GONE = ClientDisconnected  # raised by what sends to a client that has left or was closed
 
 
 def protocol(socket: AcceptedSocket) -> "WebSocket":
     """The protocol below a socket."""
-    found: WebSocket = socket.scope["state"][PROTOCOL]
-    return found
+    return cast(WebSocket, socket.scope["state"][PROTOCOL])
 
 
 def frame(message: bytes | str) -> bytes:
@@ -90,11 +88,11 @@ class WebSocket(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.conn.reject = _reject  # type: ignore[method-assign]
-        self._sent = 0
-        self._pinged = 0
-        self._answered = 0
-        self._room = asyncio.Event()
-        self._room.set()
+        self._messages = 0
+        self._pings = 0
+        self._pongs = 0
+        self._keeps_up = asyncio.Event()
+        self._keeps_up.set()
 
     def sending(self) -> bool:
         """Whether more may come."""
@@ -127,21 +125,21 @@ class WebSocket(WebSocketsSansIOProtocol):
 
     async def ready(self) -> None:
         """Wait until the client keeps up."""
-        if not self._room.is_set():
-            await self._room.wait()
+        if not self._keeps_up.is_set():
+            await self._keeps_up.wait()
         if not self.writable.is_set():
             await self.writable.wait()
 
     def send_frames(self, frames: Sequence[bytes]) -> None:
-        """Send messages, one a frame, and a ping after every few, past what waits; GONE where nobody is left."""
+        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end."""
         if self.disconnected or self.close_sent or self.conn.state is not OPEN:
-            raise GONE
-        self._sent += len(frames)
-        if self._sent // PING_EVERY > self._pinged:
-            self._pinged = self._sent // PING_EVERY
-            frames = [*frames, PING + self._pinged.to_bytes(8, "big")]
-            if self._pinged - self._answered >= MAX_UNANSWERED:
-                self._room.clear()
+            raise ClientDisconnected
+        self._messages += len(frames)
+        if self._messages // PING_EVERY > self._pings:
+            self._pings = self._messages // PING_EVERY
+            frames = [*frames, PING + self._pings.to_bytes(8, "big")]
+            if self._pings - self._pongs >= MAX_UNANSWERED:
+                self._keeps_up.clear()
         self.transport.writelines(frames)
 
     def handle_pong(self, event: Frame) -> None:
@@ -150,9 +148,9 @@ class WebSocket(WebSocketsSansIOProtocol):
         if not data.startswith(MARK) or len(data) != len(MARK) + 8:
             super().handle_pong(event)
             return
-        self._answered = max(self._answered, min(int.from_bytes(data[len(MARK) :], "big"), self._pinged))
-        if self._pinged - self._answered < MAX_UNANSWERED:
-            self._room.set()
+        self._pongs = max(self._pongs, min(int.from_bytes(data[len(MARK) :], "big"), self._pings))
+        if self._pings - self._pongs < MAX_UNANSWERED:
+            self._keeps_up.set()
 
     def handle_cont(self, event: Frame) -> None:
         """Take one frame more of a message; close a client that sends too many, empty ones too."""
@@ -173,12 +171,12 @@ class WebSocket(WebSocketsSansIOProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Let an application that waits see that there is nobody left."""
-        self._room.set()
+        self._keeps_up.set()
         super().connection_lost(exc)
 
     def shutdown(self) -> None:
         """Let an application that waits end when the server does, and tell the client why."""
-        self._room.set()
+        self._keeps_up.set()
         if not self.handshake_complete or self.transport.is_closing():
             self.transport.abort()
         elif not self.close_sent:

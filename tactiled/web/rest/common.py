@@ -9,8 +9,8 @@ from starlette.requests import HTTPConnection
 
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.web.http.body import IN_TIME_S, MOST
-from tactiled.web.http.limits import Rates, Turns
+from tactiled.web.http.body import BODY_TIMEOUT_S, MAX_BODY_BYTES
+from tactiled.web.http.limits import RateLimit, Turns
 from tactiled.web.http.negotiation import like
 from tactiled.web.http.problems import Problem
 from tactiled.web.ws.query import no_such, once
@@ -57,8 +57,8 @@ CONTROL: Responses = TOO_MANY | {
     )
 }
 LATE: Responses = {
-    408: problem("the body did not come in time", f"the body did not come within {IN_TIME_S:g} s"),
-    413: problem("the body is too large", f"a body of more than {MOST >> 10} KiB: send it in parts"),
+    408: problem("the body did not come in time", f"the body did not come within {BODY_TIMEOUT_S:g} s"),
+    413: problem("the body is too large", f"a body of more than {MAX_BODY_BYTES >> 10} KiB: send it in parts"),
 }
 BODY: Responses = LATE | {
     400: problem("the body is no JSON text", "body: no JSON at character 0: Expecting value"),
@@ -116,7 +116,7 @@ def no_frame(sensor: Sensor) -> Problem:
     return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
 
 
-def turns(rates: Rates) -> dict[Turn, Turns]:
+def turns(rates: RateLimit) -> dict[Turn, Turns]:
     """What `in_turn` needs of an application."""
     return {each: Turns(rates) for each in get_args(Turn)}
 

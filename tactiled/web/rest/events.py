@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tactiled.runtime.events import Events, Kind
 from tactiled.web import schemas
-from tactiled.web.http.limits import Streams
+from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.common import WAIT, Responses, Served, problem
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
@@ -73,7 +73,7 @@ async def events(
     """
     kept = service.events
     if after == kept.newest and wait:
-        waiting: Streams = request.app.state.waiting
+        waiting: ConcurrencyLimit = request.app.state.waiting
         with waiting.one(request.scope):
             await _next(kept, after, wait)
     after = after if after <= kept.newest else 0

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Request, Response
 from tactiled.bus.faults import KINDS
 from tactiled.runtime.sensor import Sensor, State, Status
 from tactiled.runtime.service import Service
-from tactiled.web.http.limits import Streams
+from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.http.places import Places
 from tactiled.web.rest.common import Served
 
@@ -26,7 +26,7 @@ def metrics(request: Request, service: Served) -> Response:
     return Response(text(service, state.streams, state.places), media_type=MEDIA)
 
 
-def text(service: Service, streams: Streams, places: Places) -> str:
+def text(service: Service, streams: ConcurrencyLimit, places: Places) -> str:
     """Every family of a service, its streams and its connections."""
     told = [(each, each.status()) for each in service.sensors.values()]
     return "".join(line + "\n" for family in (*_families(told), *_clients(streams, places)) for line in family)
@@ -61,7 +61,7 @@ def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
     yield _family("error_frames_total", "counter", "error frames of the bus, by kind", errors)
 
 
-def _clients(streams: Streams, places: Places) -> Iterator[Iterator[str]]:
+def _clients(streams: ConcurrencyLimit, places: Places) -> Iterator[Iterator[str]]:
     yield _family("streams", "gauge", "open WebSockets", [({}, streams.open)])
     refused: list[Sample] = [({"bound": bound}, count) for bound, count in streams.refused.items()]
     yield _family("streams_refused_total", "counter", "refused WebSockets, by the bound that was reached", refused)

@@ -21,8 +21,8 @@ from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.runtime.offline import Offline, opened, write
 from tactiled.runtime.service import Service
-from tactiled.web.http.body import MOST_FILM as MOST_IN
-from tactiled.web.http.limits import client
+from tactiled.web.http.body import MAX_UPLOAD_BYTES
+from tactiled.web.http.limits import client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.common import CONTROL, LATE, NO_SENSOR, WAIT, Responses, problem
 from tactiled.web.schemas import MethodName
@@ -37,8 +37,8 @@ RESPONSES: Responses = (
     | {
         200: {"description": "restored images, float32 kPa", "content": {NPY: {"schema": {"type": "string"}}}},
         413: problem(
-            f"more than {MOST_IN >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB",
-            f"a body of more than {MOST_IN >> 10} KiB: send it in parts",
+            f"more than {MAX_UPLOAD_BYTES >> 20} MiB, or images of more than {MOST_OUT >> 20} MiB",
+            f"a body of more than {MAX_UPLOAD_BYTES >> 10} KiB: send it in parts",
         ),
         422: problem(
             "no .npy of frames of this sensor's shape, or a wrong parameter",
@@ -92,7 +92,7 @@ class Films:
     @contextmanager
     def held(self, scope: Scope) -> Iterator[Progress]:
         """One film from its body to the end of its answer; Problem 429 where it is one too many."""
-        who = client(scope)
+        who = client_of(scope)
         self._refuse("another film is being restored", self.now)
         self._refuse(f"another film of {who or 'this client'} comes in or goes out", self._held.get(who))
         if len(self._held) >= MOST_HELD:

@@ -1,36 +1,97 @@
-"""What a client of a stream asks for in the address, and may say."""
+"""The query of a stream's address, and the messages of its client."""
 
-import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, cast
+from collections.abc import Sequence
+from itertools import permutations
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic.json_schema import WithJsonSchema
 from starlette.datastructures import QueryParams
 
 from tactiled.web.schemas import Next
 from tactiled.wire import KINDS, PRESSURES, Kind
 
-NUMBER = r"[0-9]+(\.[0-9]*)?([eE][+-]?[0-9]{1,2})?"
-PARAMETERS = ("kinds", "rate_hz", "format", "flow", "contacts", "together")
 NEXT = '{"type": "next"}, or with "sensor": its name'
+COMBINATIONS = [",".join(some) for count in range(1, len(KINDS) + 1) for some in permutations(KINDS, count)]
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """What a client asked for in the address."""
+def _split(value: Any) -> Any:
+    return value.split(",") if isinstance(value, str) else value
 
-    kinds: tuple[Kind, ...] = PRESSURES
-    rate_hz: float = 0.0  # 0: every frame
-    form: Literal["binary", "json"] = "binary"
-    contacts: bool = False  # as text messages
-    credit: bool = False  # one image of each kind for each {"type": "next"}
-    together: bool = False  # the images of a frame in one binary message
+
+def _unique(values: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(values)) < len(values):
+        raise ValueError("give each name once")
+    return values
+
+
+Once = AfterValidator(_unique)
+Names = Annotated[tuple[str, ...], BeforeValidator(_split), Once, WithJsonSchema({"type": "string"})]
+Kinds = Annotated[
+    tuple[Kind, ...],
+    BeforeValidator(_split),
+    Once,
+    WithJsonSchema({"type": "string", "enum": COMBINATIONS}),
+]
+
+
+class StreamQuery(BaseModel):
+    """The parameters of a stream of one sensor."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kinds: Kinds = Field(
+        PRESSURES,
+        description="images of each frame, sent in this order; shear only from a 3-axis skin",
+        json_schema_extra={"default": ",".join(PRESSURES)},
+    )
+    rate_hz: float = Field(
+        0, ge=0, le=10000, description="largest rate of images of one sensor, 1/s; 0: every frame"
+    )
+    format: Literal["binary", "json"] = Field("binary", description="format of the images")
+    flow: Literal["newest", "credit"] = Field(
+        "newest", description="when images are sent: newest at once, or one of each kind per `next` message"
+    )
+    contacts: Literal["0", "1"] = Field("0", description="1: contacts as well")
+    together: Literal["0", "1"] = Field(
+        "0", description="1, with format=binary: all images of a frame in one message, each with its own header"
+    )
+    token: str | None = Field(None, description="token, if the service needs one")
+
+    @model_validator(mode="after")
+    def _binary_together(self) -> "StreamQuery":
+        if self.together == "1" and self.format == "json":
+            raise ValueError("together=1 needs format=binary")
+        return self
+
+
+class SensorsQuery(StreamQuery):
+    """The parameters of a stream of several sensors."""
+
+    sensors: Names | None = Field(
+        None, description="sensors, with commas between; left out: all", examples=["palm,tip"]
+    )
+    shear: Names = Field(
+        (),
+        description="sensors whose shear is sent after their other images, with commas between",
+        examples=["tip"],
+    )
+
+
+Q = TypeVar("Q", bound=StreamQuery)
 
 
 def once(query: QueryParams) -> QueryParams:
-    """The same query; ValueError where a parameter stands in it more than once, of which one would be taken."""
+    """The same query; ValueError where it has a parameter more than once, of which one would count."""
     counts = Counter(name for name, _ in query.multi_items())
     for name, count in counts.items():
         if count > 1:
@@ -38,63 +99,27 @@ def once(query: QueryParams) -> QueryParams:
     return query
 
 
-def no_such(name: str, there: Sequence[str]) -> str:
-    """What is said of a parameter that is none of those there are."""
-    known = f"are {', '.join(there)}" if there else "is none"
-    return f"{name:.80}: no such parameter: there {known}"
+def no_such(name: str, available: Sequence[str]) -> str:
+    """The error of an unknown parameter."""
+    names = f"are {', '.join(available)}" if available else "is none"
+    return f"{name:.80}: no such parameter: there {names}"
 
 
-def wish(query: Mapping[str, str], more: Sequence[str] = ()) -> Wish:
-    """Read the address's query, which may have `more` parameters; ValueError names the parameter and its value."""
-    there = (*PARAMETERS, *more)
-    if unknown := set(query) - {*there, "token"}:
-        raise ValueError(no_such(min(unknown), there))
-    kinds = tuple(query.get("kinds", ",".join(PRESSURES)).split(","))
-    if not set(kinds) <= set(KINDS) or len(set(kinds)) < len(kinds):
-        raise ValueError(f"kinds={query['kinds']}: give some of {','.join(KINDS)}, each once")
-    given = query.get("rate_hz", "0")
-    rate_hz = float(given) if re.fullmatch(NUMBER, given) else -1.0
-    if not 0 <= rate_hz <= 1e4:
-        raise ValueError(f"rate_hz={query['rate_hz']}: give 0 (every frame) to 10000")
-    form = cast(Literal["binary", "json"], _one_of(query, "format", "binary", "json"))
-    together = _one_of(query, "together", "0", "1") == "1"
-    if together and form == "json":
-        raise ValueError("together=1: only of format=binary: leave one of the two out")
-    return Wish(
-        cast(tuple[Kind, ...], kinds),
-        rate_hz,
-        form,
-        _one_of(query, "contacts", "0", "1") == "1",
-        _one_of(query, "flow", "newest", "credit") == "credit",
-        together,
-    )
+def parse(query: QueryParams, form: type[Q]) -> Q:
+    """Read the query of a stream; ValueError names the parameter and its value."""
+    try:
+        return form.model_validate(dict(once(query)))
+    except ValidationError as caught:
+        error = caught.errors()[0]
+        name = str(error["loc"][0]) if error["loc"] else ""
+        if error["type"] == "extra_forbidden":
+            raise ValueError(no_such(name, [each for each in form.model_fields if each != "token"])) from None
+        reason = error["msg"].removeprefix("Value error, ")
+        raise ValueError(f"{name}={query[name]}: {reason}" if name else reason) from None
 
 
-def _one_of(query: Mapping[str, str], name: str, *choices: str) -> str:
-    """The value of a parameter, by default the first of its choices."""
-    if (value := query.get(name, choices[0])) not in choices:
-        raise ValueError(f"{name}={value}: give {' or '.join(choices)}")
-    return value
-
-
-def asked_for(query: Mapping[str, str], there: Sequence[str]) -> list[str]:
-    """The sensors that a query names, by default all; ValueError where it names one twice or none."""
-    names = query["sensors"].split(",") if "sensors" in query else list(there)
-    if len(set(names)) < len(names):
-        raise ValueError(f"sensors={query['sensors']}: give each name once")
-    return names
-
-
-def sheared(query: Mapping[str, str], names: Sequence[str]) -> list[str]:
-    """The sensors of which a query asks for shear, too; ValueError where one is not among those asked for."""
-    found = query["shear"].split(",") if "shear" in query else []
-    if len(set(found)) < len(found) or not set(found) <= set(names):
-        raise ValueError(f"shear={query['shear']}: give some of {','.join(names)}, each once")
-    return found
-
-
-def next_of(text: str | None, names: Sequence[str]) -> Sequence[str]:
-    """The sensors of which a client's message asks for the next image; ValueError where it says anything else."""
+def parse_next(text: str | None, names: Sequence[str]) -> Sequence[str]:
+    """The sensors of which a client's message asks for the next image; ValueError for any other message."""
     try:
         sensor = Next.model_validate_json(text or "").sensor
         if sensor is None or sensor in names:

@@ -1,22 +1,24 @@
-"""One client on a WebSocket, until it leaves or is closed; the codes are after HTTP's, or the protocol's own."""
+"""One client on a WebSocket, until it leaves or is closed; close codes are HTTP's + 4000, or the protocol's."""
 
 import asyncio
 from collections.abc import Coroutine
 from typing import Any
 
 from fastapi import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.utils import ClientDisconnected
 
 from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.web.http.bounds import MAX_FRAGMENTS
-from tactiled.web.http.close import fitting
-from tactiled.web.http.protocols import ENDS, GONE
+from tactiled.web.http.problems import close_reason
+from tactiled.web.http.protocols import ENDS
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
-PROTOCOL, NO_TEXT, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
+PROTOCOL, NOT_UTF8, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
 PING_S = 20.0  # between two pings of the service, and until one must be answered
+MAX_MESSAGE_BYTES = 64 << 10  # of a client's message
 CLOSES = {
     PROTOCOL: "the bytes are not a WebSocket frame",
-    NO_TEXT: "a text message is not UTF-8",
+    NOT_UTF8: "a text message is not UTF-8",
     TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
     FAILED: "the service failed, see its log; or the client answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
@@ -28,16 +30,15 @@ CLOSES = {
     TOO_MANY: "this client has too many streams (`streams_per_client`)",
     FULL: "all clients together have too many streams (`streams`)",
 }
-MOST = 64 * 1024  # bytes of a client's message
 
 
 async def refuse(socket: WebSocket, error: Exception) -> None:
-    """Close, since the client is wrong, with the reason."""
-    closed = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
-    await socket.close(closed, fitting(str(error)))
+    """Close after an error of the client, with the reason."""
+    code = NOT_FOUND if isinstance(error, UnknownSensorError | NoShearError) else BAD_REQUEST
+    await socket.close(code, close_reason(str(error)))
 
 
-async def heard(socket: WebSocket) -> str | None:
+async def receive(socket: WebSocket) -> str | None:
     """The client's next message, None for one of bytes; WebSocketDisconnect when it has left."""
     message = await socket.receive()
     if message["type"] == "websocket.disconnect":
@@ -46,9 +47,9 @@ async def heard(socket: WebSocket) -> str | None:
     return text
 
 
-async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], talk: Coroutine[Any, Any, None]) -> None:
-    """Listen and talk until the client leaves; a ValueError of `listen` says that it is wrong."""
-    tasks = listening, _ = asyncio.create_task(listen), asyncio.create_task(talk)
+async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], send: Coroutine[Any, Any, None]) -> None:
+    """Listen and send until the client leaves; a ValueError of `listen` is an error of the client."""
+    tasks = listening, _ = asyncio.create_task(listen), asyncio.create_task(send)
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -59,6 +60,6 @@ async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], talk: Coro
         error = task.exception()
         if task is listening and isinstance(error, ValueError):
             await refuse(socket, error)
-        elif error is not None and not isinstance(error, WebSocketDisconnect | GONE):
+        elif error is not None and not isinstance(error, WebSocketDisconnect | ClientDisconnected):
             await socket.close(FAILED, "the service failed: see its log")
             raise error

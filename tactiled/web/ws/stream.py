@@ -6,24 +6,24 @@ from contextlib import ExitStack
 from functools import partial
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from uvicorn.protocols.utils import ClientDisconnected
 
 from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.frames import Image
 from tactiled.runtime.events import Faults
-from tactiled.web.http.close import fitting
-from tactiled.web.http.protocols import GONE, protocol
-from tactiled.web.ws.feed import TICK_S, Feed, Format, Found
-from tactiled.web.ws.query import Wish, asked_for, next_of, once, sheared, wish
-from tactiled.web.ws.session import NOT_FOUND, heard, refuse, serve
-from tactiled.wire import Kind
+from tactiled.web.http.problems import close_reason
+from tactiled.web.http.protocols import protocol
+from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Format
+from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse, parse_next
+from tactiled.web.ws.session import NOT_FOUND, receive, refuse, serve
 
-STATUS_S = 1.0  # a client hears of the sensor's state at least this often, at ticks or between
-CONTACTS_S = 0.05  # between two messages on contacts
-CHANGE_S = 0.1  # and of a change no more often than this
-LATE_S = 0.02  # that an image may come too late and make no other late: more would let two go at once
-LONGEST_S = 60.0  # of an alarm, which outlives a client that leaves
-EARLY_S = 1e-3  # that an alarm may come too soon: uvloop's clock and its timers count whole milliseconds
-AHEAD = 2  # images of each kind that a client may have asked for and not been sent
+STATUS_S = 1.0  # between two statuses at most, sent at ticks or between
+CONTACTS_S = 0.05  # between two messages on contacts at least
+CHANGE_S = 0.1  # between two changes of the status at least
+MAX_LATE_S = 0.02  # that an image may be late and delay no other: with more, two would be sent at once
+MAX_TIMER_S = 60.0  # a timer outlives a client that leaves
+TIMER_RESOLUTION_S = 1e-3  # uvloop's clock and timers count whole milliseconds
+MAX_CREDIT = 2  # images of each kind that a client may request ahead
 
 
 def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
@@ -32,129 +32,131 @@ def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
 
     @router.websocket("/sensors/{name}/stream")
     async def _one(socket: WebSocket, name: str) -> None:
-        await socket.accept()
-        try:
-            asked = wish(once(socket.query_params))
-            stream = Stream(socket, _found(feeds, [name], asked, [], named=False), asked, faults)
-        except (UnknownSensorError, NoShearError, ValueError) as error:
-            await refuse(socket, error)
-        else:
-            await stream.run()
+        await _serve(socket, lambda: Stream(socket, *_one_sensor(socket, feeds, name), faults))
 
     @router.websocket("/stream")
     async def _several(socket: WebSocket) -> None:
-        await socket.accept()
-        try:
-            asked = wish(once(socket.query_params), ["sensors", "shear"])
-            names = asked_for(socket.query_params, list(feeds))
-            lines = _found(feeds, names, asked, sheared(socket.query_params, names), named=True)
-            stream = Stream(socket, lines, asked, faults)
-        except (UnknownSensorError, NoShearError, ValueError) as error:
-            await refuse(socket, error)
-        else:
-            await stream.run()
+        await _serve(socket, lambda: Stream(socket, *_several_sensors(socket, feeds), faults))
 
     return router
 
 
-def nowhere(told: str = "/api/v1/asyncapi.json tells which are") -> APIRouter:
+async def _serve(socket: WebSocket, make_stream: Callable[[], "Stream"]) -> None:
+    """Accept, and stream or tell why not."""
+    await socket.accept()
+    try:
+        stream = make_stream()
+    except (UnknownSensorError, NoShearError, ValueError) as error:
+        await refuse(socket, error)
+    else:
+        await stream.run()
+
+
+def no_stream(hint: str = "see /api/v1/asyncapi.json") -> APIRouter:
     """The close of a WebSocket at any address that no other route has."""
     router = APIRouter()
 
     @router.websocket("/{path:path}")
-    async def _nowhere(socket: WebSocket) -> None:
+    async def _no_stream(socket: WebSocket) -> None:
         await socket.accept()
-        await socket.close(NOT_FOUND, fitting(f"{socket.url.path}: no stream is there: {told}"))
+        await socket.close(NOT_FOUND, close_reason(f"{socket.url.path}: no stream: {hint}"))
 
     return router
 
 
-def _found(
-    feeds: dict[str, Feed], names: Sequence[str], asked: Wish, too: Sequence[str], named: bool
-) -> list["_Line"]:
-    """These sensors, some with shear; UnknownSensorError, NoShearError name one that has not what is asked."""
-    lines = []
-    for name in names:
-        if name not in feeds:
-            raise UnknownSensorError.among(name, feeds)
-        more: tuple[Kind, ...] = ("shear",) if name in too and "shear" not in asked.kinds else ()
-        lines.append(_Line(feeds[name], Format(asked.kinds + more, asked.form, named, asked.together)))
-        if "shear" in lines[-1].wanted.kinds:
-            feeds[name].sensor.need_shear()
-    return lines
-
-
-def due_after(due: float, now: float, rate_hz: float) -> float:
-    """When the next image is due (s), if one that was due at `due` is sent now: late, it makes no other late."""
-    return max(due, now - min(LATE_S, 1 / rate_hz)) + 1 / rate_hz
-
-
-class _Gate:
-    """What is sent to a client once in a while only."""
+class _Timer:
+    """Limits how often something is sent."""
 
     def __init__(self) -> None:
-        self.due = 0.0  # when the next may be sent
+        self.due = 0.0  # event loop's time (s) at which the next may be sent
         self._alarm = 0.0
 
-    def shut(self, now: float, wake: Callable[[], None]) -> bool:
-        """Whether it is too early; if so, `wake` is called when it no longer is."""
-        if now >= self.due - EARLY_S:
+    def waits(self, now: float, wake: Callable[[], None]) -> bool:
+        """Whether it is too early; `wake` is then called in time."""
+        if now >= self.due - TIMER_RESOLUTION_S:
             return False
-        if self._alarm < min(self.due, now + LONGEST_S):
-            self._alarm = min(self.due, now + LONGEST_S)
-            asyncio.get_running_loop().call_at(self._alarm, wake)
+        alarm = min(self.due, now + MAX_TIMER_S)
+        if self._alarm < alarm:
+            self._alarm = alarm
+            asyncio.get_running_loop().call_at(alarm, wake)
         return True
 
 
 class _Line:
-    """One sensor as one client sees it: what it has been sent and told, and when more may be."""
+    """One sensor for one client: what it was sent, and when more may be."""
 
-    def __init__(self, feed: Feed, wanted: Format) -> None:
-        self.feed, self.wanted = feed, wanted
+    def __init__(self, feed: Feed, form: Format) -> None:
+        if "shear" in form.kinds:
+            feed.sensor.need_shear()
+        self.feed, self.form = feed, form
         self.wake: Callable[[], None] = lambda: None  # until the stream runs
-        self.credit = 0  # images of each kind that it has asked for
-        self.sent: Image | None = None
-        self.images, self.changes, self.searches = _Gate(), _Gate(), _Gate()
-        self.told: tuple[object, ...] = ()
-        self.told_at = 0.0
-        self.touched = -1
-        self.looking: asyncio.Task[Found | None] | None = None
+        self.credit = 0  # images of each kind that the client has requested
+        self.image: Image | None = None
+        self.image_timer, self.status_timer, self.contacts_timer = _Timer(), _Timer(), _Timer()
+        self.status_key: tuple[object, ...] = ()
+        self.status_at = 0.0
+        self.contacts_sequence = -1
+        self.search: asyncio.Task[ContactsFrame | None] | None = None
+
+
+def _line(feeds: dict[str, Feed], name: str, query: StreamQuery, *, shear: bool = False, named: bool) -> _Line:
+    if name not in feeds:
+        raise UnknownSensorError.among(name, feeds)
+    kinds = (*query.kinds, "shear") if shear and "shear" not in query.kinds else query.kinds
+    return _Line(feeds[name], Format(kinds, query.format == "json", named, query.together == "1"))
+
+
+def _one_sensor(socket: WebSocket, feeds: dict[str, Feed], name: str) -> tuple[list[_Line], StreamQuery]:
+    query = parse(socket.query_params, StreamQuery)
+    return [_line(feeds, name, query, named=False)], query
+
+
+def _several_sensors(socket: WebSocket, feeds: dict[str, Feed]) -> tuple[list[_Line], StreamQuery]:
+    query = parse(socket.query_params, SensorsQuery)
+    names = list(feeds) if query.sensors is None else query.sensors
+    if not set(query.shear) <= set(names):
+        raise ValueError(f"shear={','.join(query.shear)}: give some of {','.join(names)}")
+    return [_line(feeds, name, query, shear=name in query.shear, named=True) for name in names], query
+
+
+def due_after(due: float, now: float, rate_hz: float) -> float:
+    """When the next image is due (s), if one due at `due` is sent now: a late one delays no other."""
+    return max(due, now - min(MAX_LATE_S, 1 / rate_hz)) + 1 / rate_hz
 
 
 class Stream:
     """One client of one sensor or several.
 
-    What fails at one of several sensors stops no other; at a single one it ends the stream.
+    An error at one of several sensors stops no other; at a single one it ends the stream.
     """
 
-    def __init__(self, socket: WebSocket, lines: Sequence[_Line], asked: Wish, faults: Faults) -> None:
-        self._socket, self._wish, self._faults = socket, asked, faults
+    def __init__(self, socket: WebSocket, lines: Sequence[_Line], query: StreamQuery, faults: Faults) -> None:
+        self._socket, self._query, self._faults = socket, query, faults
         self._protocol, self._loop = protocol(socket), asyncio.get_running_loop()
         self._lines = {line.feed.sensor.name: line for line in lines}
-        self._names = list(self._lines)
-        self._due: dict[_Line, None] = {}  # lines of which something may have to be sent
+        self._due: dict[_Line, None] = {}  # lines that may have something to send
         self._wake = asyncio.Event()
 
     async def run(self) -> None:
-        """Serve until the client leaves, or says something that means nothing."""
+        """Serve until the client leaves or sends a wrong message."""
         with ExitStack() as stack:
             for line in self._lines.values():
-                line.wake = partial(self._look_at, line)
+                line.wake = partial(self._add, line)
                 stack.enter_context(line.feed.listen(line.wake))
-            await serve(self._socket, self._listen(), self._talk())
+            await serve(self._socket, self._listen(), self._send())
 
-    def _look_at(self, line: _Line) -> None:
+    def _add(self, line: _Line) -> None:
         self._due[line] = None
         self._wake.set()
 
     async def _listen(self) -> None:
         while True:
-            for name in next_of(await heard(self._socket), self._names):
+            for name in parse_next(await receive(self._socket), list(self._lines)):
                 line = self._lines[name]
-                line.credit = min(line.credit + 1, AHEAD)
+                line.credit = min(line.credit + 1, MAX_CREDIT)
                 line.wake()
 
-    async def _talk(self) -> None:
+    async def _send(self) -> None:
         while True:
             await self._wake.wait()
             self._wake.clear()
@@ -162,53 +164,55 @@ class Stream:
             for line in due:
                 await self._protocol.ready()
                 if len(self._lines) == 1:
-                    self._send(line)
+                    self._send_line(line)
                     continue
-                with self._faults.turn(f"streams of {line.feed.sensor.name}", (WebSocketDisconnect, GONE)):
-                    self._send(line)
+                with self._faults.turn(
+                    f"streams of {line.feed.sensor.name}", (WebSocketDisconnect, ClientDisconnected)
+                ):
+                    self._send_line(line)
 
-    def _send(self, line: _Line) -> None:
-        """Send what is new of a line."""
+    def _send_line(self, line: _Line) -> None:
+        """Send what is new of a sensor."""
         self._send_status(line)  # before the image, which may be an old one
         self._send_image(line)
-        if self._wish.contacts:
+        if self._query.contacts == "1":
             self._send_contacts(line)
 
     def _send_image(self, line: _Line) -> None:
         image = line.feed.image
-        if image is None or image is line.sent or (self._wish.credit and not line.credit):
+        if image is None or image is line.image or (self._query.flow == "credit" and not line.credit):
             return
-        if self._wish.rate_hz:
+        if rate_hz := self._query.rate_hz:
             now = self._loop.time()
-            if line.images.shut(now, line.wake):
+            if line.image_timer.waits(now, line.wake):
                 return
-            line.images.due = due_after(line.images.due, now, self._wish.rate_hz)
-        frames = line.feed.frames(line.wanted)
-        line.sent, line.credit = image, max(0, line.credit - 1)
+            line.image_timer.due = due_after(line.image_timer.due, now, rate_hz)
+        frames = line.feed.frames(image, line.form)
+        line.image, line.credit = image, max(0, line.credit - 1)
         self._protocol.send_frames(frames)
 
     def _send_status(self, line: _Line) -> None:
-        state, now = line.feed.state(), self._loop.time()
-        if state == line.told and now - line.told_at < STATUS_S - TICK_S:
+        key, now = line.feed.status_key(), self._loop.time()
+        if key == line.status_key and now - line.status_at < STATUS_S - TICK_S:
             return
-        if line.changes.shut(now, line.wake):
+        if line.status_timer.waits(now, line.wake):
             return
         frame = line.feed.status_frame()
-        line.told, line.told_at, line.changes.due = state, now, now + CHANGE_S
+        line.status_key, line.status_at, line.status_timer.due = key, now, now + CHANGE_S
         self._protocol.send_frames([frame])
 
     def _send_contacts(self, line: _Line) -> None:
         image, now = line.feed.image, self._loop.time()
-        if image is None or image.sequence == line.touched or line.searches.shut(now, line.wake):
+        if image is None or image.sequence == line.contacts_sequence or line.contacts_timer.waits(now, line.wake):
             return
-        if line.looking is None:  # for longer than an image may wait
-            line.looking = line.feed.contacts()
-            if not line.looking.done():  # of one that is, the wake would come at once, and at every turn again
-                line.looking.add_done_callback(lambda _: line.wake())
-        if not line.looking.done():
+        if line.search is None:
+            line.search = line.feed.contacts()
+            if not line.search.done():  # a callback of one that is done would wake at every turn again
+                line.search.add_done_callback(lambda _: line.wake())
+        if not line.search.done():
             return
-        looked, line.looking = line.looking, None  # before it may raise: a search that failed is not kept
-        found = looked.result()
-        if found is not None and found.sequence != line.touched:
-            line.touched, line.searches.due = found.sequence, now + CONTACTS_S
-            self._protocol.send_frames([found.frame])
+        search, line.search = line.search, None  # before it may raise: a failed search is not kept
+        contacts = search.result()
+        if contacts is not None and contacts.sequence != line.contacts_sequence:
+            line.contacts_sequence, line.contacts_timer.due = contacts.sequence, now + CONTACTS_S
+            self._protocol.send_frames([contacts.frame])

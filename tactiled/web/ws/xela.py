@@ -20,13 +20,13 @@ from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
 from tactiled.runtime.service import Service
 from tactiled.web.http import problems
-from tactiled.web.http.auth import Guard
-from tactiled.web.http.limits import Rates, Streams
+from tactiled.web.http.auth import AccessControl
+from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.protocols import protocol
 from tactiled.web.schemas import Form
 from tactiled.web.ws.feed import Feed, ticking
-from tactiled.web.ws.session import NOT_FOUND, heard, serve
-from tactiled.web.ws.stream import nowhere
+from tactiled.web.ws.session import NOT_FOUND, receive, serve
+from tactiled.web.ws.stream import no_stream
 
 NONE_HERE = "no sensor here has the codec xela"
 DECIMALS = 5  # of a force in N, as that server gives them
@@ -124,9 +124,9 @@ def alone(service: Service, server: Server) -> FastAPI:
     app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
     problems.install(app)
     app.include_router(make(feeds))
-    app.include_router(nowhere("/xela is"))
-    streams = Streams(server.streams_per_client, server.streams)
-    app.add_middleware(Guard, server=server, rates=Rates(server.control_per_minute), streams=streams)
+    app.include_router(no_stream("see /xela"))
+    streams = ConcurrencyLimit(server.streams_per_client, server.streams)
+    app.add_middleware(AccessControl, server=server, rates=RateLimit(server.control_per_minute), streams=streams)
     return app
 
 
@@ -182,13 +182,13 @@ class _Client:
         with ExitStack() as stack:
             for skin in self._skins:
                 stack.enter_context(skin.feed.listen(self._wake.set))
-            await serve(self._socket, self._listen(), self._talk())
+            await serve(self._socket, self._listen(), self._send())
 
     async def _listen(self) -> None:
         while True:
-            await heard(self._socket)
+            await receive(self._socket)
 
-    async def _talk(self) -> None:
+    async def _send(self) -> None:
         number = 0
         await self._socket.send_text(Welcome().model_dump_json())
         while True:

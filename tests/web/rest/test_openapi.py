@@ -172,7 +172,6 @@ WRONG = (  # error, of which operations, and what is asked beside a control toke
         "put /sensors/palm/method|post /recordings$",
         {"headers": {"Content-Type": "text/plain"}, "content": b"{}"},
     ),
-    (416, "get /recordings/whole.log", {"headers": {"Range": "bytes=90000-"}}),
     (422, "(?!post /restore).*", {"params": {"colour": "red"}}),
     (422, "post /restore", {"params": {"sensor": "palm"}, "content": b"x"}),
     (503, "get /sensors/palm/(contacts|frames/raw)", {}),

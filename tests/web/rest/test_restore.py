@@ -77,9 +77,9 @@ def test_what_is_no_film_of_this_sensor_is_refused_by_name(url, body, query, sta
 
 
 def test_a_film_that_is_too_large_is_refused_as_soon_as_that_is_known(url, frames, monkeypatch):
-    monkeypatch.setattr(body, "MOST_FILM", 1 << 10)
+    monkeypatch.setattr(body, "MAX_UPLOAD_BYTES", 1 << 10)
     assert post(url, npy(frames)).status_code == 413
-    monkeypatch.setattr(body, "MOST_FILM", 1 << 20)
+    monkeypatch.setattr(body, "MAX_UPLOAD_BYTES", 1 << 20)
     monkeypatch.setattr(restore, "MOST_OUT", 1 << 10)
     assert post(url, npy(frames)).status_code == 413
 

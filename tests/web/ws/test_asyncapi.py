@@ -13,9 +13,8 @@ from websockets.sync.client import connect
 from tactiled.config import Server
 from tactiled.web.schemas import Next
 from tactiled.web.server import running
-from tactiled.web.ws.asyncapi import TOLD, XELAS
+from tactiled.web.ws.asyncapi import MESSAGES, XELA_MESSAGES
 from tactiled.web.ws.feed import Feed
-from tactiled.web.ws.query import PARAMETERS, Wish, wish
 from tactiled.web.ws.session import CLOSES
 from tactiled.wire import HEADER, unpack
 from tests.conftest import BUSY_S, ask, pressed, until
@@ -68,9 +67,13 @@ def test_every_reference_leads_somewhere(document):
 
 
 def test_every_example_is_what_it_is_an_example_of(document):
-    models = {name: model for name, (model, _) in TOLD.items()} | {"next": Next}
+    models = {name: model for name, (model, _) in MESSAGES.items()} | {"next": Next}
     messages = document["components"]["messages"]
-    assert set(models) == {*messages} - {"image"} - {*XELAS} == {"status", "contacts", "frame", "shear", "next"}
+    assert (
+        set(models)
+        == {*messages} - {"image"} - {*XELA_MESSAGES}
+        == {"status", "contacts", "frame", "shear", "next"}
+    )
     for name, model in models.items():
         (one,) = messages[name]["examples"]
         payload(document, name).validate(one["payload"])
@@ -145,22 +148,6 @@ def test_bytes_lie_where_the_layout_says(rig, url, document, path):
     assert layout["pressure in kPa"]["offset"] == HEADER.size
     assert len(data) == HEADER.size + 4 * rows * columns + flagged + named
     assert data[len(data) - named :].decode() == part.sensor == ("palm" if path.endswith("v1/stream") else "")
-
-
-def test_the_parameters_described_are_those_there_are(document):
-    query = document["channels"]["sensor"]["bindings"]["ws"]["query"]["properties"]
-    assert set(query) == {*PARAMETERS, "token"}
-    assert set(document["channels"]["sensors"]["bindings"]["ws"]["query"]["properties"]) == {
-        *query,
-        "sensors",
-        "shear",
-    }
-    assert wish({name: str(each["default"]) for name, each in query.items() if "default" in each}) == Wish()
-    for name, each in query.items():
-        for value in each.get(
-            "enum", [each.get("minimum", 0), each.get("maximum", 0)] if name == "rate_hz" else []
-        ):
-            wish({name: str(value)})
 
 
 def closed(client):

@@ -477,7 +477,7 @@ def test_that_port_has_nothing_else(rig):
             with connect(address + path) as closed, pytest.raises(ConnectionClosed) as caught:
                 closed.recv(timeout=BUSY_S)
             assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (
-                4404, f"{path}: no stream is there: /xela is"
+                4404, f"{path}: no stream: see /xela"
             )  # fmt: skip
 
 
