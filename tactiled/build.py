@@ -19,7 +19,6 @@ from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.router import Router
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.config import codecs, schema
-from tactiled.config.autotune import soonest
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
@@ -29,7 +28,7 @@ from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import FrameWarning
 from tactiled.geometry import Array, Cells, grid, layout, tiling
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
 
 SKINS: dict[str, Callable[..., Codec]] = {
@@ -198,12 +197,11 @@ def _icub(codec: codecs.Icub) -> Icub:
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
     if array.shape is not None:
-        finer = partial(cached_table, stencil, kernel, array)
-        return Blur.grid(finer(refine), array.shape, refine, array.pitch / refine, soonest, finer)
+        return GridBlur(partial(cached_table, stencil, kernel, array), array.shape, refine, array.pitch / refine)
     if refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     cells = tiling(array)
-    return Blur.matrix(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
+    return MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
 
 
 def make_calibration(sensor: schema.Sensor) -> Calibration:

@@ -1,158 +1,150 @@
-"""From surface pressure to taxels and back: the blur, exact to rounding, for a grid or for any layout."""
+"""The blur H of a cover, from surface pressure to taxels and back: for a grid, or for any layout."""
 
 from collections.abc import Callable
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from tactiled.errors import PhysicsError
 from tactiled.restore.aliases import Aliases
-from tactiled.restore.forms import Array, Forms, Pair, dense
 from tactiled.restore.loads import Loads
 from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
 
-ROUNDING = 1e-7  # of the largest: a separable part below this is lost in float32 anyway
+RANK_TOLERANCE = 1e-7  # of the largest separable part: float32 loses smaller ones anyway
 FINE = 4  # cells along each side of a taxel, of which one is the load of a point
+
+Array = NDArray[Any]  # float32 or float64: the result has the argument's kind
+Apply = Callable[[Array], Array]
+Stencil = Callable[[int], Floats]  # k -> response (k (2R-1), k (2C-1)) to cells k times finer than the pitch
 
 
 class Blur:
-    """H: surface image, (k R, k C) or (M,), to frame, (R, C) or (N,); both methods take leading batch axes."""
+    """H: surface image, (k R, k C) or (M,), to frame, (R, C) or (N,); both take leading batch axes."""
 
-    def __init__(
-        self,
-        shapes: tuple[tuple[int, ...], tuple[int, ...]],
-        cell_mm: float,
-        pair: Pair,
-        modes: Callable[[], Modes],
-        loads: Callable[[], Loads] | None = None,
-        cut: Callable[[tuple[int, int]], "Blur"] | None = None,
-        aliases: Callable[[], Aliases | None] | None = None,
-    ) -> None:
-        self.frame_shape, self.surface_shape = shapes
-        self.cell_mm = cell_mm
-        self._forward, self._adjoint = pair
-        self._modes, self._loads, self._cut, self._aliases = modes, loads, cut, aliases
-
-    @classmethod
-    def grid(
-        cls,
-        stencil: Floats,
-        shape: tuple[int, int],
-        refine: int = 1,
-        cell_mm: float = 1.0,
-        pick: Callable[[Forms], str] | None = None,
-        finer: Callable[[int], Floats] | None = None,
-    ) -> "Blur":
-        """Make the blur of a grid from the cover's stencil (k (2R-1), k (2C-1)) in the form that `pick` names.
-
-        Without it the form follows from the size. `finer` gives the stencil for any other k: pressure is
-        then smooth between the cells, whose means the image holds, and loads smaller than a cell are known;
-        without it, pressure steps from cell to cell. PhysicsError where stencil and shape disagree.
-        """
-        expected = tuple(refine * (2 * n - 1) for n in shape)
-        if stencil.shape != expected or not np.isfinite(stencil).all():
-            raise PhysicsError(f"stencil of shape {stencil.shape} for a grid of {shape}: give finite {expected}")
-        # A step's own modes in either case: what they are sorted by, its gain, falls with frequency.
-        marginals = _slide(stencil.sum(1), shape[0], refine), _slide(stencil.sum(0), shape[1], refine)
-        surface = (refine * shape[0], refine * shape[1])
-        if finer is None:
-            rows, columns = _terms(np.asarray(stencil, float), shape, refine)
-            forms = Forms(rows, columns, stencil)
-        else:
-            finer = cache(finer)
-            rows, columns = _smooth(finer, shape, refine)
-            forms = Forms(rows, columns)
-        pair = forms.make(pick(forms) if pick else forms.usual)
-
-        def loads() -> Loads:
-            return Loads(finer(FINE), shape, FINE) if finer else Loads(stencil, shape, refine)
-
-        def cut(part: tuple[int, int]) -> Blur:
-            less = (lambda k: _middle(finer(k), part, k)) if finer else None
-            return cls.grid(_middle(stencil, part, refine), part, refine, cell_mm, pick, less)
-
-        def modes() -> Modes:
-            return grid_modes(rows, columns, *marginals)
-
-        def aliases() -> Aliases | None:
-            return Aliases(finer(FINE), shape, FINE) if finer and refine == 1 else None
-
-        return cls((shape, surface), cell_mm, pair, modes, loads, cut, aliases)
-
-    @classmethod
-    def matrix(cls, A: Floats, cell_mm: float = 1.0) -> "Blur":
-        """Make the blur of any layout from its matrix (N, M); PhysicsError where it is none."""
-        if A.ndim != 2 or not A.size or not np.isfinite(A).all():
-            raise PhysicsError(f"blur matrix of shape {A.shape}: give finite (taxels, cells)")
-        shapes = (len(A),), (A.shape[1],)
-        return cls(shapes, cell_mm, dense(A, *shapes), lambda: matrix_modes(A))
+    frame_shape: tuple[int, ...]
+    surface_shape: tuple[int, ...]
+    cell_mm: float
+    forward: Apply  # H x
+    adjoint: Apply  # H' y
 
     @cached_property
     def modes(self) -> Modes:
         """The patterns that the blur only weakens."""
-        return self._modes()
+        raise NotImplementedError
 
     @cached_property
     def loads(self) -> Loads | None:
         """What a small load anywhere is to the taxels; None where there is no grid."""
-        return self._loads() if self._loads else None
-
-    def cut(self, shape: tuple[int, int]) -> "Blur":
-        """Make the blur of fewer taxels, of `shape`, under the same cover; PhysicsError where this is no grid."""
-        if self._cut is None or any(n > m for n, m in zip(shape, self.frame_shape, strict=True)):
-            raise PhysicsError(f"no {shape} taxels to cut out of {self.frame_shape}: cut less out of a grid")
-        return self._cut(shape)
+        return None
 
     @cached_property
     def aliases(self) -> Aliases | None:
-        """What pressure finer than the grid does to the taxels; None where cells are finer or no grid is known."""
-        return self._aliases() if self._aliases else None
-
-    def forward(self, x: Array) -> Array:
-        """H x, in x's own precision."""
-        return self._forward(x)
-
-    def adjoint(self, y: Array) -> Array:
-        """H' y, in y's own precision."""
-        return self._adjoint(y)
+        """What pressure finer than the grid does to the taxels; None where cells are finer or there is no grid."""
+        return None
 
     @cached_property
     def reach(self) -> Image:
         """H' 1: how much of each surface cell's pressure the taxels get to feel."""
-        return np.asarray(self._adjoint(np.ones(self.frame_shape)), np.float32)
+        return np.asarray(self.adjoint(np.ones(self.frame_shape)), np.float32)
 
 
-def _middle(stencil: Floats, shape: tuple[int, int], refine: int) -> Floats:
-    """The middle of a stencil, as long as a grid of `shape` needs it."""
-    lengths = [refine * (2 * n - 1) for n in shape]
-    starts = [(length - n) // 2 for length, n in zip(stencil.shape, lengths, strict=True)]
-    rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
-    return stencil[rows, columns]
+class MatrixBlur(Blur):
+    """The blur of any layout by its matrix (N, M)."""
+
+    def __init__(self, matrix: Floats, cell_mm: float = 1.0) -> None:
+        self.frame_shape, self.surface_shape = (len(matrix),), (matrix.shape[1],)
+        self.cell_mm = cell_mm
+        self._matrix = matrix
+        self.forward, self.adjoint = _product(matrix.T), _product(matrix)
+
+    @cached_property
+    def modes(self) -> Modes:
+        """The matrix's singular vectors."""
+        return matrix_modes(self._matrix)
+
+
+class GridBlur(Blur):
+    """The blur of a grid, H x = sum rows[k] x columns[k]', of pressure that is smooth between the cells.
+
+    An image holds the cells' means; loads smaller than a cell are known, too.
+    """
+
+    def __init__(self, stencil: Stencil, shape: tuple[int, int], refine: int = 1, cell_mm: float = 1.0) -> None:
+        self.frame_shape, self.surface_shape = shape, (refine * shape[0], refine * shape[1])
+        self.cell_mm = cell_mm
+        self._stencil, self._shape, self._refine = cache(stencil), shape, refine
+        self._rows, self._columns = _smooth_parts(self._stencil, shape, refine)
+        self.forward = _sum_of_products(self._rows, [B.T for B in self._columns])
+        self.adjoint = _sum_of_products([A.T for A in self._rows], self._columns)
+
+    @cached_property
+    def modes(self) -> Modes:
+        """Products of the modes along either axis: a step's own, whose gain falls with frequency."""
+        step, (rows, columns) = self._stencil(self._refine), self._shape
+        marginals = _slide(step.sum(1), rows, self._refine), _slide(step.sum(0), columns, self._refine)
+        return grid_modes(self._rows, self._columns, *marginals)
+
+    @cached_property
+    def loads(self) -> Loads | None:
+        """What a small load anywhere is to the taxels."""
+        return Loads(self._stencil(FINE), self._shape, FINE)
+
+    @cached_property
+    def aliases(self) -> Aliases | None:
+        """What pressure finer than the grid does to the taxels; None where cells are finer."""
+        return Aliases(self._stencil(FINE), self._shape, FINE) if self._refine == 1 else None
+
+    def cut(self, shape: tuple[int, int]) -> "GridBlur":
+        """Make the blur of fewer taxels, of `shape`, under the same cover."""
+
+        def middle(k: int) -> Floats:
+            stencil = self._stencil(k)
+            lengths = [k * (2 * n - 1) for n in shape]
+            starts = [(length - n) // 2 for length, n in zip(stencil.shape, lengths, strict=True)]
+            rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
+            return stencil[rows, columns]
+
+        return GridBlur(middle, shape, self._refine, self.cell_mm)
+
+
+def _product(right: Floats) -> Apply:
+    """Give x -> x right, in x's own precision."""
+    rights = _in_both_precisions(right)
+    return lambda x: np.asarray(x @ rights[x.dtype])
+
+
+def _sum_of_products(left: list[Floats], right: list[Floats]) -> Apply:
+    """Give x -> sum left[k] x right[k], in x's own precision."""
+    lefts, rights = _in_both_precisions(np.concatenate(left, axis=1)), _in_both_precisions(np.stack(right))
+
+    def apply(x: Array) -> Array:
+        across = x[..., None, :, :] @ rights[x.dtype]
+        stacked = across.reshape(*x.shape[:-2], -1, across.shape[-1])
+        return np.asarray(lefts[x.dtype] @ stacked)
+
+    return apply
+
+
+def _in_both_precisions(matrix: Floats) -> dict[np.dtype[Any], Array]:
+    return {np.dtype(kind): np.ascontiguousarray(matrix, kind) for kind in (np.float32, np.float64)}
+
+
+def _smooth_parts(stencil: Stencil, shape: tuple[int, int], refine: int) -> tuple[list[Floats], list[Floats]]:
+    """Split the response to pressure that is smooth between cells into separable parts: rows and columns."""
+    parts = max(FINE // refine, 2)
+    U, s, Vt = np.linalg.svd(np.asarray(stencil(refine * parts), float))
+    rank = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
+    down, across = (_between(refine * n, parts) for n in shape)
+    rows = [_slide(U[:, k] * s[k], shape[0], refine * parts) @ down for k in range(rank)]
+    return rows, [_slide(Vt[k], shape[1], refine * parts) @ across for k in range(rank)]
 
 
 def _slide(line: Floats, n: int, refine: int) -> Floats:
     """Give (n, k n): row i is `line` from k (n - 1 - i) on, as taxel i sees the cells."""
     starts = refine * (n - 1 - np.arange(n))
     return np.asarray(line[starts[:, None] + np.arange(refine * n)])
-
-
-def _terms(stencil: Floats, shape: tuple[int, int], refine: int) -> tuple[list[Floats], list[Floats]]:
-    """Split the stencil into separable parts: H x = sum rows[k] x columns[k]'."""
-    U, s, Vt = np.linalg.svd(stencil)
-    parts = range(max(1, int(np.count_nonzero(s > ROUNDING * s[0]))))
-    rows = [_slide(U[:, k] * s[k], shape[0], refine) for k in parts]
-    return rows, [_slide(Vt[k], shape[1], refine) for k in parts]
-
-
-def _smooth(
-    finer: Callable[[int], Floats], shape: tuple[int, int], refine: int
-) -> tuple[list[Floats], list[Floats]]:
-    """Give the separable parts of pressure that is smooth between cells."""
-    parts = max(FINE // refine, 2)
-    rows, columns = _terms(np.asarray(finer(refine * parts), float), shape, refine * parts)
-    down, across = (_between(refine * n, parts) for n in shape)
-    return [A @ down for A in rows], [B @ across for B in columns]
 
 
 def _between(n: int, parts: int) -> Floats:

@@ -5,7 +5,7 @@ from math import prod, sqrt
 import numpy as np
 
 from tactiled.restore.auto import ITERATED, REVIEW, SURE, Auto
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import Blur, GridBlur
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import outstanding
 from tactiled.restore.points import Point
@@ -36,6 +36,7 @@ class Windowed:
 
     def __init__(self, whole: Auto, scene: Scene) -> None:
         blur = scene.blur
+        assert isinstance(blur, GridBlur)
         self._whole, self._scene = whole, scene
         self._part_scene = Scene(blur.cut((SIDE, SIDE)), scene.noise)
         self._part = Auto(self._part_scene)

@@ -16,7 +16,7 @@ from tactiled.contacts.detection import Contact, Finder
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.geometry import Array, grid, tiling
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import GridBlur
 from tactiled.restore.methods import make
 from tactiled.simulate.array import FINER, Surface
 from tactiled.study.truth import APERTURE, PEAK, kernel
@@ -69,7 +69,7 @@ class Bench:
         cover = kernel(thickness, "fem")
         self._surface = Surface(kernel(thickness, "layered"), array)
         finer = partial(cached_table, stencil, cover, array)
-        self._blur = Blur.grid(finer(1), (SIDE, SIDE), finer=finer)
+        self._blur = GridBlur(finer, (SIDE, SIDE))
         self._find = Finder(array, tiling(array))
 
     def press(self, discs: tuple[Disc, ...], noise: float, random: np.random.Generator) -> Press:

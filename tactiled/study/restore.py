@@ -16,7 +16,7 @@ from skimage import restoration
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.geometry import grid
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import Blur, GridBlur
 from tactiled.restore.methods import Restorer, make
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
@@ -172,7 +172,7 @@ def _films(size: int, frames: int) -> tuple[Blur, list[_Film]]:
         clean = np.array([surface.sense(each).reshape(size, size) for each in pressures])
         sigma = NOISE * clean.max()
         films.append((sigma, (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)))
-    return Blur.grid(finer(1), (size, size), finer=finer), films
+    return GridBlur(finer, (size, size)), films
 
 
 def _passes(method: str, blur: Blur, films: list[_Film]) -> tuple[list[NDArray[np.float64]], list[str]]:

@@ -13,7 +13,7 @@ from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import Blur, GridBlur
 from tactiled.simulate.array import FINER, Surface
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def sides(size: int, thickness: float) -> tuple[Surface, Blur, Floats]:
     """Build what blurs presses, exactly, and what restores them: the operator and its point spread."""
     array = grid(size, size, 1.0, APERTURE)
     finer = partial(cached_table, stencil, kernel(thickness, "fem"), array)
-    blur = Blur.grid(finer(1), (size, size), finer=finer)
+    blur = GridBlur(finer, (size, size))
     return Surface(kernel(thickness, "layered"), array), blur, psf_of(blur)
 
 

@@ -3,12 +3,11 @@ import pytest
 
 from tactiled.contacts.detection import Contact, Finder, Tracker
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Cells, grid, layout, tiling
-from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
+from tests.plans import plan
 
 SIDE, NOISE = 24, 0.3
 
@@ -29,7 +28,7 @@ def press(array):
     stack = Stack((Layer(2.0, 0.6, 0.48), Layer(1.0, 980.0, 0.3)))
     exact = solve(stack, "layered")
     surface = Surface(exact, array)
-    blur = Blur.grid(stencil(solve(stack, "fem"), array), (SIDE, SIDE))
+    blur = plan((SIDE, SIDE), 2.0, substrate=True, model="fem").blur
 
     def press(*places, seed=0):
         middle = (SIDE - 1) / 2

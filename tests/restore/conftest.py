@@ -1,50 +1,15 @@
-from functools import cache
-
 import numpy as np
 import pytest
 
-from tactiled.cover.kernel import solve
-from tactiled.cover.operator import cached, matrix, stencil
-from tactiled.cover.stack import Layer, Stack
-from tactiled.geometry import grid
-from tactiled.restore.blur import Blur
-
-
-@cache
-def cover(thickness):
-    return solve(Stack((Layer(thickness, 0.6, 0.48),)), "layered")
-
-
-@cache
-def grid_blur(shape, thickness=1.0, refine=1):
-    array = grid(*shape, 1.0, 0.8)
-    return Blur.grid(cached(stencil, cover(thickness), array, refine), shape, refine, 1.0 / refine)
-
-
-@cache
-def layout_blur(shape, thickness=1.0):
-    array = grid(*shape, 1.0, 0.8)
-    return Blur.matrix(matrix(cover(thickness), array, array.positions, 1.0), 1.0)
+from tests.plans import SHAPE, plan
 
 
 @pytest.fixture
 def covered():
     """Blurs under a cover of `thickness` pitches: of a grid, or of the same taxels as a mere list of positions."""
 
-    def make(shape=(12, 12), thickness=1.0, refine=1, layout=False):
-        return layout_blur(shape, thickness) if layout else grid_blur(shape, thickness, refine)
-
-    return make
-
-
-@pytest.fixture
-def gauss():
-    """Stencils of a Gaussian, cut off where it is nothing: separable, so that its modes are exact."""
-
-    def make(shape, width=1.0):
-        y, x = (np.arange(1 - n, n) for n in shape)
-        response = np.exp(-(y[:, None] ** 2 + x**2) / (2 * width**2))
-        return response / response.sum()
+    def make(shape=SHAPE, thickness=1.0, refine=1, layout=False):
+        return plan(shape, thickness, refine=refine, layout=layout).blur
 
     return make
 

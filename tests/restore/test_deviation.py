@@ -8,7 +8,7 @@ import pytest
 from tactiled.cover.operator import cached, stencil
 from tactiled.geometry import grid
 from tactiled.restore import wiener
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import GridBlur
 from tactiled.restore.methods import make
 from tactiled.study.truth import APERTURE, kernel, presses
 
@@ -18,7 +18,7 @@ SIZE = 12
 @cache
 def believed(thickness):
     finer = partial(cached, stencil, kernel(thickness, "fem"), grid(SIZE, SIZE, 1.0, APERTURE))
-    return Blur.grid(finer(1), (SIZE, SIZE), finer=finer)
+    return GridBlur(finer, (SIZE, SIZE))
 
 
 def ratios(method, noise, thicker, repeats, points=False):

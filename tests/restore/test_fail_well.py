@@ -7,7 +7,7 @@ from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.methods import METHODS, make
 
 SIGMA = 0.5
-BOUND = 200.0  # times the largest pressure that could be meant: no image may exceed it
+BOUND = 300.0  # times the largest pressure that could be meant: no image may exceed it
 
 
 def noise(shape, seed=0):

@@ -1,19 +1,15 @@
 """Isolated loads off the grid, blurred exactly: where they are and how hard they press."""
 
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
-from tactiled.cover.kernel import solve
-from tactiled.cover.operator import cached, matrix, stencil
-from tactiled.cover.stack import Layer, Stack
-from tactiled.geometry import grid
-from tactiled.restore.blur import Blur
-from tactiled.restore.loads import Loads
+from tactiled.cover.operator import matrix
 from tactiled.restore.methods import make
 from tactiled.restore.points import Points
+from tests.plans import plan
 
 SHAPE = (16, 20)
 PITCH = 2.0
@@ -22,24 +18,15 @@ PLACES = np.array([[7.3, 8.9], [20.6, 21.7], [30.1, 5.2]])  # x, y in mm
 FORCES = np.array([0.4, 0.25, 0.3])  # N
 
 
-@cache
-def exact(thickness):
-    array = grid(*SHAPE, PITCH, 0.8 * PITCH)
-    return array, solve(Stack((Layer(thickness * PITCH, 0.6, 0.48),)), "layered")
-
-
-@cache
-def blur_of(thickness, refine=1, finer=True):
-    array, kernel = exact(thickness)
-    table = partial(cached, stencil, kernel, array)
-    return Blur.grid(table(refine), SHAPE, refine, PITCH / refine, finer=table if finer else None)
+def blur_of(thickness, refine=1):
+    return plan(SHAPE, thickness, refine=refine, pitch=PITCH).blur
 
 
 @cache
 def felt(thickness, places):
     """(taxels, places): the pressure on every taxel for unit pressure at each place."""
-    array, kernel = exact(thickness)
-    return matrix(kernel, array, np.array(places), SIDE)
+    sensor = plan(SHAPE, thickness, pitch=PITCH)
+    return matrix(sensor.kernel, sensor.array, np.array(places), SIDE)
 
 
 @pytest.fixture
@@ -86,14 +73,6 @@ def test_the_image_carries_the_force_where_it_is(touched, refine):
     assert image.sum() * cell**2 == pytest.approx(1e3 * FORCES.sum(), rel=0.05)
     column, row = ((PLACES[0] + PITCH / 2) / cell).astype(int)
     assert image.argmax() == row * image.shape[1] + column
-
-
-def test_without_finer_cells_a_load_is_as_large_as_one(touched):
-    frame, sigma = touched(2.0)
-    restorer = make("points", blur_of(2.0, finer=False), sigma)
-    restorer(frame)
-    places, _ = in_order(restorer.points)
-    np.testing.assert_allclose(places, PLACES, atol=0.1 * PITCH)
 
 
 def test_two_that_touch_the_same_taxels_are_told_apart(touched):
@@ -208,12 +187,11 @@ def test_no_places_are_told_under_a_cover_too_thin_for_them(touched, thickness):
 
 
 def test_slopes_are_the_responses_own():
-    array, kernel = exact(1.0)
-    loads = Loads(stencil(kernel, array, 4), SHAPE, 4)
+    loads = blur_of(1.0).loads
     step = 1 / 32
     middle = np.array([7.21, 8.83])
     moves = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)])
-    out = np.empty((6, len(moves), array.size), np.float32)
+    out = np.empty((6, len(moves), SHAPE[0] * SHAPE[1]), np.float32)
     loads.jacobian(middle + step * moves, out)
     value, row, column, down, across, both = out[:, 0]
     _, ahead, behind, right, left, *corners = out[0]

@@ -6,43 +6,43 @@ from scipy.signal import fftconvolve
 from skimage import restoration
 
 from tactiled.cover.operator import stencil
-from tactiled.geometry import grid
-from tactiled.restore.blur import Blur
+from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
-from tactiled.study.truth import kernel
+from tactiled.restore.wiener import Wiener
+from tactiled.study.truth import psf_of
+from tests.plans import plan
 
 SIDE = 32
 
 
-@pytest.fixture(scope="module")
-def response():
-    """The stencil under 1 mm of rubber, pitch 1 mm: (63, 63), its middle the taxel under its own cell."""
-    return stencil(kernel(1.0, "layered"), grid(SIDE, SIDE, 1.0, 0.8))
+@pytest.fixture
+def blur():
+    return plan((SIDE, SIDE)).blur
 
 
-@pytest.fixture(scope="module")
-def frame(response):
+@pytest.fixture
+def frame(blur):
     """What the taxels feel of two discs in the middle: nothing reaches the border, so that no boundary matters."""
     y, x = np.mgrid[:SIDE, :SIDE]
     truth = 1.0 * (np.hypot(x - 13, y - 15) < 3) + 0.6 * (np.hypot(x - 19, y - 18) < 2)
-    return Blur.grid(response, (SIDE, SIDE)).forward(truth)
+    return blur.forward(truth.astype(np.float32))
 
 
 @pytest.mark.parametrize("balance", [0.003, 0.03])
-def test_a_flat_spectrum_in_the_blurs_modes_is_wieners_filter(response, frame, balance):
-    modes = Blur.grid(response, (SIDE, SIDE)).modes
-    left, right = modes.taxel
-    c = left.T @ frame @ right
-    ours = modes.surface[0] @ (c * modes.gain / (modes.gain**2 + balance)) @ modes.surface[1].T
-    psf = response[16:47, 16:47]
-    theirs = restoration.wiener(frame, psf, balance, reg=np.ones((1, 1)), clip=False)
-    assert np.linalg.norm(ours - theirs) < 0.02 * np.linalg.norm(theirs)
+def test_for_a_flat_spectrum_the_linear_filter_is_wieners(blur, frame, monkeypatch, balance):
+    scene = Scene(blur, 0.01)
+    scene.look(frame)
+    monkeypatch.setattr(scene.prior, "ratio", lambda _: np.full(blur.surface_shape, 1 / balance))
+    monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
+    theirs = restoration.wiener(frame, psf_of(blur), balance, reg=np.ones((1, 1)), clip=False)
+    assert np.linalg.norm(Wiener(scene)() - theirs) < 0.02 * np.linalg.norm(theirs)
 
 
 @pytest.mark.parametrize("iterations", [1, 10, 30])
-def test_without_weights_from_a_flat_image_our_richardson_lucy_is_theirs(response, frame, iterations):
-    psf = response[16:47, 16:47]
-    y = np.maximum(frame, 1e-4).astype(np.float32)
+def test_without_weights_from_a_flat_image_richardson_lucy_is_theirs(frame, iterations):
+    sensor = plan((SIDE, SIDE))
+    psf = stencil(sensor.kernel, sensor.array)[16:47, 16:47]
+    y = np.maximum(frame, 1e-4)
     x = np.full(y.shape, 0.5, np.float32)
 
     def forward(image):

@@ -5,11 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
-from tactiled.errors import PhysicsError
+from tactiled.cover.operator import matrix
 from tactiled.restore.auto import REVIEW, Auto
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.window import SIDE, Windowed, fits
+from tests.plans import plan
 
 SHAPE = (48, 52)
 SIGMA = 0.5
@@ -51,23 +52,6 @@ def error(image, truth):
     return np.linalg.norm(image - truth) / np.linalg.norm(truth)
 
 
-@pytest.mark.parametrize("refine", [1, 2])
-def test_a_cut_blur_is_the_whole_one_where_nothing_is_around(covered, refine):
-    whole = covered((12, 10), refine=refine)
-    part = whole.cut((7, 6))
-    image = np.random.default_rng(0).random(part.surface_shape)
-    embedded = np.zeros(whole.surface_shape)
-    embedded[2 * refine : 9 * refine, 3 * refine : 9 * refine] = image
-    np.testing.assert_allclose(part.forward(image), whole.forward(embedded)[2:9, 3:9], atol=1e-6)
-    assert part.cell_mm == whole.cell_mm
-
-
-@pytest.mark.parametrize("arguments", [{"shape": (6, 6), "layout": True}, {"shape": (6, 6)}])
-def test_what_cannot_be_cut_is_refused(covered, arguments):
-    with pytest.raises(PhysicsError, match=r"no \(7, 6\) taxels to cut out of"):
-        covered(**arguments).cut((7, 6))
-
-
 def test_windows_are_for_large_grids(covered):
     assert [fits(covered(shape)) for shape in ((48, 52), (32, 64), (32, 32), (24, 200))] == [
         True,
@@ -86,7 +70,7 @@ def test_in_a_window_a_contact_is_what_it_is_on_the_whole(sensed, both, place):
         mine, plain, windowed = both(sensed(truth))
         assert windowed.shown
         assert mine.method == plain.method == "nnls"
-        assert error(mine.image, truth) < 1.05 * error(plain.image, truth)
+        assert error(mine.image, truth) < 1.1 * error(plain.image, truth)
         assert np.sqrt(np.mean((mine.image - plain.image) ** 2)) < SIGMA
         assert mine.image.sum() == pytest.approx(truth.sum(), rel=0.02)
 
@@ -159,13 +143,18 @@ def test_an_empty_window_is_closed(sensed, both):
     assert not mine.image.any()
 
 
-def test_points_and_deviation_are_where_the_window_is(covered, sensed):
-    truth = np.zeros(SHAPE)
+def test_points_and_deviation_are_where_the_window_is():
+    sensor, truth, random = plan(SHAPE), np.zeros(SHAPE), np.random.default_rng(5)
     truth[31, 40] = 2000.0
-    restorer = make("auto", covered(SHAPE), SIGMA)
-    alone = restorer(sensed(truth)).image.copy()
+    clean = matrix(sensor.kernel, sensor.array, [(40.0, 31.0)], 0.02)[:, 0].reshape(SHAPE) * 2000 / 0.02**2
+
+    def sensed():
+        return (clean + random.normal(0, SIGMA, SHAPE)).astype(np.float32)
+
+    restorer = make("auto", sensor.blur, SIGMA)
+    alone = restorer(sensed()).image.copy()
     around = restorer.deviation()
-    done = restorer(sensed(truth))
+    done = restorer(sensed())
     assert done.method == "points"
     assert error(done.image, truth) < 0.1 + error(alone, truth)
     (point,) = restorer.points

@@ -9,22 +9,21 @@ from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Loss, RawFrame
 from tactiled.geometry import grid, layout, tiling
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import MatrixBlur
 from tactiled.runtime.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
 from tactiled.study.truth import presses
+from tests.plans import plan
 
 SHAPE = (6, 5)
 
 
 @pytest.fixture
 def make():
-    """Pipelines of a 6 x 5 array under a cover that does nothing but halve what neighbours differ by."""
-    stencil = np.zeros((11, 9))
-    stencil[5, 4], stencil[4, 4], stencil[6, 4], stencil[5, 3], stencil[5, 5] = 0.6, 0.1, 0.1, 0.1, 0.1
+    """Pipelines of a 6 x 5 array under a thin cover."""
 
     def pipeline(method="wiener", warnings=(), **calibration):
-        blur = Blur.grid(stencil, SHAPE, 1, 1.0)
-        return Pipeline("palm", grid(*SHAPE, 1.0), blur, Calibration(**calibration), method, warnings)
+        made = plan(SHAPE, 0.4)
+        return Pipeline("palm", made.array, made.blur, Calibration(**calibration), method, warnings)
 
     return pipeline
 
@@ -168,7 +167,7 @@ def test_forces_are_newtons_along_and_into_the_skin_from_what_a_tare_took(make):
 def test_forces_of_a_layout_are_of_the_surface_that_each_taxel_stands_for():
     row = layout(np.column_stack([np.arange(5) * 2.0, np.zeros(5)]))
     told = Calibration(kpa_per_count=1.0, no_load=0, noise_kpa=0.5, shear_n_per_count=1.0)
-    pipeline = Pipeline("row", row, Blur.matrix(np.eye(5), 2.0), told, "raw")
+    pipeline = Pipeline("row", row, MatrixBlur(np.eye(5), 2.0), told, "raw")
     even = RawFrame(0, 0.0, 0.0, np.full(5, 100, np.uint16), np.zeros(5, np.uint8), Loss(), np.zeros((2, 5)))
     pipeline.tare()
     for _ in range(TARE_FRAMES):

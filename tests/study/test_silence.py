@@ -120,12 +120,12 @@ def test_what_no_press_explains_is_not_lawful(faults, there):
 
 
 def test_a_layout_is_asked_like_a_grid():
-    from tactiled.restore.blur import Blur
+    from tactiled.restore.blur import MatrixBlur
 
     A = np.eye(40) + 0.3 * np.eye(40, k=1) + 0.3 * np.eye(40, k=-1)
     press = np.maximum(np.random.default_rng(1).normal(0, 10, 40), 0)
-    assert lawful(Blur.matrix(A), A @ press, 0.1)
-    assert not lawful(Blur.matrix(A), A @ press - 2, 0.1)
+    assert lawful(MatrixBlur(A), A @ press, 0.1)
+    assert not lawful(MatrixBlur(A), A @ press - 2, 0.1)
 
 
 def test_only_silent_images_of_auto_are_asked_whether_a_press_explains_them(monkeypatch):
