@@ -105,4 +105,4 @@ def _played(one: Player, rate_hz: float) -> Source:
 def simulated(config: Config, sensor: Sensor, scene: str) -> Player:
     """A scene under the cover as the exact solution has it, which is not the kernel that restores."""
     exact = solve(make_stack(next(iter(config.sensor.values()))), "layered")
-    return player(sensor.array, exact, sensor.codec, sensor.calibration, scene, NOISE_KPA)
+    return player(sensor.array, exact, sensor.codec, sensor.plan.calibration, scene, NOISE_KPA)

@@ -91,7 +91,7 @@ def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Me
 
 
 def _images(messages: Iterator[Message], router: Router, plan: SensorPlan) -> Iterator[Image]:
-    pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, plan.method, plan.warnings)
+    pipeline = Pipeline(plan)
     return (pipeline.process(frame) for name, frame in frames(messages, router) if name == plan.name)
 
 

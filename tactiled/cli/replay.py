@@ -52,7 +52,7 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
         for each in sensors.values():
             each.clock = "recording"
         codecs = {name: each.codec for name, each in sensors.items()}
-        return Replay(file, codecs, lambda name, frame: sensors[name].show(frame), speed, ended, stepped)
+        return Replay(file, codecs, lambda name, frame: sensors[name].restore(frame), speed, ended, stepped)
 
     service = Service(settings, listen, replayed=True)
     return service

@@ -13,7 +13,7 @@ LOOK_S = 0.05  # from one look to the next
 ASKED_S = 5.0  # that looking goes on after somebody has asked
 
 
-class Touch:
+class ContactTracking:
     """Looks for contacts when it is asked, and in between on a thread of its own, so that none moves on unseen."""
 
     def __init__(self, name: str, hub: Hub, array: Array, cells: Cells) -> None:

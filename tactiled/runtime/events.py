@@ -1,4 +1,4 @@
-"""What happened to the service, one line each, numbered, the last thousand of them; and what fails in it now."""
+"""The events of the service, numbered, and its present faults."""
 
 import logging
 import threading
@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 from typing import Literal
 
 from tactiled.frames import FrameWarning
+from tactiled.runtime.hub import Publisher
 
 Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
@@ -18,8 +18,8 @@ Kind = Literal[
     "tare_asked", "tare_done", "tare_lapsed", "recording_started", "recording_ended",
     "fault_raised", "fault_cleared", "replay_stepped",
 ]  # fmt: skip
-MOST = 1000
-CLEAR_S = 1.0  # without a fault or a warning until it counts as cleared: one that flickers is told once
+MAX_EVENTS_KEPT = 1000
+CLEAR_AFTER_S = 1.0  # without a fault or a warning: one that flickers makes one event
 LOG = logging.getLogger(__name__)
 
 
@@ -36,14 +36,13 @@ class Event:
     warning: FrameWarning | None = None  # that was raised or cleared
 
 
-class Events:
+class Events(Publisher[Event]):
     """The newest events; any thread may call it."""
 
-    def __init__(self, most: int = MOST, clock: Callable[[], float] = time.time) -> None:
-        self._lock = threading.Lock()
-        self._kept: deque[Event] = deque(maxlen=most)
-        self._ids, self._clock = count(1), clock
-        self._listeners: list[Callable[[], None]] = []
+    def __init__(self, max_kept: int = MAX_EVENTS_KEPT, clock: Callable[[], float] = time.time) -> None:
+        super().__init__()
+        self._events: deque[Event] = deque(maxlen=max_kept)
+        self._clock = clock
         self.newest = 0  # id
 
     def add(
@@ -54,34 +53,21 @@ class Events:
         bus: str | None = None,
         warning: FrameWarning | None = None,
     ) -> None:
-        """Note what happened, and wake who waits for it."""
+        """Note what happened, and call the listeners."""
         with self._lock:
-            event = Event(next(self._ids), self._clock(), kind, sensor, bus, text, warning)
-            self._kept.append(event)
+            event = Event(self.newest + 1, self._clock(), kind, sensor, bus, text, warning)
+            self._events.append(event)
             self.newest = event.id
-            listeners = tuple(self._listeners)
-        for listener in listeners:
-            listener()
+        self.publish(event)
 
     def after(self, last: int) -> tuple[Event, ...]:
         """Every event kept whose id is above `last`, oldest first."""
         with self._lock:
-            return tuple(event for event in self._kept if event.id > last)
-
-    def subscribe(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` after every event; it must return at once. Returns how to stop it."""
-        with self._lock:
-            self._listeners.append(listener)
-
-        def unsubscribe() -> None:
-            with self._lock:
-                self._listeners.remove(listener)
-
-        return unsubscribe
+            return tuple(event for event in self._events if event.id > last)
 
 
 class Faults:
-    """Which parts of the service fail, though they go on, and why; any thread may call it."""
+    """Parts of the service that fail and go on, and why; any thread may call it."""
 
     def __init__(self, events: Events, clock: Callable[[], float] = time.monotonic) -> None:
         self._events, self._clock = events, clock
@@ -96,33 +82,28 @@ class Faults:
 
     @contextmanager
     def turn(self, part: str, but: type[Exception] | tuple[type[Exception], ...] = ()) -> Iterator[None]:
-        """Do one turn of a part's work; if it fails that is told, in the log, too, and the next turn may come.
-
-        `but` is no fault, and passes.
-        """
+        """Do one turn of a part's work: an error becomes a fault, unless it is one of `but`, which passes."""
         try:
             yield
         except but:
             raise
         except Exception as error:
-            self._raise(part, f"{type(error).__name__}: {error}")
-
-    def _raise(self, part: str, why: str) -> None:
-        with self._lock:
-            known = part in self._now
-            self._now[part] = why, self._clock()
-            if not known:  # told under the lock, as what is cleared is: in the order in which it was
-                self._events.add("fault_raised", f"{part}: {why}")
-        if not known:
-            LOG.exception("%s failed, and goes on", part)
+            why = f"{type(error).__name__}: {error}"
+            with self._lock:  # an event of a fault is added under the lock, so that they are in order
+                is_new = part not in self._now
+                self._now[part] = why, self._clock()
+                if is_new:
+                    self._events.add("fault_raised", f"{part}: {why}")
+            if is_new:
+                LOG.exception("%s failed, and goes on", part)
 
     def clear(self) -> None:
-        """Tell of every part that has not failed for CLEAR_S, and forget it; its turns may have ended for good."""
+        """Clear every part that has not failed for CLEAR_AFTER_S; it may have no more turns."""
         if not self._now:  # nearly always: without the lock
             return
         with self._lock:
             now = self._clock()
-            for part, (why, failed) in list(self._now.items()):
-                if now - failed >= CLEAR_S:
+            for part, (why, failed_at) in list(self._now.items()):
+                if now - failed_at >= CLEAR_AFTER_S:
                     del self._now[part]
                     self._events.add("fault_cleared", f"{part}: {why}")

@@ -1,31 +1,28 @@
-"""The newest image of one sensor, and whoever wants to hear of the next."""
+"""The newest image of one sensor, and the listeners that wait for the next."""
 
 import threading
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from tactiled.frames import Image
 
+T = TypeVar("T")
 
-class Hub:
-    """Holds one image: newest wins, nothing queues. Any thread may call it."""
+
+class Publisher(Generic[T]):
+    """Calls every listener with each value, on the publisher's thread; any thread may subscribe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._newest: Image | None = None
-        self._listeners: tuple[Callable[[Image], None], ...] = ()
+        self._listeners: tuple[Callable[[T], None], ...] = ()
 
-    def latest(self) -> Image | None:
-        """Newest image, or None before the first."""
-        return self._newest
-
-    def publish(self, image: Image) -> None:
-        """Make `image` the newest and tell the listeners, on the caller's thread."""
-        self._newest = image
+    def publish(self, value: T) -> None:
+        """Call every listener with `value`."""
         for listener in self._listeners:
-            listener(image)
+            listener(value)
 
-    def subscribe(self, listener: Callable[[Image], None]) -> Callable[[], None]:
-        """Call `listener` with every image from now on; it must return at once. Returns how to stop it."""
+    def subscribe(self, listener: Callable[[T], None]) -> Callable[[], None]:
+        """Call `listener` with every value from now on; it must return at once. Returns how to stop it."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
 
@@ -34,3 +31,20 @@ class Hub:
                 self._listeners = tuple(each for each in self._listeners if each is not listener)
 
         return unsubscribe
+
+
+class Hub(Publisher[Image]):
+    """Holds one image: newest wins, nothing queues."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._newest: Image | None = None
+
+    def latest(self) -> Image | None:
+        """Newest image, or None before the first."""
+        return self._newest
+
+    def publish(self, image: Image) -> None:
+        """Make `image` the newest and call the listeners."""
+        self._newest = image
+        super().publish(image)

@@ -41,7 +41,7 @@ class Service:
         self._recall()
         self._listeners = [
             listen(
-                name, bus.settings(), {key: each for key, each in self.sensors.items() if each.bus_name == name}
+                name, bus.settings(), {key: each for key, each in self.sensors.items() if each.plan.bus == name}
             )
             for name, bus in config.bus.items()
         ]
@@ -65,7 +65,7 @@ class Service:
                 if self.state is None:
                     raise StateError("keep = true: this service keeps no state: `tactiled run` does")
                 self.state.keep(name, None if method == sensor.plan.method else method)
-            sensor.set_method(method)
+            sensor.pipeline.set_method(method)
             self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
 
     def tare(self, name: str, force: bool = False) -> None:
@@ -84,7 +84,7 @@ class Service:
             if sensor is None or method not in METHODS:
                 self.events.add("state_ignored", f"sensor {name}, method {method}: no longer there")
                 continue
-            sensor.set_method(method)
+            sensor.pipeline.set_method(method)
             self.events.add("method_kept", f"{method}, where the configuration says {sensor.plan.method}", name)
 
     def start(self) -> None:

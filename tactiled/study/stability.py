@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from tactiled.diagnostics.checks import FrameChecks
+from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.noise import estimate
-from tactiled.runtime.pipeline import LOUD
 from tactiled.study.faults import Case, Setting
 from tactiled.study.feasible import lawful
 from tactiled.study.restore import nrmse, richardson_lucy, wiener
@@ -119,7 +118,7 @@ def _warned(case: Case, image: Frames, ran: str) -> tuple[WarningCode, ...]:
     flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
     checks = FrameChecks(case.skin.blur, case.floor)
     said = checks.check(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
-    loud = case.still is not None and estimate(case.still) > LOUD * case.noise
+    loud = case.still is not None and estimate(case.still) > NOISE_RATIO * case.noise
     return (*said, NOISY) if loud else said
 
 

@@ -54,15 +54,15 @@ def sensor_state(sensor: Sensor) -> SensorState:
     status, image, shape = sensor.status(), sensor.hub.latest(), sensor.array.shape
     return SensorState(
         name=sensor.name,
-        bus=sensor.bus_name,
-        codec=sensor.codec_name,
+        bus=sensor.plan.bus,
+        codec=sensor.plan.codec_name,
         rows=shape[0] if shape else None,
         columns=shape[1] if shape else None,
         taxels=sensor.array.size,
         pitch_mm=sensor.array.pitch,
-        shear=sensor.shears,
+        shear=sensor.plan.shears,
         method=sensor.method,
-        methods=sensor.methods,
+        methods=tuple(METHODS),
         state=status.state,
         age_s=status.age_s,
         rate_hz=status.rate_hz,
@@ -102,7 +102,7 @@ def npy(values: NDArray[np.float32]) -> bytes:
 def values(sensor: Sensor, image: Image, kind: Shown) -> NDArray[np.float32]:
     """What is shown of an image, kPa."""
     if kind == "deviation":
-        return sensor.deviation(image)
+        return sensor.pipeline.deviation(image)
     return image.raw if kind == "raw" else image.restored
 
 
@@ -180,7 +180,7 @@ def stream_status(sensor: Sensor, image: Image | None, status: Status) -> Stream
 
 def kernel(sensor: Sensor) -> KernelForm:
     """A sensor's cover."""
-    solved, told = sensor.kernel, meaning(sensor.kernel, sensor.array)
+    solved, told = sensor.plan.kernel, meaning(sensor.plan.kernel, sensor.array)
     return KernelForm(
         model=solved.model,
         error_estimate=solved.error_estimate,
@@ -208,7 +208,7 @@ def geometry(sensor: Sensor) -> Geometry:
         aperture_mm=array.width,
         raw=ImageShape(rows=rows, columns=columns, cell_mm=array.pitch),
         restored=ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=cell_mm),
-        areas_mm2=None if array.shape else sensor.cells.areas.tolist(),
+        areas_mm2=None if array.shape else sensor.plan.cells.areas.tolist(),
     )
 
 
@@ -220,14 +220,14 @@ def method(service: Service, sensor: Sensor) -> Method:
 
 def calibration(sensor: Sensor) -> CalibrationForm:
     """A sensor's calibration as it is now."""
-    configured = sensor.calibration
+    configured = sensor.plan.calibration
     return CalibrationForm(
         calibrated=all(each.code != "uncalibrated" for each in sensor.plan.warnings),
         kpa_per_count=configured.kpa_per_count,
-        no_load=sensor.no_load.tolist(),
-        tared=sensor.tared,
+        no_load=sensor.pipeline.no_load.tolist(),
+        tared=sensor.pipeline.tared,
         saturation=configured.saturation,
-        noise_kpa=sensor.noise_kpa,
+        noise_kpa=sensor.pipeline.noise_kpa,
         dead=list(configured.dead),
         shear_n_per_count=configured.shear_n_per_count,
     )

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from threading import Event, Thread
 
 import numpy as np
@@ -91,7 +92,7 @@ def test_real_bytes_of_a_grasp_are_restored_from_the_bus_on(plan, wire, name, sl
     assert all(not frame.flags.any() and frame.loss.lost == 0 for frame in frames)
     np.testing.assert_array_equal(frames[place].counts, taxels(rows))
 
-    pipeline = Pipeline(plan.name, plan.array, plan.blur, plan.calibration, "wiener", plan.warnings)
+    pipeline = Pipeline(replace(plan, method="wiener"))
     image = pipeline.process(frames[place])
     np.testing.assert_array_equal(image.raw, 245.0 - taxels(rows))  # pressure counts = no load - value
     assert image.raw.shape == image.restored.shape == (60,)

@@ -1,17 +1,20 @@
 import threading
-from dataclasses import dataclass
-from types import SimpleNamespace
+from dataclasses import replace
 
 import pytest
 
-from tactiled.diagnostics.warning_codes import warning
-from tactiled.runtime.events import CLEAR_S, Events, Faults
-from tactiled.runtime.watch import Heard, Watch
+from tactiled.frames import MISSING
+from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults
+from tactiled.runtime.hub import Hub
+from tactiled.runtime.pipeline import TARE_FRAMES
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.watch import Watch
 from tests.conftest import until
+from tests.runtime.conftest import Timed, frame
 
 
-def test_events_are_numbered_and_the_oldest_fall_out():
-    events = Events(most=3, clock=lambda: 7.0)
+def test_events_are_numbered_and_the_oldest_are_dropped():
+    events = Events(max_kept=3, clock=lambda: 7.0)
     for n in range(5):
         events.add("method_set", f"m{n}", "palm")
     assert [(each.id, each.text) for each in events.after(0)] == [(3, "m2"), (4, "m3"), (5, "m4")]
@@ -20,7 +23,7 @@ def test_events_are_numbered_and_the_oldest_fall_out():
     assert (events.newest, events.after(0)[0].time) == (5, 7.0)
 
 
-def test_ids_are_each_given_once_whatever_the_threads():
+def test_event_ids_are_unique_across_threads():
     events = Events()
     threads = [
         threading.Thread(target=lambda: [events.add("tare_asked", "") for _ in range(100)]) for _ in range(4)
@@ -32,118 +35,106 @@ def test_ids_are_each_given_once_whatever_the_threads():
     assert [each.id for each in events.after(0)] == list(range(1, 401))
 
 
-def test_who_waits_is_woken_until_it_stops():
-    events, woken = Events(), []
-    stop = events.subscribe(lambda: woken.append(events.newest))
-    events.add("bus_up", "")
+def test_hub_keeps_the_newest_and_calls_listeners_until_they_unsubscribe():
+    hub, first, second = Hub(), [], []
+    assert hub.latest() is None
+    stop = hub.subscribe(first.append)
+    hub.subscribe(second.append)
+    hub.publish("one")
     stop()
-    events.add("bus_up", "")
-    assert woken == [1]
+    stop()
+    hub.publish("two")
+    assert (hub.latest(), first, second) == ("two", ["one"], ["one", "two"])
 
 
-@dataclass
-class Sensor:
-    name: str
-    bus_name: str = "can0"
-    down: str | None = None
-    tared: int = 0
-    lapsed: int = 0
-    state: str = "silent"
-    detail: str = ""
-    taring: bool = False
+class Watched(Timed):
+    """The palm and the thumb on one bus, and the watch over both."""
 
-    def __post_init__(self):
-        self.heard = Heard()
+    def __init__(self, plan):
+        super().__init__(plan)
+        self.events = Events()
+        self.thumb = Sensor(replace(plan, name="thumb"), lambda: self.now)
+        self.watch = Watch([self.sensor, self.thumb], self.events, Faults(self.events))
 
-    def status(self):
-        return SimpleNamespace(state=self.state, detail=self.detail)
+    def look(self):
+        """New events."""
+        last = self.events.newest
+        self.watch.look(self.now)
+        return [(each.kind, each.sensor or each.bus, each.text) for each in self.events.after(last)]
 
-    def lapse(self):
-        self.lapsed += self.taring and self.state != "live"
-
-    def warn(self, code, taxels):
-        self.heard.add(SimpleNamespace(warnings=(warning(code, taxels),)))
+    def kinds(self):
+        return [kind for kind, *_ in self.look()]
 
 
 @pytest.fixture
-def palm():
-    return Sensor("palm")
+def watched(plan):
+    return Watched(replace(plan, method="raw"))
 
 
-@pytest.fixture
-def told(palm):
-    """Look, and give what is new."""
-    events = Events()
-    watch = Watch([palm, Sensor("thumb")], events, Faults(events))
-
-    def look(now=0.0):
-        last = events.newest
-        watch.look(now)
-        return [(each.kind, each.sensor or each.bus, each.text) for each in events.after(last)]
-
-    return look
-
-
-def test_a_change_of_state_is_told_once(palm, told):
-    assert told() == []
-    palm.state = "live"
-    assert told() == [("sensor_live", "palm", "frames come")]
-    assert told() == []
-    palm.state, palm.detail = "stale", "no frame for 0.6 s"
-    assert told() == [("sensor_stale", "palm", "no frame for 0.6 s")]
-    palm.detail = "no frame for 0.7 s"
-    assert told() == []
+def test_changes_of_sensor_and_bus_are_one_event_each(watched):
+    assert watched.look() == []
+    watched.sensor.restore(frame())
+    assert watched.look() == [("sensor_live", "palm", "frames come")]
+    assert watched.look() == []
+    watched.now += 0.6
+    assert watched.look() == [("sensor_stale", "palm", "no frame for 0.6 s")]
+    watched.now += 0.1
+    assert watched.look() == []
+    watched.sensor.down = "unplugged"
+    assert watched.look() == [("bus_down", "can0", "unplugged"), ("sensor_down", "palm", "unplugged")]
+    assert watched.look() == []
+    watched.sensor.down = None
+    watched.sensor.restore(frame(1))
+    assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
 
 
-def test_a_bus_that_goes_and_comes_is_told_once_for_all_its_sensors(palm, told):
-    palm.down, palm.state, palm.detail = "unplugged", "down", "unplugged"
-    assert told() == [("bus_down", "can0", "unplugged"), ("sensor_down", "palm", "unplugged")]
-    assert told() == []
-    palm.down, palm.state, palm.detail = None, "live", ""
-    assert told() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
+def test_a_tare_is_an_event_when_it_is_done_and_when_frames_stop(watched):
+    watched.sensor.restore(frame())
+    watched.look()
+    watched.sensor.tare(force=True)
+    for n in range(TARE_FRAMES):
+        watched.sensor.restore(frame(n))
+    assert watched.kinds() == ["tare_done"]
+    watched.sensor.tare(force=True)
+    assert watched.kinds() == []
+    watched.now += 1.0
+    assert watched.kinds() == ["sensor_stale", "tare_lapsed"]
+    assert watched.kinds() == []
 
 
-def test_a_tare_that_is_done(palm, told):
-    palm.tared = 1
-    assert [kind for kind, *_ in told()] == ["tare_done"]
-    assert told() == []
+def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
+    watched = Watched(replace(plan, method="raw", stale_after_s=5 * CLEAR_AFTER_S))
+    start = watched.now
+
+    def events_at(seconds, *missing):
+        watched.now = start + seconds
+        for taxels in missing:
+            watched.sensor.restore(frame(flags=[MISSING] * taxels + [0] * (64 - taxels)))
+        last = watched.events.newest
+        watched.look()
+        return [(each.kind, each.warning and each.warning.taxels) for each in watched.events.after(last)]
+
+    assert events_at(0.0, 2, 3) == [("sensor_live", None), ("warning_raised", 3)]
+    assert events_at(0.9 * CLEAR_AFTER_S, 4) == []
+    assert events_at(1.8 * CLEAR_AFTER_S) == []
+    assert events_at(2.0 * CLEAR_AFTER_S) == [("warning_cleared", 4)]
+    raised, cleared = (each for each in watched.events.after(0) if each.warning)
+    assert (raised.text, cleared.warning.code) == (raised.warning.text, "missing")
+    assert events_at(3.0 * CLEAR_AFTER_S, 5) == [("warning_raised", 5)]
+    assert events_at(9.0 * CLEAR_AFTER_S) == [("sensor_stale", None)]  # silence clears nothing
 
 
-def test_a_tare_lapses_when_the_sensor_is_no_longer_live(palm, told):
-    palm.state, palm.taring = "live", True
-    assert [kind for kind, *_ in told()] == ["sensor_live"]
-    palm.state = "stale"
-    assert [kind for kind, *_ in told()] == ["sensor_stale", "tare_lapsed"]
-    palm.taring = False
-    assert told() == []
-
-
-def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(palm, told):
-    palm.state = "live"
-    told()
-    palm.warn("dead", 2)
-    palm.warn("dead", 3)
-    assert told(0.0) == [("warning_raised", "palm", warning("dead", 3).text)]
-    palm.warn("dead", 4)
-    assert told(0.9 * CLEAR_S) == []
-    assert told(1.8 * CLEAR_S) == []
-    assert told(2.0 * CLEAR_S) == [("warning_cleared", "palm", warning("dead", 4).text)]
-    palm.warn("dead", 5)
-    assert [kind for kind, *_ in told(3 * CLEAR_S)] == ["warning_raised"]
-    palm.state = "stale"
-    assert [kind for kind, *_ in told(9 * CLEAR_S)] == ["sensor_stale"]  # silence clears nothing
-
-
-def test_a_fault_is_told_once_and_cleared_when_it_is_gone_for_a_while(caplog):
+def test_a_fault_is_one_event_and_the_watch_clears_it_after_a_while(caplog):
     now, events = [0.0], Events()
     faults = Faults(events, lambda: now[0])
+    watch = Watch([], events, faults)
 
     def turn(error=None):
         last = events.newest
         with faults.turn("part"):
             if error:
                 raise error
-        faults.clear()
+        watch.look(now[0])
         return [(each.kind, each.text) for each in events.after(last)]
 
     assert turn() == []
@@ -151,35 +142,22 @@ def test_a_fault_is_told_once_and_cleared_when_it_is_gone_for_a_while(caplog):
     assert turn(KeyError("b")) == turn() == []  # it flickers
     assert faults.now == {"part": "KeyError: 'b'"}
     assert [each.exc_info[0] for each in caplog.records] == [KeyError]
-    now[0] += CLEAR_S
+    now[0] = 0.9 * CLEAR_AFTER_S
+    assert turn() == []
+    now[0] = CLEAR_AFTER_S
     assert turn() == [("fault_cleared", "part: KeyError: 'b'")]
     assert faults.now == {}
     assert turn(KeyError("a")) == [("fault_raised", "part: KeyError: 'a'")]
 
 
-def test_a_fault_of_a_part_that_has_no_more_turns_is_cleared_by_the_watch():
-    now, events = [0.0], Events()
-    faults = Faults(events, lambda: now[0])
-    watch = Watch([], events, faults)
-    with faults.turn("part"):
-        raise KeyError("a")
-    for now[0] in (0.0, 0.9 * CLEAR_S, CLEAR_S, 2 * CLEAR_S):
-        watch.look(now[0])
-        assert bool(faults.now) == (now[0] < CLEAR_S)
-    assert [each.kind for each in events.after(0)] == ["fault_raised", "fault_cleared"]
-
-
-def test_a_sensor_that_cannot_be_looked_at_is_told_and_the_others_are_watched_on(palm, caplog):
-    events, thumb = Events(), Sensor("thumb")
-    faults = Faults(events)
-    watch = Watch([palm, thumb], events, faults)
-    palm.status = lambda: 1 / 0
-    watch.start()
-    until(lambda: faults.now)
-    thumb.state = "live"
-    until(lambda: events.newest == 2)
-    watch.stop()
-    assert [(each.kind, each.text) for each in events.after(0)] == [
+def test_a_sensor_that_cannot_be_looked_at_is_a_fault_and_the_others_are_watched_on(watched, monkeypatch, caplog):
+    monkeypatch.setattr(watched.sensor, "status", lambda: 1 / 0)
+    watched.watch.start()
+    until(lambda: watched.events.newest == 1)
+    watched.thumb.restore(frame())
+    until(lambda: watched.events.newest == 2)
+    watched.watch.stop()
+    assert [(each.kind, each.text) for each in watched.events.after(0)] == [
         ("fault_raised", "watch of palm: ZeroDivisionError: division by zero"),
         ("sensor_live", "frames come"),
     ]

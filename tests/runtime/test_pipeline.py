@@ -4,84 +4,77 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.calibrate.calibration import Calibration
+from tactiled.build import sensor_plan
+from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Loss, RawFrame
-from tactiled.geometry import grid, layout, tiling
-from tactiled.restore.blur import MatrixBlur
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning
+from tactiled.geometry import tiling
 from tactiled.runtime.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
-from tactiled.study.truth import presses
-from tests.plans import plan
+from tactiled.simulate.array import Surface
+from tests.conftest import CONFIG, GAIN, NO_LOAD, SIDE, pressed
+from tests.runtime.conftest import frame
 
-SHAPE = (6, 5)
+SHAPE = SIDE, SIDE
+UNLOADED = np.full(SHAPE, NO_LOAD)
 
 
 @pytest.fixture
-def make():
-    """Pipelines of a 6 x 5 array under a thin cover."""
+def make(plan):
+    """Pipelines of the palm with another method or calibration."""
 
-    def pipeline(method="wiener", warnings=(), **calibration):
-        made = plan(SHAPE, 0.4)
-        return Pipeline("palm", made.array, made.blur, Calibration(**calibration), method, warnings)
+    def make(method="raw", warnings=(), **calibration):
+        calibration = replace(plan.calibration, **calibration)
+        return Pipeline(replace(plan, method=method, warnings=warnings, calibration=calibration))
 
-    return pipeline
-
-
-def frame(counts, sequence=0, flags=None):
-    counts = np.asarray(counts, np.uint16).ravel()
-    flags = np.zeros(counts.size, np.uint8) if flags is None else np.asarray(flags, np.uint8).ravel()
-    return RawFrame(sequence, 12.5, 0.001, counts, flags, Loss(lost=3))
+    return make
 
 
-def codes(image):
-    return [each.code for each in image.warnings]
+def flags_of(by_taxel):
+    flags = np.zeros(SHAPE)
+    for taxel, flag in by_taxel.items():
+        flags[taxel] = flag
+    return flags
 
 
-def pressed(background=100):
-    counts = np.full(SHAPE, background)
-    counts[2:4, 2:4] += 400
-    return counts
+def tare(pipeline, *frames):
+    pipeline.tare()
+    for n in range(TARE_FRAMES):
+        image = pipeline.process(frames[n % len(frames)])
+    return image
 
 
-def test_an_image_says_where_it_comes_from(make):
-    image = make("wiener", (warning("uncalibrated"),), no_load=100, kpa_per_count=0.5, noise_kpa=0.5).process(
-        frame(pressed(), 7)
-    )
+def test_an_image_has_what_is_known_of_its_frame_and_keeps_it(make):
+    pipeline = make("wiener", (warning("uncalibrated"),))
+    image = pipeline.process(frame(7))
+    restored = image.restored.copy()
     assert (image.sensor, image.sequence, image.time, image.loss.lost) == ("palm", 7, 12.5, 3)
-    assert (image.method, image.noise_kpa, codes(image)) == ("wiener", 0.5, ["uncalibrated"])
+    assert (image.method, image.noise_kpa, image.warnings[0].code) == ("wiener", 0.5, "uncalibrated")
     assert image.raw.shape == image.restored.shape == SHAPE
-    assert image.raw[2, 2] == 200
-    assert image.restored[2, 2] > image.raw[2, 2]
+    assert image.raw[3, 3] == 200
+    assert image.restored[3, 3] > image.raw[3, 3]
     assert image.microseconds > 0
     assert image.why
+    pipeline.process(frame(8, UNLOADED))
+    np.testing.assert_array_equal(image.restored, restored)
 
 
-def test_images_do_not_change_when_the_next_frame_comes(make):
-    pipeline = make(no_load=100, noise_kpa=0.5)
-    first = pipeline.process(frame(pressed()))
-    kept = first.restored.copy()
-    pipeline.process(frame(np.full(SHAPE, 100)))
-    np.testing.assert_array_equal(first.restored, kept)
-
-
-def test_the_deviation_is_of_the_method_that_made_the_image():
-    press = next(each for each in presses(12, (1.0,), (0.002,), 1, seed=4) if each.scene == "points")
-    scale = 60_000 / press.frame.max()
-    told = Calibration(kpa_per_count=1 / scale, no_load=2000, noise_kpa=press.sigma)
-    pipeline = Pipeline("palm", grid(12, 12, 1.0), press.blur, told, "points")
-    image = pipeline.process(frame(2000 + scale * press.frame.clip(-2000 / scale)))
+def test_the_deviation_is_of_the_method_that_made_the_image(make, plan):
+    surface = Surface(plan.kernel, plan.array)
+    point = 20_000.0 * (np.hypot(surface.x - 0.375, surface.y - 0.125) < 0.1)  # kPa, on one cell
+    pipeline = make("points")
+    image = pipeline.process(frame(counts=np.round(NO_LOAD + surface.sense(point) / GAIN)))
     assert image.method == "points"
-    known = pipeline.deviation(image)
-    pipeline.set_method("wiener")  # which makes the next image, not this one
-    np.testing.assert_array_equal(pipeline.deviation(image), known)
+    deviation = pipeline.deviation(image)
+    pipeline.set_method("wiener")  # of the next image, not of this one
+    np.testing.assert_array_equal(pipeline.deviation(image), deviation)
 
 
-def test_a_method_takes_effect_with_the_next_frame_and_a_wrong_one_changes_nothing(make):
-    pipeline = make("wiener", no_load=100, noise_kpa=0.5)
-    assert pipeline.process(frame(pressed())).method == "wiener"
+def test_a_method_takes_effect_with_the_next_frame_and_an_unknown_one_changes_nothing(make):
+    pipeline = make("wiener")
+    assert pipeline.process(frame()).method == "wiener"
     pipeline.set_method("raw")
-    image = pipeline.process(frame(pressed()))
+    image = pipeline.process(frame())
     assert image.method == "raw"
     np.testing.assert_array_equal(image.restored, image.raw)
     with pytest.raises(ConfigError, match="method = 'sharpen': no such method: choose one of "):
@@ -90,94 +83,91 @@ def test_a_method_takes_effect_with_the_next_frame_and_a_wrong_one_changes_nothi
 
 
 @pytest.mark.parametrize("method", ["raw", "wiener", "auto"])
-def test_a_taxel_that_is_not_known_is_null_in_raw_inferred_in_restored_and_told(make, method):
-    flags = np.zeros(SHAPE)
-    flags[2, 2], flags[0, 0] = MISSING, BAD
-    image = make(method, no_load=100, noise_kpa=0.5, dead=(29,)).process(frame(pressed(), flags=flags))
-    assert np.isnan(image.raw[[2, 0, 5], [2, 0, 4]]).all()
+def test_a_taxel_without_data_is_nan_in_raw_inferred_in_restored_and_has_a_warning(make, method):
+    flags = flags_of({(3, 3): MISSING, (0, 0): BAD})
+    image = make(method, dead=(63,)).process(frame(flags=flags))
+    assert np.isnan(image.raw[[3, 0, 7], [3, 0, 7]]).all()
     assert np.isfinite(image.restored).all()
-    assert image.restored[2, 2] > 50
-    assert image.flags[5, 4] == DEAD
+    assert image.restored[3, 3] > 50
+    assert image.flags[7, 7] == DEAD
     assert [(each.code, each.taxels) for each in image.warnings] == [("missing", 1), ("bad", 1), ("dead", 1)]
     assert image.warnings[2].text == "1 taxel dead: restored from its neighbours"
 
 
-def test_saturation_is_told(make):
-    image = make(no_load=100, saturation=500, noise_kpa=0.5).process(frame(pressed()))
+def test_saturated_taxels_have_a_warning(make):
+    image = make(saturation=500).process(frame())
     assert np.count_nonzero(image.flags & SATURATED) == 4
-    assert image.warnings == (FrameWarning("saturated", "4 taxels saturated: their pressure is a lower bound", 4),)
+    text = "4 taxels saturated: their pressure is a lower bound"
+    assert image.warnings == (FrameWarning("saturated", text, 4),)
 
 
-def test_an_unknown_noise_is_measured_from_the_first_frames(make):
+@pytest.mark.parametrize("configured", [None, 0.5])
+def test_noise_is_measured_and_louder_than_configured_is_a_warning(make, configured):
     random = np.random.default_rng(3)
-    pipeline = make(no_load=100)
-    images = [
-        pipeline.process(frame(np.round(pressed() + random.normal(0, 4, SHAPE)), n))
-        for n in range(NOISE_FRAMES + 1)
-    ]
-    assert images[0].noise_kpa == pytest.approx(12**-0.5)
-    assert images[-1].noise_kpa == pytest.approx(4, rel=0.15)
+    pipeline = make(noise_kpa=configured)
+    noisy = (np.round(pressed() + random.normal(0, 8, SHAPE)) for _ in range(NOISE_FRAMES + 1))
+    images = [pipeline.process(frame(n, counts)) for n, counts in enumerate(noisy)]
+    if configured is None:
+        assert images[0].noise_kpa == pytest.approx(GAIN * 12**-0.5)
+        assert images[-1].noise_kpa == pytest.approx(8 * GAIN, rel=0.15)
+        return
+    assert images[-1].noise_kpa == configured
+    assert "noise_high" not in [each.code for each in images[-3].warnings]
+    raised = images[-1].warnings[0]
+    assert raised.code == "noise_high"
+    assert re.fullmatch(r"noise is [3-5](\.\d)? kPa, and 0.5 kPa was configured", raised.text)
 
 
 def test_tare_takes_the_mean_of_the_next_frames(make):
-    pipeline = make("raw", no_load=100, noise_kpa=0.5)
-    pipeline.tare()
-    tilted = np.arange(30).reshape(SHAPE) + 140
-    flags = np.zeros(SHAPE)
-    flags[0, 0] = MISSING
-    for n in range(TARE_FRAMES):
-        image = pipeline.process(frame(tilted + n % 2, n, flags if n % 2 else None))
-    np.testing.assert_array_equal(image.raw[1:], 0.5)  # the last frame stands half a count over the mean
-    assert pipeline.process(frame(tilted)).raw[0, 0] == 0
+    pipeline = make()
+    tilted = np.arange(64).reshape(SHAPE) + 140
+    without_first = flags_of({(0, 0): MISSING})
+    image = tare(pipeline, frame(counts=tilted), frame(counts=tilted + 1, flags=without_first))
+    np.testing.assert_array_equal(image.raw[1:], 0.5 * GAIN)  # the last frame is half a count over the mean
+    assert pipeline.process(frame(counts=tilted)).raw[0, 0] == 0
 
 
-def test_a_tare_that_has_lapsed_takes_no_frame_and_the_next_begins_anew(make):
-    pipeline = make("raw", no_load=100, noise_kpa=0.5)
+def test_a_tare_that_has_lapsed_takes_no_frame_and_the_next_starts_over(make):
+    pipeline = make()
     pipeline.tare()
     for _ in range(TARE_FRAMES - 1):
-        pipeline.process(frame(np.full(SHAPE, 900)))
-    pipeline.lapse()
-    pipeline.lapse()  # of none
-    assert pipeline.process(frame(pressed())).raw[2, 2] == 400
-    pipeline.tare()
-    for _ in range(TARE_FRAMES):
-        pipeline.process(frame(pressed()))
-    assert pipeline.process(frame(pressed())).raw[2, 2] == 0
+        pipeline.process(frame(counts=9 * UNLOADED))
+    pipeline.lapse_tare()
+    pipeline.lapse_tare()  # of none
+    assert pipeline.process(frame()).raw[3, 3] == 200
+    tare(pipeline, frame())
+    assert pipeline.process(frame()).raw[3, 3] == 0
     assert (pipeline.tared, pipeline.lapsed) == (1, 1)
 
 
 def sheared(counts, x, y, flags=None):
-    plain = frame(counts, flags=flags)
-    return replace(plain, shear=np.stack([np.full(30, x), np.full(30, y)]).astype(np.float32))
+    return frame(counts=counts, flags=flags, shear=np.stack([np.full(64, x), np.full(64, y)]).astype(np.float32))
 
 
-def test_forces_are_newtons_along_and_into_the_skin_from_what_a_tare_took(make):
-    pipeline = make("raw", kpa_per_count=0.5, no_load=7, noise_kpa=0.5, shear_n_per_count=-0.01)
-    rest, load = sheared(np.full(SHAPE, 100), 50, -30), sheared(pressed(), 60, 70)
+def test_forces_are_newtons_along_and_into_the_skin_above_those_of_the_tare(make):
+    pipeline = make(no_load=7, shear_n_per_count=-0.01)
+    load = sheared(pressed(), 60, 70)
     assert pipeline.forces(load) is None  # not tared
-    pipeline.tare()
-    for _ in range(TARE_FRAMES):
-        pipeline.process(rest)
+    tare(pipeline, sheared(UNLOADED, 50, -30))
     forces = pipeline.forces(load)
-    np.testing.assert_allclose(forces[:, :2], np.broadcast_to([-0.1, -1.0], (30, 2)), rtol=1e-6)
-    into = (pressed() - 100) * 0.5 * 1.0**2 * 1e-3  # kPa mm^2 are mN
+    np.testing.assert_allclose(forces[:, :2], np.broadcast_to([-0.1, -1.0], (64, 2)), rtol=1e-6)
+    into = (pressed() - NO_LOAD) * GAIN * 1.0**2 * 1e-3  # kPa mm^2 are mN
     np.testing.assert_allclose(forces[:, 2].reshape(SHAPE), into, rtol=1e-6)
 
 
 def test_forces_of_a_layout_are_of_the_surface_that_each_taxel_stands_for():
-    row = layout(np.column_stack([np.arange(5) * 2.0, np.zeros(5)]))
-    told = Calibration(kpa_per_count=1.0, no_load=0, noise_kpa=0.5, shear_n_per_count=1.0)
-    pipeline = Pipeline("row", row, MatrixBlur(np.eye(5), 2.0), told, "raw")
-    even = RawFrame(0, 0.0, 0.0, np.full(5, 100, np.uint16), np.zeros(5, np.uint8), Loss(), np.zeros((2, 5)))
-    pipeline.tare()
-    for _ in range(TARE_FRAMES):
-        pipeline.process(even)
+    row = [[2.0 * n, 0.0] for n in range(5)]
+    text = CONFIG.replace("rows = 8, columns = 8, pitch_mm = 1.0", f"positions_mm = {row}")
+    plan = sensor_plan("row", parse(text.format(channel="none")).sensor["palm"])
+    pipeline = Pipeline(replace(plan, calibration=replace(plan.calibration, shear_n_per_count=1.0)))
+    even = frame(counts=np.full(5, 100), flags=np.zeros(5), shear=np.zeros((2, 5)))
+    tare(pipeline, even)
     forces = pipeline.forces(replace(even, counts=np.full(5, 300, np.uint16)))
-    np.testing.assert_allclose(forces[:, 2], 200 * tiling(row).areas * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(forces[:, 2], 200 * GAIN * tiling(plan.array).areas * 1e-3, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("settings", "flags", "after"),
+    ("settings", "flag", "known_without"),
     [
         ({"shear_n_per_count": 0.1}, MISSING, True),
         ({"shear_n_per_count": 0.1}, BAD, True),
@@ -185,27 +175,9 @@ def test_forces_of_a_layout_are_of_the_surface_that_each_taxel_stands_for():
         ({}, 0, False),
     ],
 )
-def test_no_force_is_told_where_one_is_not_known(make, settings, flags, after):
-    pipeline = make("raw", no_load=100, noise_kpa=0.5, **settings)
-    pipeline.tare()
-    for _ in range(TARE_FRAMES):
-        pipeline.process(sheared(np.full(SHAPE, 100), 0, 0))
-    faults = np.zeros(SHAPE)
-    faults[2, 2] = flags
-    assert pipeline.forces(sheared(pressed(), 1, 1, faults)) is None
-    assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == after
-
-
-def test_a_skin_without_shear_has_no_forces(make):
-    assert make("raw", no_load=100, shear_n_per_count=0.1).forces(frame(pressed())) is None
-
-
-def test_noise_that_is_louder_than_told_is_told(make):
-    random = np.random.default_rng(3)
-    pipeline = make("raw", no_load=100, noise_kpa=0.5)
-    for n in range(NOISE_FRAMES + 1):
-        image = pipeline.process(frame(np.round(pressed() + random.normal(0, 4, SHAPE)), n))
-    assert image.noise_kpa == 0.5
-    raised = image.warnings[0]
-    assert raised.code == "noise_high"
-    assert re.fullmatch(r"noise is [3-5](\.\d)? kPa, and 0.5 kPa was configured", raised.text)
+def test_forces_are_none_unless_all_are_known(make, settings, flag, known_without):
+    pipeline = make(**settings)
+    tare(pipeline, sheared(UNLOADED, 0, 0))
+    assert pipeline.forces(sheared(pressed(), 1, 1, flags_of({(2, 2): flag}))) is None
+    assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == known_without
+    assert pipeline.forces(frame()) is None  # without shear

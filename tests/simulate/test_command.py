@@ -192,5 +192,5 @@ def test_the_demo_with_shear_shows_a_skin_that_feels_it():
     with running(service, config, lambda sender, stop: play(source.messages, sender.send, 100.0, stop)):
         until(lambda: (image := sensor.hub.latest()) and image.sequence > 20, 20)
     image = sensor.hub.latest()
-    assert (sensor.name, sensor.shears, image.shear.shape) == ("skin", True, (2, 4, 6))
+    assert (sensor.name, sensor.plan.shears, image.shear.shape) == ("skin", True, (2, 4, 6))
     assert np.abs(image.shear).max() > 100

@@ -80,7 +80,7 @@ def show(service, until):
     def shown(name, count, sequence=0):
         sensor = service.sensor(name)
         before = sensor.hub.latest()
-        bus = open_bus(interface="socketcan", channel={"own": ADAPTER, "other": "vcan0"}[sensor.bus_name])
+        bus = open_bus(interface="socketcan", channel={"own": ADAPTER, "other": "vcan0"}[sensor.plan.bus])
         for message in sensor.codec.encode(np.full(16, count, np.uint16), sequence, time.time()):
             bus.send(message)
         bus.close()

@@ -172,7 +172,7 @@ def main(seconds: float, apart: bool) -> None:
         os.sched_setaffinity(0, cores[:1])
     service, stop = Service(parse(CONFIG, "measure")), Event()
     sensor, end = service.sensor("palm"), open_bus(interface="virtual", channel="measure")
-    one = player(sensor.array, sensor.kernel, sensor.codec, sensor.calibration, "fingertip", 0.2)
+    one = player(sensor.array, sensor.plan.kernel, sensor.codec, sensor.plan.calibration, "fingertip", 0.2)
     made = [one.messages(sequence, sequence / RATE_HZ, 0.0) for sequence in range(FRAMES)]
     sender = Thread(
         target=play, args=(lambda sequence, *_: made[sequence % FRAMES], end.send, RATE_HZ, stop), daemon=True

@@ -33,7 +33,7 @@ def test_a_frame_shown_still_is_told_with_its_own_method_and_reason_or_with_none
     } | {"idle": "idle"}
     images = {}
     for method, drop in 3 * [("raw", ()), ("nnls", (0,)), ("wiener", ()), ("auto", ())]:
-        rig.sensor.set_method(method)
+        rig.sensor.pipeline.set_method(method)
         before = painted(page)
         rig.send(pressed(), drop=drop)
         wait(page, f"{PAINTINGS} > {before}")

@@ -167,7 +167,7 @@ def test_a_tare_under_load_that_is_cancelled_takes_nothing(rig, url, open_page, 
     wait(page, "!document.querySelector('dialog[open]')")
     for _ in range(20):
         image = rig.show(pressed(2))
-    assert (rig.sensor.tared, abs(image.raw).max()) == (0, 200)
+    assert (rig.sensor.pipeline.tared, abs(image.raw).max()) == (0, 200)
     assert page.locator("#notice").is_hidden()
     page.faults.clear()  # the browser itself reports every refusal
 

@@ -85,7 +85,7 @@ def sent(payloads):
 @pytest.mark.parametrize("canvas", [SINGLE, WALL], ids=["single", "wall"])
 def test_what_waited_while_the_page_stood_still_is_not_painted(pair, open_page, canvas, still):
     rig, url = pair
-    rig.sensor.set_method("raw")
+    rig.sensor.pipeline.set_method("raw")
     stop, payloads = threading.Event(), []
     sender = play(rig, stop)
     try:
@@ -139,7 +139,7 @@ SLOW = """selector => {
 @pytest.mark.parametrize("canvas", [SINGLE, WALL], ids=["single", "wall"])
 def test_a_page_that_is_slow_at_painting_goes_on_painting(pair, open_page, canvas):
     rig, url = pair
-    rig.sensor.set_method("raw")
+    rig.sensor.pipeline.set_method("raw")
     stop = threading.Event()
     page = open_page(url if canvas == SINGLE else f"{url}/#/wall", ready=f"!!document.querySelector('{canvas}')")
     sender = play(rig, stop)

@@ -46,7 +46,7 @@ def test_the_wall_shows_every_sensor_with_its_force_and_a_click_opens_it(pair, o
     assert palm.startswith("palm")
     assert thumb.startswith("thumb")
     assert force(palm) == pytest.approx(image.restored.sum() * 1e-3, abs=0.006)  # cells of 1 mm2
-    areas = rig.service.sensor("thumb").cells.areas
+    areas = rig.service.sensor("thumb").plan.cells.areas
     assert force(thumb) == pytest.approx((other.restored * areas).sum() * 1e-3, abs=0.006)
     colors = page.evaluate(
         "[...document.querySelector('.tile canvas').getContext('2d').getImageData(0, 0, 8, 8).data]"

@@ -88,7 +88,7 @@ async def events(
 async def _next(kept: Events, after: int, wait: float) -> None:
     """Wait for an event after `after`, at most `wait` s."""
     loop, come = asyncio.get_running_loop(), asyncio.Event()
-    stop = kept.subscribe(lambda: _wake(loop, come))
+    stop = kept.subscribe(lambda _: _wake(loop, come))
     try:
         if kept.newest == after:
             async with asyncio.timeout(wait):

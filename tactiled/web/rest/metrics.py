@@ -56,7 +56,7 @@ def _families(told: list[tuple[Sensor, Status]]) -> Iterator[Iterator[str]]:
         for kind, count in asdict(status.loss).items()
     ]
     yield _family("loss_total", "counter", "losses on the way in, by kind", lost)
-    buses = {sensor.bus_name: status.errors for sensor, status in told}
+    buses = {sensor.plan.bus: status.errors for sensor, status in told}
     errors = [({"bus": bus, "kind": kind}, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
     yield _family("error_frames_total", "counter", "error frames of the bus, by kind", errors)
 

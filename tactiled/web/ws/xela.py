@@ -153,7 +153,7 @@ class _Skin:
     def _module(self, frame: RawFrame) -> Module:
         """Counts as they came, X, Y and Z of a taxel after another's, and its forces where known."""
         counts = np.vstack([np.asarray(frame.shear) + REST, frame.counts]).T.astype(int)
-        forces = self.feed.sensor.forces(frame)
+        forces = self.feed.sensor.pipeline.forces(frame)
         size = len(counts)
         return Module(
             sensor=self.key,

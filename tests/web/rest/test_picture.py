@@ -31,7 +31,7 @@ def test_noise_alone_is_dark_and_what_presses_fills_the_scale(rig):
     strong = rig.show(pressed())
     assert scale(picture.draw(rig.sensor, strong, "raw", None)) == (0, 200)
     assert scale(picture.draw(rig.sensor, strong, "restored", None)) == (0, strong.restored.max())
-    known = rig.sensor.deviation(strong)
+    known = rig.sensor.pipeline.deviation(strong)
     assert scale(picture.draw(rig.sensor, strong, "deviation", None)) == (0, known.max())
 
 

@@ -204,7 +204,7 @@ def test_a_tare_is_refused_under_a_load_unless_it_is_forced(rig, client):
     assert problem(client.post("/sensors/palm/tare?force=false"), 409) == says
     for _ in range(20):
         image = rig.show(pressed())
-    assert (rig.sensor.tared, np.abs(image.raw).max()) == (0, 200)
+    assert (rig.sensor.pipeline.tared, np.abs(image.raw).max()) == (0, 200)
     assert client.post("/sensors/palm/tare?force=true").status_code == 202
     for _ in range(TARE_FRAMES):
         rig.show(pressed())
@@ -278,7 +278,7 @@ def test_a_tare_under_way_lapses_when_the_sensor_is_no_longer_live(rig, client, 
     for _ in range(20):
         image = rig.show(pressed())
     assert np.abs(image.raw).max() == 400 * GAIN
-    assert (rig.sensor.tared, rig.sensor.lapsed) == (0, 1)
+    assert (rig.sensor.pipeline.tared, rig.sensor.pipeline.lapsed) == (0, 1)
 
 
 @pytest.mark.parametrize(

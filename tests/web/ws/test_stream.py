@@ -181,7 +181,7 @@ def test_a_change_held_back_by_the_limit_is_told_when_it_is_due_though_nothing_e
     monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
     with running(rig.service) as url, stream(url) as client:
         for method in ("rl", "wiener") * 4:
-            rig.sensor.set_method(method)
+            rig.sensor.pipeline.set_method(method)
             rig.show(pressed())
             told(client, lambda said, method=method: said["type"] == "status" and said["ran"] == method)
 

@@ -377,7 +377,7 @@ def test_a_monitor_of_clusters_finds_none(rig, url):
 
 def test_a_frame_is_made_into_a_message_once_for_all_clients(rig, url, monkeypatch):
     sensor, made = rig.service.sensor("skin"), []
-    monkeypatch.setattr(sensor, "forces", lambda frame: made.append(frame) or np.ones((24, 3)))
+    monkeypatch.setattr(sensor.pipeline, "forces", lambda frame: made.append(frame) or np.ones((24, 3)))
     with ExitStack() as stack:
         readers = [stack.enter_context(Middleware(url)) for _ in range(5)]
         for step in (31, 32):
@@ -394,7 +394,7 @@ def test_what_a_client_says_is_not_heard(rig, url, said):
         rig.send(5)
         assert reader.seen(rig, 5)["type"] == "routine"
         rig.rest()  # what a tare asked for would take
-    assert rig.service.sensor("skin").tared == 1
+    assert rig.service.sensor("skin").pipeline.tared == 1
 
 
 @pytest.mark.parametrize("missing", ["shear_n_per_count", "tare", "taxel"])
@@ -422,8 +422,8 @@ def test_a_taxel_that_no_frame_of_the_tare_had_has_no_known_force(request):
         lost[7] = MISSING
         for number in range(TARE_FRAMES + 1):
             sensor.show(replace(sensor.newest, flags=lost, sequence=100 + number))
-        assert sensor.tared
-        assert sensor.forces(replace(sensor.newest, flags=np.zeros_like(lost))) is None
+        assert sensor.pipeline.tared
+        assert sensor.pipeline.forces(replace(sensor.newest, flags=np.zeros_like(lost))) is None
 
 
 def test_asyncapi_describes_what_is_sent(rig, url):

@@ -1,0 +1,88 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactiled.runtime.sensor import Sensor
+from tests.conftest import until
+from tests.runtime.conftest import Timed, frame
+
+
+def test_status_is_silent_then_live_then_stale_and_down_while_the_bus_is(plan):
+    timed = Timed(plan)
+    sensor = timed.sensor
+    assert (sensor.status().state, sensor.status().age_s) == ("silent", None)
+    for n in range(200):
+        timed.now += 0.01
+        sensor.offer(frame(n))
+    status = sensor.status()
+    assert (status.state, status.age_s, status.detail) == ("live", 0, "")
+    assert status.rate_hz == pytest.approx(100, rel=0.01)
+    timed.now += 1.25
+    status = sensor.status()
+    assert (status.state, status.rate_hz, status.detail) == ("stale", 0, "no frame for 1.2 s")
+    assert status.age_s == pytest.approx(1.25)
+    sensor.down = "bus can0: gone"
+    assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
+
+
+def test_a_frame_that_waits_when_the_next_one_comes_is_skipped_and_counted(plan):
+    sensor = Sensor(plan)
+    for n in range(5):
+        sensor.offer(frame(n))
+    sensor.start()
+    until(sensor.hub.latest)
+    image = sensor.hub.latest()
+    sensor.stop()
+    assert image.sequence == 4
+    assert (image.loss.skipped, image.loss.lost) == (4, 3)
+    assert sensor.status().loss.skipped == 4
+
+
+def test_a_frame_that_cannot_be_restored_makes_the_sensor_stale_until_the_next(plan, monkeypatch):
+    sensor = Timed(plan).sensor
+    sensor.start()
+    with monkeypatch.context() as broken:
+        broken.setattr(sensor.pipeline, "process", lambda _: 1 / 0)
+        sensor.offer(frame(0))
+        until(lambda: sensor.status().state == "stale")
+    assert sensor.status().detail == "restoration failed: ZeroDivisionError: division by zero"
+    sensor.offer(frame(1))
+    until(lambda: sensor.status().state == "live")
+    sensor.stop()
+    assert sensor.hub.latest().sequence == 1
+
+
+def test_jitter_and_skew_are_by_the_clock_of_the_bus(plan, monkeypatch):
+    timed = Timed(plan)
+    sensor = timed.sensor
+
+    def offer(sequence, at):
+        sensor.offer(frame(sequence, time=at, skew=0.003))
+
+    assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, None)
+    for n in range(101):
+        offer(n, 5.0 + n / 100 + (0.001 if n % 2 else 0.0))
+    status = sensor.status()
+    assert status.jitter_s == pytest.approx(0.001, rel=0.01)  # 11 ms and 9 ms by turns
+    assert status.skew_s == 0.003
+    offer(105, 6.05)  # lost frames between are no jitter
+    assert sensor.status().jitter_s == status.jitter_s
+    offer(106, 600.0)  # nor is a pause: it begins anew
+    assert sensor.status().jitter_s is None
+    for n in range(4):
+        offer(107 + n, 600.01 + n / 100 + n**2 / 1000)
+    with monkeypatch.context() as computed_once_a_frame:
+        computed_once_a_frame.setattr(np, "std", None)
+        assert sensor.status().jitter_s == pytest.approx(np.sqrt(14.75 / 3) / 1000)  # of 10, 11, 13 and 15 ms
+    timed.now += 10.0
+    assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, 0.003)
+
+
+def test_a_silence_gives_up_a_tare_under_way(plan):
+    timed = Timed(replace(plan, method="raw"))
+    timed.sensor.restore(frame())
+    timed.sensor.tare(force=True)
+    timed.now += 0.4
+    timed.sensor.restore(frame(1))
+    assert timed.sensor.pipeline.lapsed == 1
