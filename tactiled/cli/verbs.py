@@ -22,14 +22,10 @@ simulate Simulate a covered array on a bus (32 x 32 without --config).
 sniff    Listen to a bus and list the known skins on it; sends nothing.
 """
 BENCH_VERBS = """\
-bus       Count the messages a second that are decoded and assembled, from memory and over a bus.
-contacts  Press discs into a 24 x 24 array of 1 mm pitch, one and two at a time, and look for them in both images.
-cover     Hold finite elements against the exact gain of random stacks, and time the paper's cover, on one core.
 frontier  Chart error against time for every method of ours and for others', in one run on one thread.
 latency   Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback.
 picard    Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise.
 report    Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables.
-restore   Time our methods and scikit-image's at 16, 32 and 64 squared, and compare their errors.
 stability Let one thing after another go wrong, and show where each method becomes worse than the raw image.
 """
 
@@ -66,4 +62,4 @@ class Verbs(TyperGroup):
 class BenchVerbs(Verbs):
     """The verbs of `tactiled bench`."""
 
-    lines, file = BENCH_VERBS, "tactiled.cli.bench_{}"
+    lines, file = BENCH_VERBS, "tactiled.cli.bench"

@@ -18,6 +18,7 @@ from tactiled.errors import ConfigError
 # Okabe and Ito's palette, its yellow left out: too faint on white. Dashes tell the lines apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9")
 MARKS = ("o", "s", "^", "D", "v", "P")
+WORSE_COLOUR = "#FBEEE6"  # background of what is worse than the raw image, or under the noise
 FREQUENCY = "spatial frequency q (cycles/mm)"
 STYLE: dict[RcKeyType, Any] = {
     "axes.edgecolor": "#444444",
@@ -49,10 +50,10 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise ConfigError(f"picture {path}: give a name that ends in .svg, .png or .pdf")
     with mpl.rc_context(STYLE):
-        drawn = Figure(figsize=(width, height), layout="constrained")
-        yield drawn
+        chart = Figure(figsize=(width, height), layout="constrained")
+        yield chart
         try:
-            drawn.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
+            chart.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
         except OSError as error:
             raise ConfigError(f"picture {path} cannot be written: {error.strerror}") from error
 
@@ -62,19 +63,19 @@ def two_models(path: Path, fem: Kernel, exact: Kernel) -> None:
     depth = fem.stack.depth
     end = float(exact.q[np.flatnonzero(np.abs(exact.gain) >= 1e-3)[-1]])
     q, r = np.linspace(0, end, 240), np.linspace(0, 3 * depth, 240)
-    with figure(path, 11, 4.1) as drawn:
-        drawn.suptitle(str(fem.stack), fontsize=10.5, x=0.01, ha="left")
-        left, middle, right = drawn.subplots(1, 3)
-        _pair(left, r, [np.interp(r, each.r, each.g) for each in (exact, fem)])
-        left.set(title="Point response g(r)", xlabel="distance from the load r (mm)", ylabel="g (1/mm²)")
-        _pair(middle, q, [each.gain_at(q) for each in (exact, fem)])
-        middle.set(title="Gain G(q)", xlabel=FREQUENCY, ylabel="G")
-        right.plot(q, (fem.gain_at(q) - exact.gain_at(q)) * 1e3, label="difference")
+    with figure(path, 11, 4.1) as chart:
+        chart.suptitle(str(fem.stack), fontsize=10.5, x=0.01, ha="left")
+        response, gain, error = chart.subplots(1, 3)
+        _pair(response, r, [np.interp(r, each.r, each.g) for each in (exact, fem)])
+        response.set(title="Point response g(r)", xlabel="distance from the load r (mm)", ylabel="g (1/mm²)")
+        _pair(gain, q, [each.gain_at(q) for each in (exact, fem)])
+        gain.set(title="Gain G(q)", xlabel=FREQUENCY, ylabel="G")
+        error.plot(q, (fem.gain_at(q) - exact.gain_at(q)) * 1e3, label="difference")
         estimate = fem.error_estimate * 1e3
-        right.axhspan(-estimate, estimate, color="#0072B2", alpha=0.12, lw=0, label="error estimate")
-        right.set(title="Finite elements − exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
-        right.set(xlim=(0, None), ylim=(-1.5 * estimate, 1.5 * estimate))
-        right.legend(loc="upper right", ncols=2, columnspacing=1.2)
+        error.axhspan(-estimate, estimate, color="#0072B2", alpha=0.12, lw=0, label="error estimate")
+        error.set(title="Finite elements − exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
+        error.set(xlim=(0, None), ylim=(-1.5 * estimate, 1.5 * estimate))
+        error.legend(loc="upper right", ncols=2, columnspacing=1.2)
 
 
 def _pair(axes: Axes, x: Any, values: list[Any]) -> None:

@@ -1,7 +1,8 @@
-"""Faults: frames that go wrong in one way, by so much, what restoration is told of it, and the truth."""
+"""Faults, each swept from harmless to hopeless: frames that go wrong, the settings for them, and the truth."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +11,20 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.simulate.array import FINER
-from tactiled.study.skin import Floats, Frames, Skin, covered, doubled, drawn, means, mistaken, pressed
-from tactiled.study.truth import PEAK
+from tactiled.study.scenes import PEAK_KPA, Floats
+from tactiled.study.skin import Frames, Skin, doubled, draw, misconfigured, sense, touches, with_thickness
 
-NOISE = 0.01  # of the frame's peak, where it is not what is swept
+NOISE = 1.0  # % of the frame's peak, where noise is not the fault
 CORRELATION = 1.5  # pitches, of correlated noise
-WANDER = 8  # frames, and a quarter of the array, over which a drift stays what it is
-MESSAGE = 5  # taxels: of 12 bits in a classic CAN message
-Flags = NDArray[np.uint8]
+DRIFT_FRAMES = 8  # frames over which a drift hardly changes; along x and y a quarter of the array
+TAXELS_PER_MESSAGE = 5  # of 12 bits in a classic CAN message
+OF_PEAK = "% of the peak"
+STRONGER = (0.1, 0.3, 1, 2, 5, 10, 20)
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all sweeps share."""
+    """The skin, seed and scenes that all sweeps share."""
 
     skin: Skin
     seed: int
@@ -31,217 +33,228 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """One frame that goes wrong, what restoration is told of it, and the truth."""
+    """One frame that goes wrong, what restoration is configured with, and the truth."""
 
     scene: str
-    skin: Skin  # as believed; its surface is what blurred
+    skin: Skin  # its surface blurred the frame
+    clean: Floats
+    peak_kpa: float
     frame: Frames
     truth: Floats
-    noise: float  # kPa, as told
-    flags: Flags | None = None
-    floor: float = 0.0  # kPa, what rounding alone makes of the noise
-    before: Frames | None = None  # frames (T, ...) that a method sees before it
-    still: Frames | None = None  # frames (T, ...) that the noise is measured from; None where it is as told
+    noise: float  # kPa, as configured
+    random: np.random.Generator  # for further faults
+    flags: NDArray[np.uint8] | None = None
+    floor: float = 0.0  # kPa, the part of the noise that rounding causes
+    before: Frames | None = None  # frames (T, ...) that a method restores before this one
+    still: Frames | None = None  # frames (T, ...) from which the service measures the noise
 
 
-def scenes(skin: Skin, setting: Setting) -> Iterator[tuple[str, Floats, Floats, np.random.Generator]]:
-    """Every touching scene's clean frame and truth, and random numbers for what goes wrong."""
-    for number, scene in enumerate(setting.scenes):
-        fine = drawn(skin, scene, setting.seed)
-        clean, truth = skin.surface.sense(fine).reshape(skin.array.frame_shape), means(skin, fine)
-        if not pressed(truth[None]):
-            continue
-        yield scene, clean, truth, np.random.default_rng([setting.seed, number, 2])
+class Contact(NamedTuple):
+    """A scene as sensed without noise."""
+
+    scene: str
+    clean: Floats
+    truth: Floats
+    peak_kpa: float
 
 
-def noisy(clean: Floats, noise: float, random: np.random.Generator) -> tuple[Frames, float]:
-    """A frame with white noise, over its peak, and that noise in kPa."""
-    sigma = noise * float(clean.max())
-    return (clean + random.normal(0, sigma, clean.shape)).astype(np.float32), sigma
+Sense = Callable[[Skin, Setting, float], Iterator[Contact]]
 
 
-def _plain(skin: Skin, setting: Setting, noise: float = NOISE) -> Iterator[Case]:
-    for scene, clean, truth, random in scenes(skin, setting):
-        frame, sigma = noisy(clean, noise, random)
-        yield Case(scene, skin, frame, truth, sigma)
+def _touching(skin: Skin, setting: Setting, value: float) -> Iterator[Contact]:
+    """Every scene that touches the skin."""
+    del value
+    for scene in setting.scenes:
+        clean, truth = sense(skin, draw(skin, scene, np.random.default_rng([setting.seed, 0])))
+        if touches(truth):
+            yield Contact(scene, clean, truth, float(clean.max()))
 
 
-def cover(value: float, setting: Setting) -> Iterator[Case]:
-    """Thickness over pitch."""
-    return _plain(covered(setting.skin, value), setting)
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """One fault, its values, and the value at which it is harmless."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    harmless: float
+    spoil: Callable[[Case, float], Case] = lambda case, _: case
+    skin: Callable[[Skin, float], Skin] = lambda skin, _: skin
+    sense: Sense = _touching
+    logarithmic: bool = False
+    grid: bool = False  # whether it needs rows and columns
+    known: bool = True  # whether restoration is configured for it, by settings or flags
 
 
-def white(value: float, setting: Setting) -> Iterator[Case]:
-    """Noise, % of the peak."""
-    return _plain(setting.skin, setting, value / 100)
-
-
-def correlated(value: float, setting: Setting) -> Iterator[Case]:
-    """Noise that neighbours share, % of the peak, its true strength told."""
+def cases(setting: Setting, faults: dict[str, float]) -> Iterator[Case]:
+    """A frame of every scene with all of `faults` (values by a sweep's name) at once."""
+    sweeps = [sweep for sweep in SWEEPS if sweep.name in faults]
     skin = setting.skin
-    for scene, clean, truth, random in scenes(skin, setting):
-        smooth = gaussian_filter(random.normal(0, 1, clean.shape), CORRELATION, mode="wrap")
-        sigma = value / 100 * float(clean.max())
-        yield Case(scene, skin, (clean + sigma * smooth / smooth.std()).astype(np.float32), truth, sigma)
+    for sweep in sweeps:
+        skin = sweep.skin(skin, faults[sweep.name])
+    own = [sweep for sweep in sweeps if sweep.sense is not _touching]
+    contacts = own[0].sense(skin, setting, faults[own[0].name]) if own else _touching(skin, setting, 0.0)
+    for number, contact in enumerate(contacts):
+        random = np.random.default_rng([setting.seed, number, 2])
+        sigma = faults.get("white noise", NOISE) / 100 * contact.peak_kpa
+        frame = (contact.clean + random.normal(0, sigma, contact.clean.shape)).astype(np.float32)
+        case = Case(
+            contact.scene, skin, contact.clean, contact.peak_kpa, frame, contact.truth, noise=sigma, random=random
+        )
+        for sweep in sweeps:
+            case = sweep.spoil(case, faults[sweep.name])
+        yield case
 
 
-def rowwise(value: float, setting: Setting) -> Iterator[Case]:
-    """An error that all of a row share, % of the peak, over a little white noise; its true strength told."""
-    skin = setting.skin
-    for scene, clean, truth, random in scenes(skin, setting):
-        frame, sigma = noisy(clean, 0.002, random)
-        rows = value / 100 * float(clean.max()) * random.normal(0, 1, (len(clean), 1))
-        told = float(np.hypot(sigma, value / 100 * clean.max()))
-        yield Case(scene, skin, (frame + rows).astype(np.float32), truth, told)
+def _add(case: Case, error: Any, **changes: Any) -> Case:
+    return replace(case, frame=(case.frame + error).astype(np.float32), **changes)
 
 
-def offset(value: float, setting: Setting) -> Iterator[Case]:
-    """An offset of all taxels, % of the peak, that nobody told of."""
-    for case in _plain(setting.skin, setting):
-        lift = np.float32(value / 100 * case.noise / NOISE)
-        yield Case(case.scene, case.skin, case.frame + lift, case.truth, case.noise)
+def _correlated(case: Case, value: float) -> Case:
+    """Noise that neighbours share; its strength is configured."""
+    smooth = gaussian_filter(case.random.normal(0, 1, case.frame.shape), CORRELATION, mode="wrap")
+    shared = value / 100 * case.peak_kpa
+    return _add(case, shared * smooth / smooth.std(), noise=float(np.hypot(case.noise, shared)))
 
 
-def drift(value: float, setting: Setting) -> Iterator[Case]:
-    """An offset that wanders over array and time, % of the peak; only the white noise is told."""
-    skin = setting.skin
-    for scene, clean, truth, random in scenes(skin, setting):
-        wide = (WANDER, *(n / 4 for n in clean.shape))
-        field = gaussian_filter(random.normal(0, 1, (3 * WANDER, *clean.shape)), wide, mode="wrap")
-        peak = float(clean.max())
-        white = random.normal(0, NOISE * peak, field.shape)
-        film = (clean + value / 100 * peak * field / field.std() + white).astype(np.float32)
-        yield Case(scene, skin, film[-1], truth, NOISE * peak, before=film[:-1])
+def _rowwise(case: Case, value: float) -> Case:
+    """An error that the taxels of a row share; its strength is configured."""
+    shared = value / 100 * case.peak_kpa
+    rows = shared * case.random.normal(0, 1, (len(case.frame), 1))
+    return _add(case, rows, noise=float(np.hypot(case.noise, shared)))
 
 
-def misjudged(value: float, setting: Setting) -> Iterator[Case]:
-    """True noise over the noise told; the service measures it from frames in which nothing moves."""
-    skin = setting.skin
-    for scene, clean, truth, random in scenes(skin, setting):
-        frame, sigma = noisy(clean, NOISE, random)
-        still = (clean + random.normal(0, sigma, (NOISE_FRAMES, *clean.shape))).astype(np.float32)
-        yield Case(scene, skin, frame, truth, sigma / value, still=still)
+def _offset(case: Case, value: float) -> Case:
+    return _add(case, value / 100 * case.peak_kpa)
 
 
-def _wrong(setting: Setting, **factors: float) -> Iterator[Case]:
-    return _plain(mistaken(setting.skin, **factors), setting)
+def _drift(case: Case, value: float) -> Case:
+    """An offset that wanders over array and time."""
+    extent = (DRIFT_FRAMES, *(n / 4 for n in case.frame.shape))
+    field = gaussian_filter(case.random.normal(0, 1, (3 * DRIFT_FRAMES, *case.frame.shape)), extent, mode="wrap")
+    drift = value / 100 * case.peak_kpa * field / field.std()
+    white = case.random.normal(0, case.noise, drift[:-1].shape)
+    return _add(case, drift[-1], before=(case.clean + drift[:-1] + white).astype(np.float32))
 
 
-def thickness(value: float, setting: Setting) -> Iterator[Case]:
-    """True thickness, % over the one believed."""
-    return _wrong(setting, thickness=1 + value / 100)
+def _misjudged(case: Case, value: float) -> Case:
+    """True noise is `value` times the configured one; the service measures it from frames that stand still."""
+    still = case.clean + case.random.normal(0, case.noise, (NOISE_FRAMES, *case.clean.shape))
+    return replace(case, noise=case.noise / value, still=still.astype(np.float32))
 
 
-def young(value: float, setting: Setting) -> Iterator[Case]:
-    """True modulus of the cover, % over the one believed."""
-    return _wrong(setting, young=1 + value / 100)
+def _blank(case: Case, missing: NDArray[np.bool_], flag: int) -> Case:
+    """Set taxels to 0, and flag them unless `flag` is 0."""
+    flags = np.where(missing, flag, 0).astype(np.uint8) if flag else case.flags
+    return replace(case, frame=np.where(missing, np.float32(0), case.frame), flags=flags)
 
 
-def poisson(value: float, setting: Setting) -> Iterator[Case]:
-    """True Poisson's ratio of the cover, % over the one believed, below a half."""
-    return _wrong(setting, poisson=1 + value / 100)
+def _dead(flag: int) -> Callable[[Case, float], Case]:
+    def spoil(case: Case, value: float) -> Case:
+        order = case.random.permutation(case.frame.size)
+        return _blank(case, (order < round(value / 100 * case.frame.size)).reshape(case.frame.shape), flag)
+
+    return spoil
 
 
-def _dead(value: float, setting: Setting, flagged: bool) -> Iterator[Case]:
-    for case in _plain(setting.skin, setting):
-        order = np.random.default_rng([setting.seed, 3]).permutation(case.frame.size)
-        gone = (order < round(value / 100 * case.frame.size)).reshape(case.frame.shape)
-        flags = np.where(gone, DEAD, 0).astype(np.uint8) if flagged else None
-        yield Case(case.scene, case.skin, np.where(gone, np.float32(0), case.frame), case.truth, case.noise, flags)
+def _lost(case: Case, value: float) -> Case:
+    count = -(-case.frame.size // TAXELS_PER_MESSAGE)
+    missing = np.repeat(case.random.permutation(count) < round(value / 100 * count), TAXELS_PER_MESSAGE)
+    return _blank(case, missing[: case.frame.size].reshape(case.frame.shape), MISSING)
 
 
-def dead(value: float, setting: Setting) -> Iterator[Case]:
-    """Share of dead taxels, %, that read 0 and are flagged."""
-    return _dead(value, setting, True)
+def _saturated(flagged: bool) -> Callable[[Case, float], Case]:
+    def spoil(case: Case, value: float) -> Case:
+        ceiling = np.float32(value / 100 * case.peak_kpa)
+        flags = np.where(case.frame >= ceiling, SATURATED, 0).astype(np.uint8) if flagged else case.flags
+        return replace(case, frame=np.minimum(case.frame, ceiling), flags=flags)
+
+    return spoil
 
 
-def dead_untold(value: float, setting: Setting) -> Iterator[Case]:
-    """Share of dead taxels, %, that read 0 and nobody told of."""
-    return _dead(value, setting, False)
+def _quantised(case: Case, value: float) -> Case:
+    """Rounded to `value` bits over a full scale of 1.25 peaks."""
+    step = 1.25 * case.peak_kpa / 2**value
+    floor = step / 12**0.5
+    frame = (np.round(case.frame / step) * step).astype(np.float32)
+    return replace(case, frame=frame, noise=float(np.hypot(case.noise, floor)), floor=floor)
 
 
-def lost(value: float, setting: Setting) -> Iterator[Case]:
-    """Share of CAN messages that did not come, %."""
-    for case in _plain(setting.skin, setting):
-        count = -(-case.frame.size // MESSAGE)
-        order = np.random.default_rng([setting.seed, 4]).permutation(count)
-        gone = np.repeat(order < round(value / 100 * count), MESSAGE)[: case.frame.size].reshape(case.frame.shape)
-        flags = np.where(gone, MISSING, 0).astype(np.uint8)
-        yield Case(case.scene, case.skin, np.where(gone, np.float32(0), case.frame), case.truth, case.noise, flags)
-
-
-def _saturated(value: float, setting: Setting, flagged: bool) -> Iterator[Case]:
-    for case in _plain(setting.skin, setting):
-        ceiling = np.float32(value / 100 * case.noise / NOISE)
-        flags = np.where(case.frame >= ceiling, SATURATED, 0).astype(np.uint8) if flagged else None
-        yield Case(case.scene, case.skin, np.minimum(case.frame, ceiling), case.truth, case.noise, flags)
-
-
-def saturated(value: float, setting: Setting) -> Iterator[Case]:
-    """Ceiling of the taxels, % of the peak; those at it are flagged."""
-    return _saturated(value, setting, True)
-
-
-def saturated_untold(value: float, setting: Setting) -> Iterator[Case]:
-    """Ceiling of the taxels, % of the peak, that nobody told of."""
-    return _saturated(value, setting, False)
-
-
-CONTACTS: dict[str, Callable[[Floats, Floats], Floats]] = {
-    "disc": lambda x, y: PEAK * np.clip(FINER * (3 - np.hypot(x, y)) + 0.5, 0, 1),
-    "blob": lambda x, y: PEAK * np.exp(-(x**2 + y**2) / (2 * 2.5**2)),
-    "bar": lambda x, y: PEAK * np.clip(FINER * (1 - np.abs(y)) + 0.5, 0, 1) * (np.abs(x) < 6),
+EDGE_CONTACTS: dict[str, Callable[[Floats, Floats], Floats]] = {
+    "disc": lambda x, y: PEAK_KPA * np.clip(FINER * (3 - np.hypot(x, y)) + 0.5, 0, 1),
+    "blob": lambda x, y: PEAK_KPA * np.exp(-(x**2 + y**2) / (2 * 2.5**2)),
+    "bar": lambda x, y: PEAK_KPA * np.clip(FINER * (1 - np.abs(y)) + 0.5, 0, 1) * (np.abs(x) < 6),
 }
 
 
-def edge(value: float, setting: Setting) -> Iterator[Case]:
-    """How far a contact's middle is past the array's edge, pitches; what lies outside presses as well."""
-    skin, wide = setting.skin, doubled(setting.skin)
+def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Contact]:
+    """Contacts whose middle is `value` pitches past the array's edge; what lies outside presses as well."""
+    wide = doubled(skin)
     rows, columns = skin.array.frame_shape
     inside = slice(rows // 2, rows // 2 + rows), slice(columns // 2, columns // 2 + columns)
     x, y = wide.surface.x / skin.array.pitch, wide.surface.y / skin.array.pitch
-    for number, (name, draw) in enumerate(CONTACTS.items()):
-        fine, whole = draw(x - columns / 2 - value, y), draw(x, y)
-        clean = wide.surface.sense(fine).reshape(wide.array.frame_shape)[inside]
-        sigma = NOISE * float(wide.surface.sense(whole).max())
-        random = np.random.default_rng([setting.seed, number, 5])
-        frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        yield Case(name, skin, frame, means(wide, fine)[inside], sigma)
+    for name, contact in EDGE_CONTACTS.items():
+        clean, truth = sense(wide, contact(x - columns / 2 - value, y))
+        peak = float(wide.surface.sense(contact(x, y)).max())
+        yield Contact(name, clean[inside], truth[inside], peak)
 
 
-def bits(value: float, setting: Setting) -> Iterator[Case]:
-    """Bits of a taxel over a full scale of 1.25 peaks; the step is known."""
-    for case in _plain(setting.skin, setting, 0.001):
-        step = 1.25 * case.noise / 0.001 / 2**value
-        frame = (np.round(case.frame / step) * step).astype(np.float32)
-        floor = step / 12**0.5
-        told = float(np.hypot(case.noise, floor))
-        yield Case(case.scene, case.skin, frame, case.truth, told, floor=floor)
-
-
-def jitter(value: float, setting: Setting) -> Iterator[Case]:
-    """Taxels out of place, standard deviation along x and y in % of the pitch."""
-    skin = setting.skin
+def _misplaced(skin: Skin, setting: Setting, value: float) -> Iterator[Contact]:
+    """Taxels off their places by `value` % of the pitch, standard deviation along x and y."""
     random = np.random.default_rng([setting.seed, 6])
     rows, columns = skin.array.frame_shape
     places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
-    for scene, _, truth, own in scenes(skin, setting):
-        between = _between(skin, scene, setting.seed)
-        frame, sigma = noisy(map_coordinates(between, places * FINER, order=3, mode="nearest"), NOISE, own)
-        yield Case(scene, skin, frame, truth, sigma)
+    for contact in _touching(skin, setting, value):
+        fine = draw(skin, contact.scene, np.random.default_rng([setting.seed, 0]))
+        between = np.empty((rows * FINER, columns * FINER))  # what taxels a FINERth of the pitch apart would sense
+        padded = np.pad(fine, ((0, FINER), (0, FINER)))
+        for down in range(FINER):
+            for along in range(FINER):
+                moved = padded[down : down + rows * FINER, along : along + columns * FINER]
+                between[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
+        yield contact._replace(clean=map_coordinates(between, places * FINER, order=3, mode="nearest"))
 
 
-def _between(skin: Skin, scene: str, seed: int) -> Floats:
-    """What taxels would sense a `FINER`th of the pitch apart."""
-    rows, columns = skin.array.frame_shape
-    found = np.empty((rows * FINER, columns * FINER))
-    fine = drawn(skin, scene, seed)
-    for down in range(FINER):
-        for along in range(FINER):
-            moved = np.roll(fine, (-down, -along), axis=(0, 1))
-            if down:
-                moved[-down:] = 0
-            if along:
-                moved[:, -along:] = 0
-            found[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
-    return found
+def _cover(layer_property: str) -> Callable[[Skin, float], Skin]:
+    """A cover whose `layer_property` is `value` % above the configured one."""
+    return lambda skin, value: misconfigured(skin, **{layer_property: 1 + value / 100})
+
+
+COVERS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1, 1.5, 2, 3, 4, 6, 10)
+NOISES = (0.01, 0.03, 0.1, 0.3, 1, 2, 5, 10, 20)
+RATIOS = (0.1, 0.2, 0.5, 1, 2, 3, 5, 10)
+STEPS = (-30, -20, -10, -5, 0, 5, 10, 20, 30)
+OFFSETS = (-10, -5, -2, -1, 0, 1, 2, 5, 10)
+CEILINGS = (100, 90, 80, 70, 60, 50, 40, 30)
+SHARES = (0, 1, 2, 5, 10, 20)
+SWEEPS = (
+    Sweep("cover", "t/pitch", COVERS, 1, skin=with_thickness, logarithmic=True),
+    Sweep("white noise", OF_PEAK, NOISES, 0.01, logarithmic=True),
+    Sweep("correlated noise", OF_PEAK, STRONGER, 0.1, _correlated, logarithmic=True, grid=True, known=False),
+    Sweep("row-wise noise", OF_PEAK, STRONGER, 0.1, _rowwise, logarithmic=True, grid=True, known=False),
+    Sweep("offset", OF_PEAK, OFFSETS, 0, _offset, known=False),
+    Sweep("drift", OF_PEAK, STRONGER, 0.1, _drift, logarithmic=True, grid=True, known=False),
+    Sweep("noise misjudged", "true / configured", RATIOS, 1, _misjudged, logarithmic=True, known=False),
+    Sweep("thickness wrong", "% thicker", STEPS, 0, skin=_cover("thickness"), known=False),
+    Sweep("modulus wrong", "% stiffer", (-30, -15, 0, 15, 30), 0, skin=_cover("young"), known=False),
+    Sweep("Poisson's ratio wrong", "% higher", (*STEPS[:5], 2, 3.9), 0, skin=_cover("poisson"), known=False),
+    Sweep("dead taxels", "%, flagged", SHARES, 0, _dead(DEAD)),
+    Sweep("dead taxels unflagged", "%, read 0", (0, 0.2, 1, 2, 5, 10), 0, _dead(0), known=False),
+    Sweep("messages lost", "%", SHARES, 0, _lost),
+    Sweep("saturation", "ceiling, % of the peak, flagged", CEILINGS, 100, _saturated(True)),
+    Sweep("saturation unflagged", "ceiling, % of the peak", CEILINGS[:6], 100, _saturated(False), known=False),
+    Sweep(
+        "over the edge", "pitches past it", (-6, -4, -3, -2, -1, 0, 1, 2), -6,
+        sense=_over_the_edge, grid=True, known=False,
+    ),
+    Sweep("quantisation", "bits", (16, 14, 12, 10, 8, 7, 6, 5, 4), 16, _quantised),
+    Sweep(
+        "taxels out of place", "% of the pitch", (0, 2, 5, 10, 15, 20, 30), 0,
+        sense=_misplaced, grid=True, known=False,
+    ),
+)  # fmt: skip
+
+
+def sweeps(setting: Setting) -> tuple[Sweep, ...]:
+    """The sweeps that the setting's skin allows."""
+    return tuple(sweep for sweep in SWEEPS if setting.skin.array.shape is not None or not sweep.grid)

@@ -12,10 +12,9 @@ from threading import Event
 
 import numpy as np
 import uvloop
-from numpy.typing import NDArray
 from websockets.asyncio.client import connect
 
-from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.reader import open_bus
 from tactiled.config import Config, Server
 from tactiled.frames import Message
 from tactiled.runtime.service import Service
@@ -24,16 +23,16 @@ from tactiled.web.server import running
 from tactiled.wire import unpack
 
 WARM_UP_S = 2.0  # connections, caches and the measured noise settle
-LAST_S = 0.5  # that the last image may take
+DRAIN_S = 0.5  # after the last frame was sent
 Source = Callable[[int, float, float], list[Message]]
 Arrivals = dict[int, float]  # s, by sequence number
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """What a run measured; times in ms."""
+    """Result of a run; times in ms."""
 
-    sent: int  # frames, after the warm-up
+    frames: int  # sent after the warm-up
     received: int  # by the client that received fewest
     median: float  # over all clients
     p99: float  # of the client whose is worst
@@ -43,20 +42,21 @@ class Latency:
     pinned: bool  # service and clients each had a core of their own
 
 
-class _Sender:
-    """Notes when the last message of every frame went out."""
+HEADINGS = ("figure", "measured", "aim")
 
-    def __init__(self, bus: Reader, source: Source) -> None:
-        self._bus, self._source = bus, source
-        self.times: list[float] = []
 
-    def frame(self, sequence: int, t: float, now: float) -> list[Message]:
-        self.times.append(0.0)
-        return self._source(sequence, t, now)
-
-    def send(self, message: Message) -> None:
-        self.times[-1] = time.time()
-        self._bus.send(message)
+def lines(result: Latency, clients: int) -> list[tuple[str, str, str]]:
+    """A table by HEADINGS."""
+    many = clients > 1
+    core = ", on one core" if result.pinned else ""
+    return [
+        ("median", f"{result.median:.2f} ms", "" if many else "under 2 ms"),
+        ("99th percentile, worst client", f"{result.p99:.2f} ms", "under 20 ms" if many else "under 10 ms"),
+        ("worst", f"{result.worst:.2f} ms", ""),
+        ("frames sent / received, worst client", f"{result.frames} / {result.received}", "equal"),
+        (f"simulator, service and server{core}", f"{result.cores:.2f} cores", "" if many else "under 0.5"),
+        ("clients", f"{result.client_cores:.2f} cores", ""),
+    ]
 
 
 def measure(
@@ -66,50 +66,56 @@ def measure(
 
     Where there are several clients and two cores to give, the clients get one and all else another.
     """
-    (bus,) = settings.bus.values()
-    bus_end = open_bus(**bus.settings())
-    sender = _Sender(bus_end, source)
+    (settings_of_bus,) = settings.bus.values()
+    bus = open_bus(**settings_of_bus.settings())
+    send_times: list[float] = []  # of the last message of every frame
+
+    def frame(sequence: int, t: float, now: float) -> list[Message]:
+        send_times.append(0.0)
+        return source(sequence, t, now)
+
+    def send(message: Message) -> None:
+        send_times[-1] = time.time()
+        bus.send(message)
+
     context = multiprocessing.get_context("spawn")
-    receive, give = context.Pipe(duplex=False)
-    with _pinned(clients > 1) as spare:
+    receiver, sender = context.Pipe(duplex=False)
+    with _pinned(clients > 1) as client_core:
         service.start()
         with running(service, Server(port=0, streams_per_client=0, streams=0)) as url:
-            name = next(iter(service.sensors))
-            stream = f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{name}/stream?kinds=restored"
-            listeners = context.Process(
-                target=_listen, args=(stream, clients, give, seconds + WARM_UP_S, spare), daemon=True
-            )
+            stream = f"{url.replace('http', 'ws', 1)}/api/v1/sensors/{next(iter(service.sensors))}/stream"
+            arguments = (f"{stream}?kinds=restored", clients, sender, seconds + WARM_UP_S, client_core)
+            listeners = context.Process(target=_listen, args=arguments, daemon=True)
             listeners.start()
-            receive.recv()  # connected
+            receiver.recv()  # connected
             busy, began = time.process_time(), time.perf_counter()
-            play(sender.frame, sender.send, rate_hz, Event(), seconds + WARM_UP_S)
+            play(frame, send, rate_hz, Event(), seconds + WARM_UP_S)
             cores = (time.process_time() - busy) / (time.perf_counter() - began)
-            arrived, client_cores = receive.recv()
+            arrivals, client_cores = receiver.recv()
             listeners.join()
         service.stop()
-    bus_end.close()
-    late = _late(sender.times, arrived, int(WARM_UP_S * rate_hz))
+    bus.close()
+    first = int(WARM_UP_S * rate_hz)
+    ages = [
+        np.array([(at[n] - send_times[n]) * 1e3 for n in range(first, len(send_times)) if n in at])
+        for at in arrivals
+    ]
     return Latency(
-        sent=len(sender.times) - int(WARM_UP_S * rate_hz),
-        received=min(len(each) for each in late),
-        median=float(np.median(np.concatenate(late))),
-        p99=max(float(np.percentile(each, 99)) for each in late),
-        worst=max(float(each.max()) for each in late),
+        frames=len(send_times) - first,
+        received=min(len(each) for each in ages),
+        median=float(np.median(np.concatenate(ages))),
+        p99=max(float(np.percentile(each, 99)) for each in ages),
+        worst=max(float(each.max()) for each in ages),
         cores=cores,
         client_cores=client_cores,
-        pinned=spare is not None,
+        pinned=client_core is not None,
     )
 
 
-def _late(sent: list[float], arrived: list[Arrivals], first: int) -> list[NDArray[np.float64]]:
-    """How old (ms) each image was at each client."""
-    return [np.array([(at[n] - sent[n]) * 1e3 for n in range(first, len(sent)) if n in at]) for at in arrived]
-
-
 @contextmanager
-def _pinned(wanted: bool) -> Iterator[int | None]:
-    """Keep this process on one core meanwhile; gives another for the clients, None where there are not two."""
-    cores = sorted(os.sched_getaffinity(0)) if wanted and hasattr(os, "sched_setaffinity") else []
+def _pinned(apart: bool) -> Iterator[int | None]:
+    """Keep this process on one core meanwhile; give another for the clients, None where there are not two."""
+    cores = sorted(os.sched_getaffinity(0)) if apart and hasattr(os, "sched_setaffinity") else []
     if len(cores) < 2:
         yield None
         return
@@ -120,31 +126,31 @@ def _pinned(wanted: bool) -> Iterator[int | None]:
         os.sched_setaffinity(0, cores)
 
 
-def _listen(url: str, clients: int, give: Connection, seconds: float, core: int | None) -> None:
+def _listen(url: str, clients: int, sender: Connection, seconds: float, core: int | None) -> None:
     """Note when each sequence number came to each client, for `seconds` after all are connected."""
     if core is not None:
         os.sched_setaffinity(0, [core])
-    uvloop.run(_all(url, clients, give, seconds))
+    uvloop.run(_all(url, clients, sender, seconds))
 
 
-async def _all(url: str, clients: int, give: Connection, seconds: float) -> None:
+async def _all(url: str, clients: int, sender: Connection, seconds: float) -> None:
     connected = asyncio.Barrier(clients + 1)
-    arrived: list[Arrivals] = [{} for _ in range(clients)]
-    tasks = [asyncio.create_task(_one(url, connected, each)) for each in arrived]
+    arrivals: list[Arrivals] = [{} for _ in range(clients)]
+    tasks = [asyncio.create_task(_one(url, connected, each)) for each in arrivals]
     await connected.wait()
-    give.send("connected")
+    sender.send("connected")
     busy = time.process_time()
-    await asyncio.sleep(seconds + LAST_S)
-    cores = (time.process_time() - busy) / (seconds + LAST_S)
+    await asyncio.sleep(seconds + DRAIN_S)
+    cores = (time.process_time() - busy) / (seconds + DRAIN_S)
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    give.send((arrived, cores))
+    sender.send((arrivals, cores))
 
 
-async def _one(url: str, connected: asyncio.Barrier, arrived: Arrivals) -> None:
+async def _one(url: str, connected: asyncio.Barrier, arrivals: Arrivals) -> None:
     async with connect(url, compression=None) as socket:
         await connected.wait()
         async for data in socket:
             if isinstance(data, bytes):
-                arrived.setdefault(unpack(data).sequence, time.time())
+                arrivals.setdefault(unpack(data).sequence, time.time())

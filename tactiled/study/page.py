@@ -25,7 +25,7 @@ code { background: #f1f4f7; border-radius: .25rem; padding: .1rem .35rem; font-s
 nav { margin: 1rem 0 0; font-size: .95rem; }
 nav a { color: var(--blue); margin-right: 1.1rem; white-space: nowrap; }
 figure { margin: 1.25rem 0 1.75rem; }
-figure svg { display: block; width: 100%; height: auto; }
+figure svg, figure img { display: block; width: 100%; height: auto; }
 figcaption { color: var(--soft); font-size: .92rem; max-width: 46rem; margin-top: .4rem; }
 .scroll { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; font-size: .86rem; line-height: 1.35; width: 100%; }
@@ -47,14 +47,14 @@ def page(title: str, parts: Iterable[str]) -> str:
     )
 
 
-def chart(path: Path, caption: str) -> str:
+def svg(path: Path, caption: str) -> str:
     """Give an SVG file as part of the page, as wide as the text."""
-    svg = path.read_text(encoding="utf-8")
-    svg = svg[svg.index("<svg") :]
-    first = svg.index(">")
-    tag = re.sub(r'\s(width|height)="[^"]*"', "", svg[:first])
+    drawing = path.read_text(encoding="utf-8")
+    drawing = drawing[drawing.index("<svg") :]
+    first = drawing.index(">")
+    tag = re.sub(r'\s(width|height)="[^"]*"', "", drawing[:first])
     label = f' role="img" aria-label="{escape(caption, quote=True)}"'
-    body = re.sub(r"<metadata>.*?</metadata>", "", svg[first:], flags=re.DOTALL)
+    body = re.sub(r"<metadata>.*?</metadata>", "", drawing[first:], flags=re.DOTALL)
     return f"<figure>{tag}{label}{body}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
@@ -73,9 +73,9 @@ def _cell(text: str, good: str, bad: str) -> str:
 
 
 def tiles(pairs: Iterable[tuple[str, str]]) -> str:
-    """Give figures to see first, each with what it says."""
-    shown = "".join(f"<div class='tile'><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in pairs)
-    return f"<div class='tiles'>{shown}</div>"
+    """Give figures in large type, each with its meaning."""
+    each = "".join(f"<div class='tile'><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in pairs)
+    return f"<div class='tiles'>{each}</div>"
 
 
 def text(*paragraphs: str) -> str:

@@ -1,69 +1,72 @@
-"""Other people's methods at settings that need no truth: scikit-image's, and OpenCV and pyproximal if installed.
+"""Methods of other libraries at settings that need no truth: scikit-image, and OpenCV and pyproximal if installed.
 
 scikit-image is a dependency; the others come with the extra `peers`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from skimage import restoration
 
-from tactiled.study.restore import richardson_lucy, wiener
-from tactiled.study.skin import Floats, Frames
+from tactiled.study.scenes import Floats
+from tactiled.study.skin import Frames
 
 Restore = Callable[[Frames], Any]
 
-# Neither package has types.
-unsupervised: Callable[..., tuple[Any, Any]] = restoration.unsupervised_wiener
+# scikit-image has no types.
+wiener: Callable[..., Any] = restoration.wiener
+richardson_lucy: Callable[..., Any] = restoration.richardson_lucy
+unsupervised_wiener: Callable[..., tuple[Any, Any]] = restoration.unsupervised_wiener
 
 BALANCES = (0.1, 0.3, 1.0)  # of Wiener filters, times the noise over the peak: 0.3 suits most scenes
 FLAT_BALANCES = (0.3, 1.0, 3.0)  # the same where the filter's prior is white
-STOPS = (10, 30, 100)  # iterations of those that iterate
+STOPS = (10, 30, 100)  # iterations
 MODULES = {"skimage": "skimage", "opencv": "cv2", "pyproximal": "pyproximal"}  # by a method's first word
 
 
 def absent() -> list[str]:
-    """Those of MODULES that are not installed."""
+    """The libraries that are not installed."""
     return [name for name, module in MODULES.items() if find_spec(module) is None]
 
 
 def ours(method: str) -> bool:
-    """Whether a method's name is none of the peers'."""
+    """Whether a method is none of another library."""
     return method.split()[0] not in MODULES
 
 
 def peers(psf: Floats, shape: tuple[int, ...], noise: float, stops: tuple[int, ...] = STOPS) -> dict[str, Restore]:
-    """Every peer's restorations of frames of `shape` with `noise`, over their peak, by the odd point spread."""
-    found = _skimage(psf, noise, stops)
+    """Every library's restorations of frames of `shape` with `noise`, over their peak, by the odd point spread."""
+    names = [f"skimage wiener {k:g}" for k in BALANCES] + [f"skimage rl {count}" for count in stops]
+    runs = dict(zip(names, skimage_restorations(psf, [k * noise for k in BALANCES], stops), strict=True))
+    runs["skimage unsupervised"] = lambda frame: unsupervised_wiener(frame, psf, clip=False, rng=0)[0]
     if find_spec("cv2"):
-        found |= {f"opencv wiener {k:g}": _opencv(psf, shape, k * noise) for k in FLAT_BALANCES}
+        runs |= {f"opencv wiener {k:g}": _opencv(psf, shape, k * noise) for k in FLAT_BALANCES}
     if find_spec("pyproximal"):
-        found |= {f"pyproximal nnls {count}": _pyproximal(psf, shape, count) for count in stops[:2]}
-    return found
+        runs |= {f"pyproximal nnls {count}": _pyproximal(psf, shape, count) for count in stops[:2]}
+    return runs
 
 
-def _skimage(psf: Floats, noise: float, stops: tuple[int, ...]) -> dict[str, Restore]:
+def skimage_restorations(psf: Floats, balances: Sequence[float], stops: Sequence[int]) -> list[Restore]:
+    """scikit-image's Wiener filters, then its Richardson-Lucy after so many iterations."""
     single = psf.astype(np.float32)
 
     def filtered(balance: float) -> Restore:
         return lambda frame: wiener(frame, single, balance, clip=False)
 
-    def lucy(count: int) -> Restore:
+    def iterated(count: int) -> Restore:
         return lambda frame: richardson_lucy(
             np.maximum(frame, 0), single, count, clip=False, filter_epsilon=1e-6 * float(frame.max())
         )
 
-    runs: dict[str, Restore] = {f"skimage wiener {k:g}": filtered(k * noise) for k in BALANCES}
-    runs["skimage unsupervised"] = lambda frame: unsupervised(frame, psf, clip=False, rng=0)[0]
-    return runs | {f"skimage rl {count}": lucy(count) for count in stops}
+    return [*map(filtered, balances), *map(iterated, stops)]
 
 
 def _opencv(psf: Floats, shape: tuple[int, ...], balance: float) -> Restore:
     """OpenCV has transforms but no deconvolution: Wiener's filter H* / (|H|^2 + balance) on them, planned once.
 
-    Zeros around the frame keep its borders from wrapping round.
+    Zeros around the frame prevent its borders from wrapping round.
     """
     import cv2
 
@@ -75,12 +78,12 @@ def _opencv(psf: Floats, shape: tuple[int, ...], balance: float) -> Restore:
     power = np.square(spectrum).sum(-1, keepdims=True)
     filter_ = np.ascontiguousarray(spectrum / (power + balance), np.float32)
     padded = np.zeros(size, np.float32)
-    back = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
+    inverse = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
 
     def run(frame: Frames) -> Frames:
         padded[: shape[0], : shape[1]] = frame
-        seen = cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
-        image = cv2.dft(cv2.mulSpectrums(seen, filter_, 0, conjB=True), flags=back)
+        transformed = cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
+        image = cv2.dft(cv2.mulSpectrums(transformed, filter_, 0, conjB=True), flags=inverse)
         return np.asarray(image[: shape[0], : shape[1]])
 
     return run

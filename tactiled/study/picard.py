@@ -1,16 +1,15 @@
-"""What an array under a cover can know at all: its singular values against the noise, and Picard's plot."""
+"""The detail that an array under a cover can resolve: its singular values against the noise, and Picard's plot."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tactiled.study.charts import COLOURS, figure
-from tactiled.study.skin import Floats, Skin, drawn, means, pressed
-from tactiled.study.truth import DRAWN
+from tactiled.study.charts import COLOURS, WORSE_COLOUR, figure
+from tactiled.study.scenes import TEST_SCENES, Floats
+from tactiled.study.skin import Skin, draw, sense, touches
 
 BLUE, RED, GREEN = COLOURS[:3]
-BLOCKS = 40  # that modes are averaged in, for the eye
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +23,7 @@ class Picard:
     singular: Floats  # of the blur
     frequency: Floats  # cycles a cell
     truth: Floats  # |v' x|, of the scene on the surface
-    seen: Floats  # |u' y|, of the noisy frame
+    frame: Floats  # |u' y|, of the noisy frame
 
     @property
     def clear(self) -> int:
@@ -40,14 +39,15 @@ class Picard:
 
 
 def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
-    """Look at a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
-    images = ((name, drawn(skin, name, seed)) for name in (scene, *DRAWN))
-    scene, fine = next((name, each) for name, each in images if pressed(means(skin, each)[None]))
-    clean = skin.surface.sense(fine).reshape(skin.array.frame_shape)
+    """Analyse a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
+    drawn = (
+        (name, *sense(skin, draw(skin, name, np.random.default_rng([seed, 0])))) for name in (scene, *TEST_SCENES)
+    )
+    scene, clean, cells = next(each for each in drawn if touches(each[2]))
     sigma = noise * float(clean.max())
-    frame = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)
+    noisy = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)
     modes = skin.blur.modes
-    seen, truth = _into(modes.taxel, frame), _into(modes.surface, means(skin, fine))[modes.head]
+    frame, truth = _into(modes.taxel, noisy), _into(modes.surface, cells)[modes.head]
     order = np.argsort(-modes.gain, axis=None)
     return Picard(
         skin=skin.name,
@@ -57,7 +57,7 @@ def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Pica
         singular=np.abs(modes.gain).ravel()[order],
         frequency=modes.frequency[modes.head].ravel()[order],
         truth=np.abs(truth).ravel()[order],
-        seen=np.abs(seen).ravel()[order],
+        frame=np.abs(frame).ravel()[order],
     )
 
 
@@ -75,28 +75,27 @@ def _smooth(values: Floats) -> Floats:
     return np.asarray(np.sqrt((power[high] - power[low]) / (high - low)))
 
 
-def draw(path: Path, found: list[Picard]) -> None:
-    """Draw the singular values of every skin, and the first one's Picard plot."""
-    with figure(path, 10, 4.2) as drawn_:
-        left, right = drawn_.subplots(1, 2)
-        for one, colour in zip(found, COLOURS, strict=False):
+def chart(path: Path, measured: list[Picard]) -> None:
+    """Draw the singular values of every skin, and the Picard plot of the one in the middle."""
+    with figure(path, 10, 4.2) as drawing:
+        left, right = drawing.subplots(1, 2)
+        for one, colour in zip(measured, COLOURS, strict=False):
             left.plot(1 + np.arange(one.singular.size), one.singular, color=colour, label=one.skin)
             left.plot(max(one.clear, 1), one.singular[max(one.clear, 1) - 1], "o", color=colour, ms=7)
         left.set(title="Singular values", xlabel="mode, strongest first", ylabel="what the cover lets through")
         left.set(xscale="log", yscale="log", ylim=(1e-5, 2))
-        left.plot([], [], "o", color="#666666", ms=7, label=f"the last that shows {found[0].scene}")
+        left.plot([], [], "o", color="#666666", ms=7, label=f"the last that shows {measured[0].scene}")
         left.legend(loc="lower left")
-        one = found[len(found) // 2]
+        one = measured[len(measured) // 2]
         number = 1 + np.arange(one.singular.size)
-        right.plot(number, one.seen, ".", color="#bbbbbb", ms=3, zorder=1)
-        right.plot(number, _smooth(one.seen), color=BLUE, label="in the frame, |u′y|")
-        right.plot(
-            number, _smooth(one.singular * one.truth), color=GREEN, ls=(0, (4, 2)), label="without noise, s |v′x|"
-        )
-        right.plot(number, _smooth(one.seen) / one.singular, color=RED, label="inverted, |u′y| / s")
+        clean = _smooth(one.singular * one.truth)
+        right.plot(number, one.frame, ".", color="#bbbbbb", ms=3, zorder=1)
+        right.plot(number, _smooth(one.frame), color=BLUE, label="in the frame, |u′y|")
+        right.plot(number, clean, color=GREEN, ls=(0, (4, 2)), label="without noise, s |v′x|")
+        right.plot(number, _smooth(one.frame) / one.singular, color=RED, label="inverted, |u′y| / s")
         right.axhline(one.sigma, color="#444444", lw=1)
         right.text(1.2, one.sigma * 0.8, "noise of a taxel", fontsize=9, va="top")
-        right.axvspan(max(one.clear, 1), number[-1], color="#FBEEE6", lw=0, zorder=0)
+        right.axvspan(max(one.clear, 1), number[-1], color=WORSE_COLOUR, lw=0, zorder=0)
         right.text(number[-1] * 0.9, 4e3 * one.sigma, "under the noise", ha="right", fontsize=9, color="#7d3600")
         right.set(xscale="log", yscale="log", xlim=(1, number[-1]), ylim=(one.sigma / 10, 1e4 * one.sigma))
         right.set(title=f"Picard's plot: {one.skin}, {one.scene}", xlabel="mode, strongest first")

@@ -1,7 +1,10 @@
-"""Where methods fail: what goes wrong swept from harmless to hopeless, and whether anyone would notice."""
+"""Where methods fail: each fault swept from harmless to hopeless, and whether the image shows that it is wrong."""
 
+import csv
+import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,175 +13,153 @@ from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.noise import estimate
-from tactiled.study.faults import Case, Setting
-from tactiled.study.feasible import lawful
-from tactiled.study.restore import nrmse, richardson_lucy, wiener
-from tactiled.study.signs import SIGNS, Signs, signs
-from tactiled.study.skin import Frames, Skin, rubber
-from tactiled.study.sweeps import Sweep, sweeps
-from tactiled.study.truth import DRAWN
+from tactiled.study.faults import Case, Setting, Sweep, cases, sweeps
+from tactiled.study.machine import describe
+from tactiled.study.peers import skimage_restorations
+from tactiled.study.scenes import TEST_SCENES
+from tactiled.study.skin import Frames, Skin, nrmse, rms, rubber
 
 COVER = 1.5  # t/pitch, of the rubber
 OURS = tuple(name for name in METHODS if name != "raw")
-THEIRS = ("skimage wiener", "skimage rl")
-BALANCE, LUCY = 0.3, 30  # scikit-image's: weight over the noise, iterations
+PEERS = ("skimage wiener", "skimage rl")
+PEER_BALANCE, PEER_ITERATIONS = 0.3, 30  # scikit-image's: weight over the noise, iterations
 WORSE = 1.02  # times the raw image's error: more is a failure
-HONEST = 0.5  # of the true error: a claimed deviation of less is no warning
+HONEST = 0.5  # of the true error: a stated deviation below it shows nothing
 NOISY: WarningCode = "noise_high"
-ALARMS = 0.005  # share of sound images that each sign may call doubtful
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What one method made of one frame."""
+    """One method's image of one frame; errors and deviations are root mean squares in kPa."""
 
     sweep: str
     value: float
     scene: str
     method: str
-    ran: str  # the method that auto chose; empty for scikit-image's
+    used: str  # the method that auto selected; empty for scikit-image's
     nrmse: float
-    over_raw: float
-    over_wiener: float
-    error: float  # kPa, root mean square
-    claimed: float  # kPa, root mean square of the standard deviation that we state; NaN where none is stated
-    signs: Signs
-    flagged: bool  # some taxels carry flags, which the image's warnings name
-    warned: tuple[WarningCode, ...] = ()  # what the service would say of such frames
-    lawful: bool | None = None  # of an image of auto that fails silently: whether some press explains its frame
+    over_raw: float  # error over the raw image's
+    error: float
+    stated: float  # the image's stated standard deviation; NaN where there is none
+    flagged: bool  # whether taxels have flags
+    warnings: tuple[WarningCode, ...] = ()  # of the service at a first look
+
+    @property
+    def failed(self) -> bool:
+        """Whether the image is worse than the raw one."""
+        return self.over_raw > WORSE
+
+    @property
+    def noticed(self) -> bool:
+        """Whether flags, a warning or the stated deviation show that the image may be wrong."""
+        return self.flagged or bool(self.warnings) or self.stated >= HONEST * self.error
 
 
-Limits = dict[str, float]  # of each sign
-Found = Sequence[tuple[Sweep, list[Row]]]
+Results = Sequence[tuple[Sweep, list[Row]]]
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Where a method stops being worth it, and what says so."""
+    """Where a method becomes worse than the raw image, and whether that is noticed."""
 
     sweep: str
     unit: str
     method: str
-    breaks_at: tuple[float, ...]  # first values, going out from the harmless one, that are worse than raw
+    breaks_at: tuple[float, ...]  # first values on either side of the harmless one that are worse than raw
     worst: float  # largest error over the raw image's, mean of the scenes
     worst_at: float
-    scene: str  # that first is worse than raw by itself
-    scene_at: float | None  # where it is; None where none ever is
     noticed: str  # "yes", "partly", "no", or "" where nothing failed
-    by: str
+
+
+def setting(quick: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
+    """What to run, on rubber if no skin is given, and which of each sweep's values."""
+    if quick:
+        return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
+    return Setting(skin or rubber(COVER, 32), seed, tuple(TEST_SCENES)), slice(None)
 
 
 def measure(setting: Setting, values: slice) -> Iterator[tuple[Sweep, list[Row]]]:
-    """Run every sweep, at all its values or those of a slice and the harmless one."""
+    """Run every sweep at the harmless value and a slice of the others."""
     for sweep in sweeps(setting):
-        chosen = [v for v in sweep.values if v in sweep.values[values] or v == sweep.harmless]
+        some = [v for v in sweep.values if v in sweep.values[values] or v == sweep.harmless]
         yield (
             sweep,
-            [row for value in chosen for case in sweep.make(value, setting) for row in rows(sweep, value, case)],
+            [row for v in some for case in cases(setting, {sweep.name: v}) for row in rows(sweep.name, v, case)],
         )
 
 
-def rows(sweep: Sweep, value: float, case: Case) -> list[Row]:
+def rows(sweep: str, value: float, case: Case) -> list[Row]:
     """Restore one frame by every method."""
-    told: dict[str, tuple[str, Frames, float]] = {}
+    images: dict[str, tuple[str, Frames, float]] = {}
     for name in ("raw", *OURS):
         restorer = make(name, case.skin.blur, case.noise)
         for earlier in () if case.before is None else case.before:
             restorer(earlier, case.flags)
         done = restorer(case.frame, case.flags)
-        told[name] = (done.method, done.image.copy(), _rms(restorer.deviation()))
-    told |= {name: ("", image, np.nan) for name, image in _theirs(case).items()}
-    errors = {name: nrmse(image, case.truth) for name, (_, image, _) in told.items()}
+        images[name] = (done.method, done.image.copy(), rms(restorer.deviation()))
+    images |= {name: ("", image, np.nan) for name, image in _peers(case).items()}
+    raw = nrmse(images["raw"][1], case.truth)
     flagged = case.flags is not None and bool(case.flags.any())
-    found = [
+    return [
         Row(
-            sweep=sweep.name,
+            sweep=sweep,
             value=value,
             scene=case.scene,
             method=name,
-            ran=ran,
-            nrmse=errors[name],
-            over_raw=errors[name] / errors["raw"],
-            over_wiener=errors[name] / errors["wiener"],
-            error=_rms(image - case.truth),
-            claimed=claimed,
-            signs=signs(case.skin.blur, case.frame, image, case.noise, case.flags),
+            used=used,
+            nrmse=nrmse(image, case.truth),
+            over_raw=nrmse(image, case.truth) / raw,
+            error=rms(image - case.truth),
+            stated=stated,
             flagged=flagged,
-            warned=_warned(case, image, ran),
+            warnings=_warnings(case, image, used),
         )
-        for name, (ran, image, claimed) in told.items()
-    ]
-    return [
-        replace(row, lawful=lawful(case.skin.blur, case.frame, case.noise)) if fails_silently(row) else row
-        for row in found
+        for name, (used, image, stated) in images.items()
     ]
 
 
-def _warned(case: Case, image: Frames, ran: str) -> tuple[WarningCode, ...]:
+def _warnings(case: Case, image: Frames, used: str) -> tuple[WarningCode, ...]:
     flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
     checks = FrameChecks(case.skin.blur, case.floor)
-    said = checks.check(case.frame, flags, np.asarray(image, np.float32), case.noise, ran)
-    loud = case.still is not None and estimate(case.still) > NOISE_RATIO * case.noise
-    return (*said, NOISY) if loud else said
+    found = checks.check(case.frame, flags, np.asarray(image, np.float32), case.noise, used)
+    noisy = case.still is not None and estimate(case.still) > NOISE_RATIO * case.noise
+    return (*found, NOISY) if noisy else found
 
 
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values, dtype=float))))
-
-
-def _theirs(case: Case) -> dict[str, Frames]:
+def _peers(case: Case) -> dict[str, Frames]:
     """scikit-image's two, at settings that need no truth; they know nothing of flags."""
     if case.skin.psf is None:
         return {}
-    psf = case.skin.psf.astype(np.float32)
-    peak = max(float(case.frame.max()), case.noise)
-    balance = BALANCE * case.noise / peak
-    lucy = richardson_lucy(np.maximum(case.frame, 0), psf, LUCY, clip=False, filter_epsilon=1e-6 * peak)
-    return {"skimage wiener": wiener(case.frame, psf, balance, clip=False), "skimage rl": lucy}
+    balance = PEER_BALANCE * case.noise / max(float(case.frame.max()), case.noise)
+    wiener, lucy = skimage_restorations(case.skin.psf, (balance,), (PEER_ITERATIONS,))
+    return {PEERS[0]: wiener(case.frame), PEERS[1]: lucy(case.frame)}
 
 
-def curve(found: list[Row], method: str, over: str = "raw") -> dict[float, float]:
-    """Mean error of the scenes over that of `over`, by what was swept."""
-    means = _means(found, method), _means(found, over)
-    return {value: means[0][value] / means[1][value] for value in means[0]}
+def curve(found: list[Row], method: str) -> dict[float, float]:
+    """Mean error of the scenes over the raw image's, by the value of the sweep."""
+
+    def mean(value: float, name: str) -> float:
+        return float(np.mean([row.nrmse for row in found if (row.value, row.method) == (value, name)]))
+
+    return {value: mean(value, method) / mean(value, "raw") for value in dict.fromkeys(row.value for row in found)}
 
 
-def _means(found: list[Row], method: str) -> dict[float, float]:
-    values = dict.fromkeys(row.value for row in found)
-    return {
-        value: float(np.mean([row.nrmse for row in found if (row.value, row.method) == (value, method)]))
-        for value in values
-    }
-
-
-def breaks(ratios: dict[float, float], harmless: float, limit: float = WORSE) -> tuple[float, ...]:
-    """The first value over the limit on either side of the harmless one, itself if it is over."""
-    if ratios.get(harmless, 0.0) > limit:
+def breaks(ratios: dict[float, float], harmless: float) -> tuple[float, ...]:
+    """The first value worse than raw on either side of the harmless one, or the harmless one itself."""
+    if ratios.get(harmless, 0.0) > WORSE:
         return (harmless,)
     sides = (sorted((v for v in ratios if v < harmless), reverse=True), sorted(v for v in ratios if v > harmless))
-    firsts = (next((value for value in side if ratios[value] > limit), None) for side in sides)
+    firsts = (next((value for value in side if ratios[value] > WORSE), None) for side in sides)
     return tuple(value for value in firsts if value is not None)
 
 
-def failure(sweep: Sweep, found: list[Row], method: str, limits: Limits | None = None) -> Failure:
-    """Judge one method on one sweep; a sign over its limit would show a fault."""
+def failure(sweep: Sweep, found: list[Row], method: str) -> Failure:
+    """Judge one method on one sweep."""
     ratios = curve(found, method)
     worst_at = max(ratios, key=lambda value: ratios[value])
-    scenes = {row.scene for row in found}
-    alone = {
-        scene: breaks(
-            {r.value: r.over_raw for r in found if (r.scene, r.method) == (scene, method)}, sweep.harmless
-        )
-        for scene in sorted(scenes)
-    }
-    firsts = [
-        (abs(_place(sweep, value) - _place(sweep, sweep.harmless)), scene, value)
-        for scene, values in alone.items()
-        for value in values
-    ]
-    _, scene, scene_at = min(firsts, default=(0.0, "", None))
-    failed = [row for row in found if row.method == method and row.over_raw > WORSE]
-    noticed, by = _noticed(failed, limits or {})
+    failed = [row.noticed for row in found if row.method == method and row.failed]
+    word = "" if not failed else "yes" if all(failed) else "partly" if any(failed) else "no"
+    count = f" ({sum(failed)} of {len(failed)})" if word in ("partly", "no") else ""
     return Failure(
         sweep=sweep.name,
         unit=sweep.unit,
@@ -186,100 +167,94 @@ def failure(sweep: Sweep, found: list[Row], method: str, limits: Limits | None =
         breaks_at=breaks(ratios, sweep.harmless),
         worst=ratios[worst_at],
         worst_at=worst_at,
-        scene=scene,
-        scene_at=scene_at,
-        noticed=noticed,
-        by=by,
+        noticed=word + count,
     )
 
 
-def _place(sweep: Sweep, value: float) -> float:
-    return float(np.log(value)) if sweep.logarithmic else value
-
-
-def noticed(row: Row) -> bool:
-    """Whether the image itself says that it may be wrong: by a warning, or by the deviation it claims."""
-    return row.flagged or bool(row.warned) or row.claimed >= HONEST * row.error
-
-
-def fails_silently(row: Row) -> bool:
-    """Whether an image of `auto` is worse than raw, and nothing tells of it."""
-    return row.method == "auto" and row.over_raw > WORSE and not noticed(row)
-
-
-def _noticed(failed: list[Row], limits: Limits) -> tuple[str, str]:
-    if not failed:
-        return "", ""
-    seen = [row for row in failed if noticed(row)]
-    names = {
-        "flags": any(row.flagged for row in seen),
-        "warning": any(row.warned for row in seen),
-        "claimed deviation": any(not row.flagged and not row.warned for row in seen),
-    }
-    by = [name for name, there in names.items() if there]
-    silent_ = [row for row in failed if not noticed(row)]
-    if found := sum(bool(shown(row, limits)) for row in silent_):
-        by.append(f"signs would show {found} of {len(silent_)} silent")
-    word = "yes" if len(seen) == len(failed) else "partly" if seen else "no"
-    count = "" if word == "yes" else f" ({len(seen)} of {len(failed)})"
-    return word + count, "; ".join(by)
-
-
-def sound(found: Found, method: str) -> list[Row]:
-    """Rows of a method where restoration is told the truth about the array: what must raise no alarm."""
-    told = ("cover", "white noise")
-    return [row for sweep, all_ in found if sweep.name in told for row in all_ if row.method == method]
-
-
-def false_warnings(found: Found, method: str) -> list[WarningCode]:
-    """What the service would say of sound images that are no worse than raw."""
-    return sorted(said for row in sound(found, method) if row.over_raw <= WORSE for said in row.warned)
-
-
-def limits(found: Found, method: str) -> Limits:
-    """What each sign stays under on sound images, but for the share of `ALARMS`."""
-    return _limits(sound(found, method))
-
-
-def _limits(rows_: list[Row]) -> Limits:
-    told = [asdict(row.signs) for row in rows_]
-    values = {name: np.array([each[name] for each in told]) for name in SIGNS}
-    return {
-        name: float(np.nanquantile(value, 1 - ALARMS, method="higher"))
-        for name, value in values.items()
-        if np.isfinite(value).any()
-    }
-
-
-def alarms(found: Found, method: str) -> list[str]:
-    """Signs that sound images of each scene give, by limits taken from the other scenes."""
-    fine = sound(found, method)
-    given = []
-    for scene in {row.scene for row in fine}:
-        known = _limits([row for row in fine if row.scene != scene])
-        given += [sign for row in fine if row.scene == scene for sign in shown(row, known)]
-    return sorted(given)
-
-
-def shown(row: Row, limits: Limits) -> list[str]:
-    """The signs over their limits."""
-    return [name for name, value in asdict(row.signs).items() if value > limits.get(name, np.inf)]
-
-
-def table(found: Found) -> list[Failure]:
+def failures(results: Results) -> list[Failure]:
     """Every method on every sweep, sweep by sweep."""
-    present = list(dict.fromkeys(row.method for row in found[0][1] if row.method != "raw"))
-    known = {method: limits(found, method) for method in present}
-    return [failure(sweep, rows_, method, known[method]) for sweep, rows_ in found for method in present]
+    methods = list(dict.fromkeys(row.method for row in results[0][1] if row.method != "raw"))
+    return [failure(sweep, found, method) for sweep, found in results for method in methods]
 
 
-def silent(found: Found, method: str = "auto") -> list[Row]:
-    """Images of a method that are over twice as wrong as claimed, and that no warning comes with."""
-    return [row for _, all_ in found for row in all_ if row.method == method and not noticed(row)]
+HEADINGS = ("goes wrong", "methods worse than raw, from", "auto at its worst", "noticed on auto")
 
 
-def setting(quick: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
-    """What to run, on rubber if no skin is given, and which of each sweep's values."""
-    if quick:
-        return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
-    return Setting(skin or rubber(COVER, 32), seed, tuple(DRAWN)), slice(None)
+def lines(results: Results) -> list[tuple[str, ...]]:
+    """A table by HEADINGS: where each method is first worse than raw, and whether that is noticed on auto."""
+    table = []
+    every = failures(results)
+    for auto in (one for one in every if one.method == "auto"):
+        broken = [one for one in every if one.sweep == auto.sweep and one.breaks_at]
+        places = "; ".join(f"{one.method} {', '.join(f'{value:g}' for value in one.breaks_at)}" for one in broken)
+        worst = f"{auto.worst:.2f} at {auto.worst_at:g}"
+        cells = (places or "none", worst, auto.noticed or "nothing to notice")
+        table.append((f"{auto.sweep} ({auto.unit})", *(_minus(cell) for cell in cells)))
+    return table
+
+
+SILENT_HEADINGS = ("goes wrong", "by", "scene", "error over raw", "true error, kPa", "stated, kPa")
+
+
+def silent_lines(results: Results) -> list[tuple[str, ...]]:
+    """A table by SILENT_HEADINGS: images of auto that are worse than raw and show it by nothing, worst first."""
+    silent = [
+        (row, sweep.unit)
+        for sweep, found in results
+        for row in found
+        if row.method == "auto" and row.failed and not row.noticed
+    ]
+    silent.sort(key=lambda each: -each[0].over_raw)
+    return [
+        (
+            row.sweep,
+            _minus(f"{row.value:g} {unit}"),
+            row.scene,
+            f"{row.over_raw:.2f}",
+            f"{row.error:.2f}",
+            f"{row.stated:.2f}",
+        )
+        for row, unit in silent
+    ]
+
+
+def _minus(text: str) -> str:
+    return text.replace(" -", " −") if not text.startswith("-") else "−" + text[1:]
+
+
+def false_warnings(results: Results) -> str:
+    """How many images of auto have a warning where restoration has the right settings."""
+    sound = [
+        row
+        for sweep, found in results
+        if sweep.name in ("cover", "white noise")
+        for row in found
+        if row.method == "auto"
+    ]
+    wrong = sum(bool(row.warnings) and not row.failed for row in sound)
+    return f"Warnings on {len(sound)} images with the right settings: {wrong}."
+
+
+def write(folder: Path, results: Results, seed: int) -> None:
+    """Write every image to stability.csv, the failures to stability-table.csv, and a summary to stability.json."""
+    table = [asdict(one) for one in failures(results)]
+    _csv(folder / "stability.csv", [asdict(row) for _, found in results for row in found])
+    _csv(folder / "stability-table.csv", table)
+    silent = [dict(zip(SILENT_HEADINGS, line, strict=True)) for line in silent_lines(results)]
+    about = {"seed": seed, "machine": describe(), "worse than raw by": WORSE}
+    text = json.dumps(about | {"silent on auto": silent, "table": table}, indent=2)
+    (folder / "stability.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _csv(path: Path, records: list[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.DictWriter(file, list(records[0]))
+        out.writeheader()
+        for record in records:
+            out.writerow({key: _cell(value) for key, value in record.items()})
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return " ".join(str(_cell(each)) for each in value) if isinstance(value, tuple) else value

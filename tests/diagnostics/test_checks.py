@@ -9,8 +9,8 @@ from tactiled.frames import DEAD, SATURATED
 from tactiled.geometry import grid
 from tactiled.restore.methods import make
 from tactiled.simulate.array import FINER, Surface
-from tactiled.study.truth import presses
 from tests.plans import plan
+from tests.study.presses import presses
 
 SIDE, NOISE = 20, 0.5
 RUBBER = (0.6, 0.48)

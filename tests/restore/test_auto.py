@@ -7,8 +7,8 @@ from tactiled.frames import DEAD
 from tactiled.restore.auto import PAUSE
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.points import Points
-from tactiled.study.restore import nrmse
-from tactiled.study.truth import presses
+from tactiled.study.skin import nrmse
+from tests.study.presses import presses
 
 SIGMA = 0.5
 SHAPE = (24, 24)

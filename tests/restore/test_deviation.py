@@ -1,24 +1,14 @@
 """What is said of an image's error and noise, against what they are, under a cover not quite as believed."""
 
-from functools import cache, partial
-
 import numpy as np
 import pytest
 
-from tactiled.cover.operator import cached, stencil
-from tactiled.geometry import grid
 from tactiled.restore import wiener
-from tactiled.restore.blur import GridBlur
 from tactiled.restore.methods import make
-from tactiled.study.truth import APERTURE, kernel, presses
+from tactiled.study.skin import rubber
+from tests.study.presses import presses
 
 SIZE = 12
-
-
-@cache
-def believed(thickness):
-    finer = partial(cached, stencil, kernel(thickness, "fem"), grid(SIZE, SIZE, 1.0, APERTURE))
-    return GridBlur(finer, (SIZE, SIZE))
 
 
 def ratios(method, noise, thicker, repeats, points=False):
@@ -26,7 +16,7 @@ def ratios(method, noise, thicker, repeats, points=False):
     for press in presses(SIZE, (0.5, 1.0, 2.0), (noise,), repeats, seed=9):
         if (press.scene == "points") is not points:
             continue
-        restorer = make(method, believed(thicker * press.thickness), press.sigma)
+        restorer = make(method, rubber(thicker * press.thickness, SIZE).blur, press.sigma)
         done = restorer(press.frame)
         if done.method == ("points" if points else method):
             yield np.linalg.norm(done.image - press.truth) / np.linalg.norm(restorer.deviation())
@@ -63,7 +53,7 @@ def test_deviation_counts_that_small_spots_may_be_elsewhere(method, noise):
     found = []
     for press in presses(SIZE, (0.5, 1.0), (noise,), 8, seed=9):
         if press.scene == "points":
-            restorer = make(method, believed(press.thickness), press.sigma)
+            restorer = make(method, press.blur, press.sigma)
             error = restorer(press.frame).image - press.truth
             found.append(np.linalg.norm(error) / np.linalg.norm(restorer.deviation()))
     assert 0.7 < np.median(found) < 1.4

@@ -4,8 +4,8 @@ import pytest
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.methods import METHODS, make
-from tactiled.study.skin import films, rubber
-from tactiled.study.truth import presses
+from tactiled.study.skin import clips, rubber
+from tests.study.presses import presses
 
 SIGMA = 0.5
 SHARP = [name for name in METHODS if name != "raw"]
@@ -148,10 +148,10 @@ def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, me
     monkeypatch.setattr("tactiled.study.skin.STEP", 0.4)
     skin = rubber(thickness, 24)
     for scene in ("punches", "braille"):
-        film = next(films(skin, 0.002, 5, 7, (scene,)))
-        following = make(method, skin.blur, film.sigma)
-        for frame, truth in zip(film.frames, film.truths, strict=True):
-            image, fresh = following(frame).image, make(method, skin.blur, film.sigma)(frame).image
+        clip = next(clips(skin, 0.002, 5, 7, (scene,)))
+        following = make(method, skin.blur, clip.sigma)
+        for frame, truth in zip(clip.frames, clip.truths, strict=True):
+            image, fresh = following(frame).image, make(method, skin.blur, clip.sigma)(frame).image
             assert error(image, truth) < most * error(fresh, truth)
 
 

@@ -9,7 +9,7 @@ from tactiled.cover.operator import stencil
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
 from tactiled.restore.wiener import Wiener
-from tactiled.study.truth import psf_of
+from tactiled.study.skin import psf_of
 from tests.plans import plan
 
 SIDE = 32

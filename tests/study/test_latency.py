@@ -16,16 +16,14 @@ def test_every_client_is_timed(monkeypatch, clients):
     service = Service(config)
     codec = service.sensor("palm").codec
     cores = os.sched_getaffinity(0)
+
+    def source(sequence, _, now):
+        return codec.encode(pressed().ravel(), sequence, now)
+
     with threadpool_limits(1):
-        told = latency.measure(
-            service,
-            config,
-            lambda sequence, _, now: codec.encode(pressed().ravel(), sequence, now),
-            50,
-            1.0,
-            clients,
-        )
-    assert 0 < told.received <= told.sent <= 51
-    assert 0 < told.median <= told.p99 <= told.worst
-    assert told.pinned == (clients > 1 and len(cores) > 1)
+        result = latency.measure(service, config, source, 50, 1.0, clients)
+    assert 0 < result.received <= result.frames <= 51
+    assert 0 < result.median <= result.p99 <= result.worst
+    assert result.pinned == (clients > 1 and len(cores) > 1)
     assert os.sched_getaffinity(0) == cores
+    assert f"{result.frames} / {result.received}" in [line[1] for line in latency.lines(result, clients)]

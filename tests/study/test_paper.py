@@ -3,25 +3,23 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from tactiled.study.paper import cases, page
-from tactiled.study.paper.claims import Claim
+from tactiled.cli import app as cli
+from tactiled.errors import ConfigError
+from tactiled.study.paper import models, page
 from tactiled.study.paper.figures import FIGURES
+from tactiled.study.paper.statements import statements
 
 
 @pytest.fixture(scope="module")
-def claims():
-    return page.claims()
+def compared():
+    return statements()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return page.write(tmp_path_factory.mktemp("paper")).parent
-
-
-def find(claims, words):
-    (found,) = (claim for claim in claims if words in claim.states)
-    return found
+def find(compared, words):
+    (one,) = (each for each in compared if words in each.states)
+    return one
 
 
 @pytest.mark.parametrize(
@@ -44,75 +42,78 @@ def find(claims, words):
         ("Measured forces", None),
     ],
 )
-def test_verdicts(claims, words, agrees):
-    assert find(claims, words).agrees is agrees
+def test_verdicts(compared, words, agrees):
+    assert find(compared, words).agrees is agrees
 
 
-def test_the_gains_written_under_the_wrong_thickness_are_shown_with_the_right_ones(claims):
-    first, second = find(claims, "0.4 under 0.6 mm"), find(claims, "0.2 under 1.0 mm")
+def test_the_gains_at_the_wrong_thickness_are_shown_with_the_right_ones(compared):
+    first, second = find(compared, "0.4 under 0.6 mm"), find(compared, "0.2 under 1.0 mm")
     assert (first.exact, second.exact) == ("0.170", "0.021")
     assert "0.42 is the gain under 0.4 mm" in first.why
     assert "0.6 mm, 0.17" in second.why
 
 
-def test_both_models_say_the_same(claims):
-    for claim in claims:
-        if "rim" in claim.states:
-            continue
-        fem, exact = (np.array(re.findall(r"[+-]?\d+\.\d+", text), float) for text in (claim.fem, claim.exact))
-        np.testing.assert_allclose(fem, exact, atol=0.0021, rtol=0.002, err_msg=claim.states)
+def test_both_models_give_the_same_numbers(compared):
+    for each in compared:
+        if "rim" not in each.states:
+            fem, exact = (np.array(re.findall(r"[+-]?\d+\.\d+", cell), float) for cell in (each.fem, each.exact))
+            np.testing.assert_allclose(fem, exact, atol=0.0021, rtol=0.002, err_msg=each.states)
 
 
-def test_the_ring_has_the_papers_sides():
-    ring = cases.ring()
+def test_the_ring_has_the_papers_sides_and_its_force_under_a_thin_cover():
+    ring = models.ring()
     assert ring.shape == (40, 40)
-    assert ring[20].sum() * cases.ELEMENT == pytest.approx(1.0 - 0.6)
-    assert ring.sum() * cases.ELEMENT**2 == pytest.approx(1.0**2 - 0.6**2)
+    assert ring[20].sum() * models.ELEMENT == pytest.approx(1.0 - 0.6)
+    assert ring.sum() * models.ELEMENT**2 == pytest.approx(1.0**2 - 0.6**2)
+    assert models.under(models.covered(0.1), "exact").sum() == pytest.approx(ring.sum(), rel=0.01)
 
 
-def test_the_ring_keeps_its_force_under_a_thin_cover():
-    kept = cases.under(cases.covered(0.1), "exact").sum() / cases.ring().sum()
-    assert kept == pytest.approx(1, abs=0.01)
+def test_the_rod_presses_on_one_cell_in_its_middle_and_on_two_on_their_common_edge():
+    def force(sheet, *x):
+        return models.cell_force(models.covered(sheet).exact, np.array(x), models.POINT)
 
-
-def test_the_rod_in_the_middle_of_a_cell_presses_on_it_alone():
-    thin, thick = (
-        cases.cell_force(cases.covered(sheet).exact, np.array([0.0]), cases.POINT) for sheet in (0.25, 1.0)
-    )
-    assert thick < thin
-    assert thin == pytest.approx(cases.LOAD, abs=0.002)
-
-
-def test_two_cells_share_a_rod_on_their_common_edge():
-    edge = cases.cell_force(cases.covered(0.5).exact, np.array([-cases.CELL / 2, cases.CELL / 2]), cases.POINT)
-    np.testing.assert_allclose(edge, cases.LOAD / 2, atol=0.01)
+    assert force(1.0, 0.0) < force(0.25, 0.0)
+    assert force(0.25, 0.0) == pytest.approx(models.LOAD, abs=0.002)
+    half = models.CELL / 2
+    np.testing.assert_allclose(force(0.5, -half, half), models.LOAD / 2, atol=0.01)
 
 
 def test_a_spread_load_is_still_the_whole_load_and_filters_more():
-    point = cases.covered(0.25).exact
-    spread = cases.spread(point, 0.3)
+    point = models.covered(0.25).exact
+    spread = models.spread(point, 0.3)
     assert spread.gain_at(1e-6) == pytest.approx(1)
     assert spread.gain_at(1.0) < point.gain_at(1.0) - 0.1
 
 
-def test_every_figure_is_drawn(folder):
+def test_command_writes_a_page_with_every_statement_and_figure(tmp_path, compared):
+    folder = tmp_path / "new" / "folder"
+    result = CliRunner().invoke(cli.app, ["paper", str(folder)])
+    assert (result.exit_code, result.output.strip()) == (0, str(folder / "index.html")), result.output
     for name, *_ in FIGURES:
         data = (folder / name).read_bytes()
         assert len(data) > 10_000
         if name.endswith("svg"):
             ElementTree.fromstring(data)
+    html = (folder / "index.html").read_text(encoding="utf-8")
+    assert html.count("<tr><td>") == len(compared)
+    assert [name for name, *_ in FIGURES] == re.findall(r"<img src='([^']*)'", html)
+    agree, disagree = (sum(each.agrees is verdict for each in compared) for verdict in (True, False))
+    assert f"{agree} agree, {disagree} do not" in html
 
 
-def test_the_page_shows_every_claim_and_figure(folder, claims):
-    text = (folder / "index.html").read_text(encoding="utf-8")
-    assert text.count("<tr><td>") == len(claims)
-    assert [name for name, *_ in FIGURES] == re.findall(r"<img src='([^']*)'", text)
-    agree, disagree = (sum(claim.agrees is verdict for claim in claims) for verdict in (True, False))
-    assert f"{agree} agree, {disagree} do not" in text
+@pytest.mark.parametrize(
+    ("cell", "printed"), [("2e-08 of peak", "2 × 10⁻⁸ of peak"), ("-0.058 to +0.026", "−0.058 to +0.026")]
+)
+def test_the_page_writes_true_minus_signs_and_powers(cell, printed):
+    assert page.number(cell) == printed
 
 
-def test_the_page_escapes_and_writes_numbers_well():
-    row = page._row(Claim("I", "a < b", "2e-08 of peak", "-0.058 to +0.026", None, "5e-1 & more"))
-    assert "a &lt; b" in row
-    assert "2 × 10<sup>−8</sup> of peak" in row
-    assert "<td>−0.058 to +0.026</td>" in row
+def test_folders_and_pages_that_cannot_be_written_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "FIGURES", ())
+    monkeypatch.setattr(page, "statements", list)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match=r"folder .*file/here cannot be made: Not a directory"):
+        page.write(tmp_path / "file" / "here")
+    (tmp_path / "index.html").mkdir()
+    with pytest.raises(ConfigError, match=r"page .*index.html cannot be written: Is a directory"):
+        page.write(tmp_path)

@@ -17,7 +17,7 @@ from tactiled.bus.reader import BUFFER, only, open_bus
 from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
-from tactiled.study.bus import live
+from tests.study.bus import live
 
 SMALL = Packed(10, 12)  # three messages a frame
 

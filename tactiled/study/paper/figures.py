@@ -9,8 +9,9 @@ from matplotlib.image import AxesImage
 
 from tactiled.cover.fem import FLOOR
 from tactiled.study.charts import COLOURS, FREQUENCY, MARKS, figure
-from tactiled.study.paper import cases
-from tactiled.study.paper.cases import Floats, Pair, covered
+from tactiled.study.paper import models
+from tactiled.study.paper.models import Pair, covered
+from tactiled.study.scenes import Floats
 
 Q = np.linspace(0, 6, 301)  # cycles/mm
 SPACING = 20  # points of a line between marks
@@ -22,45 +23,45 @@ NINE = (  # thickness (mm), Young's modulus (MPa), Poisson's ratio
 )
 
 
-def response_by_thickness(path: Path) -> None:
+def _fig4(path: Path) -> None:
     """Fig. 4: stress under the paper's point load, and its peaks against the law they should follow."""
     r = np.linspace(0, 1, 301)
-    with figure(path, 10, 4.2) as drawn:
-        left, right = drawn.subplots(1, 2, width_ratios=(1.5, 1))
-        pairs = [covered(thickness) for thickness in cases.THICKNESSES]
-        for number, (thickness, pair) in enumerate(zip(cases.THICKNESSES, pairs, strict=True)):
-            values = [cases.LOAD * np.interp(r, each.r, each.g) for each in (pair.exact, pair.fem)]
+    with figure(path, 10, 4.2) as chart:
+        left, right = chart.subplots(1, 2, width_ratios=(1.5, 1))
+        pairs = [covered(thickness) for thickness in models.THICKNESSES]
+        for number, (thickness, pair) in enumerate(zip(models.THICKNESSES, pairs, strict=True)):
+            values = [models.LOAD * np.interp(r, each.r, each.g) for each in (pair.exact, pair.fem)]
             _both(left, number, r, values, f"{thickness:g} mm")
         left.set(xlabel="distance from the load r (mm)", ylabel="stress under 0.98 N (MPa)", yscale="log")
         left.set(title="Stress on the sensor, by thickness", xlim=(0, 1), ylim=(1e-2, 100))
         left.legend(title="cover")
-        peaks = [cases.LOAD * pair.exact.g[0] for pair in pairs]
-        law = peaks[1] * (cases.THICKNESSES[1] / np.array(cases.THICKNESSES)) ** 2
-        right.loglog(cases.THICKNESSES, law, "--", color="#888888", label="1 / thickness²")
-        right.loglog(cases.THICKNESSES, peaks, "o", color=COLOURS[0], markersize=7, label="peak, exact")
+        peaks = [models.LOAD * pair.exact.g[0] for pair in pairs]
+        law = peaks[1] * (models.THICKNESSES[1] / np.array(models.THICKNESSES)) ** 2
+        right.loglog(models.THICKNESSES, law, "--", color="#888888", label="1 / thickness²")
+        right.loglog(models.THICKNESSES, peaks, "o", color=COLOURS[0], markersize=7, label="peak, exact")
         right.set(title="Its peak", xlabel="thickness (mm)", ylabel="peak stress (MPa)")
-        right.set_xticks(cases.THICKNESSES, [f"{thickness:g}" for thickness in cases.THICKNESSES])
+        right.set_xticks(models.THICKNESSES, [f"{thickness:g}" for thickness in models.THICKNESSES])
         right.set_yticks(peaks, [f"{peak:.3g}" for peak in peaks])
         right.minorticks_off()
         right.legend()
 
 
-def gain_by_thickness(path: Path) -> None:
+def _fig5(path: Path) -> None:
     """Fig. 5."""
-    _gains(path, "Gain by thickness of the cover", cases.THICKNESSES, lambda x: covered(x), "{:g} mm")
+    _gains(path, "Gain by thickness of the cover", models.THICKNESSES, lambda x: covered(x), "{:g} mm")
 
 
-def gain_by_modulus(path: Path) -> None:
+def _fig6(path: Path) -> None:
     """Fig. 6."""
-    _gains(path, "Gain by Young's modulus of the cover", cases.MODULI, lambda x: covered(young=x), "{:g} MPa")
+    _gains(path, "Gain by Young's modulus of the cover", models.MODULI, lambda x: covered(young=x), "{:g} MPa")
 
 
-def gain_by_poisson(path: Path) -> None:
+def _fig7(path: Path) -> None:
     """Fig. 7, and how far each ratio is from the paper's 0.3."""
-    with figure(path, 10, 4.2) as drawn:
-        left, right = drawn.subplots(1, 2)
+    with figure(path, 10, 4.2) as chart:
+        left, right = chart.subplots(1, 2)
         reference = covered()
-        for number, poisson in enumerate(cases.RATIOS):
+        for number, poisson in enumerate(models.RATIOS):
             pair = covered(poisson=poisson)
             values = [pair.exact.gain_at(Q), pair.fem.gain_at(Q)]
             _both(left, number, Q, values, f"{poisson:g}")
@@ -71,39 +72,39 @@ def gain_by_poisson(path: Path) -> None:
         right.set(title="Change from ratio 0.3", xlabel=FREQUENCY, ylabel="change of G", xlim=(0, 6))
 
 
-def ring_under_covers(path: Path) -> None:
+def _fig8(path: Path) -> None:
     """Fig. 8: the square ring, the reference cover, and nine that differ from it."""
-    with figure(path, 10, 12.6) as drawn:
-        axes = drawn.subplots(4, 3)
-        image = _picture(axes[0, 0], cases.ring(), "On the cover")
-        _picture(axes[0, 1], cases.under(covered(), "fem"), "0.2 mm, 98 MPa, ratio 0.3")
+    with figure(path, 10, 12.6) as chart:
+        axes = chart.subplots(4, 3)
+        image = _picture(axes[0, 0], models.ring(), "On the cover")
+        _picture(axes[0, 1], models.under(covered(), "fem"), "0.2 mm, 98 MPa, ratio 0.3")
         _section(axes[0, 2])
         for axis, (thickness, young, poisson) in zip(axes[1:].flat, NINE, strict=True):
-            shown = cases.under(covered(thickness, young, poisson), "fem")
-            _picture(axis, shown, _difference(thickness, young, poisson))
+            picture = models.under(covered(thickness, young, poisson), "fem")
+            _picture(axis, picture, _difference(thickness, young, poisson))
         for axis in (*axes[:3, :2].flat, *axes[1:3, 2]):
             axis.set_xlabel("")
         for axis in (axes[0, 1], *axes[1:, 1:].flat):
             axis.set_ylabel("")
         label = "pressure on the sensor over that on the cover"
-        drawn.colorbar(image, ax=axes, location="bottom", aspect=45, shrink=0.7, label=label, pad=0.02)
+        chart.colorbar(image, ax=axes, location="bottom", aspect=45, shrink=0.7, label=label, pad=0.02)
 
 
-def rod_over_cells(path: Path) -> None:
+def _fig10(path: Path) -> None:
     """Fig. 10: force on one cell, and faintly on its neighbours, as the rod moves along the row."""
     x = np.linspace(-6, 6, 481)
-    with figure(path, 10, 4.4) as drawn:
-        left, right = drawn.subplots(1, 2)
-        for number, thickness in enumerate(cases.SHEETS):
+    with figure(path, 10, 4.4) as chart:
+        left, right = chart.subplots(1, 2)
+        for number, thickness in enumerate(models.SHEETS):
             pair = covered(thickness)
-            forces = [cases.cell_force(each, x, cases.POINT) for each in (pair.exact, pair.fem)]
+            forces = [models.cell_force(each, x, models.POINT) for each in (pair.exact, pair.fem)]
             _both(left, number, x, forces, f"{thickness:g} mm", 40)
             _both(right, number, x, forces, f"{thickness:g} mm", 12)
-            for side in (-cases.CELL, cases.CELL):
-                beside = cases.cell_force(pair.exact, x - side, cases.POINT)
+            for side in (-models.CELL, models.CELL):
+                beside = models.cell_force(pair.exact, x - side, models.POINT)
                 left.plot(x, beside, color=COLOURS[number], lw=1, alpha=0.4)
         for axis in (left, right):
-            axis.axvspan(-cases.CELL / 2, cases.CELL / 2, color="#999999", alpha=0.15, lw=0, label="the cell")
+            axis.axvspan(-models.CELL / 2, models.CELL / 2, color="#999999", alpha=0.15, lw=0, label="the cell")
             axis.set(xlabel="place of the rod (mm)", ylabel="force on the cell (N)", ylim=(-0.02, 1.03))
         left.set(title="One cell of the row, and its neighbours", xlim=(-6, 6))
         right.set(title="At the cell's edge", xlim=(1, 3.6))
@@ -112,8 +113,8 @@ def rod_over_cells(path: Path) -> None:
 
 def _gains(path: Path, title: str, of: Sequence[float], pair: Callable[[float], Pair], name: str) -> None:
     """Draw one gain for every value, with the error of the finite elements beside it."""
-    with figure(path, 10, 4.2) as drawn:
-        left, right = drawn.subplots(1, 2, width_ratios=(1.5, 1))
+    with figure(path, 10, 4.2) as chart:
+        left, right = chart.subplots(1, 2, width_ratios=(1.5, 1))
         for number, value in enumerate(of):
             exact, fem = pair(value).exact.gain_at(Q), pair(value).fem.gain_at(Q)
             _both(left, number, Q, [exact, fem], name.format(value))
@@ -159,11 +160,11 @@ def _picture(axis: Axes, pressure: Floats, title: str) -> AxesImage:
 
 def _section(axis: Axes) -> None:
     """Draw the cut through the ring's middle, on the cover and under four thicknesses."""
-    x = cases.centres()
-    middle = cases.ELEMENTS // 2
-    axis.step(x, cases.ring()[middle], where="mid", color="#999999", lw=1.2, label="cover")
-    for number, thickness in enumerate(cases.THICKNESSES):
-        cut = [cases.under(covered(thickness), which)[middle] for which in ("exact", "fem")]
+    x = models.centres()
+    middle = models.ELEMENTS // 2
+    axis.step(x, models.ring()[middle], where="mid", color="#999999", lw=1.2, label="cover")
+    for number, thickness in enumerate(models.THICKNESSES):
+        cut = [models.under(covered(thickness), model)[middle] for model in ("exact", "fem")]
         _both(axis, number, x, cut, f"{thickness:g} mm", 5)
     axis.set_title("Cut at y = 0", fontsize=11)
     axis.set(xlabel="x (mm)", ylabel="pressure ratio", xlim=(-1, 1), ylim=(0, 1.75), xticks=(-1, 0, 1))
@@ -180,40 +181,15 @@ def _difference(thickness: float, young: float, poisson: float) -> str:
 
 
 FIGURES: tuple[tuple[str, str, str, Callable[[Path], None]], ...] = (
-    (
-        "fig04.svg",
-        "Fig. 4",
-        "Stress on the sensor under a point load of 0.98 N, by thickness of the cover.",
-        response_by_thickness,
-    ),
-    (
-        "fig05.svg",
-        "Fig. 5",
-        "Gain by thickness of the cover, and the error of the finite elements where the gain is 0.001 or more.",
-        gain_by_thickness,
-    ),
-    (
-        "fig06.svg",
-        "Fig. 6",
-        "Gain by the cover's Young's modulus, and the error of the finite elements.",
-        gain_by_modulus,
-    ),
-    (
-        "fig07.svg",
-        "Fig. 7",
-        "Gain by the cover's Poisson's ratio, and how far each is from that at 0.3.",
-        gain_by_poisson,
-    ),
-    (
-        "fig08.png",
-        "Fig. 8",
-        "A square ring under the reference cover and under nine that differ from it in one number.",
-        ring_under_covers,
-    ),
+    ("fig04.svg", "Fig. 4", "Stress on the sensor under a point load of 0.98 N, by thickness.", _fig4),
+    ("fig05.svg", "Fig. 5", "Gain by thickness; error of the finite elements where it is 0.001 or more.", _fig5),
+    ("fig06.svg", "Fig. 6", "Gain by the cover's Young's modulus, and the error of the finite elements.", _fig6),
+    ("fig07.svg", "Fig. 7", "Gain by the cover's Poisson's ratio, and the difference from that at 0.3.", _fig7),
+    ("fig08.png", "Fig. 8", "A square ring under the reference cover and under nine others.", _fig8),
     (
         "fig10.svg",
         "Fig. 10",
-        "Force on a cell of 4.57 mm under rubber as a rod with 0.98 N moves along the row; pale: its neighbours.",
-        rod_over_cells,
+        "Force on a cell of 4.57 mm as a rod with 0.98 N moves along; pale: neighbours.",
+        _fig10,
     ),
 )

@@ -5,7 +5,6 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.special import spherical_jn
 
@@ -13,9 +12,9 @@ from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import matrix, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid
+from tactiled.study.scenes import Floats
 
-Floats = NDArray[np.float64]
-Which = Literal["fem", "exact"]
+Model = Literal["fem", "exact"]
 
 SENSOR = Layer(thickness=1.0, young=980.0, poisson=0.3)
 THICKNESSES = (0.1, 0.2, 0.4, 0.6)  # mm
@@ -39,9 +38,9 @@ class Pair:
     fem: Kernel
     exact: Kernel
 
-    def of(self, which: Which) -> Kernel:
-        """Choose one of the two."""
-        return self.fem if which == "fem" else self.exact
+    def of(self, model: Model) -> Kernel:
+        """The kernel of one model."""
+        return self.fem if model == "fem" else self.exact
 
 
 @cache
@@ -52,37 +51,37 @@ def covered(thickness: float = 0.2, young: float = 98.0, poisson: float = 0.3) -
 
 
 def centres() -> Floats:
-    """Give the places (40,) in mm of the elements' centres along one side."""
+    """The places (40,) in mm of the elements' centres along one side."""
     return np.asarray((np.arange(ELEMENTS) - (ELEMENTS - 1) / 2) * ELEMENT, np.float64)
 
 
 def ring() -> Floats:
-    """Give the square ring (40, 40): 1 inside its outer side of 1.0 mm and outside its inner side of 0.6 mm."""
+    """The square ring (40, 40): 1 inside its outer side of 1.0 mm and outside its inner side of 0.6 mm."""
     along = np.abs(centres())
     reach = np.maximum(along[:, None], along)
     return np.asarray((reach < 0.5) & (reach > 0.3), float)
 
 
 @cache
-def under(pair: Pair, which: Which) -> Floats:
-    """Give the ring's pressure (40, 40) under a cover, element by element."""
-    response = stencil(pair.of(which), grid(ELEMENTS, ELEMENTS, ELEMENT))
+def under(pair: Pair, model: Model) -> Floats:
+    """The ring's pressure (40, 40) under a cover, element by element."""
+    response = stencil(pair.of(model), grid(ELEMENTS, ELEMENTS, ELEMENT))
     return np.asarray(fftconvolve(response, ring(), "valid"))
 
 
 def cell_force(kernel: Kernel, x: Floats, contact: float) -> Floats:
-    """Give the force (N) on a cell at 0 of LOAD on a square of side `contact` (mm) at x (n,) mm."""
+    """The force (N) on a cell at 0 of LOAD on a square of side `contact` (mm) at x (n,) mm."""
     cell = Array(np.zeros((1, 2)), CELL, CELL)
     places = np.column_stack([x, np.zeros_like(x)])
     return np.asarray(matrix(kernel, cell, places, contact)[0] * LOAD / contact**2 * CELL**2)
 
 
 def rod_contact(young: float, poisson: float) -> float:
-    """Give the radius (mm) of the rod's contact on a deep cover, (3 F R / 4 E*)^(1/3) (Hertz)."""
+    """The radius (mm) of the rod's contact on a deep cover, (3 F R / 4 E*)^(1/3) (Hertz)."""
     return float((3 * LOAD * ROD * (1 - poisson**2) / (4 * young)) ** (1 / 3))
 
 
 def spread(kernel: Kernel, radius: float) -> Kernel:
-    """Give what a cover makes of Hertz's pressure, sqrt(1 - r^2 / radius^2), in place of a point load."""
+    """What a cover makes of Hertz's pressure, sqrt(1 - r^2 / radius^2), in place of a point load."""
     x = 2 * np.pi * radius * np.maximum(kernel.q, 1e-12)
     return replace(kernel, gain=kernel.gain * 3 * spherical_jn(1, x) / x)

@@ -1,0 +1,178 @@
+"""How many CAN messages a second become frames: from memory, and over a bus."""
+
+import multiprocessing
+import socket
+import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+from itertools import cycle, islice
+from pathlib import Path
+from threading import Thread
+from typing import NamedTuple
+
+import numpy as np
+
+from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.reader import open_bus
+from tactiled.bus.router import Router
+from tactiled.cli.bench import print_lines, print_table
+from tactiled.errors import BusError
+from tactiled.study.machine import describe
+
+LIVE = "packed, 32 x 32 of 12 bits, classic"
+SKINS = {
+    LIVE: Packed(1024, 12),
+    "packed, 32 x 32 of 12 bits, CAN FD": Packed(1024, 12, fd=True),
+    "iCub, 16 triangles": Icub(0, tuple(range(16))),
+}
+QUIET_S = 1.0  # a bus that is quiet for so long has delivered everything
+OPEN_S = 30.0  # for the sender to open its end
+TICK_S = 0.002  # a sender wakes up so often
+CAN_FRAME = struct.Struct("=IB3x8s")  # of Linux: id, length, data
+HEADINGS = ("skin", "messages a frame", "decoded and assembled", "encoded")
+
+
+def offline(seconds):
+    """(skin, messages a frame, messages a second decoded and assembled, encoded); `seconds` each."""
+    for name, codec in SKINS.items():
+        counts, messages = _traffic(codec)
+        router = Router({"it": codec})
+        received = _calls_per_s(lambda router=router, messages=messages: [*map(router.push, messages)], seconds)
+        encoded = _calls_per_s(partial(codec.encode, counts, 0, 0.0), seconds)
+        yield name, codec.segments, received * len(messages), encoded * codec.segments
+
+
+def _traffic(codec):
+    """A frame's counts, and the messages of as many frames as a sequence number distinguishes."""
+    counts = np.random.default_rng(0).integers(0, 256, codec.size).astype(np.uint16)
+    return counts, [each for sequence in range(256) for each in codec.encode(counts, sequence, 0.0)]
+
+
+def _calls_per_s(work, seconds):
+    """Calls a second of processor time: those of one core that does nothing else."""
+    done, began = 0, time.thread_time()
+    while (took := time.thread_time() - began) < seconds or not done:
+        work()
+        done += 1
+    return done / took
+
+
+class Live(NamedTuple):
+    """Result of one or several buses."""
+
+    sent: int  # messages
+    received: int
+    lost: int  # by the frames' own counters
+    rate: float  # messages a second that came in
+    cores: float | None  # busy with reading and assembling; None where the kernel's clock is too coarse
+
+
+def live(buses, rate, seconds):
+    """Read what a sender puts on buses, `rate` messages a second over all of them; each has a thread, as in `run`.
+
+    The sender is another process; on a virtual bus, which no other process sees, a thread.
+    """
+    readers = [open_bus(**each) for each in buses]
+    count = round(rate * seconds / len(buses))
+    alone = all(each["interface"] != "virtual" for each in buses)
+    make = multiprocessing.get_context("spawn").Process if alone else Thread
+    sender = make(target=send, args=(buses, rate / len(buses), count), daemon=True)
+    sender.start()
+    try:
+        with ThreadPoolExecutor(len(readers)) as pool:
+            results = list(pool.map(_drain, readers))
+    finally:
+        for reader in readers:
+            reader.close()
+        sender.join()
+    received, lost, rates, cores = map(sum, zip(*results, strict=True))
+    return Live(count * len(buses), received, lost, rates, cores if _clock_step_s() < TICK_S else None)
+
+
+def _clock_step_s():
+    """The step in which the kernel counts a thread's processor time: 10 ms in the test kernel."""
+    now = began = time.thread_time()
+    while now == began:
+        now = time.thread_time()
+    return now - began
+
+
+def _drain(reader):
+    """Make frames of messages until the bus is quiet: received, lost, messages a second, cores."""
+    router = Router({"it": SKINS[LIVE]})
+    if not (messages := reader.batch(OPEN_S)):
+        raise BusError(f"bus {reader.label}: no message within {OPEN_S:g} s: can its interface send to itself?")
+    began, busy = time.perf_counter(), time.thread_time()
+    received, last, cores_s = 0, began, 0.0
+    while messages:
+        for message in messages:
+            router.push(message)
+        received += len(messages)
+        last, cores_s = time.perf_counter(), time.thread_time() - busy
+        messages = reader.batch(QUIET_S)
+    took = max(last - began, TICK_S)
+    return received, router.assemblers["it"].loss.lost, received / took, cores_s / took
+
+
+def send(buses, rate, count):
+    """Put `count` messages on each of some buses, `rate` a second on each, paced in blocks."""
+    _, messages = _traffic(SKINS[LIVE])
+    block = max(1, round(rate * TICK_S))
+    with ExitStack() as stack:
+        senders = [(_sender(each, stack), cycle(_encoded(each, messages))) for each in buses]
+        due = time.perf_counter()
+        for remaining in range(count, 0, -block):
+            time.sleep(max(0.0, due - time.perf_counter()))
+            for put, source in senders:
+                for each in islice(source, min(block, remaining)):
+                    put(each)
+            due += block / rate
+
+
+def _encoded(bus, messages):
+    """Messages, for SocketCAN as the bytes of its frames."""
+    if bus["interface"] != "socketcan":
+        return messages
+    return [CAN_FRAME.pack(each.id, len(each.data), each.data) for each in messages]
+
+
+def _sender(bus, stack):
+    """Sends one message: on SocketCAN by a bare socket, so that the reader is what is measured."""
+    if bus["interface"] != "socketcan":
+        opened = open_bus(**bus)
+        stack.callback(opened.close)
+        return opened.send
+    can = stack.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
+    can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")  # it receives nothing
+    can.bind((bus["channel"],))
+    return can.send
+
+
+def buses_of(interface, channels):
+    """The buses of each live measurement: a virtual one and any vcan, unless one is named."""
+    if interface:
+        return [[{"interface": interface, "channel": name} for name in channels]]
+    vcans = [name for name in ("vcan0", "vcan1") if Path("/sys/class/net", name).exists()]
+    measured = [[{"interface": "virtual", "channel": "tactiled-bench"}]]
+    return measured + ([[{"interface": "socketcan", "channel": name} for name in vcans]] if vcans else [])
+
+
+def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seconds: float = 2.0) -> None:  # noqa: B006
+    """Count the messages a second that are decoded and assembled, from memory and over a bus."""
+    rows = [
+        (name, str(each), f"{received:,.0f}", f"{encoded:,.0f}")
+        for name, each, received, encoded in offline(seconds)
+    ]
+    print_table("CAN messages a second, one core, from memory (aim: 200,000 decoded)", HEADINGS, rows)
+    for buses in buses_of(interface, channel):
+        result = live(buses, rate, seconds)
+        busy = "unknown: the clock of processor time is coarse" if result.cores is None else f"{result.cores:.2f}"
+        print_lines(
+            f"{buses[0]['interface']} {', '.join(each['channel'] for each in buses)}: {result.sent:,} messages"
+            f" sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s, {result.lost:,} lost;"
+            f" cores busy reading: {busy} (aim: 16,000/s, none lost, under 0.6)"
+        )
+    print_lines(describe())
