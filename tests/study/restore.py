@@ -87,7 +87,7 @@ def moving(size, frames):
     Jitter is that of a scene's frames but the first, on the worst scene.
     """
     skin = rubber(SPEED_COVER, size)
-    clips = moving_clips(skin, frames)
+    clips = list(moving_clips(skin, frames))
     times, used = play("auto", skin.blur, clips)
     all_times = np.concatenate(times)
     pad = np.random.default_rng(0).normal(0, 1, (size, size)).astype(np.float32)

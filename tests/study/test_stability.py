@@ -147,7 +147,7 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     assert done.exit_code == 0, done.output
     for name in ("stability.svg", "calibration.svg"):
         assert (tmp_path / name).read_text().startswith("<?xml")
-    assert "offset (% of the peak)" in done.output
+    assert "│ offset (% of the" in done.output
     assert max(len(line) for line in done.output.splitlines() if "│" in line) <= 80
     images = list(csv.DictReader((tmp_path / "stability.csv").read_text().splitlines()))
     assert {each["method"] for each in images} == {"raw", *stability.OURS, *stability.PEERS}

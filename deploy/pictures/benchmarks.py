@@ -1,0 +1,19 @@
+"""Draw frontier.svg and stability.svg: a part of the charts of `tactiled bench report`, in a few minutes."""
+
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from tactiled.study import faults, frontier, frontier_chart, stability, stability_chart
+from tactiled.study.skin import rubber
+
+SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over the edge", "taxels out of place")
+FOLDER = Path(__file__).parent
+
+with threadpool_limits(1):
+    panels = list(frontier.measure([rubber(thickness, 32) for thickness in (1.0, 3.0)], frontier.Effort(), 1))
+    frontier_chart.draw(FOLDER / "frontier.svg", panels)
+    faults.SWEEPS = tuple(sweep for sweep in faults.SWEEPS if sweep.name in SWEEPS)
+    stability_chart.draw(
+        FOLDER / "stability.svg", list(stability.measure(*stability.setting(quick=False, seed=1)))
+    )
