@@ -1,24 +1,16 @@
 """From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from tactiled.bus.codecs import Codec, Shearing, plugins
-from tactiled.bus.codecs.barrett import Barrett
-from tactiled.bus.codecs.cyskin import CySkin
-from tactiled.bus.codecs.dbc import Dbc, expand
-from tactiled.bus.codecs.icub import NO_LOAD, Icub
-from tactiled.bus.codecs.linker import Linker
-from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.codecs.poweron import PowerOn
-from tactiled.bus.codecs.xela import Xela
+from tactiled.bus import skins
+from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.bus.router import Router
 from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.config import codecs, schema
+from tactiled.config import schema
 from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
@@ -31,14 +23,6 @@ from tactiled.geometry import Array, Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
 
-SKINS: dict[str, Callable[..., Codec]] = {
-    "icub": Icub,
-    "xela": Xela,
-    "barrett": Barrett,
-    "poweron": PowerOn,
-    "cyskin": CySkin,
-    "linker": Linker,
-}
 LOG = logging.getLogger(__name__)
 CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
 SIDE = 1024  # of them in a row: as many as an array may have taxels in one
@@ -70,7 +54,7 @@ class SensorPlan:
     @property
     def shears(self) -> bool:
         """Whether the skin feels shear."""
-        return isinstance(self.codec, Shearing)
+        return isinstance(self.codec, ShearCodec)
 
 
 def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
@@ -130,7 +114,7 @@ def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
     if calibration.shear_n_per_count is None:
         return
     given = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
-    if not isinstance(codec, Shearing):
+    if not isinstance(codec, ShearCodec):
         raise ConfigError(f"{given}: the codec carries no shear: leave it out")
     if calibration.kpa_per_count is None:
         raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
@@ -161,9 +145,9 @@ def make_array(sensor: schema.Sensor) -> Array:
     if array.positions_mm is not None:
         _refuse(array, "rows", "columns", "pitch_mm")
         return layout(np.array(array.positions_mm, float), array.aperture_mm, array.aperture or "round")
-    if isinstance(sensor.codec, codecs.Icub):
+    if (positions := sensor.codec.settings.positions) is not None:
         _refuse(array, "rows", "columns", "pitch_mm")
-        return layout(_icub(sensor.codec).positions, array.aperture_mm, array.aperture or "round")
+        return layout(positions, array.aperture_mm, array.aperture or "round")
     if array.rows is None or array.columns is None or array.pitch_mm is None:
         raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
     return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
@@ -179,19 +163,7 @@ def _refuse(array: schema.Array, *keys: str) -> None:
 
 def make_codec(sensor: schema.Sensor) -> Codec:
     """The codec of a sensor; ConfigError where the array is larger than it can carry."""
-    settings = sensor.codec.model_dump(exclude={"name"})
-    if isinstance(sensor.codec, codecs.Packed):
-        return Packed(make_array(sensor).size, **settings)
-    if isinstance(sensor.codec, codecs.Dbc):
-        array = make_array(sensor)
-        return Dbc(sensor.codec.file, expand(sensor.codec.taxels, array.shape, array.size, sensor.codec.first))
-    if isinstance(sensor.codec, codecs.Plugin):
-        return plugins.make(sensor.codec.name, settings)
-    return SKINS[sensor.codec.name](**settings)
-
-
-def _icub(codec: codecs.Icub) -> Icub:
-    return Icub(codec.board, codec.triangles, codec.thermal_pads)
+    return skins.make(sensor.codec.name, sensor.codec.settings, make_array(sensor))
 
 
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
@@ -207,5 +179,6 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
 def make_calibration(sensor: schema.Sensor) -> Calibration:
     """Calibration as configured, over what the codec knows of its skin."""
     given = sensor.calibration.model_dump(exclude_none=True)
-    known = {"kpa_per_count": -1.0, "no_load": float(NO_LOAD)} if isinstance(sensor.codec, codecs.Icub) else {}
-    return Calibration(**(known | given))
+    skin = sensor.codec.settings
+    known = {"kpa_per_count": skin.kpa_per_count, "no_load": skin.no_load}
+    return Calibration(**({key: value for key, value in known.items() if value is not None} | given))

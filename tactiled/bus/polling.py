@@ -1,61 +1,79 @@
-"""What skins that send nothing by themselves have to be told, when it is due; time is an argument."""
+"""What is sent to skins that send nothing by themselves, and when; time is an argument."""
 
 from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
-from tactiled.bus.codecs import Talk
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
-AGAIN_S = 1.0  # until a skin is started again, whose start the bus did not take
+Send = Callable[[Message], None]
+START_AGAIN_S = 1.0  # until a skin is started again, whose start the bus did not take
 
 
-class Talker:
+class Poll(NamedTuple):
+    """A request that is sent over and over."""
+
+    message: Message
+    period_s: float
+    segments: range  # that answer it
+
+
+class Polling(NamedTuple):
+    """What has to be sent to a skin so that it sends."""
+
+    start: tuple[tuple[float, Message], ...] = ()  # once, each so many s after the bus was opened
+    polls: tuple[Poll, ...] = ()  # over and over from then on
+    stop: tuple[Message, ...] = ()  # once, before the bus is closed
+
+
+class Poller:
     """The start messages, the requests and the stop messages of the skins on one bus."""
 
-    def __init__(self, talks: Iterable[Talk]) -> None:
-        talks = tuple(talks)
-        self._starts = tuple(dict.fromkeys(each for talk in talks for each in talk.start))
-        self._polls = tuple(each for talk in talks for each in talk.polls)
-        self._stops = tuple(dict.fromkeys(each for talk in talks for each in talk.stop))
+    def __init__(self, skins: Iterable[Polling]) -> None:
+        skins = tuple(skins)
+        self._starts = tuple(dict.fromkeys(each for skin in skins for each in skin.start))
+        self._polls = tuple(each for skin in skins for each in skin.polls)
+        self._stops = tuple(dict.fromkeys(each for skin in skins for each in skin.stop))
         self._starting: list[tuple[float, Message]] = []  # when (s), what
         self._due: list[float] = []  # s, of each request
 
-    def begin(self, now: float) -> None:
-        """The bus is open at `now` (s): start the skins, then ask."""
+    def start(self, now: float) -> None:
+        """Begin with the start messages: the bus is open at `now` (s)."""
         self._starting = sorted(((now + after, each) for after, each in self._starts), key=lambda each: each[0])
         last = self._starting[-1][0] if self._starting else now
         self._due = [last] * len(self._polls)
 
-    def wait(self, now: float) -> float:
+    def wait_s(self, now: float) -> float:
         """Seconds from `now` until something is due; inf where nothing ever is."""
         due = (*self._due, *(at for at, _ in self._starting))
         return max(0.0, min(due, default=float("inf")) - now)
 
-    def say(self, send: Callable[[Message], None], now: float) -> int:
+    def send_due(self, send: Send, now: float) -> int:
         """Send what is due at `now` (s); returns how many messages the bus did not take (BusError)."""
-        begun = [each for at, each in self._starting if at <= now]
-        self._starting = self._starting[len(begun) :]
-        unstarted = _unsent(send, begun)
-        unsent = unstarted + _unsent(send, self._asked(now))
-        if unstarted:
-            self.begin(now + AGAIN_S)
+        starts = [each for at, each in self._starting if at <= now]
+        self._starting = self._starting[len(starts) :]
+        failed = _send_all(send, starts)
+        unsent = failed + _send_all(send, self._due_polls(now))
+        if failed:
+            self.start(now + START_AGAIN_S)
         return unsent
 
-    def end(self, send: Callable[[Message], None]) -> int:
-        """Stop the skins that were started; returns how many messages the bus did not take."""
-        return _unsent(send, self._stops)
+    def stop(self, send: Send) -> None:
+        """Send the stop messages."""
+        _send_all(send, self._stops)
 
-    def _asked(self, now: float) -> list[Message]:
+    def _due_polls(self, now: float) -> list[Message]:
         """Requests that are due; one that is late by more than its period moves the next, so that none burst."""
-        asked = []
-        for at, (due, poll) in enumerate(zip(self._due, self._polls, strict=True)):
-            if due <= now:
-                asked.append(poll.message)
-                self._due[at] = due + poll.period_s if due + poll.period_s > now else now + poll.period_s
-        return asked
+        due = []
+        for at, poll in enumerate(self._polls):
+            if self._due[at] <= now:
+                due.append(poll.message)
+                after = self._due[at] + poll.period_s
+                self._due[at] = after if after > now else now + poll.period_s
+        return due
 
 
-def _unsent(send: Callable[[Message], None], messages: Iterable[Message]) -> int:
+def _send_all(send: Send, messages: Iterable[Message]) -> int:
     failed = 0
     for each in messages:
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread
 
 from tactiled.bus import recording
-from tactiled.bus.codecs import Codec
+from tactiled.bus.codec import Codec
 from tactiled.bus.pace import Pace
 from tactiled.bus.router import Router
 from tactiled.errors import ConfigError, TactileError

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from tactiled.bus.assemble import Assembler
-from tactiled.bus.codecs import Codec
-from tactiled.errors import CodecError, ConfigError
+from tactiled.bus.assembler import Assembler
+from tactiled.bus.codec import Codec
+from tactiled.errors import ConfigError
 from tactiled.frames import Message, RawFrame
 
 Frames = tuple[tuple[str, RawFrame], ...]
@@ -37,11 +37,11 @@ class Router:
             return ()
         assembler = self.assemblers[name]
         try:
-            reading = assembler.codec.decode(message)
-        except CodecError:
+            frames = assembler.push(assembler.codec.decode(message), now)
+        except Exception:  # a CodecError of our codecs; another package's may raise anything
             assembler.count("malformed")
             return ()
-        return tuple((name, frame) for frame in assembler.push(reading, now))
+        return tuple((name, frame) for frame in frames)
 
     def flush(self, before: float) -> Frames:
         """Close, marked, every frame whose newest message came before time `before` (s)."""

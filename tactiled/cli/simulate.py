@@ -1,6 +1,7 @@
 """`tactiled simulate`: a covered array that is only computed, on any bus that python-can opens."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,12 +9,11 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import make_array, make_calibration, make_codec, make_stack
-from tactiled.bus.codecs import talk_of
+from tactiled.bus.codecs.packed import Settings as Packed
 from tactiled.bus.reader import open_bus
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
 from tactiled.config import Config, Sensor, load, parse
-from tactiled.config.codecs import Packed
 from tactiled.config.example import EXAMPLE
 from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
@@ -45,7 +45,7 @@ def simulate(
     source = _player(one, scene, noise_kpa)
     keys = options.present(channel=channel, bitrate=bitrate)
     sender = open_bus(**_bus(settings, one, interface) | keys)
-    polled = bool(talk_of(source.codec).polls)
+    polled = bool(source.codec.polling.polls)
     pace = "whenever it is asked" if polled else f"at {rate_hz:g} Hz"
     typer.echo(f"{name}: {scene} on {sender.label} {pace}: press Ctrl-C to stop")
     began, limit_s = time.monotonic(), float("inf") if seconds is None else seconds
@@ -63,8 +63,8 @@ def simulate(
 
 def _with_fd(sensor: Sensor, name: str, fd: bool | None) -> Sensor:
     """The sensor with CAN FD on or off; ConfigError where its codec is classic CAN only."""
-    if isinstance(sensor.codec, Packed):
-        codec = sensor.codec.model_copy(update=options.present(fd=fd))
+    if isinstance(packed := sensor.codec.settings, Packed):
+        codec = sensor.codec.model_copy(update={"settings": replace(packed, **options.present(fd=fd))})
         return sensor.model_copy(update={"codec": codec})
     if fd:
         raise ConfigError(f"--fd: sensor {name} speaks {sensor.codec.name}, which is classic CAN")
@@ -74,7 +74,7 @@ def _with_fd(sensor: Sensor, name: str, fd: bool | None) -> Sensor:
 def _bus(settings: Config, sensor: Sensor, interface: str | None) -> dict[str, Any]:
     """What to open the bus with: the option or the file's own bus; CAN FD if the codec needs it."""
     bus = {"interface": interface} if interface else settings.bus[sensor.bus].settings()
-    return bus | {"fd": True} if isinstance(sensor.codec, Packed) and sensor.codec.fd else bus
+    return bus | {"fd": True} if isinstance(sensor.codec.settings, Packed) and sensor.codec.settings.fd else bus
 
 
 def _player(sensor: Sensor, scene: str, noise_kpa: float) -> Player:

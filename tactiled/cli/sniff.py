@@ -1,4 +1,4 @@
-"""`tactiled sniff`: which skins speak on a bus, and a configuration for them."""
+"""`tactiled sniff`: which skins send on a bus, and a configuration for them."""
 
 import json
 import time
@@ -9,26 +9,25 @@ import typer
 from rich.console import Console
 
 from tactiled.bus.reader import open_bus
-from tactiled.bus.sniff import Found, Heard, recognise
+from tactiled.bus.sniff import Sender, Survey, survey
 from tactiled.cli.app import interrupted
 from tactiled.cli.options import new_file
 from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 
-POLL_S = 0.05  # how long a read waits
-MOST = 1_000_000  # messages, so that listening for long does not fill the memory
-SHOWN = 8  # ids of no known skin
-PITCH_MM = {"packed": 1.0}  # of arrays that say nothing of it; other skins' taxels are further apart
+READ_S = 0.05  # how long a read waits: bounds how late Ctrl-C is seen
+MAX_MESSAGES = 1_000_000  # so that listening for long does not fill the memory
+MAX_UNKNOWN_LISTED = 8
 HEAD = """\
-# Written by `tactiled sniff` from what was heard on the bus. What no bus can say is a guess: go through every line
+# Written by `tactiled sniff` from the messages on the bus. What no bus can tell is a guess: go through every line
 # marked EDIT, then `tactiled check` this file.
 
 [bus.{bus}]
 {settings}
 """
 SENSOR = """
-# {says}: {taxels} taxels, {rate:.1f} frames a second.
+# {description}: {taxels} taxels, {rate_hz:.1f} frames a second.
 [sensor.{name}]
 bus = "{bus}"
 method = "auto"
@@ -42,14 +41,14 @@ young_mpa = 0.5
 poisson = 0.48
 
 [sensor.{name}.calibration]
-no_load = {no_load}  # median of what was heard: right if most of the array was not touched
+no_load = {no_load}  # median of what came: right if most of the array was not touched
 # kpa_per_count = 0.05  # EDIT: without it one count is shown as one kPa
 """
 ARRAY = """
-[sensor.{name}.array]                  # EDIT: what the bus does not say
+[sensor.{name}.array]                  # EDIT: what the bus does not tell
 rows = {rows}
 columns = {columns}
-pitch_mm = {pitch}
+pitch_mm = {pitch_mm}
 """
 
 
@@ -74,95 +73,86 @@ def sniff(
     """Listen to a bus and list the known skins on it; sends nothing."""
     if write is not None and write.exists():
         raise ConfigError(f"{write} is there already: name another file, or remove it first")
-    given = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
-    settings = {key: value for key, value in given.items() if value is not None}
+    options = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
+    settings = {"interface": interface} | {key: value for key, value in options.items() if value is not None}
     if interface == "socketcan":
         settings = {"channel": "can0"} | settings | {"fd": True}
-    messages = _listen({"interface": interface} | settings, seconds)
-    heard = recognise(messages)
+    messages = _listen(settings, seconds)
+    result = survey(messages)
     console = Console(soft_wrap=True, highlight=False)
-    for line in report(heard, len(messages), seconds):
-        console.print(line, markup=False)
+    console.print(*report(result, len(messages), seconds), sep="\n", markup=False)
     if write is not None:
-        _write(write, configuration(heard, {"interface": interface} | settings))
+        _write(write, configuration(result, settings))
         console.print(
             f"wrote {write}: edit it, then `tactiled check {write}` and `tactiled run {write}`", markup=False
         )
 
 
 def _listen(settings: dict[str, Any], seconds: float) -> list[Message]:
-    """What the bus carries in so many seconds, or until Ctrl-C."""
+    """The messages on a bus in so many seconds, or until Ctrl-C."""
     reader = open_bus(**settings)
-    heard: list[Message] = []
+    messages: list[Message] = []
     try:
         with interrupted() as stop:
             end = time.monotonic() + seconds
-            while not stop.is_set() and (left := end - time.monotonic()) > 0 and len(heard) < MOST:
-                if (message := reader.receive(min(left, POLL_S))) is not None:
-                    heard.append(message)
+            while not stop.is_set() and (rest := end - time.monotonic()) > 0 and len(messages) < MAX_MESSAGES:
+                messages += reader.batch(min(rest, READ_S))
     finally:
         reader.close()
-    return heard
+    return messages
 
 
-def report(heard: Heard, count: int, seconds: float) -> list[str]:
+def report(result: Survey, count: int, seconds: float) -> list[str]:
     """What to tell a person, line by line."""
     lines = [f"{count} messages in {seconds:g} s"]
-    for one in heard.found:
-        ids = _ids(one)
-        lost = f", {one.lost} messages lost" if one.lost else ""
+    for one in result.senders:
+        match, lost = one.match, f", {one.lost} messages lost" if one.lost else ""
+        ids = [f"{id_:#x}" for id_, _ in match.keys]
+        on = f"id {ids[0]}" if len(ids) == 1 else f"ids {ids[0]} to {ids[-1]}"
         lines.append(
-            f"{one.says}: {one.made.size} taxels, {one.made.segments} messages a frame on {ids},"
+            f"{match.description}: {match.codec.size} taxels, {match.codec.segments} messages a frame on {on},"
             f" {one.rate_hz:.1f} frames a second{lost}"
         )
-        lines += [f"  {doubt}" for doubt in one.doubts]
-    if not heard.found:
+        lines += [f"  {note}" for note in match.notes]
+    if not result.senders:
         lines.append(
             "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"
         )
-    for other in heard.others[:SHOWN]:
-        width = 8 if other.extended else 3
-        lines.append(f"unknown id {other.id:0{width}x}: {other.messages} messages, {other.rate_hz:.1f} a second")
-    if len(heard.others) > SHOWN:
-        lines.append(f"and {len(heard.others) - SHOWN} unknown ids more")
+    for each in result.unknown[:MAX_UNKNOWN_LISTED]:
+        width = 8 if each.extended else 3
+        lines.append(f"unknown id {each.id:0{width}x}: {each.messages} messages, {each.rate_hz:.1f} a second")
+    if (more := len(result.unknown) - MAX_UNKNOWN_LISTED) > 0:
+        lines.append(f"and {more} unknown ids more")
     return lines
 
 
-def _ids(one: Found) -> str:
-    shown = [f"{id_:#x}" for id_, _ in one.keys]
-    return f"id {shown[0]}" if len(shown) == 1 else f"ids {shown[0]} to {shown[-1]}"
-
-
-def configuration(heard: Heard, settings: dict[str, Any]) -> str:
-    """A configuration of everything found, as TOML; ConfigError where nothing was."""
-    if not heard.found:
-        raise ConfigError("no known skin was heard: nothing to write a configuration for")
+def configuration(result: Survey, settings: dict[str, Any]) -> str:
+    """A configuration of every sender, as TOML; ConfigError where there is none."""
+    if not result.senders:
+        raise ConfigError("no known skin sends on this bus: nothing to write a configuration for")
     bus = str(settings.get("channel", ""))
     bus = bus if bus.isalnum() and bus.isascii() and len(bus) <= 64 else "can0"
     text = HEAD.format(bus=bus, settings=_lines(settings))
-    names: list[str] = []
-    for one in heard.found:
-        kind = str(one.codec["name"])
-        name = f"{kind}{1 + sum(each.startswith(kind) for each in names)}"
-        names.append(name)
-        text += _sensor(one, name, bus)
+    numbers: dict[str, int] = {}
+    for one in result.senders:
+        numbers[one.name] = numbers.get(one.name, 0) + 1
+        text += _sensor(one, f"{one.name}{numbers[one.name]}", bus)
     parse(text, "sniffed")  # what is written can be read
     return text
 
 
-def _sensor(one: Found, name: str, bus: str) -> str:
-    array = ""
-    if one.shape is not None:
-        pitch = PITCH_MM.get(one.codec["name"], 4.0)
-        array = ARRAY.format(name=name, rows=one.shape[0], columns=one.shape[1], pitch=pitch)
-    codec = _lines(one.codec) + "".join(f"\n# {doubt}" for doubt in one.doubts)
+def _sensor(one: Sender, name: str, bus: str) -> str:
+    match, array = one.match, ""
+    if match.shape is not None:
+        rows, columns = match.shape
+        array = ARRAY.format(name=name, rows=rows, columns=columns, pitch_mm=match.pitch_mm)
     return SENSOR.format(
         name=name,
         bus=bus,
-        says=one.says,
-        taxels=one.made.size,
-        rate=one.rate_hz,
-        codec=codec,
+        description=match.description,
+        taxels=match.codec.size,
+        rate_hz=one.rate_hz,
+        codec=_lines({"name": one.name} | match.settings) + "".join(f"\n# {note}" for note in match.notes),
         array=array,
         no_load=one.no_load,
     )

@@ -3,24 +3,26 @@
 import difflib
 import tomllib
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tactiled.bus.codecs import plugins
+from tactiled.bus import skins
 from tactiled.bus.reader import no_interface
 from tactiled.bus.redact import seal, show
-from tactiled.config.codecs import BUILT_IN
-from tactiled.config.schema import Bus, Config, Layer, Sensor
-from tactiled.config.section import Section
+from tactiled.config import schema
+from tactiled.config.schema import Bus, Config
 from tactiled.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 16  # tables in tables; sensor.NAME.array.positions_mm[0] is the fourth
-SECTIONS: tuple[type[BaseModel], ...] = (Bus, *Section.__subclasses__())
-KEYS = {key for section in SECTIONS for key in section.model_fields}
+TABLES: dict[str, type[BaseModel]] = {
+    "": Config, "server": schema.Server, "bus": schema.Bus, "sensor": schema.Sensor, "array": schema.Array,
+    "cover": schema.Layer, "kernel": schema.Kernel, "calibration": schema.Calibration,
+}  # fmt: skip
 FD_ON_REQUEST = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interfaces that speak CAN FD if fd = true
 
 
@@ -71,7 +73,7 @@ def _check_depth(value: Any, depth: int) -> None:
 def _line(fault: ErrorDetails) -> str:
     """One line: the place, the value, what is wrong with it."""
     place, message, value = _place(fault["loc"]), fault["msg"].removeprefix("Value error, "), fault["input"]
-    if fault["type"] == "extra_forbidden":
+    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{place}: unknown key{_suggestion(*fault['loc'])}"
     if fault["type"] == "missing":
         return f"{place}: missing"
@@ -85,10 +87,8 @@ def _line(fault: ErrorDetails) -> str:
 
 
 def _place(loc: Sequence[int | str]) -> str:
-    """Dotted path, without the tag of the codec's kind: sensor.NAME.codec.TAG."""
+    """Dotted path."""
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc]
-    if parts[2:3] == [".codec"]:
-        del parts[3:4]
     return "".join(parts).lstrip(".")
 
 
@@ -97,21 +97,21 @@ def _suggestion(*loc: int | str) -> str:
 
     A known key in the wrong table is suggested with the right tables.
     """
-    key = str(loc[-1])
-    if key in KEYS:
-        sections = (each for each in SECTIONS if each is not Config and key in each.model_fields)
-        right = {_table(each) for each in sections} - {*loc[2:-1]}
+    tables, key = _keys(), str(loc[-1])
+    keys = set().union(*tables.values())
+    if key in keys:
+        right = {table for table, own in tables.items() if table and key in own} - {*loc[2:-1]}
         return f": did you mean {' or '.join(f'{table}.{key}' for table in sorted(right))}?" if right else ""
     stem = key.rsplit("_", 1)[0]
-    same_stem = [known for known in KEYS if known.rsplit("_", 1)[0] in (stem, key)]
-    near = same_stem or difflib.get_close_matches(key, KEYS, 1)
+    same_stem = [known for known in keys if known.rsplit("_", 1)[0] in (stem, key)]
+    near = same_stem or difflib.get_close_matches(key, keys, 1)
     return f": did you mean {min(near)}?" if near else ""
 
 
-def _table(section: type[BaseModel]) -> str:
-    """The name of a section's table, without its parents."""
-    name = "cover" if section is Layer else section.__name__.lower()
-    return name if name in Sensor.model_fields or name in Config.model_fields else "codec"
+def _keys() -> dict[str, set[str]]:
+    """The keys of every table."""
+    codecs = {key.name for _, skin in skins.skins() for key in fields(skin)}  # type: ignore[arg-type]
+    return {name: {*table.model_fields} for name, table in TABLES.items()} | {"codec": {"name", *codecs}}
 
 
 def _cut(value: Any) -> str:
@@ -127,14 +127,10 @@ def _faults_between_sections(config: Config) -> Iterator[str]:
     for name, sensor in config.sensor.items():
         if sensor.bus not in config.bus:
             yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"
-        elif getattr(sensor.codec, "fd", False) and _classic(config.bus[sensor.bus]):
+        elif getattr(sensor.codec.settings, "fd", False) and _classic(config.bus[sensor.bus]):
             yield f"sensor.{name}.codec.fd = true: bus {sensor.bus} is not CAN FD: set bus.{sensor.bus}.fd = true"
         if not sensor.cover:
             yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"
-        for offer in plugins.offers():
-            if offer.name == sensor.codec.name and offer.name in BUILT_IN:
-                why = f"{plugins.package(offer)} offers a codec of the same name: rename or uninstall that one"
-                yield f"sensor.{name}.codec.name = {offer.name!r}: built in, and {why}"
 
 
 def _classic(bus: Bus) -> bool:

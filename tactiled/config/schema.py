@@ -8,15 +8,20 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    InstanceOf,
     SecretStr,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
+    WithJsonSchema,
     WrapValidator,
+    model_serializer,
     model_validator,
 )
 
+from tactiled.bounds import Bounds, Counts, Pitch, Place, Port
+from tactiled.bus import skins
+from tactiled.bus.codec import Skin
 from tactiled.bus.redact import HARMLESS, reveal
-from tactiled.config.bounds import Bounds, Counts, Pitch, Place, Port
-from tactiled.config.codecs import Codec
 from tactiled.config.section import Foreign, Redacted, Section
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -115,6 +120,31 @@ class Bus(Foreign):
     def settings(self) -> dict[str, Any]:
         """All of it, by python-can's names."""
         return self.model_dump(exclude_none=True)
+
+
+class Codec(Section):
+    """Codec of an array: its name and, beside it, its own settings."""
+
+    name: str
+    settings: Annotated[InstanceOf[Skin], WithJsonSchema({"type": "object"})] = Field(
+        default_factory=Skin,
+        repr=False,  # may hold another package's secrets
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read(cls, table: Any, info: ValidationInfo) -> Any:
+        if not isinstance(table, dict):
+            return table
+        if not isinstance(table.get("name"), str):
+            return {key: value for key, value in table.items() if key == "name"}
+        name, folder = table["name"], (info.context or {}).get("folder", Path())
+        own = {key: value for key, value in table.items() if key != "name"}
+        return {"name": name, "settings": skins.read_settings(name, own, folder)}
+
+    @model_serializer
+    def _show(self) -> dict[str, Any]:
+        return {"name": self.name} | skins.shown(self.name, self.settings)
 
 
 class Layer(Section):

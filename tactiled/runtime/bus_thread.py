@@ -9,8 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol
 
-from tactiled.bus.codecs import talk_of
-from tactiled.bus.polling import Talker
+from tactiled.bus.polling import Poller
 from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
 from tactiled.errors import BusError
@@ -46,7 +45,7 @@ class Listener:
         self._told: str | None = None
         for sensor in sensors.values():
             sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._kinds
-        self._talker = Talker(talk_of(each.codec) for each in sensors.values())
+        self._poller = Poller(each.codec.polling for each in sensors.values())
         self._stop = threading.Event()
         self._reader: Reader | None = None
         self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
@@ -62,7 +61,7 @@ class Listener:
         if self._thread.ident is not None:
             self._thread.join()
         if self._reader is not None:
-            self._talker.end(self._reader.send)
+            self._poller.stop(self._reader.send)
             self._reader.close()
 
     def _run(self) -> None:
@@ -93,11 +92,11 @@ class Listener:
 
     def _read(self, reader: Reader) -> None:
         """Take messages until the stop; BusError where the bus goes, and whatever a codec or a sensor raises."""
-        self._talker.begin(time.monotonic())
+        self._poller.start(time.monotonic())
         while not self._stop.is_set():
             now = time.monotonic()
-            reader.unsent += self._talker.say(reader.send, now)
-            messages = reader.batch(min(POLL_S, self._talker.wait(now)))
+            reader.unsent += self._poller.send_due(reader.send, now)
+            messages = reader.batch(min(POLL_S, self._poller.wait_s(now)))
             now = time.monotonic()
             for message in messages:
                 self._hand(self._router.push(message, now))

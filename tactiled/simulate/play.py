@@ -7,7 +7,7 @@ from threading import Event
 
 import numpy as np
 
-from tactiled.bus.codecs import Codec, ShearEncoding, talk_of
+from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.calibrate.calibration import Calibration
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
@@ -38,7 +38,7 @@ class Player:
         surface = self.surface
         pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
         counts = self.taxels.count(surface.sense(pressure))
-        if not isinstance(self.codec, ShearEncoding):
+        if not isinstance(self.codec, ShearCodec):
             return self.codec.encode(counts, sequence, now)
         felt = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
         return self.codec.encode_sheared(counts, self.taxels.shear(felt), sequence, now)
@@ -68,7 +68,7 @@ def answer(
     seconds: float = float("inf"),
 ) -> int:
     """Answer the requests of a skin that sends when asked, until `stop` or for `seconds`; returns how many."""
-    asked = {poll.message._replace(time=0.0): poll.segments for poll in talk_of(one.codec).polls}
+    asked = {poll.message._replace(time=0.0): poll.segments for poll in one.codec.polling.polls}
     began, answered = time.monotonic(), 0
     while not stop.is_set() and (t := time.monotonic() - began) < seconds:
         request = receive(WAIT_S)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactiled.bus.assemble import Assembler
+from tactiled.bus.assembler import Assembler
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.router import Router

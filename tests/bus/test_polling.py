@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from tactiled.build import make_array, make_codec
-from tactiled.bus.codecs import Poll, Talk, talk_of
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
-from tactiled.bus.polling import AGAIN_S, Talker
+from tactiled.bus.polling import START_AGAIN_S, Poll, Poller, Polling
 from tactiled.bus.reader import open_bus
 from tactiled.calibrate.calibration import Calibration
 from tactiled.config import parse
@@ -26,7 +25,7 @@ from tests.conftest import BUSY_S, until
 
 ASK, OTHER = Message(0.0, 0x27, b"\xb1\xc6"), Message(0.0, 0x27, b"\xb2\xc6")
 SET, GO, STOP = (Message(0.0, 0x20D, bytes((each,))) for each in (1, 2, 3))
-STARTED = Talk(start=((0.5, GO), (0.0, SET)), polls=(Poll(ASK, 0.1, range(1)),), stop=(STOP,))
+STARTED = Polling(start=((0.5, GO), (0.0, SET)), polls=(Poll(ASK, 0.1, range(1)),), stop=(STOP,))
 
 
 class Wire:
@@ -42,74 +41,72 @@ class Wire:
 
 
 def test_requests_leave_when_they_are_due():
-    wire, talker = Wire(), Talker([Talk(polls=(Poll(ASK, 0.1, range(1)), Poll(OTHER, 0.25, range(1))))])
-    talker.begin(10.0)
+    wire, talker = Wire(), Poller([Polling(polls=(Poll(ASK, 0.1, range(1)), Poll(OTHER, 0.25, range(1))))])
+    talker.start(10.0)
     said = []
     for now in (10.0, 10.05, 10.1, 10.2, 10.25, 10.3):
         wire.sent.clear()
-        assert talker.say(wire.send, now) == 0
+        assert talker.send_due(wire.send, now) == 0
         said.append([each.data[0] for each in wire.sent])
     assert said == [[0xB1, 0xB2], [], [0xB1], [0xB1], [0xB2], [0xB1]]
-    assert talker.wait(10.3) == pytest.approx(0.1)
+    assert talker.wait_s(10.3) == pytest.approx(0.1)
 
 
 def test_requests_that_were_held_up_do_not_burst():
-    wire, talker = Wire(), Talker([Talk(polls=(Poll(ASK, 0.1, range(1)),))])
-    talker.begin(0.0)
+    wire, talker = Wire(), Poller([Polling(polls=(Poll(ASK, 0.1, range(1)),))])
+    talker.start(0.0)
     for now in (0.0, 5.0, 5.05, 5.1):
-        talker.say(wire.send, now)
+        talker.send_due(wire.send, now)
     assert len(wire.sent) == 3
-    assert talker.wait(5.1) == pytest.approx(0.1)
+    assert talker.wait_s(5.1) == pytest.approx(0.1)
 
 
 def test_a_skin_is_set_up_then_started_then_asked_and_stopped_at_the_end():
-    wire, talker = Wire(), Talker([STARTED, STARTED])  # two arrays of one board: said once
-    talker.begin(0.0)
-    talker.say(wire.send, 0.0)
-    assert (wire.sent, talker.wait(0.0)) == ([SET], 0.5)
-    talker.say(wire.send, 0.5)
+    wire, talker = Wire(), Poller([STARTED, STARTED])  # two arrays of one board: said once
+    talker.start(0.0)
+    talker.send_due(wire.send, 0.0)
+    assert (wire.sent, talker.wait_s(0.0)) == ([SET], 0.5)
+    talker.send_due(wire.send, 0.5)
     assert wire.sent == [SET, GO, ASK, ASK]
-    assert talker.end(wire.send) == 0
+    talker.stop(wire.send)
     assert wire.sent[4:] == [STOP]
 
 
 def test_a_start_that_the_bus_does_not_take_is_counted_and_said_again():
-    wire, talker = Wire(), Talker([STARTED])
-    talker.begin(0.0)
+    wire, talker = Wire(), Poller([STARTED])
+    talker.start(0.0)
     wire.takes = False
-    assert talker.say(wire.send, 0.0) == 1
+    assert talker.send_due(wire.send, 0.0) == 1
     wire.takes = True
-    assert talker.say(wire.send, 0.9) == 0
-    assert talker.wait(0.9) == pytest.approx(AGAIN_S - 0.9)
-    assert talker.say(wire.send, AGAIN_S) == 0
+    assert talker.send_due(wire.send, 0.9) == 0
+    assert talker.wait_s(0.9) == pytest.approx(START_AGAIN_S - 0.9)
+    assert talker.send_due(wire.send, START_AGAIN_S) == 0
     assert wire.sent == [SET]
 
 
 def test_most_skins_are_told_nothing():
-    talker = Talker([talk_of(codec) for codec in (Packed(4), Icub(1, (0,)), Xela(), Linker(poll_hz=0))])
-    talker.begin(0.0)
-    assert talker.wait(0.0) == float("inf")
-    assert talker.say(Wire().send, 1.0) == 0
+    talker = Poller([codec.polling for codec in (Packed(4), Icub(1, (0,)), Xela(), Linker(poll_hz=0))])
+    talker.start(0.0)
+    assert talker.wait_s(0.0) == float("inf")
+    assert talker.send_due(Wire().send, 1.0) == 0
 
 
 def test_an_icub_board_is_told_what_the_robots_software_tells_it():
-    talk = Icub(13, (5,), start=True).talk
+    talk = Icub(13, (5,), start=True).polling
     assert [(after, each.id, each.data.hex()) for after, each in talk.start] == [
         (0.0, 0x20D, "4d001ef0"),
         (0.0, 0x20D, "50000f00010022"),
         (0.5, 0x20D, "0700"),
     ]
     assert [(each.id, each.data.hex()) for each in talk.stop] == [(0x20D, "0701")]
-    assert Icub(13, (5,), start=True, period_ms=20).talk.start[0][1].data.hex() == "4d0014f0"
+    assert Icub(13, (5,), start=True, period_ms=20).polling.start[0][1].data.hex() == "4d0014f0"
 
 
 def test_an_older_xela_board_is_started_and_a_new_one_is_not():
-    talk = Xela("4x4-old", controller=2, start=True).talk
+    talk = Xela("4x4-old", controller=2, start=True).polling
     assert [(after, each.id, each.data.hex()) for after, each in talk.start] == [(0.0, 0x202, "0700")]
     assert [(each.id, each.data.hex()) for each in talk.stop] == [(0x202, "0701")]
-    with pytest.raises(
-        ConfigError, match=r"codec.start = true: modules of the current profile send by themselves"
-    ):
+    with pytest.raises(ConfigError, match=r"start = true: modules of the current profile send by themselves"):
         Xela(start=True)
 
 

@@ -1,310 +1,235 @@
-"""The skins without sequence numbers: genuine vectors, and what all of them have in common."""
+"""Skins by name, and those of other packages; the one in the guide is installed and run as it stands there."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tactiled.build import make_array, make_codec, sensor_plan
-from tactiled.bus.assemble import Assembler
-from tactiled.bus.codecs.barrett import Barrett
-from tactiled.bus.codecs.cyskin import ORDER, CySkin
-from tactiled.bus.codecs.linker import Linker
-from tactiled.bus.codecs.poweron import PowerOn
-from tactiled.bus.codecs.xela import Xela
+from tactiled.build import make_array, make_calibration, make_codec, sensor_plan
 from tactiled.bus.router import Router
+from tactiled.bus.sniff import survey
 from tactiled.config import parse
-from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import MISSING, Loss, Message
+from tactiled.errors import ConfigError
+from tactiled.frames import Loss, Message
 
-CODECS = {
-    "xela": Xela(),
-    "xela 4x4-old": Xela("4x4-old"),
-    "xela 4x4-new": Xela("4x4-new"),
-    "xela 4x6-old": Xela("4x6-old"),
-    "xela single": Xela("single"),
-    "barrett": Barrett(11),
-    "poweron": PowerOn(),
-    "cyskin": CySkin(),
-    "linker": Linker("left", (1, 3)),
-}
-
-
-def message(text):
-    id_, data = text.split("#")
-    return Message(0.0, int(id_, 16), bytes.fromhex(data))
-
-
-def payloads(codec, *texts):
-    found = [None] * codec.segments
-    for text in texts:
-        reading = codec.decode(message(text))
-        found[reading.segment] = reading.payload
-    return found
-
-
-def counts(codec, *texts):
-    return codec.unpack(payloads(codec, *texts)).tolist()
-
-
-# As a module of two SDAs with eight taxels each sent them.
-XELA_SENT = (
-    "141#9340983F0C915114", "071#933DB83FFA8E3717", "031#933DEA4178901F0F", "021#933EFC41AC8EDA0E",
-    "051#933FFE403B8B5415", "131#933DD140288B230F", "061#833F3D40408CC316",
-)  # fmt: skip
-
-
-def test_genuine_xela_frames():
-    codec = Xela(rows=(0, 1), columns=tuple(range(8)))
-    axes = codec.axes(payloads(codec, *XELA_SENT)).reshape(2, 8, 3)
-    assert axes[1, 4].tolist() == [0x4098, 0x3F0C, 0x9151]
-    assert axes[0, 7].tolist() == [0x3DB8, 0x3FFA, 0x8E37]
-    assert axes[0, 6].tolist() == [0x3F3D, 0x4040, 0x8CC3]
-    again = codec.axes(payloads(codec, "031#833DF6416690180F")).reshape(2, 8, 3)
-    assert again[0, 3].tolist() == [0x3DF6, 0x4166, 0x9018]
-    z = np.array(counts(codec, *XELA_SENT)).reshape(2, 8)
-    assert z.tolist() == [
-        [0, 0, 0x8EDA, 0x901F, 0, 0x8B54, 0x8CC3, 0x8E37],
-        [0, 0, 0, 0x8B23, 0x9151, 0, 0, 0],
-    ]
-
-
-def test_genuine_xela_shear():
-    """Counts from 0x4000 along the skin's x and y; NaN where the taxel's message did not come."""
-    codec = Xela(rows=(0, 1), columns=tuple(range(8)))
-    shear = codec.shear(payloads(codec, *XELA_SENT)).reshape(2, 2, 8)
-    assert shear[:, 1, 4].tolist() == [0x4098 - 0x4000, 0x3F0C - 0x4000]
-    assert shear[:, 0, 7].tolist() == [0x3DB8 - 0x4000, 0x3FFA - 0x4000]
-    assert np.isnan(shear).sum() == 2 * (16 - len(XELA_SENT))
-
-
-def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
-    codec, rng = Xela(), np.random.default_rng(1)
-    counts, shear = rng.integers(0, 0x10000, 24), rng.integers(-0x4000, 0xC000, (2, 24)).astype(np.float32)
-    shear[:, 0] = -1e6, 1e6
-    sent = [codec.decode(each).payload for each in codec.encode_sheared(counts.astype(np.uint16), shear, 0, 0.0)]
-    np.testing.assert_array_equal(codec.unpack(sent), counts)
-    np.testing.assert_array_equal(codec.shear(sent)[:, 1:], shear[:, 1:])
-    assert codec.shear(sent)[:, 0].tolist() == [-0x4000, 0xFFFF - 0x4000]
-
-
-def test_a_frame_carries_the_shear_of_its_own_messages_and_only_skins_that_feel_it_do():
-    codec = Xela(rows=(0, 1), columns=tuple(range(8)))
-    assembler = Assembler(codec)
-    for text in XELA_SENT:
-        assembler.push(codec.decode(message(text)))
-    (frame,) = assembler.flush(1.0)
-    np.testing.assert_array_equal(frame.shear, codec.shear(payloads(codec, *XELA_SENT)))
-    np.testing.assert_array_equal(np.isnan(frame.shear), [frame.flags == MISSING] * 2)
-    pad = Barrett(11)
-    frames = [
-        f for each in pad.encode(np.zeros(24, np.uint16), 0, 0.0) for f in Assembler(pad).push(pad.decode(each))
-    ]
-    assert [frame.shear for frame in frames] == [None] * len(frames)
-
-
-def test_xelas_module_of_4_x_6_has_its_first_sda_at_the_bottom_and_taxel_5_at_the_left():
-    codec = Xela()
-    bottom_left = codec.decode(message("151#9340003F0C915114"))
-    assert divmod(bottom_left.segment, 6) == (3, 0)
-    assert codec.size == 24
-
-
-@pytest.mark.parametrize(
-    ("codec", "model"),
-    [
-        (Xela(), "uSPa46"),
-        (Xela(rows=(3, 2, 1, 0), columns=(3, 2, 1, 0)), "uSPa44"),
-        (Xela(rows=(0, 1), columns=tuple(range(8))), "XR1944"),
-        (Xela(rows=(0, 1), columns=(0, 1, 2)), "unknown"),
-        (Xela("4x4-new"), "XR1944"),
-        (Xela("4x6-old"), "XR1946"),
-        (Xela("single"), "unknown"),
-        (Xela("single", model="XR1911"), "XR1911"),
-        (Xela(model="XR1946"), "XR1946"),
-    ],
-)
-def test_xelas_model_is_told_by_ids_and_size_unless_it_is_given(codec, model):
-    assert codec.told_model == model
-
-
-@pytest.mark.parametrize(
-    ("profile", "id_", "taxel"),
-    [("4x4-old", 0x123, 11), ("4x4-new", 0x21A, 14), ("4x6-old", 0x135, 23), ("single", 0x71F, 15)],
-)
-def test_xelas_older_ids(profile, id_, taxel):
-    assert Xela(profile).decode(Message(0.0, id_, bytes(8))).segment == taxel
-
-
-def test_genuine_poweron_frames():
-    sent = (
-        "300#9601E25504EFA3C7", "301#97ACB05505EFA3C7", "302#B2DCF34504EFA3C7", "303#9BBBB95505EFA3C7",
-        "304#AFF2E94504EFA3C7", "305#A4BCBE5505EFA3C7",
-    )  # fmt: skip
-    assert counts(PowerOn(), *sent) == [
-        0x596, 0x501, 0x4E2, 0x597, 0x5AC, 0x5B0,
-        0x5B2, 0x4DC, 0x4F3, 0x59B, 0x5BB, 0x5B9,
-        0x5AF, 0x4F2, 0x4E9, 0x5A4, 0x5BC, 0x5BE,
-        *[0] * 18,
-    ]  # fmt: skip
-
-
-def test_linkers_rows():
-    codec = Linker("right", (2, 1))
-    polls = codec.talk.polls
-    assert [(each.message.id, each.message.data.hex()) for each in polls] == [(0x27, "b2c6"), (0x27, "b1c6")]
-    assert [each.segments for each in polls] == [range(12), range(12, 24)]
-    found = np.array(counts(codec, "027#B130000102030405")).reshape(2, 12, 6)
-    assert found[1, 3].tolist() == [0, 1, 2, 3, 4, 5]
-    assert np.count_nonzero(found) == 5
-
-
-def test_barretts_taxels_are_big_endian_behind_the_segments_digit():
-    """Derived from the layout: seq[4] t0[12] ... t4[12]."""
-    found = counts(Barrett(11), "569#2ABC123FFF001800", "569#4111222333444FFF")
-    assert found[10:15] == [0xABC, 0x123, 0xFFF, 0x001, 0x800]
-    assert found[20:24] == [0x111, 0x222, 0x333, 0x444]  # there is no 25th
-    assert sum(found[:10]) == 0
-
-
-def test_cyskins_values_are_taxels_in_another_order():
-    """Derived from the layout: value n of a frame, little-endian, is taxel ORDER[n]."""
-    codec = CySkin()
-    found = counts(codec, "405#0100020003000400", "40B#3412000000000080")
-    assert [found[11], found[15], found[14], found[12]] == [1, 2, 3, 4]
-    assert (found[2], found[1]) == (0x1234, 0x8000)
-    frame = Assembler(codec)
-    first = codec.encode(np.arange(16, dtype=np.uint16), 0, 0.0)[0]
-    frame.push(codec.decode(first))
-    (marked,) = frame.flush(1.0)
-    assert np.flatnonzero(marked.flags == 0).tolist() == sorted(ORDER[:4])
-
-
-@pytest.mark.parametrize("name", CODECS)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_decode_inverts_encode_over_the_whole_range(name, seed):
-    codec = CODECS[name]
-    sent = np.random.default_rng(seed).integers(0, codec.full_scale + 1, codec.size).astype(np.uint16)
-    messages = codec.encode(sent, 0, 0.0)
-    assert len(messages) == codec.segments
-    assert {(each.id, each.extended) for each in messages} == codec.ids
-    readings = [codec.decode(each) for each in messages]
-    assert sorted(reading.segment for reading in readings) == list(range(codec.segments))
-    found = [each.payload for each in sorted(readings, key=lambda each: each.segment)]
-    np.testing.assert_array_equal(codec.unpack(found), sent)
-    lost = seed % codec.segments
-    sent[codec.span(lost)] = 0
-    np.testing.assert_array_equal(codec.unpack([*found[:lost], None, *found[lost + 1 :]]), sent)
-
-
-@pytest.mark.parametrize("name", CODECS)
-def test_frames_follow_one_another_and_a_lost_message_is_marked(name):
-    codec = CODECS[name]
-    assembler = Assembler(codec)
-    rows = [codec.encode(np.full(codec.size, n, np.uint16), n, float(n)) for n in range(1, 5)]
-    del rows[1][1]
-    frames = [frame for row in rows for each in row for frame in assembler.push(codec.decode(each))]
-    assert [frame.sequence for frame in frames] == [0, 1, 2, 3]
-    assert assembler.loss == Loss(lost=1, incomplete=1)
-    for n, frame in enumerate(frames):
-        known = frame.flags & MISSING == 0
-        assert known.sum() == (codec.size if n != 1 else codec.size - len(np.arange(codec.size)[codec.span(1)]))
-        assert np.all(frame.counts[known] == n + 1)
-
-
-@pytest.mark.parametrize("name", CODECS)
-def test_what_is_none_of_the_skins_is_refused(name):
-    codec = CODECS[name]
-    good = codec.encode(np.zeros(codec.size, np.uint16), 0, 0.0)[0]
-    for bad in (good._replace(data=good.data[:7]), good._replace(fd=True), good._replace(data=b"")):
-        with pytest.raises(CodecError):
-            codec.decode(bad)
-    with pytest.raises(CodecError, match=str(codec.size)):
-        codec.encode(np.zeros(codec.size + 1, np.uint16), 0, 0.0)
-
-
-@pytest.mark.parametrize("name", CODECS)
-@given(stream=st.lists(st.tuples(st.integers(0, 30), st.binary(max_size=9), st.booleans()), max_size=40))
-def test_any_bytes_neither_crash_nor_go_uncounted(name, stream):
-    codec = CODECS[name]
-    ids = sorted(codec.ids)
-    router = Router({"it": codec})
-    for at, data, fd in stream:
-        id_, extended = ids[at % len(ids)]
-        for _, frame in router.push(Message(0.0, id_, data, extended, fd)):
-            assert frame.counts.shape == frame.flags.shape == (codec.size,)
-    loss = router.assemblers["it"].loss
-    assert loss.foreign == 0
-    assert loss.malformed >= sum(fd or len(data) != 8 for _, data, fd in stream)
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: Xela("4x5"), "codec.profile = '4x5': choose current or one of 4x4-old"),
-        (lambda: Xela(rows=(1, 1)), "names an SDA or a taxel twice"),
-        (lambda: Linker(fingers=(2, 2)), r"codec.fingers = \[2, 2\]: names a finger twice"),
-    ],
-)
-def test_a_setting_that_cannot_be_is_refused(make, says):
-    with pytest.raises(ConfigError, match=says):
-        make()
-
-
+GUIDE = (Path(__file__).parents[2] / "tactiled/docs/codecs.md").read_text("utf-8")
+SECTION = GUIDE.split("\n## A codec of your own\n")[1].split("\n## ")[0]
+CODE = re.search(r"```python\n(.*?)```", SECTION, re.DOTALL)[1]
 CONFIG = """
 [bus.can0]
 interface = "virtual"
 [sensor.skin]
 bus = "can0"
 codec = {{ {codec} }}
-array = {{ rows = {rows}, columns = {columns}, pitch_mm = 4.0 }}
+array = {{ {array} }}
 cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
+kernel = {{ model = "layered" }}
 """
+PACKAGE = "'my-skin' of my_skin 1.2: "
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Put a package with an entry point on the path, as pip does."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def put(code=CODE, name="my-skin", package="my_skin"):
+        module = f"{package}_{tmp_path.name}".replace("-", "_")  # no test finds another's in sys.modules
+        (tmp_path / f"{module}.py").write_text(code)
+        about = tmp_path / f"{package}-1.2.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\n")
+        (about / "entry_points.txt").write_text(f"[tactiled.codecs]\n{name} = {module}:MySkin\n")
+
+    return put
+
+
+def sensor(codec='name = "my-skin"', array="rows = 2, columns = 4, pitch_mm = 4.0"):
+    return parse(CONFIG.format(codec=codec, array=array), "a.toml").sensor["skin"]
+
+
+def test_the_guides_example_works_as_it_stands_there(install):
+    assert 'my-skin = "my_skin:MySkin"' in SECTION
+    install()
+    plan = sensor_plan("skin", sensor('name = "my-skin", base_id = 0x200'))
+    assert (plan.codec_name, plan.codec.ids) == ("my-skin", {(0x200, False), (0x201, False)})
+    router = Router({"skin": plan.codec})
+    counts = np.array([0, 1, 2, 3, 250, 251, 252, 255], np.uint16)
+    messages = plan.codec.encode(counts, 0, 1.0)
+    assert [each.data.hex() for each in messages] == ["00010203", "fafbfcff"]
+    ((_, frame),) = [each for message in messages for each in router.push(message)]
+    np.testing.assert_array_equal(frame.counts, counts)
+    router.push(messages[0]._replace(data=b"abc"))
+    assert router.assemblers["skin"].loss == Loss(malformed=1)
+
+
+def test_sniff_finds_the_guides_example(install):
+    install()
+    codec = make_codec(sensor('name = "my-skin", base_id = 0x200'))
+    frames = (codec.encode(np.arange(8, dtype=np.uint16), 0, n / 50) for n in range(20))
+    (found,) = survey(each for frame in frames for each in frame).senders
+    assert (found.name, found.match.settings, found.frames) == ("my-skin", {"base_id": 0x200}, 20)
 
 
 @pytest.mark.parametrize(
-    ("codec", "shape", "made"),
+    ("settings", "says"),
     [
-        ('name = "xela"', (4, 6), Xela()),
-        ('name = "xela", controller = 3, rows = [0, 1], columns = [0, 1, 2]', (2, 3),
-         Xela("current", 3, (0, 1), (0, 1, 2))),
-        ('name = "xela", profile = "single"', (4, 4), Xela("single")),
-        ('name = "barrett", node = 11', (8, 3), Barrett(11)),
-        ('name = "poweron"', (6, 6), PowerOn()),
-        ('name = "cyskin"', (4, 4), CySkin()),
-        ('name = "linker", hand = "left", fingers = [2]', (12, 6), Linker("left", (2,))),
+        ("base_id = 0x7FF", "base_id: give 0 to 2046"),
+        ("base_ib = 1", "base_ib: Unexpected keyword argument"),
+    ],
+)
+def test_a_packages_settings_are_checked(install, settings, says):
+    install()
+    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {says}"):
+        sensor(f'name = "my-skin", {settings}')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("import numpy as np", "import nympy as np", "import: ModuleNotFoundError: No module named 'nympy'"),
+        ("class MySkin", "class Skin", "fails to import: AttributeError: "),
+        ("class MySkin(ClassicSkin)", "class MySkin", "is no dataclass of tactiled.bus.codec.Skin"),
+        ("size, taxels,", "taxels, size,", "ValueError: "),
+        ("rows = self", "counts = counts // 2; rows = self", "taxel 1 was encoded as 1 and decoded as 0"),
+        ("astype(np.uint16)", "astype(np.int32)", r"unpack gave int32 \(8,\), not uint16 or float32 \(8,\)"),
+        ("enumerate(rows)]", "enumerate(rows)][:1]", "do not carry every taxel once"),
+        ("self.base_id + at, row", "at, row", "a message on id 0x0, which is none of its ids"),
+        (", full_scale = 8, 4, 255", " = 8, 4", "NotImplementedError"),
     ],
 )  # fmt: skip
-def test_a_configuration_names_every_skin(codec, shape, made):
-    text = CONFIG.format(codec=codec, rows=shape[0], columns=shape[1])
-    sensor = parse(text).sensor["skin"]
-    assert make_codec(sensor) == made
-    assert make_array(sensor).size == made.size
+def test_a_faulty_package_is_refused_by_its_name(install, old, new, says):
+    assert CODE.count(old) == 1
+    install(CODE.replace(old, new))
+    with pytest.raises(ConfigError, match=f"{PACKAGE}.*{says}"):
+        make_codec(sensor())
 
 
-def test_a_fault_in_a_skins_settings_is_named_without_its_tag():
-    text = CONFIG.format(codec='name = "barrett", node = 99, nod = 1', rows=8, columns=3)
-    with pytest.raises(ConfigError) as caught:
-        parse(text, "a.toml")
-    told = str(caught.value)
-    assert "a.toml: sensor.skin.codec.node = 99: " in told
-    assert "a.toml: sensor.skin.codec.nod: unknown key: did you mean node?" in told
+def test_a_broken_package_is_imported_only_if_it_is_named(install, caplog):
+    install("raise SystemError('broken')", "broken", "broken_skin")
+    install()
+    assert make_codec(sensor()).size == 8
+    assert make_codec(sensor('name = "poweron"')).size == 36
+    with pytest.raises(ConfigError, match=r"'broken' of broken_skin 1.2: fails to import: SystemError: broken"):
+        sensor('name = "broken"')
+    assert survey([]).senders == ()
+    assert "'broken' of broken_skin 1.2: fails to import" in caplog.text
 
 
 @pytest.mark.parametrize(
-    ("codec", "shape", "calibration", "says"),
+    ("installed", "name", "says"),
     [
+        ((("barrett", "my_skin"),), "barrett", "'barrett': built in, and my_skin 1.2 offers"),
+        ((("my-skin", "a"), ("my-skin", "b")), "my-skin", r"'my-skin': offered by (a|b) 1.2 and (a|b) 1.2"),
         (
-            'name = "barrett", node = 11',
-            (8, 3),
-            "kpa_per_count = 1.0, ",
-            "the codec carries no shear: leave it out",
+            (("my-skin", "a"),),
+            "my-skim",
+            "unknown codec 'my-skim'; available: .*xela, my-skin: did you mean my-skin",
         ),
+    ],
+)
+def test_an_unknown_or_ambiguous_name_is_refused(install, installed, name, says):
+    for offered, package in installed:
+        install(name=offered, package=package)
+    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {says}"):
+        sensor(f'name = "{name}"')
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "raise IndexError('beyond')",
+        "return Reading(0.0, 9, b'abcd')",
+        "return Reading(0.0, -1, b'abcd')",
+        "return Reading(0.0, 0, b'abcd', bad=(8,))",
+        "return Reading(0.0, 0, b'abcd', bad=(-1,))",
+        "return None",
+    ],
+)
+def test_a_fault_of_decode_is_a_malformed_message(install, body):
+    fault = f"        if message.data[:1] == b'!':\n            {body}\n"
+    install(CODE.replace("    def decode(self, message):\n", "    def decode(self, message):\n" + fault))
+    router = Router({"skin": make_codec(sensor())})
+    first, second = router.assemblers["skin"].codec.encode(np.arange(8, dtype=np.uint16), 0, 0.0)
+    bad = Message(0.0, 0x120, b"!abc")
+    ((_, frame),) = [each for message in (first, bad, second) for each in router.push(message)]
+    assert (frame.counts.tolist(), frame.flags.any()) == (list(range(8)), False)
+    assert router.assemblers["skin"].loss == Loss(malformed=1)
+
+
+def test_a_fault_of_unpack_makes_the_frames_messages_malformed(install):
+    fault = "        if b'!abc' in payloads:\n            raise IndexError('beyond')\n"
+    install(CODE.replace("did not come\n", "did not come\n" + fault))
+    router = Router({"skin": make_codec(sensor())})
+    first, second = router.assemblers["skin"].codec.encode(np.arange(8, dtype=np.uint16), 0, 0.0)
+    frames = [f for each in (first._replace(data=b"!abc"), second, first, second) for _, f in router.push(each)]
+    assert [frame.counts.tolist() for frame in frames] == [list(range(8))]
+    assert router.assemblers["skin"].loss == Loss(malformed=2)
+
+
+@pytest.mark.parametrize("error", ["ValueError", "ConfigError"])
+@pytest.mark.parametrize("where", ["__post_init__(self)", "codec(self, array)"])
+def test_a_packages_texts_are_secrets_that_it_alone_gets(install, error, where):
+    fields = "    api_key: str = ''\n    url: str = ''\n    rate: int = 0\n"
+    checks = "        assert 'hush-login' in self.url\n        if self.rate == 6:\n"
+    refusal = (
+        f"    def {where}:\n{checks}            raise {error}('wrong key ' + self.api_key)\n        return self\n"
+    )
+    code = CODE.replace("    size, taxels", f"{fields}\n{refusal}\n    size, taxels")
+    install(code.replace("errors import CodecError", "errors import CodecError, ConfigError"))
+    table = 'name = "my-skin", api_key = "hush-key", url = "https://palm:hush-login@elsewhere?x=hush", rate = '
+    one = sensor(table + "5")
+    assert make_codec(one).size == 8
+    shown = {"name": "my-skin", "base_id": 0x120, "api_key": "hidden", "url": "hidden", "rate": 5}
+    assert one.model_dump(mode="json")["codec"] == shown
+    assert "hush" not in repr(one) + one.model_dump_json() + str(one.model_dump())
+    with pytest.raises(ConfigError, match="wrong key hidden"):
+        make_codec(sensor(table + "6"))
+
+
+@pytest.mark.parametrize(
+    ("codec", "array"),
+    [
+        ('name = "xela", controller = 3, rows = [0, 1], columns = [0, 1, 2]', (2, 3)),
+        ('name = "xela", profile = "single"', (4, 4)),
+        ('name = "barrett", node = 11', (8, 3)),
+        ('name = "poweron"', (6, 6)),
+        ('name = "cyskin"', (4, 4)),
+        ('name = "linker", hand = "left", fingers = [2]', (12, 6)),
+        ('name = "packed", bits = 9', (5, 7)),
+    ],
+)
+def test_a_configuration_names_every_skin(codec, array):
+    one = sensor(codec, f"rows = {array[0]}, columns = {array[1]}, pitch_mm = 4.0")
+    assert make_codec(one).size == make_array(one).size == array[0] * array[1]
+    assert make_calibration(one).kpa_per_count == 1.0
+
+
+def test_an_icub_board_knows_its_positions_and_the_sign_of_its_counts():
+    one = sensor('name = "icub", board = 1, triangles = [3, 4]', "aperture_mm = 3.6")
+    assert make_codec(one).size == make_array(one).size == 20
+    assert (make_calibration(one).kpa_per_count, make_calibration(one).no_load) == (-1.0, 240.0)
+    with pytest.raises(ConfigError, match=r"array\.rows = 2: belongs to a grid, and"):
+        make_array(sensor('name = "icub", board = 1, triangles = [3, 4]'))
+
+
+def test_every_fault_of_a_skins_settings_is_named():
+    with pytest.raises(ConfigError) as caught:
+        sensor('name = "barrett", node = 99, nod = 1')
+    assert "a.toml: sensor.skin.codec.node = 99: give 0 to 31" in str(caught.value)
+    assert "a.toml: sensor.skin.codec.nod: unknown key: did you mean node?" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("codec", "array", "calibration", "says"),
+    [
+        ('name = "poweron"', (6, 6), "kpa_per_count = 1.0, ", "the codec carries no shear: leave it out"),
         ('name = "xela"', (4, 6), "", "forces need kpa_per_count, too: give both"),
     ],
 )
-def test_a_scale_of_shear_without_what_it_needs_is_refused(codec, shape, calibration, says):
-    text = CONFIG.format(codec=codec, rows=shape[0], columns=shape[1])
+def test_a_scale_of_shear_without_shear_or_pressure_is_refused(codec, array, calibration, says):
+    text = CONFIG.format(codec=codec, array=f"rows = {array[0]}, columns = {array[1]}, pitch_mm = 4.0")
     text += f"calibration = {{ {calibration}shear_n_per_count = 0.0006 }}"
     with pytest.raises(ConfigError, match=f"sensor.skin: calibration.shear_n_per_count = 0.0006: {says}"):
         sensor_plan("skin", parse(text).sensor["skin"])

@@ -10,11 +10,11 @@ from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
-from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.packed import Packed, likeliest, packed_fits
+from tactiled.bus.codecs.packed import squarest as shape
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
-from tactiled.bus.packing import likeliest, packed_fits, shape
-from tactiled.bus.sniff import recognise
+from tactiled.bus.sniff import survey as recognise
 from tactiled.frames import Message
 
 RATE = 50.0
@@ -59,23 +59,23 @@ NOISE = [Message(t / 97, 0x6A1, bytes((t & 0xFF, 1, 2))) for t in range(80)] + [
 def test_a_skin_is_recognised_among_foreign_messages_with_its_settings_and_its_rate(name):
     codec = SKINS[name]
     told = recognise(together(heard(codec), NOISE))
-    (one,) = told.found
-    assert one.made == codec
-    assert one.codec["name"] == name.split()[0]
-    assert {id_ for id_, _ in one.keys} == {each.id for each in heard(codec, 1)}
+    (one,) = told.senders
+    assert one.match.codec == codec
+    assert one.name == name.split()[0]
+    assert {id_ for id_, _ in one.match.keys} == {each.id for each in heard(codec, 1)}
     assert one.rate_hz == pytest.approx(RATE, rel=0.03)
     assert one.lost == 0
     assert one.frames == 40
     assert abs(one.no_load - min(80, codec.full_scale // 2)) <= 3
-    assert [each.id for each in told.others] == [0x6A1, 0x18FF0102]
-    assert told.others[0].rate_hz == pytest.approx(97)
+    assert [each.id for each in told.unknown] == [0x6A1, 0x18FF0102]
+    assert told.unknown[0].rate_hz == pytest.approx(97)
 
 
 def test_everything_at_once_on_one_bus():
     some = ("packed", "packed classic", "icub", "barrett", "linker", "xela single", "poweron")
     told = recognise(together(*(heard(SKINS[name], rate=RATE + n) for n, name in enumerate(some))))
-    assert sorted(each.codec["name"] for each in told.found) == sorted(each.split()[0] for each in some)
-    assert told.others == ()
+    assert sorted(each.name for each in told.senders) == sorted(each.split()[0] for each in some)
+    assert told.unknown == ()
 
 
 def test_two_boards_and_two_arrays_are_told_apart():
@@ -84,13 +84,13 @@ def test_two_boards_and_two_arrays_are_told_apart():
             heard(Icub(2, (0, 1))), heard(Icub(7, (15,))), heard(Packed(64, 12)), heard(Packed(64, 12, array_id=9))
         )
     )
-    assert [each.codec.get("board") for each in told.found if each.codec["name"] == "icub"] == [2, 7]
-    assert [each.codec.get("array_id") for each in told.found if each.codec["name"] == "packed"] == [0, 9]
+    assert [each.match.settings.get("board") for each in told.senders if each.name == "icub"] == [2, 7]
+    assert [each.match.settings.get("array_id") for each in told.senders if each.name == "packed"] == [0, 9]
 
 
 def test_real_bytes_of_a_grasp():
-    (one,) = recognise(recording.read(recording.path("book_1"))).found
-    assert one.codec == {"name": "icub", "board": 14, "triangles": [0, 1, 2, 3, 4]}
+    (one,) = recognise(recording.read(recording.path("book_1"))).senders
+    assert {"name": one.name} | one.match.settings == {"name": "icub", "board": 14, "triangles": [0, 1, 2, 3, 4]}
     assert one.rate_hz == pytest.approx(50, rel=0.1)
 
 
@@ -99,16 +99,16 @@ def test_the_genuine_frames_of_a_touchdetect_are_not_a_packed_array():
     messages = [
         Message(t / 30 + n / 1000, 0x300 + n, bytes.fromhex(row)) for t in range(5) for n, row in enumerate(rows)
     ]
-    (one,) = recognise(messages).found
-    assert one.codec == {"name": "poweron", "base_id": 0x300}
+    (one,) = recognise(messages).senders
+    assert {"name": one.name} | one.match.settings == {"name": "poweron", "base_id": 0x300}
 
 
 def test_what_was_lost_is_said_and_a_start_within_a_frame_is_no_loss():
     messages = list(heard(Packed(256, 12)))
     del messages[1000], messages[1500], messages[:10]
-    (one,) = recognise(messages).found
+    (one,) = recognise(messages).senders
     assert one.lost == 2
-    (one,) = recognise(list(heard(Icub(3, (0, 1, 2))))[3:]).found
+    (one,) = recognise(list(heard(Icub(3, (0, 1, 2))))[3:]).senders
     assert one.lost == 0
 
 
@@ -117,8 +117,8 @@ def test_what_was_lost_is_said_and_a_start_within_a_frame_is_no_loss():
 @pytest.mark.parametrize("side", [8, 16])
 def test_every_width_of_a_packed_taxel_is_found(bits, fd, side):
     codec = Packed(side * side, bits, fd=fd)
-    (one,) = recognise(heard(codec, rest=(1 << bits) // 3, noise=(1 << bits) / 200)).found
-    assert (one.made, one.shape) == (codec, (side, side))
+    (one,) = recognise(heard(codec, rest=(1 << bits) // 3, noise=(1 << bits) / 200)).senders
+    assert (one.match.codec, one.match.shape) == (codec, (side, side))
 
 
 @pytest.mark.parametrize("fd", [False, True])
@@ -130,7 +130,7 @@ def test_widths_that_lengths_or_padding_speak_against_are_not_among_the_fits(fd)
     assert 16 in bits  # fills a message to its last bit, as 8 does: only steps speak against it
     assert fd or bits.isdisjoint({10, 13})  # whose classic messages are of 7 bytes
     twelve = next(each for each in fits if each.bits == 12)
-    assert twelve.least <= 64 <= twelve.most
+    assert twelve.min_size <= 64 <= twelve.max_size
     assert all(each.roughness > 3 * twelve.roughness for each in fits if each.bits != 12)
 
 
@@ -151,13 +151,13 @@ def test_a_counter_that_is_no_frame_of_taxels_is_left_unknown():
     speed = [Message(t / 100, 0x200, bytes((t % 256, *rng.integers(0, 256, 6).tolist()))) for t in range(200)]
     engine = [Message(t / 100, 0x2A0, bytes((0x40, *rng.integers(0, 256, 7).tolist()))) for t in range(200)]
     told = recognise(together(speed, engine))
-    assert told.found == ()
-    assert {each.id for each in told.others} == {0x200, 0x2A0}
+    assert told.senders == ()
+    assert {each.id for each in told.unknown} == {0x200, 0x2A0}
 
 
 def test_nothing_heard_is_nothing_found():
     told = recognise([])
-    assert (told.found, told.others) == ((), ())
+    assert (told.senders, told.unknown) == ((), ())
 
 
 MESSAGES = st.lists(
@@ -175,6 +175,8 @@ MESSAGES = st.lists(
 @given(MESSAGES)
 def test_any_traffic_is_either_found_or_unknown(messages):
     told = recognise(messages)
-    keys = [key for each in told.found for key in each.keys] + [(each.id, each.extended) for each in told.others]
+    keys = [key for each in told.senders for key in each.match.keys] + [
+        (each.id, each.extended) for each in told.unknown
+    ]
     assert sorted(keys) == sorted({(each.id, each.extended) for each in messages})
-    assert all(a.messages >= b.messages for a, b in pairwise(told.others))
+    assert all(a.messages >= b.messages for a, b in pairwise(told.unknown))

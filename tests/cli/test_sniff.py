@@ -15,7 +15,7 @@ from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.reader import open_bus
-from tactiled.bus.sniff import recognise
+from tactiled.bus.sniff import survey as recognise
 from tactiled.cli import app as door
 from tactiled.cli.sniff import configuration, report
 from tactiled.config import load, parse
@@ -135,7 +135,11 @@ def test_what_cannot_be_is_refused_in_one_line_and_writes_nothing(tmp_path, requ
     virtual = ("--interface", "virtual", "--channel", request.node.name, "--seconds", 0.1)
     for arguments, error, says in (
         ((*virtual, "--write", there), ConfigError, "a.toml is there already"),
-        ((*virtual, "--write", tmp_path / "b.toml"), ConfigError, "no known skin was heard: nothing to write"),
+        (
+            (*virtual, "--write", tmp_path / "b.toml"),
+            ConfigError,
+            "no known skin sends on this bus: nothing to write",
+        ),
         (("--interface", "nope"), BusError, "python-can has no interface of that name"),
         (("--channel", "gone7"), BusError, "bus socketcan gone7: "),
     ):
@@ -149,7 +153,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_writes_nothing(tmp_path, requ
 
 def test_a_silent_bus_ends_in_time(monkeypatch):
     clock = Clock()
-    silent = SimpleNamespace(receive=lambda timeout: clock.wait(timeout) or None, close=lambda: None)
+    silent = SimpleNamespace(batch=lambda timeout: clock.wait(timeout) or [], close=lambda: None)
     monkeypatch.setattr("tactiled.cli.sniff.open_bus", lambda **_: silent)
     monkeypatch.setattr("tactiled.cli.sniff.time", clock)
     began = clock.now

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.sniff import recognise
+from tactiled.bus.sniff import survey as recognise
 from tactiled.cli.app import app
 from tactiled.cli.sniff import report
 from tactiled.frames import MISSING, SATURATED, Image, Message

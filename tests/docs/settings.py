@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Iterator
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 
-from tactiled.config import codecs as codec_settings
+from tactiled.bus import skins
 from tactiled.config import schema
 from tactiled.restore.methods import METHODS
 from tests.docs.table import code, table
@@ -38,11 +38,9 @@ def tables() -> Iterator[str]:
 TABLES_OF_A_SENSOR = ("codec", "array", "cover", "substrate", "kernel", "calibration")
 
 
-def models() -> dict[str, type[BaseModel]]:
+def models() -> dict[str, type]:
     """The settings of every codec of the package, by its name."""
-    tagged = [get_args(each)[0] for each in get_args(get_args(codec_settings.Codec)[0])]
-    built_in = (model for model in tagged if model is not codec_settings.Plugin)
-    return {get_args(model.model_fields["name"].annotation)[0]: model for model in built_in}
+    return {name: skins.load(name) for name in skins.BUILT_IN}
 
 
 def codecs() -> Iterator[str]:
@@ -58,17 +56,17 @@ def codec_tables() -> Iterator[str]:
             yield from ("", f"#### Settings of `{name}`", "", *table(HEAD, rows(model)))
 
 
-def doc(model: type[BaseModel]) -> str:
+def doc(model: type) -> str:
     return (model.__doc__ or "").splitlines()[0]
 
 
-def keys(model: type[BaseModel]) -> list[str]:
-    return [key for key in model.model_fields if key != "name"]
+def keys(model: type) -> list[str]:
+    return list(TypeAdapter(model).json_schema()["properties"])
 
 
-def rows(model: type[BaseModel]) -> Iterator[list[str]]:
+def rows(model: type) -> Iterator[list[str]]:
     """One row a key that is no table of its own. KeyError where a key has no description."""
-    for key, each in model.model_json_schema()["properties"].items():
+    for key, each in TypeAdapter(model).json_schema()["properties"].items():
         if key in TABLES_OF_A_SENSOR or key == "name":
             continue
         yield [code(key), form(key, each), unit(key), default(key, each), each["description"]]

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from tactiled.bus import recording
+from tactiled.bus import recording, skins
 from tactiled.cli.app import app
 from tactiled.cli.demo import demo_config
-from tactiled.config import codecs
 from tactiled.config.example import GRASP
 from tests.conftest import pressed
 from tests.docs.blocks import ROOT
@@ -69,4 +68,4 @@ def test_the_codecs_page_has_a_line_for_every_codec():
     page = (ROOT / "tactiled/docs/codecs.md").read_text("utf-8")
     lines = re.search(r"# one of these.*?\n(.*?)```", page, re.DOTALL)[1].splitlines()
     named = [tomllib.loads(line)["codec"]["name"] for line in lines]
-    assert sorted(named) == sorted(codecs.BUILT_IN) == sorted(models())
+    assert sorted(named) == sorted(skins.BUILT_IN) == sorted(models())

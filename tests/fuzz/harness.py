@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.bus.assemble import Assembler
+from tactiled.bus.assembler import Assembler
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc

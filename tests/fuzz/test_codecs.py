@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactiled.bus.assemble import Assembler
+from tactiled.bus.assembler import Assembler
 from tactiled.frames import MISSING
 from tests.fuzz import harness
 

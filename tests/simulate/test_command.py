@@ -162,7 +162,7 @@ def test_a_hand_that_is_polled_answers_as_often_as_it_is_asked_and_no_more(liste
     (tmp_path / "hand.toml").write_text(HAND.format(channel=request.node.name))
     codec = make_codec(parse(HAND.format(channel="x")).sensor["hand"])
     asker, over = open_bus(interface="virtual", channel=request.node.name), Event()
-    (poll,) = codec.talk.polls
+    (poll,) = codec.polling.polls
 
     def ask():
         while not over.wait(0.1):

@@ -3,43 +3,39 @@
 Source of the layout: Barrett Technology's libbarrett (TactilePuck, full format).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs.plain import Plain
+from tactiled.bounds import Bounds
+from tactiled.bus.codec import ClassicSkin, standard_ids
+from tactiled.bus.traffic import Key, Match, Traffic, understands
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
-FULL = 0x409  # group and property of the full format; the node stands above
+FULL_FORMAT = 0x409  # group and property in the id; the node stands above
 
 
 @dataclass(frozen=True)
-class Barrett(Plain):
-    """The pad of one node (puck)."""
+class Barrett(ClassicSkin):
+    """BarrettHand, the pad of one node: 24 taxels of 12 bits."""
 
-    node: int
-    taxels = 5
+    node: Annotated[int, Bounds(0, 31)]
+    """Number of the node."""
 
-    @property
-    def size(self) -> int:
-        """Taxels in a frame."""
-        return 24
+    size, full_scale, taxels = 24, 0xFFF, 5
 
-    @property
-    def full_scale(self) -> int:
-        """Largest count."""
-        return 0xFFF
-
-    @property
-    def ids(self) -> frozenset[tuple[int, bool]]:
-        """The (id, extended) of the messages it listens to."""
-        return frozenset({(FULL | self.node << 5, False)})
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """The pad's one id."""
+        return standard_ids(FULL_FORMAT | self.node << 5)
 
     def decode(self, message: Message) -> Reading:
-        """What one message says: 4 bits of segment, five taxels of 12 bits, all big-endian."""
+        """4 bits of segment, five taxels of 12 bits, all big-endian."""
         data = message.data
         if message.fd or len(data) != 8 or data[0] >> 4 >= self.segments:
             raise CodecError(f"message {message.id:#x} of {len(data)} bytes is none of a pad's five")
@@ -47,21 +43,29 @@ class Barrett(Plain):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        data = self.stacked(payloads, 8)
-        digits: NDArray[np.int_] = (
-            np.stack([data >> 4, data & 0xF], axis=-1).reshape(self.segments, 16)[:, 1:].astype(int)
-        )
-        taxels = digits[:, 0::3] << 8 | digits[:, 1::3] << 4 | digits[:, 2::3]
-        return np.asarray(taxels.ravel()[: self.size], np.uint16)
+        data = self.stacked(payloads, 8).astype(np.uint16)
+        digits = np.stack([data >> 4, data & 0xF], axis=-1).reshape(self.segments, 16)[:, 1:]
+        counts = digits[:, 0::3] << 8 | digits[:, 1::3] << 4 | digits[:, 2::3]
+        return np.asarray(counts, np.uint16).ravel()[: self.size]
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the 25th taxel is 0, the sequence number has no place in them."""
         del sequence
         ((id_, _),) = self.ids
-        padded = [*self.checked(counts).tolist(), 0]
-        return [
-            Message(
-                time, id_, bytes.fromhex(f"{n:x}" + "".join(f"{each:03x}" for each in padded[5 * n : 5 * n + 5]))
-            )
-            for n in range(self.segments)
-        ]
+        rows = np.append(self.checked(counts), 0).reshape(self.segments, self.taxels).tolist()
+        digits = (f"{n:x}" + "".join(f"{each:03x}" for each in row) for n, row in enumerate(rows))
+        return [Message(time, id_, bytes.fromhex(each)) for each in digits]
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Five messages on one id, in turn."""
+        note = "array: 8 x 3 is a fingertip's; the palm has positions of its own"
+        for node in range(32):
+            codec = cls(node)
+            keys = traffic.standard(id_ for id_, _ in codec.ids)
+            messages = traffic.messages(keys)
+            if understands(codec, messages) and len({each.data[0] >> 4 for each in messages}) == codec.segments:
+                yield Match({"node": node}, codec, keys, (8, 3), f"BarrettHand pad, node {node}", (note,))
+
+
+SKIN = Barrett

@@ -1,33 +1,35 @@
-"""Any skin that a DBC file describes, through cantools: which signal is which taxel is told beside the file.
+"""Any skin that a DBC file describes, through cantools: the configuration names the signal of every taxel.
 
 Counts are what stands in the messages: the file's scale and offset are left to the calibration.
 """
 
 import difflib
 import struct
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field, ValidationInfo
 
+from tactiled.bus.codec import Codec, Skin
 from tactiled.bus.codecs.packed import LENGTHS
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
+from tactiled.geometry import Array
 
 if TYPE_CHECKING:
     from cantools.database import Database
     from cantools.database.can import Message as Layout
     from cantools.database.can import Signal
 
-MOST = 0xFFFF  # counts that are asked of a signal that could say more
-LARGEST = float(np.finfo(np.float32).max)
+MAX_COUNT = 0xFFFF  # asked of a signal that could carry more
+MAX_FLOAT = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Segment:
     """The taxels of one message, or of one of a multiplexed message's variants."""
 
     layout: "Layout"
@@ -37,31 +39,28 @@ class _Part:
     taxels: tuple[int, ...]
 
 
-class Dbc:
+class Dbc(Codec):
     """The signals `names` ("Message.Signal" of every taxel in turn) of a DBC file as one array."""
-
-    modulus = None  # a DBC file does not say which signal counts frames
-    ordered = 1  # nor in which order messages come
 
     def __init__(self, file: Path, names: Sequence[str]) -> None:
         self.size = len(names)
-        self._parts = tuple(_parts(_found(_load(file), file, names)))
+        self._parts = tuple(_segments(_signals(_load(file), file, names)))
         self.segments = len(self._parts)
-        self.ids = frozenset((each.layout.frame_id, each.layout.is_extended_frame) for each in self._parts)
-        self._of: dict[tuple[int, bool], list[int]] = {key: [] for key in self.ids}
+        self._of: dict[tuple[int, bool], list[int]] = {}
         for segment, part in enumerate(self._parts):
-            self._of[part.layout.frame_id, part.layout.is_extended_frame].append(segment)
+            self._of.setdefault((part.layout.frame_id, part.layout.is_extended_frame), []).append(segment)
+        self.ids = frozenset(self._of)
         signals = [each for part in self._parts for each in part.signals]
         self.full_scale = min(_range(each)[1] for each in signals)
-        whole = all(not each.is_float and not each.is_signed and each.length <= 16 for each in signals)
-        self._type: type[np.uint16 | np.float32] = np.uint16 if whole else np.float32
+        integers = all(not each.is_float and not each.is_signed and each.length <= 16 for each in signals)
+        self._type: type[np.uint16 | np.float32] = np.uint16 if integers else np.float32
 
     def span(self, segment: int) -> list[int]:
         """The taxels that a segment carries, as an index into a frame."""
         return list(self._parts[segment].taxels)
 
     def decode(self, message: Message) -> Reading:
-        """What one message says; a float that is no number, or past float32, makes its taxel bad."""
+        """One message; a float that is not finite, or past float32, makes its taxel bad."""
         segments = self._of.get((message.id, message.extended))
         if segments is None or len(message.data) != _length(self._parts[segments[0]].layout):
             raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is none of the DBC file's map")
@@ -70,10 +69,10 @@ class Dbc:
             part = self._parts[segment]
             if part.selector is None or raw[part.selector] == part.variant:
                 values = [raw[each.name] for each in part.signals]
-                fine = [abs(value) <= LARGEST for value in values]  # False of a NaN, too
-                kept = (value if good else 0.0 for value, good in zip(values, fine, strict=True))
-                bad = tuple(taxel for taxel, good in zip(part.taxels, fine, strict=True) if not good)
-                return Reading(message.time, segment, struct.pack(f"<{len(values)}d", *kept), bad=bad)
+                good = [abs(value) <= MAX_FLOAT for value in values]  # False of a NaN, too
+                bad = tuple(taxel for taxel, ok in zip(part.taxels, good, strict=True) if not ok)
+                counts = (value if ok else 0.0 for value, ok in zip(values, good, strict=True))
+                return Reading(message.time, segment, struct.pack(f"<{len(values)}d", *counts), bad=bad)
         raise CodecError(f"message {message.id:#x} is a variant without taxels")
 
     def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
@@ -92,23 +91,48 @@ class Dbc:
         return [_encoded(part, counts, time) for part in self._parts]
 
 
-def expand(taxels: str | Sequence[str], shape: tuple[int, int] | None, size: int, first: int) -> tuple[str, ...]:
-    """The signal of every taxel: as listed, or a template of {row}, {column} and {taxel}, counted from `first`.
+def _beside(file: Path, info: ValidationInfo) -> Path:
+    """A path of the configuration file, relative to the folder it lies in."""
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / file
 
-    ConfigError where a template holds anything else, or wants rows where there is no grid (`shape` None).
+
+@dataclass(frozen=True)
+class Settings(Skin):
+    """Any array whose signals a DBC file describes."""
+
+    file: Annotated[Path, AfterValidator(_beside)]
+    """DBC file; a relative path starts at the folder of the configuration file."""
+    taxels: Annotated[str | tuple[str, ...], Field(min_length=1)]
+    """`Message.Signal` of every taxel in a list, or one template with {row}, {column} or {taxel}."""
+    first: Literal[0, 1] = 0
+    """Number of a template's first row, column and taxel."""
+
+    def codec(self, array: Array) -> Dbc:
+        """The codec for an array; ConfigError where file or taxels are at fault."""
+        if isinstance(self.taxels, tuple):
+            return Dbc(self.file, self.taxels)
+        return Dbc(self.file, expand(self.taxels, array.shape, array.size, self.first))
+
+
+SKIN = Settings
+
+
+def expand(template: str, shape: tuple[int, int] | None, size: int, first: int) -> tuple[str, ...]:
+    """The signal of every taxel by a template of {row}, {column} and {taxel}, counted from `first`.
+
+    ConfigError where it holds anything else, or rows where there is no grid (`shape` None).
     """
-    if not isinstance(taxels, str):
-        return tuple(taxels)
     names = []
     for taxel in range(size):
-        places = {"taxel": taxel + first}
+        numbers = {"taxel": taxel + first}
         if shape is not None:
-            places |= {"row": taxel // shape[1] + first, "column": taxel % shape[1] + first}
+            numbers |= {"row": taxel // shape[1] + first, "column": taxel % shape[1] + first}
         try:
-            names.append(taxels.format(**places))
+            names.append(template.format(**numbers))
         except (KeyError, IndexError, ValueError, AttributeError) as error:
-            known = ", ".join(f"{{{each}}}" for each in places)
-            raise ConfigError(f"codec.taxels = {taxels!r}: {error}: a template may hold {known}") from error
+            keys = ", ".join(f"{{{each}}}" for each in numbers)
+            raise ConfigError(f"codec.taxels = {template!r}: {error}: a template may hold {keys}") from error
     return tuple(names)
 
 
@@ -118,39 +142,35 @@ def _load(file: Path) -> "Database":
     except ModuleNotFoundError as error:
         raise ConfigError("codec.name = 'dbc': needs cantools: pip install 'tactiled[dbc]'") from error
     try:
-        found = database.load_file(file, database_format="dbc")
-    except OSError as error:
-        raise ConfigError(f"codec.file = {str(file)!r}: {error.strerror}") from error
-    except (errors.Error, ValueError) as error:
-        raise ConfigError(f"codec.file = {str(file)!r}: {' '.join(str(error).split())}") from error
-    return found  # type: ignore[return-value]  # the format asked for has no other kind
+        return database.load_file(file, database_format="dbc")  # type: ignore[return-value]  # no other kind
+    except (OSError, errors.Error, ValueError) as error:
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())
+        raise ConfigError(f"codec.file = {str(file)!r}: {reason}") from error
 
 
-def _found(database: "Database", file: Path, names: Sequence[str]) -> Iterator[tuple["Layout", "Signal"]]:
+def _signals(database: "Database", file: Path, names: Sequence[str]) -> Iterator[tuple["Layout", "Signal"]]:
     """The message and the signal of every name; ConfigError for one that is not there, or there twice."""
-    known = {
+    signals = {
         f"{layout.name}.{each.name}": (layout, each) for layout in database.messages for each in layout.signals
     }
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise ConfigError(f"codec.taxels names {twice[0]} twice: every taxel has a signal of its own")
-    for name in names:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            meant = f": did you mean {near[0]}?" if near else f": it has {len(known)} signals"
-            raise ConfigError(f"codec.taxels names {name!r}: {file.name} has no such signal{meant}")
-        yield known[name]
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            raise ConfigError(f"codec.taxels names {name} twice: every taxel has a signal of its own")
+        if name not in signals:
+            near = difflib.get_close_matches(name, signals, 1)
+            hint = f": did you mean {near[0]}?" if near else f": it has {len(signals)} signals"
+            raise ConfigError(f"codec.taxels names {name!r}: {file.name} has no such signal{hint}")
+        yield signals[name]
 
 
-def _parts(signals: Iterator[tuple["Layout", "Signal"]]) -> Iterator[_Part]:
+def _segments(signals: Iterator[tuple["Layout", "Signal"]]) -> Iterator[_Segment]:
     """Taxels by message and variant, in the order of their first taxels."""
     groups: dict[tuple[str, str | None, int | None], list[tuple[int, Layout, Signal]]] = {}
     for taxel, (layout, signal) in enumerate(signals):
-        selector, variant = _variant(layout, signal)
-        groups.setdefault((layout.name, selector, variant), []).append((taxel, layout, signal))
+        groups.setdefault((layout.name, *_variant(layout, signal)), []).append((taxel, layout, signal))
     for (_, selector, variant), group in groups.items():
-        taxels, layouts, found = zip(*group, strict=True)
-        yield _Part(layouts[0], selector, variant, found, taxels)
+        taxels, layouts, members = zip(*group, strict=True)
+        yield _Segment(layouts[0], selector, variant, members, taxels)
 
 
 def _variant(layout: "Layout", signal: "Signal") -> tuple[str | None, int | None]:
@@ -167,11 +187,11 @@ def _variant(layout: "Layout", signal: "Signal") -> tuple[str | None, int | None
 
 
 def _range(signal: "Signal") -> tuple[int, int]:
-    """Least and largest count of a signal that are asked of it."""
+    """Smallest and largest count asked of a signal."""
     if signal.is_float:
-        return -MOST, MOST
+        return -MAX_COUNT, MAX_COUNT
     bits = signal.length - signal.is_signed
-    return -(1 << bits) if signal.is_signed else 0, min((1 << bits) - 1, MOST)
+    return -(1 << bits) if signal.is_signed else 0, min((1 << bits) - 1, MAX_COUNT)
 
 
 def _length(layout: "Layout") -> int:
@@ -189,7 +209,7 @@ def _decoded(layout: "Layout", data: bytes) -> dict[str, float]:
         raise CodecError(f"message {layout.frame_id:#x}: {error}") from error
 
 
-def _encoded(part: _Part, counts: Counts, time: float) -> Message:
+def _encoded(part: _Segment, counts: Counts, time: float) -> Message:
     layout = part.layout
     values: dict[str, float] = {each.name: 0 for each in layout.signals}
     if part.selector is not None and part.variant is not None:
@@ -197,7 +217,7 @@ def _encoded(part: _Part, counts: Counts, time: float) -> Message:
     for taxel, signal in zip(part.taxels, part.signals, strict=True):
         count, (low, high) = float(counts[taxel]), _range(signal)
         if not low <= count <= high:
-            raise CodecError(f"count {count:g} of taxel {taxel}: {signal.name} says {low} to {high}")
+            raise CodecError(f"count {count:g} of taxel {taxel}: {signal.name} carries {low} to {high}")
         values[signal.name] = count if signal.is_float else int(count)
     data = layout.encode(values, scaling=False, strict=False)
     fd = layout.is_fd or layout.length > 8

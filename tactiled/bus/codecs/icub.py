@@ -4,64 +4,57 @@ Source of the layout: robotology's icub-firmware-shared (canProtocolLib), icub-f
 icub-main (canBusSkin, skinLib).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from tactiled.bus.codecs import Talk
-from tactiled.errors import CodecError, ConfigError
+from tactiled.bounds import Bounds
+from tactiled.bus.codec import ClassicSkin, require_distinct, standard_ids
+from tactiled.bus.polling import Polling
+from tactiled.bus.traffic import Key, Match, Traffic, understands
+from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
 PERIODIC, OLD, POLL = 0x400, 0x300, 0x200  # message classes: skin data, skin data of older boards, set-up
 HEAD, TAIL = 0x40, 0xC0  # first byte: pads 0-6, pads 7-11 and diagnostics
-PADS = 12
+PADS, HEAD_PADS = 12, 7
 THERMAL = (6, 10)  # pads that follow temperature, not pressure
 NO_LOAD = 240  # counts of an unloaded pad, the host's default
-UNIT = 40  # parts of a millimetre in the table below
-PLACES = (
-    (257.2, 0.0),
-    (385.83, -222.83),
-    (128.62, -222.83),
-    (0.0, 0.0),
-    (-128.62, -222.83),
-    (-385.83, -222.83),
-    (-256.3, -147.64),
-    (-257.2, 0.0),
-    (-128.62, 222.83),
-    (0.0, 445.54),
-    (0.0, 296.55),
-    (128.62, 222.83),
-)
-SET_UP_S = 0.5  # that a board is given between its set-up and its start
-APART = 25.0  # mm between the centres of triangles drawn side by side
+UNITS_PER_MM = 40  # of the table below
+PAD_POSITIONS = (
+    (257.2, 0.0), (385.83, -222.83), (128.62, -222.83), (0.0, 0.0), (-128.62, -222.83), (-385.83, -222.83),
+    (-256.3, -147.64), (-257.2, 0.0), (-128.62, 222.83), (0.0, 445.54), (0.0, 296.55), (128.62, 222.83),
+)  # fmt: skip
+SET_UP_S = 0.5  # between a board's set-up and its start
+TRIANGLE_PITCH_MM = 25.0  # between the centres of triangles drawn side by side
 
 
 @dataclass(frozen=True)
-class Icub:
-    """Some triangles of one board as one array, `triangles` in the order in which they are drawn."""
+class Icub(ClassicSkin):
+    """iCub MTB board with triangles of 10 or 12 taxels."""
 
-    board: int
-    triangles: tuple[int, ...]
-    thermal_pads: bool = True  # False: pads 6 and 10 are taxels too, as on a fingertip
-    start: bool = False  # set the board up and start it; False: another program does
-    period_ms: int = 30  # of what it sends once started
+    board: Annotated[int, Bounds(0, 15)]
+    """Number of the board."""
+    triangles: Annotated[tuple[Annotated[int, Bounds(0, 15)], ...], Field(min_length=1, max_length=16)]
+    """Numbers of the triangles, in the order of their taxels."""
+    thermal_pads: bool = True
+    """Pads 6 and 10 measure temperature and are left out; false: they are taxels, as on a fingertip."""
+    start: bool = False
+    """Set up and start the board when the service starts."""
+    period_ms: Annotated[int, Bounds(1, 255, "ms")] = 30
+    """Time between two frames of a board that the service starts."""
+
+    full_scale, ordered = 255, 2  # a head, then its tail
+    kpa_per_count, no_load = -1.0, float(NO_LOAD)
 
     def __post_init__(self) -> None:
         """Refuse a triangle named twice."""
-        if len(set(self.triangles)) != len(self.triangles):
-            raise ConfigError(f"codec.triangles = {list(self.triangles)}: names a triangle twice")
-
-    @property
-    def talk(self) -> Talk:
-        """Set up, half a second later start, at the end stop: what the robot's own software says to a board."""
-        if not self.start:
-            return Talk()
-        set_up = (configure_board(self.board, self.period_ms), configure_triangles(self.board, 0, 15))
-        begun = ((0.0, set_up[0]), (0.0, set_up[1]), (SET_UP_S, start(self.board)))
-        return Talk(start=begun, stop=(stop(self.board),))
+        require_distinct("triangles", self.triangles)
 
     @cached_property
     def pads(self) -> tuple[int, ...]:
@@ -69,63 +62,54 @@ class Icub:
         return tuple(pad for pad in range(PADS) if not (self.thermal_pads and pad in THERMAL))
 
     @cached_property
-    def _parts(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The taxel pads that a head and a tail carry."""
-        return tuple(pad for pad in self.pads if pad < 7), tuple(pad for pad in self.pads if pad >= 7)
-
-    @cached_property
-    def _order(self) -> dict[int, int]:
-        return {triangle: place for place, triangle in enumerate(self.triangles)}
-
-    @property
     def positions(self) -> NDArray[np.float64]:
         """Where the taxels are (N, 2), mm: each triangle flat, side by side along x."""
-        one = np.array([PLACES[pad] for pad in self.pads]) / UNIT
-        return np.concatenate([one + np.array([APART * place, 0]) for place in range(len(self.triangles))])
+        triangle = np.array([PAD_POSITIONS[pad] for pad in self.pads]) / UNITS_PER_MM
+        offsets = np.arange(len(self.triangles))[:, None, None] * (TRIANGLE_PITCH_MM, 0.0)
+        return (triangle + offsets).reshape(-1, 2)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Taxels in a frame."""
         return len(self.pads) * len(self.triangles)
 
-    @property
+    @cached_property
     def segments(self) -> int:
-        """Messages in a whole frame: a head and a tail for each triangle."""
+        """A head and a tail for each triangle."""
         return 2 * len(self.triangles)
 
-    @property
-    def modulus(self) -> None:
-        """None: this skin sends no sequence number."""
-        return
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """An id a triangle, of both generations of boards."""
+        return standard_ids(
+            *(kind | self.board << 4 | each for kind in (PERIODIC, OLD) for each in self.triangles)
+        )
 
-    @property
-    def ordered(self) -> int:
-        """Segments that come in order: a head, then its tail."""
-        return 2
-
-    @property
-    def full_scale(self) -> int:
-        """Largest count."""
-        return 255
-
-    @property
-    def ids(self) -> frozenset[tuple[int, bool]]:
-        """The (id, extended) of the messages it listens to, of both generations of boards."""
-        return frozenset(
-            (kind | self.board << 4 | each, False) for kind in (PERIODIC, OLD) for each in self.triangles
+    @cached_property
+    def polling(self) -> Polling:
+        """Set up, half a second later start, at the end stop: what the robot's own software sends to a board."""
+        if not self.start:
+            return Polling()
+        set_up = bytes((0x4D, 0, self.period_ms, NO_LOAD))
+        triangles = bytes((0x50, 0, 15, 0, 1, 0x00, 0x22))  # all; the capacitance converter's set-up is 0x2200
+        start = ((0.0, set_up), (0.0, triangles), (SET_UP_S, b"\x07\x00"))
+        return Polling(
+            start=tuple((after, Message(0.0, POLL | self.board, data)) for after, data in start),
+            stop=(Message(0.0, POLL | self.board, b"\x07\x01"),),
         )
 
     def span(self, segment: int) -> slice:
         """The taxels that a segment carries."""
         place, tail = divmod(segment, 2)
-        start = place * len(self.pads) + (len(self._parts[0]) if tail else 0)
-        return slice(start, start + len(self._parts[tail]))
+        start, head = place * len(self.pads), sum(pad < HEAD_PADS for pad in self.pads)
+        return slice(start + head, start + len(self.pads)) if tail else slice(start, start + head)
 
     def decode(self, message: Message) -> Reading:
-        """What one message says; CodecError where it is neither a head nor a tail."""
-        data, place = message.data, self._order.get(message.id & 0xF)
-        if message.fd or place is None:
+        """A head, or a tail with or without diagnostics, of a configured triangle."""
+        data, triangle = message.data, message.id & 0xF
+        if message.fd or triangle not in self.triangles:
             raise CodecError(f"message {message.id:#x} is no classic message of a configured triangle")
+        place = self.triangles.index(triangle)
         if len(data) == 8 and data[0] == HEAD:
             return Reading(message.time, 2 * place, data[1:])
         if len(data) in (6, 8) and data[0] == TAIL:
@@ -137,49 +121,47 @@ class Icub:
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        whole = (bytes(5 if at % 2 else 7) if each is None else each for at, each in enumerate(payloads))
-        pads = np.frombuffer(b"".join(whole), np.uint8).reshape(-1, PADS)
+        parts = (each or bytes(5 if at % 2 else 7) for at, each in enumerate(payloads))
+        pads = np.frombuffer(b"".join(parts), np.uint8).reshape(-1, PADS)
         return pads[:, self.pads].astype(np.uint16).ravel()
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
         code = data[6] << 8 | data[7]
-        lost = code & 0xF != 0
+        silent = code & 0xF != 0
         first = place * len(self.pads)
-        return tuple(first + at for at, pad in enumerate(self.pads) if lost or code >> (4 + pad) & 1)
+        return tuple(first + at for at, pad in enumerate(self.pads) if silent or code >> (4 + pad) & 1)
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
-        """The messages of one frame (N,); thermal pads say no load; the sequence number has no place in them."""
+        """The messages of one frame (N,); thermal pads have no load; the sequence number has no place in them."""
         del sequence
-        if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:
-            raise CodecError(
-                f"counts {counts.shape} up to {counts.max()}: expected {self.size} up to {self.full_scale}"
-            )
         pads = np.full((len(self.triangles), PADS), NO_LOAD, np.uint8)
-        pads[:, self.pads] = counts.reshape(len(self.triangles), -1)
+        pads[:, self.pads] = self.checked(counts).reshape(len(self.triangles), -1)
         messages = []
         for triangle, data in zip(self.triangles, map(bytes, pads), strict=True):
             id_ = PERIODIC | self.board << 4 | triangle
-            messages.append(Message(time, id_, bytes((HEAD, *data[:7]))))
-            messages.append(Message(time, id_, bytes((TAIL, *data[7:], 0, 0))))
+            messages.append(Message(time, id_, bytes((HEAD, *data[:HEAD_PADS]))))
+            messages.append(Message(time, id_, bytes((TAIL, *data[HEAD_PADS:], 0, 0))))
         return messages
 
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Heads and tails by triangle."""
+        note = "thermal_pads: false where pads 6 and 10 are taxels too, as on a fingertip"
+        for kind, age in ((PERIODIC, "class 0x400"), (OLD, "class 0x300, an older board")):
+            for board in range(16):
+                keys = tuple(
+                    key
+                    for key in traffic.standard(kind | board << 4 | triangle for triangle in range(16))
+                    if {each.data[0] for each in traffic[key] if each.data} == {HEAD, TAIL}
+                )
+                triangles = tuple(id_ & 0xF for id_, _ in keys)
+                codec = cls(board, triangles)
+                if keys and understands(codec, traffic.messages(keys)):
+                    listed = ", ".join(map(str, triangles))
+                    description = f"iCub MTB, {age}, board {board}, triangles {listed}"
+                    settings = {"board": board, "triangles": list(triangles)}
+                    yield Match(settings, codec, keys, None, description, (note,))
 
-def start(board: int) -> Message:
-    """The message that makes a board stream."""
-    return Message(0.0, POLL | board, b"\x07\x00")
 
-
-def stop(board: int) -> Message:
-    """The message that makes a board fall silent."""
-    return Message(0.0, POLL | board, b"\x07\x01")
-
-
-def configure_board(board: int, period_ms: int, no_load: int = NO_LOAD, skin: int = 0) -> Message:
-    """The message that sets a board's period (ms) and its no-load value (counts)."""
-    return Message(0.0, POLL | board, bytes((0x4D, skin, period_ms, no_load)))
-
-
-def configure_triangles(board: int, first: int, last: int, shift: int = 0, cdc: int = 0x2200) -> Message:
-    """The message that enables triangles `first` to `last`; `cdc` is the capacitance converter's set-up."""
-    return Message(0.0, POLL | board, bytes((0x50, first, last, shift, 1, cdc & 0xFF, cdc >> 8)))
+SKIN = Icub

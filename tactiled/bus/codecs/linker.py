@@ -1,75 +1,73 @@
 """LinkerHand fingers: matrices of 12 x 6 taxels of 8 bits, a message a row, sent when asked for.
 
 Source of the layout: Linkerbot's public SDKs (request code C6). The replies bear the hand's own id, as does all
-else that it says.
+else that it sends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import cached_property
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from tactiled.bus.codecs import Plain, Poll, Talk
-from tactiled.errors import CodecError, ConfigError
+from tactiled.bounds import Bounds
+from tactiled.bus.codec import ClassicSkin, require_distinct, standard_ids
+from tactiled.bus.polling import Poll, Polling
+from tactiled.bus.traffic import Key, Match, Traffic, understands
+from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
-HANDS = {"right": 0x27, "left": 0x28}
+HANDS: dict[Literal["right", "left"], int] = {"right": 0x27, "left": 0x28}  # ids
 FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring, 5 little
 MATRIX = 0xC6  # asks for a matrix
 ROWS, COLUMNS = 12, 6
 
 
 @dataclass(frozen=True)
-class Linker(Plain):
-    """Some fingers of one hand as one array, one finger's rows after the other's."""
+class Linker(ClassicSkin):
+    """LinkerHand: 72 taxels of 8 bits a finger."""
 
     hand: Literal["right", "left"] = "right"
-    fingers: tuple[int, ...] = (1,)
-    poll_hz: float = 20.0  # requests a second to each finger; 0: only listen
-    taxels = COLUMNS
+    """Which hand it is."""
+    fingers: Annotated[tuple[Annotated[int, Bounds(1, 5)], ...], Field(min_length=1, max_length=5)] = (1,)
+    """Fingers of the array: 1 is the thumb, 5 the little finger."""
+    poll_hz: Annotated[float, Bounds(0.01, 1000.0, "Hz", zero=True)] = 20.0
+    """Requests per second for each finger; 0: the service only listens."""
+
+    taxels, full_scale, ordered = COLUMNS, 0xFF, ROWS
 
     def __post_init__(self) -> None:
         """Refuse a finger named twice."""
-        if len(set(self.fingers)) != len(self.fingers):
-            raise ConfigError(f"codec.fingers = {list(self.fingers)}: names a finger twice")
+        require_distinct("fingers", self.fingers)
 
-    @property
+    @cached_property
     def size(self) -> int:
-        """Taxels in a frame."""
+        """Taxels of all fingers, one finger's rows after the other's."""
         return ROWS * COLUMNS * len(self.fingers)
 
-    @property
-    def ordered(self) -> int:
-        """Segments that come in order: a finger's rows."""
-        return ROWS
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """The hand's one id."""
+        return standard_ids(HANDS[self.hand])
 
-    @property
-    def full_scale(self) -> int:
-        """Largest count."""
-        return 0xFF
-
-    @property
-    def ids(self) -> frozenset[tuple[int, bool]]:
-        """The (id, extended) of the messages it listens to."""
-        return frozenset({(HANDS[self.hand], False)})
-
-    @property
-    def talk(self) -> Talk:
+    @cached_property
+    def polling(self) -> Polling:
         """A request to each finger at the same time, which answers by its rows."""
         if not self.poll_hz:
-            return Talk()
-        asked = (Message(0.0, HANDS[self.hand], bytes((FINGER + finger, MATRIX))) for finger in self.fingers)
-        return Talk(
+            return Polling()
+        requests = (Message(0.0, HANDS[self.hand], bytes((FINGER + each, MATRIX))) for each in self.fingers)
+        return Polling(
             polls=tuple(
                 Poll(each, 1 / self.poll_hz, range(ROWS * place, ROWS * (place + 1)))
-                for place, each in enumerate(asked)
+                for place, each in enumerate(requests)
             )
         )
 
     def decode(self, message: Message) -> Reading:
-        """What one message says: the finger, the row in the high digit, six taxels."""
+        """The finger, the row in the high digit, six taxels."""
         data = message.data
         if message.fd or len(data) != 8 or data[1] & 0xF or data[1] >> 4 >= ROWS:
             raise CodecError(f"message {message.id:#x} of {len(data)} bytes is no row of a finger")
@@ -85,9 +83,30 @@ class Linker(Plain):
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the sequence number has no place in them."""
         del sequence
-        rows = self.checked(counts).reshape(-1, ROWS, COLUMNS).tolist()
+        matrices = self.checked(counts).reshape(-1, ROWS, COLUMNS).tolist()
         return [
             Message(time, HANDS[self.hand], bytes((FINGER + finger, row << 4, *taxels)))
-            for finger, matrix in zip(self.fingers, rows, strict=True)
+            for finger, matrix in zip(self.fingers, matrices, strict=True)
             for row, taxels in enumerate(matrix)
         ]
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Rows of fingers, as replies to somebody's requests."""
+        for hand, id_ in HANDS.items():
+            keys = traffic.standard((id_,))
+            rows = [m for m in traffic.messages(keys) if len(m.data) == 8 and 1 <= m.data[0] - FINGER <= 5]
+            fingers = tuple(sorted({each.data[0] - FINGER for each in rows}))
+            codec = cls(hand, fingers)
+            if len({each.data[1] >> 4 for each in rows}) == ROWS and understands(codec, rows):
+                listed = ", ".join(map(str, fingers))
+                yield Match(
+                    {"hand": hand, "fingers": list(fingers)},
+                    codec,
+                    keys,
+                    (ROWS * len(fingers), COLUMNS),
+                    f"LinkerHand, {hand} hand, fingers {listed}, polled by another node",
+                )
+
+
+SKIN = Linker

@@ -1,66 +1,64 @@
 """The packed layout: any array of 8 to 16 bit taxels, sequence number and segment index in every message."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bounds import Bounds
+from tactiled.bus.assembler import assemble
+from tactiled.bus.codec import Codec, Skin
+from tactiled.bus.traffic import Key, Match, Traffic, understands
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
+from tactiled.geometry import Array
 
 HEADER = 2  # bytes: sequence number, segment index
 CLASSIC, FD = 8, 64  # bytes a message
 LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # that CAN and CAN FD know
-MOST = 256  # segments
+MAX_SEGMENTS = 256
+DEFAULT_BITS = 12
 
 
 @dataclass(frozen=True)
-class Packed:
-    """Taxels in row-major order, `bits` each, whole taxels only in a message."""
+class Packed(Codec):
+    """Taxels in row-major order, `bits` each, no taxel split between messages."""
 
-    size: int
-    bits: int = 12
+    size: int = field()
+    bits: int = DEFAULT_BITS
     fd: bool = False
     array_id: int = 0
     base_id: int = 0x500
     extended: bool = False
 
+    modulus = 256
+
     def __post_init__(self) -> None:
         """Refuse what the layout cannot carry."""
-        if not 8 <= self.bits <= 16:
-            raise ConfigError(f"codec.bits = {self.bits}: the packed layout carries 8 to 16 bits a taxel")
         top = 0x1FFFFFFF if self.extended else 0x7FF
-        if not 0 <= self.id <= top:
+        if self.id > top:
             raise ConfigError(f"codec id {self.id:#x} (base_id + array_id) is past {top:#x}: lower base_id")
-        if self.segments > MOST:
+        if self.segments > MAX_SEGMENTS:
             raise ConfigError(
                 f"{self.size} taxels of {self.bits} bits need {self.segments} messages a frame and the packed "
-                f"layout has at most {MOST}: use fewer bits{'' if self.fd else ', or CAN FD (fd = true)'}"
+                f"layout has at most {MAX_SEGMENTS}: use fewer bits{'' if self.fd else ', or CAN FD (fd = true)'}"
             )
 
     @property
     def id(self) -> int:
-        """The one CAN id of the array."""
+        """The array's one CAN id."""
         return self.base_id + self.array_id
 
-    @property
-    def ids(self) -> frozenset[tuple[int, bool]]:
-        """The (id, extended) of the messages it listens to."""
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """That id."""
         return frozenset({(self.id, self.extended)})
 
-    @property
-    def modulus(self) -> int:
-        """What the sequence counter wraps at."""
-        return 256
-
-    @property
-    def ordered(self) -> int:
-        """Segments that come in order: the sequence number tells, not the order."""
-        return 1
-
-    @property
+    @cached_property
     def full_scale(self) -> int:
         """Largest count."""
         return (1 << self.bits) - 1
@@ -79,26 +77,23 @@ class Packed:
         """The taxels that a segment carries."""
         return slice(segment * self.taxels, min((segment + 1) * self.taxels, self.size))
 
-    def _length(self, taxels: int) -> int:
-        """Bytes of the message that carries so many taxels."""
-        return next(length for length in LENGTHS if length >= HEADER + -(-taxels * self.bits // 8))
-
     @cached_property
     def _forms(self) -> tuple[tuple[int, int, int], ...]:
         """For each segment the message's length and, byte and bit, where its padding begins."""
-        spans = [self.span(segment) for segment in range(self.segments)]
-        sizes = [span.stop - span.start for span in spans]
-        return tuple((self._length(n), HEADER + n * self.bits // 8, n * self.bits % 8) for n in sizes)
+        sizes = [min(self.taxels, self.size - first) for first in range(0, self.size, self.taxels)]
+        ends = [divmod(n * self.bits, 8) for n in sizes]
+        lengths = [next(each for each in LENGTHS if each >= HEADER + byte + (bit > 0)) for byte, bit in ends]
+        return tuple((length, HEADER + byte, bit) for length, (byte, bit) in zip(lengths, ends, strict=True))
 
     @cached_property
-    def _places(self) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
+    def _offsets(self) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
         """For each taxel the byte, in the joined payloads, and the bit where it begins."""
         segment, place = np.divmod(np.arange(self.size), self.taxels)
         byte, bit = np.divmod(place * self.bits, 8)
         return segment * (self._forms[0][0] - HEADER) + byte, bit.astype(np.uint32)
 
     def decode(self, message: Message) -> Reading:
-        """What one message says; CodecError where its kind, index, length or padding is not the layout's."""
+        """One message; CodecError where its kind, index, length or padding is not the layout's."""
         data = message.data
         if message.fd != self.fd:
             raise CodecError(f"{'CAN FD' if message.fd else 'classic'} message where the other kind is configured")
@@ -114,29 +109,144 @@ class Packed:
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
         pairs = zip(payloads, self._forms, strict=True)
-        whole = (bytes(form[0] - HEADER) if each is None else each for each, form in pairs)
-        stream = np.frombuffer(b"".join((*whole, bytes(2))), np.uint8).astype(np.uint32)
+        parts = (bytes(form[0] - HEADER) if each is None else each for each, form in pairs)
+        stream = np.frombuffer(b"".join((*parts, bytes(2))), np.uint8).astype(np.uint32)
         windows = stream[:-2] | stream[1:-1] << 8 | stream[2:] << 16  # 24 bits from every byte on hold any taxel
-        byte, bit = self._places
+        byte, bit = self._offsets
         return (windows[byte] >> bit & self.full_scale).astype(np.uint16)
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); CodecError where a count needs more bits."""
-        counts = np.asarray(counts, "<u2")
-        if counts.shape != (self.size,) or int(counts.max()) > self.full_scale:
-            raise CodecError(
-                f"counts {counts.shape} up to {counts.max()}: expected {self.size} up to {self.full_scale}"
-            )
         padded = np.zeros(self.segments * self.taxels, "<u2")
-        padded[: self.size] = counts
+        padded[: self.size] = self.checked(counts)
         bits = np.unpackbits(padded.view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")[:, : self.bits]
         payload = np.packbits(bits.reshape(self.segments, -1), axis=1, bitorder="little")
-        width = HEADER + payload.shape[1]  # of a full segment: no segment is longer
-        table = np.empty((self.segments, width), np.uint8)
-        table[:, 0], table[:, 1] = sequence % 256, np.arange(self.segments)
-        table[:, HEADER:] = payload
-        data = table.tobytes()
+        header = np.column_stack([np.full(self.segments, sequence % 256), np.arange(self.segments)])
+        table = np.hstack([header.astype(np.uint8), payload])
         return [
-            Message(time, self.id, data[at * width : at * width + form[0]], self.extended, self.fd)
-            for at, form in enumerate(self._forms)
+            Message(time, self.id, row.tobytes()[: form[0]], self.extended, self.fd)
+            for row, form in zip(table, self._forms, strict=True)
         ]
+
+
+@dataclass(frozen=True)
+class Settings(Skin):
+    """Any array, in this project's own open layout."""
+
+    array_id: Annotated[int, Bounds(0, 15)] = 0
+    """Number of the array: its messages have the CAN id `base_id` + `array_id`."""
+    base_id: Annotated[int, Bounds(0, 0x1FFFFFF0)] = 0x500
+    """First CAN id of the layout."""
+    extended: bool = False
+    """Ids have 29 bits; false: 11 bits."""
+    bits: Annotated[int, Bounds(8, 16)] = DEFAULT_BITS
+    """Bits of one taxel."""
+    fd: bool = False
+    """CAN FD messages of up to 64 bytes; false: classic messages of up to 8 bytes."""
+
+    def codec(self, array: Array) -> Packed:
+        """The layout of an array; ConfigError where the array is larger than it can carry."""
+        return Packed(array.size, **asdict(self))
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Sequence numbers and segments that count up."""
+        for key, messages in traffic.items():
+            fits = packed_fits(key, messages) if _counts_up(messages) else []
+            if fits:
+                yield _match(key, messages[0].fd, fits)
+
+
+SKIN = Settings
+
+
+class Fit(NamedTuple):
+    """A width of the taxels that lengths and padding allow."""
+
+    bits: int
+    min_size: int  # taxels
+    max_size: int
+    roughness: float  # mean step from taxel to taxel over full scale: small where the width is right
+
+    @property
+    def sizes(self) -> str:
+        """How many taxels there may be."""
+        return f"{self.min_size}" if self.min_size == self.max_size else f"{self.min_size} to {self.max_size}"
+
+
+def _counts_up(messages: Sequence[Message]) -> bool:
+    """Whether nearly every message is what must come behind the one before it, lost ones allowed for."""
+    if len(messages) < 4 or any(len(each.data) < HEADER or each.fd != messages[0].fd for each in messages):
+        return False
+    heads = [(each.data[0], each.data[1]) for each in messages]
+    last = max(segment for _, segment in heads)
+    if {segment for _, segment in heads} != set(range(last + 1)):
+        return False
+    follows = sum(
+        after == ((sequence, segment + 1) if segment < last else ((sequence + 1) % 256, 0))
+        for (sequence, segment), after in pairwise(heads)
+    )
+    return follows >= 0.8 * (len(messages) - 1)
+
+
+def packed_fits(key: Key, messages: Sequence[Message]) -> list[Fit]:
+    """Every width, with its numbers of taxels, whose lengths and padding are those of an id's messages."""
+
+    def codec(size: int, bits: int) -> Packed:
+        return Packed(size, bits, messages[0].fd, 0, *key)
+
+    segments = max(each.data[1] for each in messages) + 1
+    full = list({each.data: each for each in messages if each.data[1] < segments - 1}.values())
+    last = list({each.data: each for each in messages if each.data[1] == segments - 1}.values())
+    fits = []
+    for bits in range(8, 17):
+        taxels = codec(1, bits).taxels
+        sizes = range((segments - 1) * taxels + 1, segments * taxels + 1)
+        if full and not understands(codec(sizes[-1], bits), full):
+            continue
+        good = [size for size in sizes if understands(codec(size, bits), last)]
+        if good:
+            fits.append(Fit(bits, good[0], good[-1], _roughness(codec(good[0], bits), messages)))
+    return fits
+
+
+def _roughness(codec: Codec, messages: Sequence[Message]) -> float:
+    """Mean step from taxel to taxel of the first frames, over full scale."""
+    frames = [each for each in assemble(codec, messages[: 100 * codec.segments])[0] if not each.flags.any()]
+    if not frames or codec.size < 2:
+        return 0.0
+    return float(np.abs(np.diff([each.counts.astype(float) for each in frames])).mean() / codec.full_scale)
+
+
+def likeliest(fits: Sequence[Fit]) -> Fit:
+    """The width whose images step least, the smallest of such; the usual one where nothing steps at all."""
+    if all(each.roughness == 0 for each in fits):
+        return next((each for each in fits if each.bits == DEFAULT_BITS), fits[0])
+    bound = 1.25 * min(each.roughness for each in fits) + 1e-3
+    return next(each for each in fits if each.roughness <= bound)
+
+
+def squarest(min_size: int, max_size: int) -> tuple[int, int]:
+    """The squarest rows x columns with so many taxels; of equals the one with most of them."""
+    sizes = range(min_size, max_size + 1)
+    sides = [(rows, size // rows) for size in sizes for rows in range(1, size + 1) if not size % rows]
+    return min((each for each in sides if each[0] <= each[1]), key=lambda each: (each[1] / each[0], -each[0]))
+
+
+def _match(key: Key, fd: bool, fits: Sequence[Fit]) -> Match:
+    """The array of the likeliest fit; the others are notes."""
+    best = likeliest(fits)
+    shape = squarest(best.min_size, best.max_size)
+    id_, extended = key
+    usual = not extended and 0x500 <= id_ <= 0x50F
+    base_id, array_id = (0x500, id_ - 0x500) if usual else (id_, 0)
+    settings: dict[str, Any] = {
+        "base_id": base_id, "array_id": array_id, "extended": extended, "bits": best.bits, "fd": fd,
+    }  # fmt: skip
+    kind = "CAN FD" if fd else "classic"
+    description = f"packed layout, {kind}, array {array_id} at {base_id:#x}, {best.bits} bits a taxel"
+    notes = [f"array: {best.sizes} taxels fit; best guess: {shape[0]} x {shape[1]}"]
+    if others := ", ".join(f"{each.bits} ({each.sizes})" for each in fits if each is not best):
+        notes.append(f"bits: nothing speaks against {others} taxels either, but steps are largest there")
+    codec = Packed(shape[0] * shape[1], **settings)
+    return Match(settings, codec, (key,), shape, description, tuple(notes), pitch_mm=1.0)

@@ -2,117 +2,108 @@
 
 Source of the layout: the vendor's manual of the 4 x 6 module (August 2023) for today's ids; community drivers for
 those of older generations, whose payload is the same. Source of the models: public notes on the vendor's server,
-which tell modules by their ids, and a public capture of what it sends.
+which tells modules by their ids, and a public capture of what it sends.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from tactiled.bus.codecs import Plain, Talk
+from tactiled.bounds import Bounds
+from tactiled.bus.codec import ClassicSkin, ShearCodec, require_distinct, standard_ids
+from tactiled.bus.polling import Polling
+from tactiled.bus.traffic import Key, Match, Traffic, understands
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
 STATUS = 0x83  # first byte of what `encode` makes
-REST = 0x4000  # counts near which X and Y of the modules that were heard rest; what `encode` says of them
+REST = 0x4000  # counts near which X and Y of the modules that were recorded rest
 START = 0x200  # id, with the board's number, on which older boards are started and stopped
-OLDER = {
+Profile = Literal["current", "4x4-old", "4x4-new", "4x6-old", "single"]
+OLDER_IDS: dict[Profile, tuple[int, ...]] = {
+    "4x6-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(6)),
     "4x4-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(4)),
     "4x4-new": tuple(0x200 + 8 * row + column for row in range(4) for column in range(4)),
-    "4x6-old": tuple(0x100 | row << 4 | column for row in range(4) for column in range(6)),
     "single": tuple(range(0x710, 0x720)),
-}
+}  # the largest first, whose ids hold another's
 MODELS = {(2, 2): "uSPa22", (4, 4): "uSPa44", (4, 6): "uSPa46", (2, 8): "XR1944"}  # SDAs and taxels, today's ids
 OLDER_MODELS = {"4x4-old": "XR1944", "4x4-new": "XR1944", "4x6-old": "XR1946"}
 
 
 @dataclass(frozen=True)
-class Xela(Plain):
-    """One module. In the profile "current" an id is SDA << 8 | taxel << 4 | microcontroller.
+class Xela(ClassicSkin, ShearCodec):
+    """XELA uSkin, one 3-axis module: the normal axis is the image."""
 
-    `rows` are the SDAs from the top row down, `columns` the taxels of each from left to right (the 4 x 6 module
-    with its connector on the left); the older profiles have fixed ids instead.
-    """
+    profile: Profile = "current"
+    """Layout of the CAN ids: the present generation, or an older one."""
+    controller: Annotated[int, Bounds(0, 15)] = 1
+    """Number of the microcontroller."""
+    rows: Annotated[tuple[Annotated[int, Bounds(0, 7)], ...], Field(min_length=1, max_length=8)] = (4, 3, 2, 1)
+    """SDA lines, from the top row down."""
+    columns: Annotated[tuple[Annotated[int, Bounds(0, 15)], ...], Field(min_length=1, max_length=16)] = (
+        *range(5, -1, -1),
+    )
+    """Taxel numbers of a row, from left to right."""
+    start: bool = False
+    """Start a board of an older profile when the service starts, and stop it at the end."""
+    model: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{0,32}$")] = ""
+    """Model name that XELA's clients receive; empty: derived from ids and size."""
 
-    profile: str = "current"
-    controller: int = 1
-    rows: tuple[int, ...] = (4, 3, 2, 1)
-    columns: tuple[int, ...] = (5, 4, 3, 2, 1, 0)
-    start: bool = False  # start an older board, whose number is `controller`
-    model: str = ""  # as the vendor's software calls the module; left out: as its ids and size say
-    taxels = 1
+    taxels, full_scale = 1, 0xFFFF
+    ordered = 1  # no segments are known to come in order
 
     def __post_init__(self) -> None:
-        """Refuse a profile that is not known, and an SDA or a taxel named twice."""
-        if self.profile != "current" and self.profile not in OLDER:
-            raise ConfigError(f"codec.profile = {self.profile!r}: choose current or one of {', '.join(OLDER)}")
+        """Refuse an SDA or a taxel named twice, and the start of a module that sends by itself."""
+        require_distinct("rows", self.rows)
+        require_distinct("columns", self.columns)
         if self.start and self.profile == "current":
-            raise ConfigError(
-                "codec.start = true: modules of the current profile send by themselves: leave it out"
-            )
-        if len(set(self._ids)) != len(self._ids):
-            raise ConfigError("codec.rows or codec.columns names an SDA or a taxel twice")
+            raise ConfigError("start = true: modules of the current profile send by themselves: leave it out")
 
     @property
-    def told_model(self) -> str:
-        """The module's model, by the vendor's name for it; "unknown" where nothing says."""
-        if self.model:
-            return self.model
-        if self.profile != "current":
-            return OLDER_MODELS.get(self.profile, "unknown")
-        return MODELS.get((len(self.rows), len(self.columns)), "unknown")
+    def model_name(self) -> str:
+        """The vendor's name for the module; "unknown" where neither settings nor ids tell."""
+        if self.profile == "current":
+            return self.model or MODELS.get((len(self.rows), len(self.columns)), "unknown")
+        return self.model or OLDER_MODELS.get(self.profile, "unknown")
 
-    @property
-    def talk(self) -> Talk:
+    @cached_property
+    def polling(self) -> Polling:
         """Start, and at the end stop, an older board."""
         if not self.start:
-            return Talk()
-        id_ = START | self.controller
-        return Talk(start=((0.0, Message(0.0, id_, b"\x07\x00")),), stop=(Message(0.0, id_, b"\x07\x01"),))
+            return Polling()
+        start, stop = (Message(0.0, START | self.controller, data) for data in (b"\x07\x00", b"\x07\x01"))
+        return Polling(start=((0.0, start),), stop=(stop,))
 
     @cached_property
-    def _ids(self) -> tuple[int, ...]:
-        """The id of every taxel, row by row."""
-        if self.profile != "current":
-            return OLDER[self.profile]
-        return tuple(sda << 8 | taxel << 4 | self.controller for sda in self.rows for taxel in self.columns)
+    def _segments(self) -> dict[int, int]:
+        """The segment, which is the taxel, of every id, row by row."""
+        today = (sda << 8 | taxel << 4 | self.controller for sda in self.rows for taxel in self.columns)
+        return {id_: at for at, id_ in enumerate(OLDER_IDS.get(self.profile, today))}
 
     @cached_property
-    def _place(self) -> dict[int, int]:
-        return {id_: taxel for taxel, id_ in enumerate(self._ids)}
-
-    @property
     def size(self) -> int:
         """Taxels in a frame."""
-        return len(self._ids)
+        return len(self._segments)
 
-    @property
-    def ordered(self) -> int:
-        """Segments that come in order: none is known to."""
-        return 1
-
-    @property
-    def full_scale(self) -> int:
-        """Largest count."""
-        return 0xFFFF
-
-    @property
-    def ids(self) -> frozenset[tuple[int, bool]]:
-        """The (id, extended) of the messages it listens to."""
-        return frozenset((id_, False) for id_ in self._ids)
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """An id a taxel."""
+        return standard_ids(*self._segments)
 
     def decode(self, message: Message) -> Reading:
-        """What one message says: a taxel's status, X, Y, Z and status, eight bytes."""
-        if message.fd or len(message.data) != 8 or message.id not in self._place:
+        """A taxel's status, X, Y, Z and status, eight bytes."""
+        if message.fd or len(message.data) != 8 or message.id not in self._segments:
             raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is no taxel's classic eight")
-        return Reading(message.time, self._place[message.id], message.data[1:7])
+        return Reading(message.time, self._segments[message.id], message.data[1:7])
 
     def axes(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of X, Y and Z (N, 3) of one frame; 0 where a segment is None."""
-        return self.stacked(payloads, 6).copy().view(">u2").astype(np.uint16)
+        return self.stacked(payloads, 6).view(">u2").astype(np.uint16)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of Z (N,), normal to the skin; 0 where a segment is None."""
@@ -136,7 +127,45 @@ class Xela(Plain):
         axes = np.empty((self.size, 3), ">u2")
         axes[:, :2] = np.clip(np.round(shear.T) + REST, 0, self.full_scale)
         axes[:, 2] = self.checked(counts)
-        return [
-            Message(time, id_, bytes((STATUS, *one.tobytes(), 0)))
-            for id_, one in zip(self._ids, axes, strict=True)
-        ]
+        rows = zip(self._segments, axes, strict=True)
+        return [Message(time, id_, bytes((STATUS, *row.tobytes(), 0))) for id_, row in rows]
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """A message a taxel, in one of the id schemes."""
+        for profile, ids in OLDER_IDS.items():
+            keys = traffic.standard(ids)
+            if len(keys) == len(ids) and _is_xela(cls(profile), traffic.messages(keys)):
+                width = 6 if profile == "4x6-old" else 4
+                description = f"XELA uSkin, older ids ({profile})"
+                yield Match({"profile": profile}, cls(profile), keys, (len(ids) // width, width), description)
+        for controller in range(16):
+            if match := cls._recognise_current(traffic, controller):
+                yield match
+
+    @classmethod
+    def _recognise_current(cls, traffic: Traffic, controller: int) -> Match | None:
+        """The module of a microcontroller, by today's ids: row, column and microcontroller in each."""
+        ids = [id_ for id_, extended in traffic if not extended and id_ & 0xF == controller]
+        taxels = [id_ for id_ in ids if _has_status(traffic[id_, False])]
+        rows = tuple(sorted({id_ >> 8 for id_ in taxels}, reverse=True))
+        columns = tuple(sorted({id_ >> 4 & 0xF for id_ in taxels}, reverse=True))
+        codec = cls("current", controller, rows, columns)
+        keys = traffic.standard(sorted(id_ for id_, _ in codec.ids))
+        if not (len(keys) == codec.size >= 4 and _is_xela(codec, traffic.messages(keys))):
+            return None
+        settings = {"controller": controller, "rows": list(rows), "columns": list(columns)}
+        description = f"XELA uSkin, microcontroller {controller}, SDAs {', '.join(map(str, rows))}"
+        note = "rows, columns: as on the 4 x 6 module with its connector on the left"
+        return Match(settings, codec, keys, (len(rows), len(columns)), description, (note,))
+
+
+def _has_status(messages: Sequence[Message]) -> bool:
+    return all(len(each.data) == 8 and each.data[0] & 0xEF == STATUS for each in messages)
+
+
+def _is_xela(codec: Xela, messages: Sequence[Message]) -> bool:
+    return _has_status(messages) and understands(codec, messages)
+
+
+SKIN = Xela

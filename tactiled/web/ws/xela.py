@@ -102,7 +102,7 @@ class Welcome(Form):
 def make(feeds: dict[str, Feed]) -> APIRouter:
     """The WebSocket of those sensors that are XELA's, numbered from 1 in the configuration's order."""
     codecs = ((feed, feed.sensor.codec) for feed in feeds.values())
-    ours = [(feed, codec.told_model) for feed, codec in codecs if isinstance(codec, Xela)]
+    ours = [(feed, codec.model_name) for feed, codec in codecs if isinstance(codec, Xela)]
     skins = [_Skin(str(number), feed, model) for number, (feed, model) in enumerate(ours, 1)]
     router = APIRouter()
 

@@ -1,19 +1,19 @@
-"""Readings to frames: what is lost is counted and marked, never mended."""
+"""Readings to frames: lost messages are counted and marked, never made up; pure."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codecs import Codec, Shearing
+from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.errors import CodecError
-from tactiled.frames import BAD, MISSING, Loss, Message, RawFrame, Reading
+from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame, Reading
 
-UNLEARN = 16  # frames in a row that are not whole, after which a learned order is forgotten
-SEAM = 3  # frames in a row with their longest pause at the same place, after which that place is their beginning
-RESTART_S = 0.25  # of silence, after which a sequence number that looks old is a sender's that began anew
+UNLEARN_FRAMES = 16  # in a row that are not whole, after which a learned order is forgotten
+SEAM_FRAMES = 3  # in a row with their longest pause at the same place, after which that place is their beginning
+RESTART_S = 0.25  # of silence, after which a sequence number that looks old is that of a restarted sender
 
 
 class _Open:
@@ -23,26 +23,20 @@ class _Open:
         self.began = self.ended = reading.time
         self.arrived = 0.0  # s, when its newest message came
         self.payloads: list[bytes | None] = [None] * codec.segments
-        self.left = codec.segments
+        self.missing = codec.segments
         self.bad: list[int] = []
         self.highest = -1
         self.disputed: set[int] = set()  # segments that came twice and not the same
-        self.came: list[tuple[int, float]] = []  # segments and their times (s) in the order of their coming
+        self.arrivals: list[tuple[int, float]] = []  # segments and their times (s) in the order of arrival
 
     def add(self, reading: Reading, now: float) -> None:
         self.arrived = now
         self.payloads[reading.segment] = reading.payload
-        self.left -= 1
-        self.came.append((reading.segment, reading.time))
-        if reading.bad:
-            self.bad += reading.bad
+        self.missing -= 1
+        self.arrivals.append((reading.segment, reading.time))
+        self.bad += reading.bad
         self.highest = max(self.highest, reading.segment)
         self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
-
-    def settle(self) -> None:
-        """Leave out what came twice and not the same: of which of two senders it is, nobody knows."""
-        for segment in self.disputed:
-            self.payloads[segment] = None
 
 
 class _Cycle:
@@ -55,10 +49,8 @@ class _Cycle:
     def __init__(self) -> None:
         self._rank: dict[int, int] = {}
         self._broken = 0  # frames in a row that were not whole
-        self._seam: tuple[int | None, int] = (
-            None,
-            0,
-        )  # a segment within frames behind a long pause; frames in a row
+        self._seam: int | None = None  # a segment within frames behind a long pause
+        self._seams = 0  # frames in a row with that seam
 
     def wraps(self, last: int, segment: int) -> bool:
         """Whether a segment that comes behind `last` is so far back in the order that it begins a new frame."""
@@ -66,20 +58,22 @@ class _Cycle:
 
     def learn(self, frame: _Open, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""
-        if frame.left:
+        if frame.missing:
             self._broken += 1
-            if self._broken >= UNLEARN:
+            if self._broken >= UNLEARN_FRAMES:
                 self._rank = {}
             return
         self._broken = 0
-        gaps = [after[1] - before[1] for before, after in pairwise(frame.came)]
-        longest = max(gaps, default=0.0)
-        first = gaps.index(longest) + 1 if longest > 4 * max(pause, 0.0) else 0
-        seam = frame.came[first][0] if first else None
-        self._seam = seam, self._seam[1] + 1 if seam == self._seam[0] else 1
-        if self._seam[1] < SEAM:
+        pauses = [after[1] - before[1] for before, after in pairwise(frame.arrivals)]
+        longest = max(pauses, default=0.0)
+        first = pauses.index(longest) + 1 if longest > 4 * max(pause, 0.0) else 0
+        seam = frame.arrivals[first][0] if first else None
+        self._seams = self._seams + 1 if seam == self._seam else 1
+        self._seam = seam
+        if self._seams < SEAM_FRAMES:
             first = 0
-        self._rank = {segment: rank for rank, (segment, _) in enumerate(frame.came[first:] + frame.came[:first])}
+        order = frame.arrivals[first:] + frame.arrivals[:first]
+        self._rank = {segment: rank for rank, (segment, _) in enumerate(order)}
 
 
 class Assembler:
@@ -88,7 +82,8 @@ class Assembler:
     A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
     one that it always comes before, begins a newer frame. A sender that begins its sequence numbers anew after a
-    silence is followed at once.
+    silence is followed at once. Of a segment that came twice and not the same neither is used: nobody knows which
+    of two senders is right. A codec's fault, of whatever kind, is a malformed message.
 
     Ages and silences are of `now` (s), which is when a message came and never steps back; the times of messages,
     whose clock may, are data.
@@ -117,6 +112,10 @@ class Assembler:
     def push(self, reading: Reading, now: float | None = None) -> tuple[RawFrame, ...]:
         """Take one reading, come at `now` (s; None: its own time); returns the frames it closes, oldest first."""
         now = reading.time if now is None else now
+        if not 0 <= reading.segment < self.codec.segments:
+            raise CodecError(f"segment {reading.segment} of {self.codec.segments}")
+        if reading.bad and not 0 <= min(reading.bad) <= max(reading.bad) < self.codec.size:
+            raise CodecError(f"bad taxels {reading.bad} of {self.codec.size}")
         step = self._step(reading, now)
         self._newest = max(self._newest, now)
         if step <= 0 and (step < 0 or self._open is None):
@@ -127,16 +126,16 @@ class Assembler:
         frame = self._open
         if frame is None:  # a step begins a frame, and without one there was a frame
             return closed
-        if (held := frame.payloads[reading.segment]) is not None:
+        if (payload := frame.payloads[reading.segment]) is not None:
             self.count("repeated")
-            if held != reading.payload:
+            if payload != reading.payload:
                 frame.disputed.add(reading.segment)
                 frame.ended = max(frame.ended, reading.time)
             return closed
         if reading.segment < frame.highest and self.codec.modulus is not None:
             self.count("late")
         frame.add(reading, now)
-        return closed if frame.left else (*closed, *self._close())
+        return closed if frame.missing else (*closed, *self._close())
 
     def flush(self, before: float) -> tuple[RawFrame, ...]:
         """Close, marked, a frame whose newest message came before time `before` (s)."""
@@ -158,7 +157,7 @@ class Assembler:
         """Whether a segment without a sequence number cannot be of the open frame."""
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
         again = any(each is not None for each in frame.payloads[segment:end])
-        return again or (self._cycle is not None and self._cycle.wraps(frame.came[-1][0], segment))
+        return again or (self._cycle is not None and self._cycle.wraps(frame.arrivals[-1][0], segment))
 
     def _begin(self, reading: Reading, step: int) -> tuple[RawFrame, ...]:
         """Close the open frame, count the frames between as lost, open the reading's own."""
@@ -176,14 +175,14 @@ class Assembler:
         if self._cycle is not None:
             self._cycle.learn(frame, frame.began - self._ended)
         self._ended = frame.ended
-        self.count("lost", frame.left)
-        frame.settle()
+        self.count("lost", frame.missing)
+        for segment in frame.disputed:
+            frame.payloads[segment] = None
         skew = frame.ended - frame.began
         try:
-            counts = self.codec.unpack(frame.payloads)
-            shear = self.codec.shear(frame.payloads) if isinstance(self.codec, Shearing) else None
-        except CodecError:  # another package's codec: none of ours raises here
-            self.count("malformed", self.codec.segments - frame.left)
+            counts, shear = unpacked(self.codec, frame.payloads)
+        except Exception:  # of another package's codec: none of ours raises here
+            self.count("malformed", self.codec.segments - frame.missing)
             return ()
         flags = self._flags(frame)
         self.count("incomplete", int(None in frame.payloads))
@@ -199,8 +198,21 @@ class Assembler:
         return flags
 
 
+def unpacked(codec: Codec, payloads: Sequence[bytes | None]) -> tuple[Counts, NDArray[np.float32] | None]:
+    """The counts (N,) of one frame, and the shear (2, N) of a 3-axis skin; CodecError where they are of no use."""
+    counts: Counts = codec.unpack(payloads)
+    if counts.shape != (codec.size,) or counts.dtype not in (np.uint16, np.float32):
+        raise CodecError(f"unpack gave {counts.dtype} {counts.shape}, not uint16 or float32 {(codec.size,)}")
+    if not isinstance(codec, ShearCodec):
+        return counts, None
+    shear = np.asarray(codec.shear(payloads), np.float32)
+    if shear.shape != (2, codec.size):
+        raise CodecError(f"shear gave {shear.shape}, not {(2, codec.size)}")
+    return counts, shear
+
+
 def assemble(codec: Codec, messages: Iterable[Message]) -> tuple[list[RawFrame], Loss]:
-    """The frames in some messages, and what was lost; messages that mean nothing are passed over."""
+    """The frames in some messages, and what was lost; malformed messages are passed over."""
     assembler = Assembler(codec)
     frames: list[RawFrame] = []
     for message in messages:
@@ -209,8 +221,3 @@ def assemble(codec: Codec, messages: Iterable[Message]) -> tuple[list[RawFrame],
         except CodecError:
             continue
     return frames, assembler.loss
-
-
-def whole(frames: Iterable[RawFrame]) -> list[RawFrame]:
-    """Those of some frames of which no taxel is missing or bad."""
-    return [each for each in frames if not each.flags.any()]

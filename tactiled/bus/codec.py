@@ -1,0 +1,157 @@
+"""What a codec and a skin are; pure functions of bytes, without I/O, clock or thread."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+
+from tactiled.bus.polling import Polling
+from tactiled.bus.traffic import Key, Match, Traffic
+from tactiled.errors import CodecError, ConfigError
+from tactiled.frames import Counts, Message, Reading
+from tactiled.geometry import Array
+
+
+class Codec(ABC):
+    """Messages of one array to counts and back."""
+
+    @cached_property
+    def size(self) -> int:
+        """Taxels in a frame."""
+        raise NotImplementedError
+
+    @cached_property
+    def segments(self) -> int:
+        """Messages in a whole frame."""
+        raise NotImplementedError
+
+    @cached_property
+    def full_scale(self) -> int:
+        """Largest count."""
+        raise NotImplementedError
+
+    @cached_property
+    def ids(self) -> frozenset[Key]:
+        """The (id, whether it has 29 bits) of the messages that it reads."""
+        raise NotImplementedError
+
+    @cached_property
+    def modulus(self) -> int | None:
+        """Number at which the sequence counter wraps; None where the skin sends none."""
+        return None
+
+    @cached_property
+    def ordered(self) -> int:
+        """Neighbouring segments that always come in order: what a skin without sequence numbers is paired by."""
+        return 1
+
+    @cached_property
+    def polling(self) -> Polling:
+        """What is sent to a skin that must be started or asked."""
+        return Polling()
+
+    @abstractmethod
+    def span(self, segment: int) -> slice | list[int]:
+        """The taxels that a segment carries, as an index into a frame."""
+
+    @abstractmethod
+    def decode(self, message: Message) -> Reading:
+        """One message on one of `ids`; CodecError where it is malformed."""
+
+    @abstractmethod
+    def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
+        """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
+
+    @abstractmethod
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
+        """The messages of one frame (N,), the inverse of `decode` and `unpack`."""
+
+    def checked(self, counts: Counts) -> NDArray[np.uint16]:
+        """The counts (N,) of one frame; CodecError where the skin cannot send them."""
+        checked = np.asarray(counts, np.uint16)
+        if checked.shape != (self.size,) or int(checked.max()) > self.full_scale:
+            raise CodecError(
+                f"counts {checked.shape} up to {checked.max()}: expected {self.size} up to {self.full_scale}"
+            )
+        return checked
+
+
+class ShearCodec(Codec):
+    """The codec of a 3-axis skin."""
+
+    @abstractmethod
+    def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
+        """Shear (2, N) of one frame along x and y, counts from the skin's nominal rest; NaN where missing."""
+
+    @abstractmethod
+    def encode_sheared(
+        self, counts: Counts, shear: NDArray[np.float32], sequence: int, time: float
+    ) -> list[Message]:
+        """The messages of one frame (N,) and its shear (2, N): the inverse of `decode`, `unpack` and `shear`."""
+
+
+class Skin:
+    """A frozen dataclass whose fields are a skin's settings; a file of `codecs/` registers it as SKIN."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+    kpa_per_count: float | None = None  # kPa, of a skin whose configuration says nothing of it; so is no_load
+    no_load: float | None = None  # counts
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64] | None:
+        """Where the taxels are (N, 2), mm, if the skin knows it."""
+        return None
+
+    def codec(self, array: Array) -> Codec:
+        """The codec for an array; ConfigError where it cannot carry it."""
+        raise NotImplementedError
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Every array of this kind in what came on a bus; by default none."""
+        del traffic
+        return iter(())
+
+
+class ClassicSkin(Skin, Codec):
+    """A skin that is its own codec: no sequence numbers, `taxels` in a message, all messages in order."""
+
+    taxels: int  # in a message; the last may have fewer
+
+    def codec(self, array: Array) -> Codec:
+        """The skin itself: its size does not depend on the array."""
+        del array
+        return self
+
+    @cached_property
+    def segments(self) -> int:
+        """Messages in a whole frame."""
+        return -(-self.size // self.taxels)
+
+    @cached_property
+    def ordered(self) -> int:
+        """All segments come in order."""
+        return self.segments
+
+    def span(self, segment: int) -> slice | list[int]:
+        """The taxels that a segment carries, as an index into a frame."""
+        return slice(segment * self.taxels, min((segment + 1) * self.taxels, self.size))
+
+    def stacked(self, payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
+        """The payloads of a frame (segments, length); 0 where one is None."""
+        blank = bytes(length)
+        return np.frombuffer(b"".join(each or blank for each in payloads), np.uint8).reshape(-1, length)
+
+
+def standard_ids(*ids: int) -> frozenset[Key]:
+    """Ids of 11 bits."""
+    return frozenset((each, False) for each in ids)
+
+
+def require_distinct(key: str, numbers: Sequence[int]) -> None:
+    """ConfigError where a setting names a number twice."""
+    if len(set(numbers)) != len(numbers):
+        raise ConfigError(f"{key} = {list(numbers)}: names a number twice")

@@ -1,0 +1,135 @@
+"""Every skin there is: the files of `codecs/`, and the entry points `tactiled.codecs` of other packages."""
+
+import difflib
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from tactiled.bus import codecs
+from tactiled.bus.assembler import unpacked
+from tactiled.bus.codec import Codec, Skin
+from tactiled.bus.redact import redactor, seal, show
+from tactiled.errors import ConfigError, TactileError
+from tactiled.geometry import Array
+
+GROUP = "tactiled.codecs"
+BUILT_IN = tuple(each.name for each in iter_modules(codecs.__path__))
+LOG = logging.getLogger(__name__)
+
+
+def names() -> tuple[str, ...]:
+    """The name of every codec; none is imported."""
+    return (*BUILT_IN, *(each.name for each in entry_points(group=GROUP)))
+
+
+def skins() -> Iterator[tuple[str, type[Skin]]]:
+    """Every skin by its name; one that cannot be imported is logged and left out."""
+    for name in names():
+        try:
+            yield name, load(name)
+        except ConfigError as error:
+            LOG.warning("%s", error)
+
+
+def load(name: str) -> type[Skin]:
+    """Import a skin; ConfigError where its name is unknown or not unique, or its package fails."""
+    offers, packages = entry_points(group=GROUP, name=name), _packages(name)
+    if name in BUILT_IN and offers:
+        raise ConfigError(
+            f"{name!r}: built in, and {packages} offers a codec of the same name: uninstall that one"
+        )
+    if len(offers) > 1:
+        raise ConfigError(f"{name!r}: offered by {packages}: uninstall one")
+    if name not in names():
+        near = difflib.get_close_matches(name, names(), 1)
+        hint = f": did you mean {near[0]}?" if near else ""
+        raise ConfigError(f"unknown codec {name!r}; available: {', '.join(names())}{hint}")
+    try:
+        skin: Any = offers[name].load() if offers else import_module(f"{codecs.__name__}.{name}").SKIN
+    except Exception as error:  # what another package's import may raise
+        raise ConfigError(f"{name!r} of {packages}: fails to import: {_line(error)}") from error
+    if not (is_dataclass(skin) and isinstance(skin, type) and issubclass(skin, Skin)):
+        raise ConfigError(f"{name!r} of {packages}: is no dataclass of tactiled.bus.codec.Skin")
+    return skin
+
+
+def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
+    """A codec's settings, checked; paths begin in `folder`.
+
+    pydantic's ValidationError where it may show keys and values; ValueError where these are another package's.
+    """
+    try:
+        checked: Skin = TypeAdapter(load(name)).validate_python(table, context={"folder": folder})
+    except ValidationError as error:
+        if name in BUILT_IN:
+            raise
+        faults = (f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+        raise ValueError(_redactor(name, table)("; ".join(faults))) from None
+    except Exception as error:
+        raise ValueError(_redactor(name, table)(_line(error))) from error
+    return checked
+
+
+def shown(name: str, skin: Skin) -> dict[str, Any]:
+    """A codec's settings as they may be printed: the texts of another package are secrets."""
+    table: dict[str, Any] = TypeAdapter(type(skin)).dump_python(skin, mode="json")
+    return table if name in BUILT_IN else show(seal(table))
+
+
+def make(name: str, skin: Skin, array: Array) -> Codec:
+    """The codec for an array, tried out; ConfigError where it refuses the array or breaks its interface."""
+    try:
+        codec = skin.codec(array)
+        _try_out(codec)
+    except Exception as error:
+        reason = _redactor(name, _table(skin))(_line(error))
+        package = "" if name in BUILT_IN else f"{name!r} of {_packages(name)}: "
+        raise ConfigError(f"{package}{reason}") from error
+    return codec
+
+
+def _try_out(codec: Codec) -> None:
+    """Refuse a codec whose `decode` and `unpack` do not give back what `encode` was given."""
+    counts = (np.arange(codec.size) % (codec.full_scale + 1)).astype(np.uint16)
+    payloads: list[bytes | None] = [None] * codec.segments
+    covered = np.zeros(codec.size, int)
+    for message in codec.encode(counts, 0, 0.0):
+        if (message.id, message.extended) not in codec.ids:
+            raise ConfigError(f"encode made a message on id {message.id:#x}, which is none of its ids")
+        reading = codec.decode(message)
+        payloads[reading.segment] = reading.payload
+        covered[codec.span(reading.segment)] += 1
+    if None in payloads or not np.all(covered == 1):
+        raise ConfigError("the segments that encode made do not carry every taxel once")
+    unpacked(codec, [None] * codec.segments)
+    decoded, _ = unpacked(codec, payloads)
+    if wrong := np.flatnonzero(decoded != counts).tolist():
+        raise ConfigError(f"taxel {wrong[0]} was encoded as {counts[wrong[0]]} and decoded as {decoded[wrong[0]]}")
+
+
+def _table(skin: Skin) -> dict[str, Any]:
+    return {each.name: getattr(skin, each.name) for each in fields(skin)}  # type: ignore[arg-type]
+
+
+def _redactor(name: str, table: Mapping[str, Any]) -> Callable[[str], str]:
+    """What hides the texts of another package's settings in what it says of them."""
+    return str if name in BUILT_IN else redactor(seal(table))
+
+
+def _packages(name: str) -> str:
+    """Names and versions of the packages that offer a codec."""
+    offers = entry_points(group=GROUP, name=name)
+    return " and ".join(f"{each.dist.name} {each.dist.version}" if each.dist else each.value for each in offers)
+
+
+def _line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, TactileError) else f"{type(error).__name__}: {text}"

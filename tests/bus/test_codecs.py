@@ -1,0 +1,127 @@
+"""Laws that every codec of the package keeps; what single skins send is in test_golden.py."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactiled.bus import skins
+from tactiled.bus.assembler import Assembler
+from tactiled.bus.codec import ShearCodec
+from tactiled.bus.codecs.dbc import Dbc
+from tactiled.bus.router import Router
+from tactiled.calibrate.calibration import Calibration
+from tactiled.errors import CodecError, ConfigError
+from tactiled.frames import MISSING, Loss, Message
+from tactiled.simulate.array import Taxels
+from tests.bus.skins import CODECS, payloads_of
+
+SEEDS = st.integers(0, 2**32 - 1)
+every_codec = pytest.mark.parametrize("codec", CODECS.values(), ids=CODECS)
+
+
+def test_every_skin_of_the_package_is_tested():
+    assert {name.split("-")[0] for name in CODECS} == set(skins.BUILT_IN)
+
+
+@every_codec
+@given(seed=SEEDS)
+def test_decode_inverts_encode_over_the_whole_range(codec, seed):
+    counts = np.random.default_rng(seed).integers(0, codec.full_scale + 1, codec.size).astype(np.uint16)
+    messages = codec.encode(counts, seed % 700, 1.5)
+    assert {(each.id, each.extended) for each in messages} <= codec.ids
+    readings = [codec.decode(each) for each in messages]
+    assert [each.segment for each in readings] == list(range(codec.segments))
+    assert {each.sequence for each in readings} == {seed % 700 % codec.modulus if codec.modulus else None}
+    assert {(each.time, each.bad) for each in readings} == {(1.5, ())}
+    payloads = [each.payload for each in readings]
+    np.testing.assert_array_equal(codec.unpack(payloads), counts)
+    lost = seed % codec.segments
+    payloads[lost], counts[codec.span(lost)] = None, 0
+    np.testing.assert_array_equal(codec.unpack(payloads), counts)
+
+
+@every_codec
+def test_segments_carry_every_taxel_once(codec):
+    covered = [np.arange(codec.size)[codec.span(segment)] for segment in range(codec.segments)]
+    assert sorted(np.concatenate(covered)) == list(range(codec.size))
+
+
+@every_codec
+def test_a_malformed_message_is_refused(codec):
+    good = codec.encode(np.zeros(codec.size, np.uint16), 0, 0.0)[0]
+    kinds = [good._replace(data=good.data[:-1]), good._replace(data=b""), good._replace(data=bytes(63))]
+    for bad in kinds if isinstance(codec, Dbc) else [*kinds, good._replace(fd=not good.fd)]:
+        with pytest.raises(CodecError):
+            codec.decode(bad)
+
+
+@every_codec
+def test_counts_that_the_skin_cannot_send_are_refused(codec):
+    with pytest.raises(CodecError, match=str(codec.size)):
+        codec.encode(np.zeros(codec.size + 1, np.uint16), 0, 0.0)
+    if codec.full_scale < 0xFFFF:
+        with pytest.raises(CodecError, match=str(codec.full_scale)):
+            codec.encode(np.full(codec.size, codec.full_scale + 1, np.uint16), 0, 0.0)
+
+
+@every_codec
+def test_frames_follow_one_another_and_a_lost_message_is_marked(codec):
+    assembler = Assembler(codec)
+    rows = [codec.encode(np.full(codec.size, n, np.uint16), n, float(n)) for n in range(1, 5)]
+    del rows[1][1 % codec.segments]
+    frames = [frame for row in rows for each in row for frame in assembler.push(codec.decode(each))]
+    assert [frame.sequence for frame in frames] == [0, 1, 2, 3]
+    assert assembler.loss == Loss(lost=1, incomplete=1)
+    for n, frame in enumerate(frames):
+        gap = np.arange(codec.size)[codec.span(1)].tolist() if n == 1 else []
+        assert np.flatnonzero(frame.flags == MISSING).tolist() == sorted(gap)
+        assert np.all(np.delete(frame.counts, gap) == n + 1)
+
+
+@every_codec
+@given(stream=st.lists(st.tuples(st.integers(0, 30), st.binary(max_size=9), st.booleans()), max_size=40))
+def test_any_bytes_are_counted(codec, stream):
+    ids = sorted(codec.ids)
+    router = Router({"it": codec})
+    for at, data, fd in stream:
+        id_, extended = ids[at % len(ids)]
+        for _, frame in router.push(Message(0.0, id_, data, extended, fd)):
+            assert frame.counts.shape == frame.flags.shape == (codec.size,)
+    loss = router.assemblers["it"].loss
+    assert loss.foreign == 0
+    assert loss.malformed >= sum(len(data) < 2 for _, data, _ in stream)
+
+
+@every_codec
+def test_a_simulated_array_fits_the_codec(codec):
+    counts = Taxels(Calibration(), codec.full_scale, 0.0, 0).count(np.full(codec.size, 1e9))
+    assert len(codec.encode(counts, 0, 0.0)) == codec.segments
+
+
+def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
+    codec, rng = CODECS["xela"], np.random.default_rng(1)
+    counts, shear = rng.integers(0, 0x10000, 24), rng.integers(-0x4000, 0xC000, (2, 24)).astype(np.float32)
+    shear[:, 0] = -1e6, 1e6
+    payloads = payloads_of(codec, codec.encode_sheared(counts.astype(np.uint16), shear, 0, 0.0))
+    np.testing.assert_array_equal(codec.unpack(payloads), counts)
+    np.testing.assert_array_equal(codec.shear(payloads)[:, 1:], shear[:, 1:])
+    assert codec.shear(payloads)[:, 0].tolist() == [-0x4000, 0xFFFF - 0x4000]
+    assert [name for name, each in CODECS.items() if isinstance(each, ShearCodec)] == [
+        name for name in CODECS if name.startswith("xela")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "says"),
+    [
+        ("xela", {"rows": (1, 1)}, r"rows = \[1, 1\]: names a number twice"),
+        ("xela", {"columns": (3, 3)}, r"columns = \[3, 3\]: names a number twice"),
+        ("xela", {"start": True}, "modules of the current profile send by themselves"),
+        ("linker", {"fingers": (2, 2)}, r"fingers = \[2, 2\]: names a number twice"),
+        ("icub", {"board": 0, "triangles": (1, 1)}, r"triangles = \[1, 1\]: names a number twice"),
+    ],
+)
+def test_contradicting_settings_are_refused(name, settings, says):
+    with pytest.raises(ConfigError, match=says):
+        skins.load(name)(**settings)

@@ -1,0 +1,165 @@
+"""Bytes that real hardware sent, or that follow from a published layout, and what they stand for."""
+
+import numpy as np
+import pytest
+
+from tactiled.bus.assembler import Assembler
+from tactiled.bus.codecs.barrett import Barrett
+from tactiled.bus.codecs.cyskin import ORDER, CySkin
+from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.poweron import PowerOn
+from tactiled.bus.codecs.xela import Xela
+from tactiled.errors import CodecError
+from tactiled.frames import MISSING
+from tests.bus.skins import CODECS, counts_of, message, payloads_of
+
+# As a module of two SDAs with eight taxels each sent them.
+XELA_FRAME = (
+    "141#9340983F0C915114", "071#933DB83FFA8E3717", "031#933DEA4178901F0F", "021#933EFC41AC8EDA0E",
+    "051#933FFE403B8B5415", "131#933DD140288B230F", "061#833F3D40408CC316",
+)  # fmt: skip
+
+
+def test_genuine_xela_axes_and_shear():
+    codec = CODECS["xela-2x8"]
+    payloads = payloads_of(codec, map(message, XELA_FRAME))
+    axes = codec.axes(payloads).reshape(2, 8, 3)
+    assert axes[1, 4].tolist() == [0x4098, 0x3F0C, 0x9151]
+    assert axes[0, 7].tolist() == [0x3DB8, 0x3FFA, 0x8E37]
+    assert axes[0, 6].tolist() == [0x3F3D, 0x4040, 0x8CC3]
+    z = codec.unpack(payloads).reshape(2, 8).tolist()
+    assert z == [[0, 0, 0x8EDA, 0x901F, 0, 0x8B54, 0x8CC3, 0x8E37], [0, 0, 0, 0x8B23, 0x9151, 0, 0, 0]]
+    assembler = Assembler(codec)
+    for text in XELA_FRAME:
+        assembler.push(codec.decode(message(text)))
+    (frame,) = assembler.flush(1.0)
+    shear = frame.shear.reshape(2, 2, 8)
+    assert shear[:, 1, 4].tolist() == [0x4098 - 0x4000, 0x3F0C - 0x4000]
+    assert shear[:, 0, 7].tolist() == [0x3DB8 - 0x4000, 0x3FFA - 0x4000]
+    np.testing.assert_array_equal(np.isnan(frame.shear), [frame.flags == MISSING] * 2)
+
+
+@pytest.mark.parametrize(
+    ("codec", "id_", "taxel"),
+    [
+        (Xela(), "151", 18),  # the first SDA is at the bottom, taxel 5 at the left
+        (Xela("4x4-old"), "123", 11),
+        (Xela("4x4-new"), "21A", 14),
+        (Xela("4x6-old"), "135", 23),
+        (Xela("single"), "71F", 15),
+    ],
+)
+def test_xelas_ids(codec, id_, taxel):
+    assert codec.decode(message(f"{id_}#9340003F0C915114")).segment == taxel
+
+
+@pytest.mark.parametrize(
+    ("codec", "model"),
+    [
+        (Xela(), "uSPa46"),
+        (Xela(rows=(3, 2, 1, 0), columns=(3, 2, 1, 0)), "uSPa44"),
+        (Xela(rows=(0, 1), columns=tuple(range(8))), "XR1944"),
+        (Xela(rows=(0, 1), columns=(0, 1, 2)), "unknown"),
+        (Xela("4x4-new"), "XR1944"),
+        (Xela("4x6-old"), "XR1946"),
+        (Xela("single"), "unknown"),
+        (Xela("single", model="XR1911"), "XR1911"),
+        (Xela(model="XR1946"), "XR1946"),
+    ],
+)
+def test_xelas_model_follows_from_ids_and_size_unless_it_is_configured(codec, model):
+    assert codec.model_name == model
+
+
+@pytest.mark.parametrize(
+    ("codec", "texts", "counts"),
+    [
+        (
+            PowerOn(),  # genuine
+            ("300#9601E25504EFA3C7", "301#97ACB05505EFA3C7", "302#B2DCF34504EFA3C7", "303#9BBBB95505EFA3C7",
+             "304#AFF2E94504EFA3C7", "305#A4BCBE5505EFA3C7"),
+            [0x596, 0x501, 0x4E2, 0x597, 0x5AC, 0x5B0, 0x5B2, 0x4DC, 0x4F3, 0x59B, 0x5BB, 0x5B9,
+             0x5AF, 0x4F2, 0x4E9, 0x5A4, 0x5BC, 0x5BE, *[0] * 18],
+        ),
+        (
+            Icub(14, (0, 1, 2), thermal_pads=False),  # of a grasp
+            ("4E0#40F3F2F2F3F3EEF6", "4E0#C0ECF4F4EFF30000", "4E1#40F4F5F5F5F5F6F4", "4E1#C0F5F5F5F5F40000",
+             "4E2#40F3F3F4F3F3F3F3", "4E2#C0F4F3F3F3F30000"),
+            [243, 242, 242, 243, 243, 238, 246, 236, 244, 244, 239, 243,
+             244, 245, 245, 245, 245, 246, 244, 245, 245, 245, 245, 244,
+             243, 243, 244, 243, 243, 243, 243, 244, 243, 243, 243, 243],
+        ),
+        (Icub(13, (5,)), ("4D5#40F0F0F0F0F0F0F0", "4D5#C0F0F0F0F0F00000"), [240] * 10),
+        (Icub(13, (5,)), ("3D5#40F0F0F0F0F0F0F0", "3D5#C0F0F0F0F0F0"), [240] * 10),  # an older board's class
+        (Icub(0, (0,)), ("400#4000010203040506", "400#C00708090A0B0000"), [0, 1, 2, 3, 4, 5, 7, 8, 9, 11]),
+        (Icub(0, (0,)), ("400#C0F0F0F0F0F0",), [0] * 6 + [240] * 4),  # a tail without diagnostics
+        (
+            Barrett(11),  # derived: segment[4] t0[12] ... t4[12]; there is no 25th taxel
+            ("569#2ABC123FFF001800", "569#4111222333444FFF"),
+            [0] * 10 + [0xABC, 0x123, 0xFFF, 0x001, 0x800] + [0] * 5 + [0x111, 0x222, 0x333, 0x444],
+        ),
+        (
+            CySkin(),  # derived: value n, little-endian, is taxel ORDER[n]
+            ("405#0100020003000400", "40B#3412000000000080"),
+            [0, 0x8000, 0x1234, 0, 0, 0, 0, 0, 0, 0, 0, 1, 4, 0, 3, 2],
+        ),
+        (Linker("right", (2, 1)), ("027#B130000102030405",), [0] * 90 + [0, 1, 2, 3, 4, 5] + [0] * 48),
+    ],
+)  # fmt: skip
+def test_counts_of_golden_messages(codec, texts, counts):
+    assert counts_of(codec, *texts) == counts
+
+
+def test_a_lost_message_of_cyskin_marks_its_own_taxels():
+    codec = CySkin()
+    assembler = Assembler(codec)
+    assembler.push(codec.decode(codec.encode(np.arange(16, dtype=np.uint16), 0, 0.0)[0]))
+    (frame,) = assembler.flush(1.0)
+    assert np.flatnonzero(frame.flags == 0).tolist() == sorted(ORDER[:4])
+
+
+@pytest.mark.parametrize(
+    ("code", "bad"),
+    [
+        ("0000", ()),
+        ("0010", (0,)),
+        ("8000", (9,)),
+        ("0400", ()),  # pad 6 is thermal
+        ("0001", tuple(range(10))),  # the triangle does not answer
+        ("0002", tuple(range(10))),
+    ],
+)
+def test_icubs_diagnostics_name_faulty_taxels(code, bad):
+    assert Icub(0, (0,)).decode(message(f"400#C0F0F0F0F0F0{code}")).bad == bad
+    assert Icub(0, (1, 0)).decode(message(f"400#C0F0F0F0F0F0{code}")).bad == tuple(10 + each for each in bad)
+
+
+@pytest.mark.parametrize(
+    ("codec", "text"),
+    [
+        (Icub(0, (0,)), "400#40"),
+        (Icub(0, (0,)), "400#41F0F0F0F0F0F0F0"),
+        (Icub(0, (0,)), "400#C0F0"),
+        (Icub(0, (0,)), "401#40F0F0F0F0F0F0F0"),  # another triangle
+        (Icub(13, (5,)), "3D5#40F0F0F0"),  # the coarser modes of older boards: three values a triangle
+        (Icub(13, (5,)), "3D5#40F0"),  # or one
+        (Barrett(11), "569#5ABC123FFF001800"),  # a sixth segment
+        (Linker("right", (1,)), "027#B230000102030405"),  # another finger
+        (Linker("right", (1,)), "027#B1C0000102030405"),  # a thirteenth row
+        (Linker("right", (1,)), "027#B131000102030405"),
+        (PowerOn(), "30C#9601E25504EFA3C7"),
+        (CySkin(), "406#0100020003000400"),
+        (Xela(), "141#9340983F0C9151"),
+    ],
+)
+def test_another_message_is_refused(codec, text):
+    with pytest.raises(CodecError):
+        codec.decode(message(text))
+
+
+def test_icubs_taxels_have_positions():
+    positions = Icub(0, (0, 7)).positions
+    assert positions.shape == (20, 2)
+    np.testing.assert_allclose(positions[[0, 3, 9]], [[6.43, 0], [0, 0], [3.2155, 5.57075]], atol=1e-9)
+    np.testing.assert_allclose(positions[10:] - positions[:10], [[25.0, 0.0]] * 10)
