@@ -421,7 +421,7 @@ def test_a_taxel_that_no_frame_of_the_tare_had_has_no_known_force(request):
         lost = sensor.newest.flags.copy()
         lost[7] = MISSING
         for number in range(TARE_FRAMES + 1):
-            sensor.show(replace(sensor.newest, flags=lost, sequence=100 + number))
+            sensor.restore(replace(sensor.newest, flags=lost, sequence=100 + number))
         assert sensor.pipeline.tared
         assert sensor.pipeline.forces(replace(sensor.newest, flags=np.zeros_like(lost))) is None
 
