@@ -18,8 +18,8 @@ from tactiled.simulate.drag import traction
 from tactiled.simulate.scenes import SCENES
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
-WAIT_S = 0.05  # for a request: bounds how late a stop is seen
-STAY_S = 8.0  # of a tour in each scene
+REQUEST_WAIT_S = 0.05  # bounds how late a stop takes effect
+SCENE_S = 8.0  # of a tour in each scene
 ROUNDING_S = 1e-6  # of deadlines: a frame due this close before the end belongs behind it
 
 
@@ -33,15 +33,15 @@ class Player:
     scenes: tuple[str, ...]
 
     def messages(self, sequence: int, t: float, now: float) -> list[Message]:
-        """The messages of frame `sequence`, `t` s into the play; they bear the time `now` (s)."""
-        scene = SCENES[self.scenes[int(t / STAY_S) % len(self.scenes)]]
+        """The messages of frame `sequence`, `t` s into the play, stamped `now` (s)."""
+        scene = SCENES[self.scenes[int(t / SCENE_S) % len(self.scenes)]]
         surface = self.surface
         pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
         counts = self.taxels.count(surface.sense(pressure))
         if not isinstance(self.codec, ShearCodec):
             return self.codec.encode(counts, sequence, now)
-        felt = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
-        return self.codec.encode_sheared(counts, self.taxels.shear(felt), sequence, now)
+        sensed = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
+        return self.codec.encode_sheared(counts, self.taxels.shear(sensed), sequence, now)
 
 
 def player(
@@ -53,7 +53,7 @@ def player(
     noise_kpa: float = 0.1,
     seed: int = 0,
 ) -> Player:
-    """Make a player of one scene, or of a tour through them; ConfigError where there is no such scene."""
+    """Make a player of one scene, or of a tour through them; ConfigError for an unknown scene."""
     if scene != "tour" and scene not in SCENES:
         raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
     taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed)
@@ -61,20 +61,20 @@ def player(
 
 
 def answer(
-    one: Player,
+    source: Player,
     receive: Callable[[float], Message | None],
     send: Callable[[Message], None],
     stop: Event,
     seconds: float = float("inf"),
 ) -> int:
-    """Answer the requests of a skin that sends when asked, until `stop` or for `seconds`; returns how many."""
-    asked = {poll.message._replace(time=0.0): poll.segments for poll in one.codec.polling.polls}
+    """Answer the requests of a polled skin until `stop` or for `seconds`; returns how many."""
+    polls = {poll.message._replace(time=0.0): poll.segments for poll in source.codec.polling.polls}
     began, answered = time.monotonic(), 0
     while not stop.is_set() and (t := time.monotonic() - began) < seconds:
-        request = receive(WAIT_S)
-        segments = asked.get(request._replace(time=0.0)) if request else None
+        request = receive(REQUEST_WAIT_S)
+        segments = polls.get(request._replace(time=0.0)) if request else None
         if segments is not None:
-            messages = one.messages(answered, t, time.time())
+            messages = source.messages(answered, t, time.time())
             for each in segments:
                 send(messages[each])
             answered += 1
@@ -88,10 +88,10 @@ def play(
     stop: Event,
     seconds: float = float("inf"),
 ) -> int:
-    """Send `source`'s frames at `rate_hz` until `stop` or for `seconds`; returns how many were sent.
+    """Send `source`'s frames at `rate_hz` until `stop` or for `seconds`; returns how many.
 
     Every frame has its own deadline, so that the rate does not drift; a frame that is late by more than its period
-    moves the ones behind it instead of sending them in a burst.
+    delays the next ones instead of sending them in a burst.
     """
     began = due = time.monotonic()
     sequence = 0

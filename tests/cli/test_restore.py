@@ -6,14 +6,13 @@ import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tactiled.build import sensor_plan
-from tactiled.cli.app import app
 from tactiled.config import load
-from tactiled.errors import ConfigError, TactileError
+from tactiled.errors import ConfigError
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.offline import PIECE, Offline, checked
+from tests.cli.commands import refusal, run, succeed
 
 SENSOR = """
 [sensor.{name}]
@@ -39,160 +38,128 @@ def config(tmp_path):
 
 
 @pytest.fixture
-def film(tmp_path):
-    """A file of frames: a press that comes and goes, with noise of 0.5 kPa."""
+def plan(config):
+    return sensor_plan("palm", load(config()).sensor["palm"])
 
-    def write(frames=40, dtype=np.float32, name="frames.npy", shape=(8, 6)):
-        random = np.random.default_rng(0)
-        clean = np.zeros((frames, *shape))
-        clean[:, 3:5, 2:4] = 60 * np.abs(np.sin(np.arange(frames) / 20))[:, None, None]
-        path = tmp_path / name
-        np.save(path, (clean + random.normal(0, 0.5, clean.shape)).astype(dtype))
-        return path
+
+def press(count):
+    """Frames of a press that comes and goes, with noise of 0.5 kPa."""
+    frames = np.random.default_rng(0).normal(0, 0.5, (count, 8, 6))
+    frames[:, 3:5, 2:4] += 60 * np.abs(np.sin(np.arange(count) / 20))[:, None, None]
+    return frames.astype(np.float32)
+
+
+@pytest.fixture
+def npy(tmp_path):
+    """A file of frames."""
+
+    def write(frames, name="frames.npy"):
+        np.save(tmp_path / name, frames)
+        return tmp_path / name
 
     return write
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["restore", *map(str, arguments)], catch_exceptions=True)
-
-
-def refused(*arguments):
-    error = run(*arguments).exception
-    assert isinstance(error, TactileError), error
-    assert "\n" not in str(error)
-    return str(error)
+def restored(frames, config, *options):
+    out = config.with_name("out.npy")
+    succeed("restore", frames, "-o", out, "--config", config, *options)
+    return np.load(out)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_film_is_restored_and_told(config, film, tmp_path, method):
-    out, stats = tmp_path / "out.npy", tmp_path / "stats.json"
-    options = ("--config", config(), "--method", method, "--noise", "0.5", "--stats", stats)
-    result = run(film(PIECE + 9), "-o", out, *options)
-    assert result.exit_code == 0, result.output
-    images, told = np.load(out), json.loads(stats.read_text())
-    assert images.shape == (PIECE + 9, 8, 6)
-    assert images.dtype == np.float32
+def test_frames_are_restored_by_every_method(config, npy, tmp_path, method):
+    stats = tmp_path / "stats.json"
+    images = restored(
+        npy(press(PIECE + 9)), config(), "--method", method, "--noise", "0.5", "--stats", stats, "--sensor", "palm"
+    )
+    assert (images.shape, images.dtype) == ((PIECE + 9, 8, 6), np.float32)
     assert np.isfinite(images).all()
-    assert len(told) == len(images)
-    assert all(set(each) == {"method", "why", "iterations", "microseconds"} for each in told)
-    assert all(each["microseconds"] > 0 and each["why"] for each in told)
+    stories = json.loads(stats.read_text())
+    assert len(stories) == len(images)
+    assert all(set(each) == {"method", "why", "iterations", "microseconds"} for each in stories)
+    assert all(each["microseconds"] > 0 and each["why"] for each in stories)
     if method != "auto":
-        fallback = {"nnls"} if method == "points" else set()  # where a fit does not stand
-        assert method in {each["method"] for each in told} <= {method} | fallback
+        fallback = {"nnls"} if method == "points" else set()  # where a fit is refused
+        assert method in {each["method"] for each in stories} <= {method} | fallback
     assert not list(tmp_path.glob("*.part"))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float16, np.int16])
-def test_any_real_numbers_will_do_and_the_noise_is_measured(config, film, tmp_path, dtype):
-    result = run(film(dtype=dtype), "-o", tmp_path / "out.npy", "--config", config(), "--sensor", "palm")
-    assert result.exit_code == 0, result.output
-    assert np.load(tmp_path / "out.npy").shape == (40, 8, 6)
+def test_any_real_numbers_are_accepted(config, npy, dtype):
+    assert restored(npy(press(40).astype(dtype)), config()).shape == (40, 8, 6)
 
 
-def test_the_measured_noise_is_the_noise(config, film):
-    plan = sensor_plan("palm", load(config()).sensor["palm"])
-    assert Offline(plan).begin(np.load(film(200))) == pytest.approx(0.5, rel=0.1)
-
-
-@pytest.mark.parametrize(("step", "given"), [(0.5, 0.5 / 12**0.5), (1.0, 0.5 / 12**0.5), (1e-4, 0.05)])
-def test_rounding_is_noise(config, film, step, given):
-    """Most taxels of a quiet film stay at one count: it seemed to have a noise of 1e-4 of its highest pressure."""
-    plan = sensor_plan("palm", load(config()).sensor["palm"])
-    frames = np.round(0.1 * np.load(film(60)) / step) * step
-    frames[0, 0, :2] = np.nan, 1e30
-    assert Offline(plan).begin(frames.astype(np.float32)) == pytest.approx(given, rel=0.1)
-
-
-def test_a_beginning_without_a_touch_is_not_rounding(config, film):
-    """All zero, it was taken for values rounded to 1 kPa, and a faint film came out empty."""
-    plan = sensor_plan("palm", load(config()).sensor["palm"])
-    frames = np.load(film(200))
+def test_the_noise_is_measured(plan):
+    frames = press(200)
     noise = Offline(plan).begin(frames)
-    frames[:40] = 0
+    assert noise == pytest.approx(0.5, rel=0.1)
+    frames[:40] = 0  # a beginning without a touch is not rounding
     assert Offline(plan).begin(1e-3 * frames) == pytest.approx(1e-3 * noise, rel=0.2)
 
 
-def test_what_is_no_path_is_named(config, film, tmp_path):
-    loop = tmp_path / "loop"
-    loop.symlink_to(loop)
-    path = film()
-    for name in ("x" * 300, loop):
-        for option, other in (("-o", "--stats"), ("--stats", "-o")):
-            told = run(path, option, name, other, tmp_path / "y", "--config", config()).exception
-            assert isinstance(told, ConfigError), told
-            assert str(name) in str(told)
+@pytest.mark.parametrize(("step", "noise"), [(0.5, 0.5 / 12**0.5), (1.0, 0.5 / 12**0.5), (1e-4, 0.05)])
+def test_rounding_is_noise(plan, step, noise):
+    """Most taxels of quiet frames stay at one count, which looks like less noise than rounding has."""
+    frames = np.round(0.1 * press(60) / step) * step
+    frames[0, 0, :2] = np.nan, 1e30
+    assert Offline(plan).begin(frames.astype(np.float32)) == pytest.approx(noise, rel=0.1)
 
 
-def test_a_finer_surface_makes_larger_images(config, film, tmp_path):
-    assert run(film(), "-o", tmp_path / "out.npy", "--config", config(refine=2)).exit_code == 0
-    assert np.load(tmp_path / "out.npy").shape == (40, 16, 12)
+def test_a_finer_surface_makes_larger_images(config, npy):
+    assert restored(npy(press(40)), config(refine=2)).shape == (40, 16, 12)
 
 
-def test_dead_saturated_and_unknown_taxels_are_not_believed(config, film, tmp_path):
-    path = film()
-    frames = np.load(path)
+def test_dead_saturated_and_unknown_taxels_are_ignored(config, npy):
+    frames = press(40)
     frames[:, 3:5, 2:4] = 150  # (400 - 100) * 0.5: the ceiling
-    expected = frames.copy()
+    other = frames.copy()
     frames[:, 0, 0], frames[:, 7, 5] = 1e30, np.nan
-    np.save(path, frames)
-    assert run(path, "-o", tmp_path / "a.npy", "--config", config(), "--noise", 0.5).exit_code == 0
-    expected[:, 0, 0] = -50
-    expected[:, 7, 5] = np.inf
-    np.save(path, expected)
-    assert run(path, "-o", tmp_path / "b.npy", "--config", config(), "--noise", 0.5).exit_code == 0
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), np.load(tmp_path / "b.npy"))
+    other[:, 0, 0], other[:, 7, 5] = -50, np.inf
+    one, two = (restored(npy(each), config(), "--noise", 0.5) for each in (frames, other))
+    np.testing.assert_array_equal(one, two)
 
 
-def test_no_frames_and_empty_frames_are_no_error(config, film, tmp_path):
-    assert run(film(0), "-o", tmp_path / "out.npy", "--config", config(), "--stats", tmp_path / "s").exit_code == 0
-    assert np.load(tmp_path / "out.npy").shape == (0, 8, 6)
+def test_no_frames_and_empty_frames_are_no_error(config, npy, tmp_path):
+    assert restored(npy(press(0)), config(), "--stats", tmp_path / "s").shape == (0, 8, 6)
     assert json.loads((tmp_path / "s").read_text()) == []
-    np.save(tmp_path / "zeros.npy", np.zeros((5, 8, 6)))
-    assert run(tmp_path / "zeros.npy", "-o", tmp_path / "out.npy", "--config", config()).exit_code == 0
-    assert not np.load(tmp_path / "out.npy").any()
+    assert not restored(npy(np.zeros((5, 8, 6))), config()).any()
 
 
-def test_the_film_may_be_written_over(config, film):
-    path = film()
-    assert run(path, "-o", path, "--config", config(), "--method", "nnls").exit_code == 0
-    assert np.load(path).min() >= 0
-
-
-def test_what_is_read_is_never_written_over_by_accident(config, film, tmp_path):
-    """Told to write what it did over the frames, the command emptied them."""
-    path, settings, out = film(), config(), tmp_path / "out.npy"
-    link = tmp_path / "link"
+def test_images_may_replace_their_frames_but_no_other_file_is_replaced(config, npy, tmp_path):
+    path, settings, out, link = npy(press(40)), config(), tmp_path / "out.npy", tmp_path / "link"
     link.symlink_to(path)
     before = path.read_bytes(), settings.read_bytes()
     for stats, other in ((link, "FRAMES"), (settings, "--config"), (out, "--out")):
-        said = refused(path, "-o", out, "--config", settings, "--stats", stats)
-        assert said == f"--stats {stats}: is {other}, too: give another file"
-    assert "is --config, too" in refused(path, "-o", settings, "--config", settings)
+        message = refusal("restore", path, "-o", out, "--config", settings, "--stats", stats)
+        assert message == f"--stats {stats}: is {other}, too: give another file"
+    assert "is --config, too" in refusal("restore", path, "-o", settings, "--config", settings)
     assert (path.read_bytes(), settings.read_bytes()) == before
     assert not out.exists()
+    succeed("restore", path, "-o", path, "--config", settings, "--method", "nnls")
+    assert np.load(path).min() >= 0
 
 
-def test_only_plain_files_are_written(config, film, tmp_path):
-    """A pipe was replaced by a file, and so was /dev/null."""
-    pipe, out = tmp_path / "pipe", tmp_path / "out.npy"
+def test_only_plain_files_and_links_to_them_are_written(config, npy, tmp_path):
+    frames, pipe, out, link, loop = (
+        npy(press(40)),
+        *(tmp_path / name for name in ("pipe", "out.npy", "link", "loop")),
+    )
     os.mkfifo(pipe)
-    assert "pipe: no plain file: give a file" in refused(film(), "-o", pipe, "--config", config())
-    assert "pipe: no plain file" in refused(film(), "-o", out, "--config", config(), "--stats", pipe)
-    assert pipe.is_fifo()
-    assert not out.exists()
-
-
-def test_a_link_is_written_through(config, film, tmp_path):
-    link, out = tmp_path / "link.npy", tmp_path / "out.npy"
     link.symlink_to(out)
-    assert run(film(), "-o", link, "--config", config()).exit_code == 0
+    loop.symlink_to(loop)
+    for bad, message in ((pipe, "pipe: no plain file: give a file"), ("x" * 300, "x" * 300), (loop, str(loop))):
+        for option, other in (("-o", "--stats"), ("--stats", "-o")):
+            command = (frames, option, bad, other, out, "--config", config())
+            assert message in refusal("restore", *command)
+            assert not out.exists()
+    assert pipe.is_fifo()
+    succeed("restore", frames, "-o", link, "--config", config())
     assert link.is_symlink()
     assert np.load(out).shape == (40, 8, 6)
 
 
 @pytest.fixture
-def kept(tmp_path):
+def earlier(tmp_path):
     """Answers of an earlier run: a command that fails leaves them as they are, and nothing beside them."""
     files = [tmp_path / "out.npy", tmp_path / "stats.json"]
     for file in files:
@@ -202,55 +169,52 @@ def kept(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_command_leaves_nothing_half_written(config, film, kept, monkeypatch, sent):
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_command_leaves_nothing_half_written(config, npy, earlier, monkeypatch, kind):
     once = Offline._one
 
     def one(self, *arguments):
-        signal.raise_signal(sent)
+        signal.raise_signal(kind)
         return once(self, *arguments)
 
     monkeypatch.setattr(Offline, "_one", one)
-    before = signal.getsignal(sent)
-    assert run(film(9), "-o", kept[0], "--config", config(), "--stats", kept[1]).exit_code == 130
-    assert signal.getsignal(sent) is before
+    before = signal.getsignal(kind)
+    done = run("restore", npy(press(9)), "-o", earlier[0], "--config", config(), "--stats", earlier[1])
+    assert done.exit_code == 130
+    assert signal.getsignal(kind) is before
 
 
-def test_a_failed_command_leaves_no_stats_of_half_a_film(config, film, kept):
-    """They were begun before it was known whether images could be written."""
-    assert "no/out.npy" in refused(film(), "-o", "/no/out.npy", "--config", config(), "--stats", kept[1])
+def test_a_failed_command_leaves_no_stats(config, npy, earlier):
+    message = refusal("restore", npy(press(9)), "-o", "/no/out.npy", "--config", config(), "--stats", earlier[1])
+    assert "/no/out.npy: No such file or directory: give a file" in message
 
 
-def test_memory_does_not_grow_with_the_film(config, tmp_path):
-    """A film of 23 MB, in a process that may grow by a third of it over what a short film takes."""
-    path = tmp_path / "long.npy"
-    film = np.lib.format.open_memmap(path, "w+", np.float32, (120_000, 8, 6))
-    short = tmp_path / "short.npy"
-    np.save(short, np.zeros((4 * PIECE, 8, 6), np.float32))
-    size = film.nbytes
-    del film
+def test_memory_does_not_grow_with_the_frames(config, npy):
+    """23 MB of frames, in a process that may grow by a third of it over what a short file takes."""
+    config, count = config(), 120_000
+    files = npy(np.zeros((4 * PIECE, 8, 6), np.float32), "short.npy"), config.with_name("long.npy")
+    np.lib.format.open_memmap(files[1], "w+", np.float32, (count, 8, 6)).flush()
     code = (
         "import resource, sys, tactiled.cli; from tactiled.cli.app import app; "
         "app(sys.argv[1:], standalone_mode=False); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
     )
     used = []
-    for each in (short, path):
-        arguments = ("restore", each, "-o", tmp_path / "out.npy", "--config", config(), "--noise", "1")
+    for each in files:
+        arguments = ("restore", each, "-o", config.with_name("out.npy"), "--config", config, "--noise", "1")
         command = [sys.executable, "-c", code, *map(str, arguments)]
         result = subprocess.run(command, capture_output=True, text=True, check=True)
         used.append(int(result.stdout.split()[-1]))
-    assert size >= 23e6
-    assert used[1] - used[0] < size / 3
+    assert used[1] - used[0] < count * 8 * 6 * 4 / 3
 
 
-def several(path):
+def several_arrays(path):
     np.savez(path.with_suffix(".npz"), a=np.zeros(3))
     path.with_suffix(".npz").replace(path)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
         (lambda path: path.unlink(), "frames.npy: No such file"),
         (lambda path: path.write_text("not numbers"), "frames.npy: no .npy file"),
@@ -260,45 +224,34 @@ def several(path):
         (lambda path: np.save(path, np.zeros((2, 8, 6), complex)), "dtype complex128: give real numbers"),
         (lambda path: np.save(path, np.zeros((2, 8, 6), bool)), "dtype bool: give real numbers"),
         (lambda path: np.save(path, np.full((2, 8, 6), None)), "no .npy file of numbers"),
-        (several, "several arrays in one file"),
+        (several_arrays, "several arrays in one file"),
     ],
 )
-def test_frames_that_are_none_are_refused_in_a_line(config, film, tmp_path, spoil, said):
-    path = film()
+def test_wrong_frames_are_refused(config, npy, tmp_path, spoil, message):
+    path = npy(press(9))
     spoil(path)
-    assert said in refused(path, "-o", tmp_path / "out.npy", "--config", config())
+    assert message in refusal("restore", path, "-o", tmp_path / "out.npy", "--config", config())
     assert not (tmp_path / "out.npy").exists()
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--noise", "nan"), "noise = nan kPa: give a taxel's standard deviation"),
-        (("--noise", "0"), "noise = 0.0 kPa"),
-        (("--noise", "-1"), "noise = -1.0 kPa"),
-        (("--noise", "inf"), "noise = inf kPa"),
-        (("--method", "sharpen"), "method = 'sharpen': no such method: choose one of auto"),
-        (("--sensor", "sole"), "--sensor sole: no such sensor: choose one of palm"),
-        (("--stats", "/no/such/folder/s.json"), "s.json: No such file or directory: give a file"),
-        (("-o", "/no/such/folder/out.npy"), "out.npy: No such file or directory: give a file"),
-        (("--config", "/no/such.toml"), "/no/such.toml: No such file"),
-    ],
-)
-def test_settings_that_are_wrong_are_refused_in_a_line(config, film, tmp_path, options, said):
-    path = film()
-    given = {"-o": tmp_path / "out.npy", "--config": config()} | dict([options])
-    assert said in refused(path, *(word for pair in given.items() for word in pair))
+def test_wrong_options_are_refused(config, npy, tmp_path):
+    frames, settings = npy(press(9)), config(("palm", "sole"))
+    for option, value, message in (
+        ("--noise", "nan", "noise = nan kPa: give a taxel's standard deviation"),
+        ("--noise", "0", "noise = 0.0 kPa"),
+        ("--noise", "-1", "noise = -1.0 kPa"),
+        ("--noise", "inf", "noise = inf kPa"),
+        ("--method", "sharpen", "method = 'sharpen': no such method: choose one of auto"),
+        ("--sensor", "toe", "--sensor toe: no such sensor: choose one of palm, sole"),
+        ("--stats", "/no/such/folder/s.json", "s.json: No such file or directory: give a file"),
+        ("--config", "/no/such.toml", "/no/such.toml: No such file"),
+    ):
+        options = {"-o": tmp_path / "o.npy", "--config": settings, "--sensor": "palm"} | {option: value}
+        assert message in refusal("restore", frames, *(word for pair in options.items() for word in pair))
+    message = refusal("restore", frames, "-o", tmp_path / "o.npy", "--config", settings)
+    assert message == "--sensor is missing: choose one of palm, sole"
 
 
-def test_of_several_sensors_one_must_be_named(config, film, tmp_path):
-    path = config(("palm", "sole"))
-    assert "--sensor is missing: choose one of palm, sole" in refused(
-        film(), "-o", tmp_path / "o.npy", "--config", path
-    )
-    assert run(film(), "-o", tmp_path / "o.npy", "--config", path, "--sensor", "sole").exit_code == 0
-
-
-def test_frames_from_elsewhere_are_checked_alike(config):
-    plan = sensor_plan("palm", load(config()).sensor["palm"])
+def test_frames_that_clients_send_are_checked_alike(plan):
     with pytest.raises(ConfigError, match=r"body: shape \(3, 3\)"):
         checked(np.zeros((3, 3)), plan, "body")
