@@ -12,7 +12,7 @@ from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.geometry import grid
 from tactiled.simulate import player
-from tactiled.simulate.play import SCENE_S, TOUR, play
+from tactiled.simulate.playback import SCENE_S, TOUR, play
 from tests.conftest import Clock
 
 KERNEL = solve(Stack((Layer(1.2, 0.6, 0.48),)), "layered")
@@ -41,7 +41,7 @@ def sheared(scene, t):
 @pytest.fixture
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr("tactiled.simulate.play.time", made)
+    monkeypatch.setattr("tactiled.simulate.playback.time", made)
     return made
 
 
