@@ -3,8 +3,8 @@
 import argparse
 import sys
 
-from tests.attack.harness import Size, held, table
-from tests.attack.names import ATTACKS
+from tests.attack.attacks import ATTACKS
+from tests.attack.harness import Size, attack, report
 from tests.attack.service import Pool
 
 
@@ -16,20 +16,18 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=1800.0, help="that the fuzzer may take")
     parser.add_argument("--factor", type=int, default=1, help="times the attempts of every other attack")
     parser.add_argument("--seed", type=int, default=1, help="of the fuzzer")
-    given = parser.parse_args()
-    unknown = [each for each in given.names if each not in ATTACKS]
-    if unknown:
-        parser.error(f"unknown attack {unknown[0]!r}; available: {', '.join(ATTACKS)}")
-    size = Size(given.factor, given.connections, given.seconds, given.seed)
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(ATTACKS):
+        parser.error(f"unknown attack {min(unknown)!r}; available: {', '.join(ATTACKS)}")
+    size = Size(options.factor, options.connections, options.seconds, options.seed)
     pool, outcomes = Pool(), []
     try:
-        for name in given.names or ATTACKS:
-            outcomes.append(held(ATTACKS[name], pool, size))
-            print(table(outcomes[-1:]), file=sys.stderr, flush=True)
+        for name in options.names or ATTACKS:
+            outcomes.append(attack(name, ATTACKS[name], pool, size))
+            print(report(outcomes[-1]), flush=True)
     finally:
         pool.close()
-        print(table(outcomes))
-    return int(any(each.failures for each in outcomes))
+    return int(any(each.findings.failures for each in outcomes))
 
 
 if __name__ == "__main__":

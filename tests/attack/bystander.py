@@ -12,165 +12,131 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import WebSocketException
 
 from tests.attack.service import CONTROL, Target, trusting
-from tests.attack.wire import CLOSE, LOST, PING, PONG, Connection, frame, frames, request, upgrade
+from tests.attack.wire import CONNECTION_ERRORS, HOST, STREAM, exchange, request
 
 ADDRESS = "127.0.0.2"
 PERIOD_S = 0.1
-MOST_S = 90.0  # that it waits for one answer
-MOST_OWN_S = 1.0  # of the service, in which it must answer
+ANSWER_S = 90.0  # that it waits for one answer
+MAX_OWN_S = 1.0  # that an answer may take, without the time that the machine is busy with other things
 
 
 @dataclass
-class Seen:
-    """How a bystander was served."""
+class Waits:
+    """How long a bystander waited."""
 
-    asked: int = 0
-    failed: int = 0
-    worst_s: float = 0.0  # as the clock has it
+    requests: int = 0
+    failures: int = 0
+    worst_s: float = 0.0  # by the clock
     own_s: float = 0.0  # without the time that the machine was busy with other things
-    why: str = ""  # of the last failure
+    error: str = ""  # the last
 
 
 def queued_s(pid: int) -> dict[str, float]:
     """How long each thread of a process has stood in line for a processor so far."""
-    found = {}
+    seconds = {}
     for thread in Path(f"/proc/{pid}/task").iterdir():
         with contextlib.suppress(OSError):
-            found[thread.name] = int((thread / "schedstat").read_text().split()[1]) / 1e9
-    return found
+            seconds[thread.name] = int((thread / "schedstat").read_text().split()[1]) / 1e9
+    return seconds
 
 
 class Bystander:
-    """Asks until it is told to stop."""
+    """Asks both ways until it is stopped."""
 
     def __init__(self, port: int, pid: int, tls: bool) -> None:
         self._port, self._pid, self._tls = port, pid, trusting() if tls else None
-        self.seen = Seen()
+        self._stop, self.waits = asyncio.Event(), Waits()
 
-    async def go(self, stop: asyncio.Event) -> None:
-        """Ask both ways."""
-        ways = [asyncio.create_task(self._ask(stop)), asyncio.create_task(self._ping(stop))]
-        await asyncio.gather(*ways)
+    async def run(self) -> None:
+        asyncio.get_running_loop().add_reader(sys.stdin, self._stop.set)  # at its end
+        await asyncio.gather(self._repeat(self._health), self._repeat(self._stream))
 
-    async def _timed(self, asking: Any) -> None:
-        """One question and its answer."""
-        before, began = self._queued(), time.monotonic()
-        self.seen.asked += 1
+    async def _repeat(self, ask: Callable[[], Awaitable[None]]) -> None:
+        while not self._stop.is_set():
+            with contextlib.suppress(ConnectionError):
+                await ask()
+            await asyncio.sleep(PERIOD_S)
+
+    @contextlib.asynccontextmanager
+    async def _timed(self) -> AsyncIterator[None]:
+        """One request and its answer."""
+        before, began, waits = self._queued(), time.monotonic(), self.waits
+        waits.requests += 1
         try:
-            async with asyncio.timeout(MOST_S):
-                await asking
-        except (TimeoutError, AssertionError, *LOST) as error:
-            self.seen.failed += 1
-            self.seen.why = f"{type(error).__name__} {error}"
+            async with asyncio.timeout(ANSWER_S):
+                yield
+        except (AssertionError, WebSocketException, *CONNECTION_ERRORS) as error:
+            waits.failures += 1
+            waits.error = f"{type(error).__name__} {error}"
             raise ConnectionError from error
         finally:
-            took = time.monotonic() - began
-            own = took - self._waited(before)
-            self.seen.worst_s, self.seen.own_s = max(self.seen.worst_s, took), max(self.seen.own_s, own)
+            seconds = time.monotonic() - began
+            # two threads of the service may have waited for each other, and this one for them
+            in_line = sorted(
+                (now - before.get(thread, now) for thread, now in self._queued().items()), reverse=True
+            )
+            waits.worst_s, waits.own_s = max(waits.worst_s, seconds), max(waits.own_s, seconds - sum(in_line[:3]))
 
     def _queued(self) -> dict[str, float]:
         with contextlib.suppress(OSError):
             return queued_s(self._pid) | queued_s(os.getpid())
         return {}
 
-    def _waited(self, before: dict[str, float]) -> float:
-        """Time in line since then: two threads of the service may have waited for each other, and this one."""
-        longest = sorted((now - before.get(thread, now) for thread, now in self._queued().items()), reverse=True)
-        return sum(longest[:3])
-
-    async def _ask(self, stop: asyncio.Event) -> None:
-        while not stop.is_set():
-            with contextlib.suppress(ConnectionError):
-                await self._timed(self._health())
-            await asyncio.sleep(PERIOD_S)
-
     async def _health(self) -> None:
-        one = await Connection.to(self._port, source=ADDRESS, tls=self._tls, seconds=MOST_S)
-        try:
-            await one.send([request("GET /api/v1/health", "Connection: close", token=CONTROL)])
-            ending = await one.ending(MOST_S)
-            assert ending.status == 200, ending.heard[:200]
-        finally:
-            one.cut()
+        data = request("GET /api/v1/health", "Connection: close", token=CONTROL)
+        async with self._timed():
+            ending = await exchange(self._port, [data], ANSWER_S, source=ADDRESS, tls=self._tls)
+            assert ending.status == 200, f"{ending}: {ending.received[:200]}"
 
-    async def _ping(self, stop: asyncio.Event) -> None:
-        while not stop.is_set():
-            with contextlib.suppress(ConnectionError):
-                await self._stream(stop)
-            await asyncio.sleep(PERIOD_S)
-
-    async def _stream(self, stop: asyncio.Event) -> None:
-        """Keep a stream, and answer its pings."""
-        one: Connection | None = None
-
-        async def begin() -> None:
-            nonlocal one
-            one = await Connection.to(self._port, source=ADDRESS, tls=self._tls, seconds=MOST_S)
-            await one.send([upgrade(token=CONTROL)])
-            assert await one.until(b"\r\n\r\n", MOST_S), "no handshake"
-            assert b" 101 " in one.heard, one.heard[:200]
-            one.heard = one.heard.partition(b"\r\n\r\n")[2]
-
-        try:
-            await self._timed(begin())
-            while not stop.is_set():
-                await self._timed(_pong(one))
+    async def _stream(self) -> None:
+        """Ping on a stream."""
+        options = {"local_addr": (ADDRESS, 0), "ping_interval": None, "open_timeout": None, "close_timeout": 0}
+        headers = {"Authorization": f"Bearer {CONTROL}"}
+        address = f"ws{'s' if self._tls else ''}://{HOST}:{self._port}{STREAM}"
+        async with contextlib.AsyncExitStack() as stack:
+            async with self._timed():
+                connecting = connect(address, additional_headers=headers, ssl=self._tls, **options)
+                stream = await stack.enter_async_context(connecting)
+            reading = asyncio.create_task(_read(stream))
+            stack.callback(reading.cancel)
+            while not self._stop.is_set():
+                async with self._timed():
+                    await (await stream.ping())
                 await asyncio.sleep(PERIOD_S)
-        finally:
-            if one is not None:
-                one.cut()
 
 
-async def _pong(one: Connection) -> None:
-    """Ping, and read until the answer."""
-    await one.send([frame(PING, b"here")])
-    while True:
-        found, one.heard = frames(one.heard)
-        for opcode, data in found:
-            assert opcode != CLOSE, f"closed: {data!r}"
-            if opcode == PING:
-                await one.send([frame(PONG, data)])
-        if (PONG, b"here") in found:
-            return
-        piece = await one.reader.read(1 << 16)
-        assert piece, "the stream ended"
-        one.heard += piece
+async def _read(stream: ClientConnection) -> None:
+    async for _ in stream:
+        pass
 
 
-class Beside:
-    """A bystander's process."""
-
-    def __init__(self, target: Target) -> None:
-        at = [str(target.port), str(target.process.pid), *(["tls"] if target.kind.tls else [])]
-        command = [sys.executable, "-m", "tests.attack.bystander", *at]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._process.stdout.readline()  # it has begun
-
-    def end(self) -> Seen:
-        """Let it finish; gives what it saw."""
-        try:
-            told, _ = self._process.communicate(timeout=MOST_S + 30)
-            return Seen(**json.loads(told))
-        finally:
-            self.kill()
-
-    def kill(self) -> None:
-        """End it, whatever it does."""
-        self._process.kill()
-        self._process.wait()
+@contextlib.contextmanager
+def beside(target: Target):
+    """A bystander's process meanwhile; gives what ends it and how long it waited."""
+    options = [str(target.port), str(target.process.pid), *(["tls"] if target.tls else [])]
+    command = [sys.executable, "-m", "tests.attack.bystander", *options]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    process.stdout.readline()  # it has begun
+    try:
+        yield lambda: Waits(**json.loads(process.communicate(timeout=ANSWER_S + 30)[0]))
+    finally:
+        process.kill()
+        process.wait()
 
 
 async def _main(port: str, pid: str, *tls: str) -> None:
-    bystander, stop = Bystander(int(port), int(pid), bool(tls)), asyncio.Event()
-    asyncio.get_running_loop().add_reader(sys.stdin, stop.set)  # its end
+    bystander = Bystander(int(port), int(pid), bool(tls))
     print("begun", flush=True)
-    await bystander.go(stop)
-    print(json.dumps(asdict(bystander.seen)))
+    await bystander.run()
+    print(json.dumps(asdict(bystander.waits)))
 
 
 if __name__ == "__main__":

@@ -1,108 +1,193 @@
-"""The fuzzer of connections: thousands by chance, hundreds at once, each of which must end within its deadline.
+"""The fuzzer of connections: pieces of HTTP/1.1 and WebSocket in any order, by a seeded chance.
 
-What a bystander waits for, and that descriptors and memory come back, is seen by whoever runs it.
+Thousands of connections, hundreds at once; each must end within its deadline. The harness sees to it that a
+bystander is served, and that descriptors and memory come back.
 """
 
 import asyncio
 import random
 import time
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from tests.attack.grammar import Script, script
-from tests.attack.harness import DEADLINES, Findings, Size, late_s
-from tests.attack.service import Target
-from tests.attack.wire import LOST, Connection, Ending
+from tests.attack.harness import DEADLINES_S, Findings, Size, late_s
+from tests.attack.service import CONTROL, READ, Target
+from tests.attack.wire import (
+    BINARY,
+    CLOSE,
+    CONNECTION_ERRORS,
+    PING,
+    PONG,
+    STREAM,
+    TEXT,
+    Connection,
+    frame,
+    request,
+    upgrade,
+)
 
 AT_ONCE, ADDRESSES = 200, 16
 PATIENT = 0.03  # of the connections wait until the service ends them, the others leave
-MOST_PATIENT = 2000  # of them
-PATIENT_AT_ONCE = 100
+MAX_PATIENT, PATIENT_AT_ONCE = 2000, 100
 SHORT = 10_000  # connections: below, nobody waits for a deadline of a minute
 LEAVE_S = 2.0  # that an impatient one waits for its first answer
 AFTER_S, EARLY_S = 0.3, 0.1  # it leaves so long after at most; one that leaves earlier does not wait for it
 
+PATHS = (
+    "/", "/metrics", "/static/app.js", "/nowhere", "/api/v1/health", "/api/v1/sensors", "/api/v1/config", STREAM,
+    "/api/v1/sensors/palm0/frames/raw", "/api/v1/events?wait=1", "/api/v1/recordings", "/" + "x" * 3000, "*", "//",
+)  # fmt: skip
+VERBS = ("GET", "GET", "GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "CONNECT", "TRACE", "get", "G\x00T", "")
+HEADERS = (
+    "Connection: close", "Connection: keep-alive", "Connection: Upgrade", "Upgrade: websocket", "Upgrade: h2c",
+    "Expect: 100-continue", "Range: bytes=0-10,20-", "Content-Length: 0", "Content-Length: 5",
+    "Content-Length: -1",
+    "Content-Length: 99999999999999999999", "Transfer-Encoding: chunked", "Transfer-Encoding: gzip, chunked",
+    "Host: elsewhere", "Host: ", "X: " + "x" * 9000, "X\x00: y", "X : y", ": y", " folded", "Cookie: tactiled=x",
+    "Origin: null",
+    "Content-Type: application/json", "Accept-Encoding: gzip", "If-None-Match: *", "Trailer: X",
+)  # fmt: skip
+CUT, SLOW = 0.4, 0.2  # how often a connection is cut somewhere, and sent slowly
+Rng = random.Random
 
-class Fuzzer:
-    """Plays scripts."""
 
-    def __init__(self, target: Target, size: Size, findings: Findings) -> None:
-        self._target, self._findings, self._rng = target, findings, random.Random(size.seed)
-        self._size, self._seconds = size, 0.0
-        self._few, self._waiting = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(PATIENT_AT_ONCE)
-        self._longest: Counter[str] = Counter()
+@dataclass(frozen=True)
+class Script:
+    """What one connection sends."""
 
-    async def go(self) -> None:
-        """Play all, or as many as the time allows; then let the patient ones end."""
-        began, playing = time.monotonic(), set()
-        share = min(PATIENT, MOST_PATIENT / self._size.connections)
-        for number in range(self._size.connections):
-            if time.monotonic() - began > self._size.seconds:
-                break
-            one, patient = script(self._rng), self._rng.random() < share
-            leave_s = self._rng.random() * AFTER_S
-            await self._few.acquire()
-            task = asyncio.create_task(self._play(number, one, patient, leave_s))
-            playing.add(task)
-            task.add_done_callback(playing.discard)
-        self._seconds = time.monotonic() - began
-        await asyncio.gather(*playing)
-        self._told()
+    pieces: tuple[bytes, ...]
+    pause_s: float  # after each
+    state: str  # of DEADLINES_S, the longest that it may end in
 
-    async def _play(self, number: int, one: Script, patient: bool, leave_s: float) -> None:
-        """Play one script; a patient one gives its place to another while it waits."""
-        source, held = f"127.0.1.{1 + number % ADDRESSES}", True
-        try:
-            connection = await Connection.to(self._target.port, source=source)
-        except LOST:
-            self._findings.outcomes["not accepted"] += 1
-            self._few.release()
-            return
-        try:
-            await connection.send(one.pieces, one.pause_s)
-            if patient and self._waits_for(one):
-                self._few.release()
-                held = False
-                async with self._waiting:
-                    ending = await connection.ending(late_s("body") + 1)
-                self._judge(one, ending)
-            else:
-                if leave_s > EARLY_S:
-                    await connection.until(b"\r\n\r\n", LEAVE_S)
-                ending = await connection.ending(leave_s)
-            self._count(one, ending)
-        finally:
-            connection.cut()
-            if held:
-                self._few.release()
+    def __str__(self) -> str:
+        data = b"".join(self.pieces)
+        return repr(data if len(data) < 200 else data[:100] + b" ... " + data[-100:])
 
-    def _waits_for(self, one: Script) -> bool:
-        return DEADLINES[one.state] <= DEADLINES["head"] or self._size.connections >= SHORT
 
-    def _judge(self, one: Script, ending: Ending) -> None:
-        """A connection that was waited for ended in time; a stream that was accepted has longer than a head."""
-        state = "websocket" if b" 101 " in ending.heard else one.state
-        self._longest[state] = max(self._longest[state], ending.seconds)
-        late = ending.how == "open" or ending.seconds > late_s(state)
-        if late:
-            sent = b"".join(one.pieces)
-            shown = sent if len(sent) < 200 else sent[:100] + b" ... " + sent[-100:]
-            self._findings.fail(f"{state}: {ending.how} after {ending.seconds:.0f} s: {shown!r}")
+def _token(rng: Rng) -> str:
+    return rng.choice(("", "", READ, CONTROL, "wrong"))
 
-    def _count(self, one: Script, ending: Ending) -> None:
-        self._findings.outcomes[ending.told] += 1
-        if ending.status == 500:
-            self._findings.fail(f"500 to {b''.join(one.pieces)[:200]!r}")
 
-    def _told(self) -> None:
-        played = self._findings.outcomes.total()
-        rate = played / max(self._seconds, 1e-9)
-        self._findings.notes.append(f"{played} connections in {self._seconds:.0f} s: {rate:.0f} a second")
-        for state, seconds in self._longest.items():
-            self._findings.notes.append(f"longest {state}: {seconds:.1f} s of {DEADLINES[state]:g} s")
-        wanted = min(self._size.connections, 1000)
-        self._findings.check(played >= wanted, f"{played} connections in {self._seconds:.0f} s: too few to tell")
+def _valid(rng: Rng) -> bytes:
+    return request(f"GET {rng.choice(PATHS[:7])}", token=_token(rng))
+
+
+def _any(rng: Rng) -> bytes:
+    headers = rng.choices(HEADERS, k=rng.choice((0, 1, 2, 5, 140)))
+    return request(f"{rng.choice(VERBS)} {rng.choice(PATHS)}", *headers, token=_token(rng))
+
+
+def _body(rng: Rng) -> bytes:
+    data = rng.choice((b'{"method": "raw"}', b"{", b"", rng.randbytes(200), b"x" * 70_000))
+    length = len(data) + rng.choice((0, 0, 0, 1, -1, 10**6))
+    path = rng.choice(("sensors/palm0/method", "recordings", "restore?sensor=palm0", "sensors/palm0/tare"))
+    headers = "Content-Type: application/json", f"Content-Length: {length}"
+    return request(f"{rng.choice(('PUT', 'POST'))} /api/v1/{path}", *headers, token=_token(rng), body=data)
+
+
+def _chunked(rng: Rng) -> bytes:
+    sizes = [rng.choice((b"5", b"5;x=y", b"05", b"zz", b"-1", b"ffffffffffffffffff", b"")) for _ in range(3)]
+    body = b"".join(size + b"\r\nhello\r\n" for size in sizes) + rng.choice((b"0\r\n", b"0\r\n\r\n", b""))
+    body += b"X-Trailer: x\r\n" * rng.choice((0, 1, 200)) + b"\r\n"
+    return request("PUT /api/v1/sensors/palm0/method", "Transfer-Encoding: chunked", token=_token(rng), body=body)
+
+
+def _garbage(rng: Rng) -> bytes:
+    return rng.choice(
+        (rng.randbytes(rng.randrange(1, 300)), b"\r\n" * 20, b"\x00" * 50, b"\x16\x03\x01\x02\x00\x01")
+    )
+
+
+def _upgrade(rng: Rng) -> bytes:
+    headers = rng.choices(HEADERS, k=rng.choice((0, 0, 0, 1, 3, 140)))
+    path = rng.choice((STREAM, STREAM, "/", "/api/v1/sensors/palm0/stream", f"{STREAM}?flow=credit", "/nowhere"))
+    made = upgrade(*headers, path=path, token=_token(rng))
+    return made.replace(b"13\r\n", b"7\r\n") if rng.random() < 0.1 else made
+
+
+def _frame(rng: Rng) -> bytes:
+    data = rng.choice((b"", b"{}", b'{"type": "next"}', b"\xff", b"x" * 130, b"x" * 70_000, b"\x03\xe8"))
+    opcode = rng.choice((0, TEXT, BINARY, CLOSE, PING, PONG, TEXT, rng.randrange(16)))
+    reserved = rng.choice((0, 0, 0, 0, 0x40, 0x10))
+    return frame(opcode, data, last=rng.random() < 0.7, masked=rng.random() < 0.8, reserved=reserved)
+
+
+HTTP: tuple[Callable[[Rng], bytes], ...] = (_valid, _valid, _any, _body, _chunked, _garbage)
+
+
+def script(rng: Rng) -> Script:
+    """One connection."""
+    made = [rng.choice(HTTP)] * rng.choice((0, 1, 1, 2)) + rng.choices(HTTP, k=rng.choice((0, 0, 1, 3)))
+    made += [_upgrade, *[_frame] * rng.randrange(6)] if rng.random() < 0.4 or not made else []
+    parts = [make(rng) for make in made]
+    valid = all(make is _valid for make in made)
+    data = b"".join(parts)
+    complete = rng.random() > CUT
+    if not complete:
+        data = data[: rng.randrange(len(data) + 1)]
+    state = "body" if not valid else "idle" if complete else "head"
+    return Script(_pieces(data, rng), 0.02 if rng.random() < SLOW else 0.0, state)
+
+
+def _pieces(data: bytes, rng: Rng) -> tuple[bytes, ...]:
+    """The same bytes at once, or in a few pieces."""
+    places = sorted(rng.randrange(len(data) + 1) for _ in range(rng.choice((0, 0, 1, 2, 8))))
+    ends = zip([0, *places], [*places, len(data)], strict=True)
+    return tuple(data[begin:end] for begin, end in ends if end > begin)
 
 
 async def fuzz(target: Target, size: Size, findings: Findings) -> None:
     """Valid and invalid pieces of HTTP/1.1 and WebSocket in any order, cut anywhere, slow or at once."""
-    await Fuzzer(target, size, findings).go()
+    rng, began = random.Random(size.seed), time.monotonic()
+    places, waiting = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(PATIENT_AT_ONCE)
+    longest_s: Counter[str] = Counter()
+    playing = set()
+    share = min(PATIENT, MAX_PATIENT / size.connections)
+
+    async def play(number: int, one: Script, patient: bool, leave_s: float) -> None:
+        async with places:
+            try:
+                source = f"127.0.1.{1 + number % ADDRESSES}"
+                connection = await Connection.to(target.port, source=source, seconds=30.0)
+            except CONNECTION_ERRORS:
+                findings.outcomes["not accepted"] += 1
+                return
+            await connection.send(one.pieces, one.pause_s)
+            if not patient and leave_s > EARLY_S:
+                await connection.until(b"\r\n\r\n", LEAVE_S)
+            if not patient:
+                ending = await connection.ending(leave_s)
+        if patient:
+            async with waiting:
+                ending = await connection.ending(late_s("body") + 1)
+            # a stream that was accepted has longer than a head
+            state = "websocket" if b" 101 " in ending.received else one.state
+            longest_s[state] = max(longest_s[state], ending.seconds)
+            late = ending.how == "open" or ending.seconds > late_s(state)
+            findings.check(not late, f"{state}: {ending.how} after {ending.seconds:.0f} s: {one}")
+        findings.outcomes[str(ending)] += 1
+        findings.check(ending.status != 500, f"500 to {one}")
+        connection.cut()
+
+    for number in range(size.connections):
+        if time.monotonic() - began > size.seconds:
+            break
+        one, patient, leave_s = script(rng), rng.random() < share, rng.random() * AFTER_S
+        patient &= DEADLINES_S[one.state] <= DEADLINES_S["head"] or size.connections >= SHORT
+        while places.locked():
+            await asyncio.sleep(0.001)
+        task = asyncio.create_task(play(number, one, patient, leave_s))
+        playing.add(task)
+        task.add_done_callback(playing.discard)
+        await asyncio.sleep(0)
+    seconds = time.monotonic() - began
+    await asyncio.gather(*playing)
+    count = findings.outcomes.total()
+    findings.notes.append(f"{count} connections in {seconds:.0f} s")
+    findings.notes += [
+        f"longest {state}: {longest_s[state]:.1f} s of {DEADLINES_S[state]:g} s" for state in longest_s
+    ]
+    findings.check(
+        count >= min(size.connections, 1000), f"{count} connections in {seconds:.0f} s: too few to tell"
+    )

@@ -7,21 +7,20 @@ import ssl
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import can
 
-HOST = "127.0.0.1"
+from tests.attack.wire import HOST, request
+
 GROUP = "239.74.163.78"
 READ, CONTROL = "attack-read-token", "attack-control-token"
 START_S = 120.0  # that a busy machine may take to start the service
-TICK_S = 0.05  # between two looks at memory and descriptors
 MB = 1 << 20
 
-SERVER = """
+CONFIG = """
 [server]
 host = "127.0.0.1"
 port = {port}
@@ -33,45 +32,43 @@ recordings = "{folder}/recordings"
 recordings_leave_mb = 0
 state = "{folder}/state.json"
 control_per_minute = 0
-"""
-TLS = """
-tls_certificate = "{folder}/certificate.pem"
-tls_key = "{folder}/key.pem"
-"""
-BUS = """
-[bus.can{bus}]
+{tls}
+[bus.can0]
 interface = "udp_multicast"
 channel = "{group}"
-port = {port}
+port = {bus}
 hop_limit = 0
 
-[sensor.palm{bus}]
-bus = "can{bus}"
+[sensor.palm0]
+bus = "can0"
 method = "wiener"
 codec = {{ name = "packed", bits = 12, fd = true }}
 array = {{ rows = 8, columns = 8, pitch_mm = 1.0 }}
 cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
 kernel = {{ model = "layered" }}
 calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5, saturation = 4000 }}
-"""
-BOARDS = """
+
 [sensor.board]
 bus = "can0"
 method = "raw"
-codec = { name = "icub", board = 13, triangles = [5], start = true }
-array = { aperture_mm = 3.6 }
-cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.5 }
+codec = {{ name = "icub", board = 13, triangles = [5], start = true }}
+array = {{ aperture_mm = 3.6 }}
+cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
+kernel = {{ model = "layered" }}
+calibration = {{ kpa_per_count = 0.5 }}
 
 [sensor.skin]
 bus = "can0"
 method = "raw"
-codec = { name = "xela" }
-array = { rows = 4, columns = 6, pitch_mm = 4.0 }
-cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.02, no_load = 36000 }
+codec = {{ name = "xela" }}
+array = {{ rows = 4, columns = 6, pitch_mm = 4.0 }}
+cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
+kernel = {{ model = "layered" }}
+calibration = {{ kpa_per_count = 0.02, no_load = 36000 }}
+"""
+TLS_FILES = """
+tls_certificate = "{folder}/certificate.pem"
+tls_key = "{folder}/key.pem"
 """
 
 
@@ -81,10 +78,9 @@ class Kind:
 
     tls: bool = False
     descriptors: int = 0  # that the system lets it have; 0: as many as this process
-    buses: int = 1
 
 
-PLAIN, SECURE, FEW, BUSES = Kind(), Kind(tls=True), Kind(descriptors=256), Kind(buses=4)
+HTTP, TLS, DESCRIPTORS_256 = Kind(), Kind(tls=True), Kind(descriptors=256)
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
@@ -98,14 +94,18 @@ class Target:
     """One running service, and a simulated skin on its first bus."""
 
     def __init__(self, kind: Kind) -> None:
-        self.kind = kind
+        self.kind, self.tls = kind, trusting() if kind.tls else None
         self._folder = tempfile.TemporaryDirectory(prefix="attacked-")
         self.folder = Path(self._folder.name)
         self.port, self.xela, self.foxglove = free_port(), free_port(), free_port()
-        self.buses = [free_port(socket.SOCK_DGRAM) for _ in range(kind.buses)]
+        self.bus_port = free_port(socket.SOCK_DGRAM)
         self.log = self.folder / "log"
         self.config = self.folder / "attacked.toml"
-        self.config.write_text(self._configuration())
+        tls = TLS_FILES.format(folder=self.folder) if kind.tls else ""
+        ports = {"port": self.port, "xela": self.xela, "foxglove": self.foxglove, "bus": self.bus_port}
+        self.config.write_text(
+            CONFIG.format(folder=self.folder, tls=tls, group=GROUP, read=READ, control=CONTROL, **ports)
+        )
         if kind.tls:
             _certificate(self.folder)
         self.process = self._run("run", str(self.config))
@@ -114,39 +114,40 @@ class Target:
     def ready(self) -> "Target":
         """Wait until it answers, and until a skin that sends is live."""
         end = time.monotonic() + START_S
-        while b'"live"' not in (health := self.health()):
+        while b'"live"' not in (health := self.get("/api/v1/health")):
             if self.process.poll() is not None or time.monotonic() > end:
                 raise RuntimeError(f"the service did not start: {self.log.read_text()}")
             if health and self._skin is None:
-                sent = "--config", str(self.config), "--sensor", "palm0", "--rate-hz", "20"
-                self._skin = self._run("simulate", *sent)
+                options = "--config", str(self.config), "--sensor", "palm0", "--rate-hz", "20"
+                self._skin = self._run("simulate", *options)
             time.sleep(0.1)
         return self
 
-    def health(self) -> bytes:
-        """What it answers; nothing where it does not."""
-        line = f"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {CONTROL}\r\n"
-        found = b""
-        with contextlib.suppress(OSError), self.plug(5.0) as end:
-            end.sendall(f"{line}Connection: close\r\n\r\n".encode())
+    def get(self, path: str) -> bytes:
+        """The body of the answer to a request; empty where there is none."""
+        answer = b""
+        with contextlib.suppress(OSError), self._connect() as end:
+            end.sendall(request(f"GET {path}", "Connection: close", token=CONTROL))
             while piece := end.recv(1 << 16):
-                found += piece
-        return found
+                answer += piece
+        return answer.partition(b"\r\n\r\n")[2]
 
-    def plug(self, timeout: float = 30.0) -> socket.socket:
-        """A connection, with TLS where the service has it."""
-        end = socket.create_connection((HOST, self.port), timeout=timeout)
-        return trusting().wrap_socket(end) if self.kind.tls else end
+    def _connect(self) -> socket.socket:
+        end = socket.create_connection((HOST, self.port), timeout=5.0)
+        return self.tls.wrap_socket(end) if self.tls else end
 
-    def bus(self, number: int = 0) -> can.BusABC:
-        """The other end of one of its buses."""
-        port = self.buses[number]
-        return can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0, fd=True)
+    def bus(self) -> can.BusABC:
+        """The other end of its bus."""
+        return can.Bus(interface="udp_multicast", channel=GROUP, port=self.bus_port, hop_limit=0, fd=True)
 
-    def rss_mb(self) -> float:
-        """Resident memory."""
-        pages = Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]
-        return int(pages) * os.sysconf("SC_PAGE_SIZE") / MB
+    def rss_mb(self, field: str = "VmRSS") -> float:
+        """Resident memory; VmHWM: its peak."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        return int(status.partition(f"{field}:")[2].split()[0]) / 1024
+
+    def forget_peak(self) -> None:
+        """Measure the peak of memory from now on."""
+        Path(f"/proc/{self.process.pid}/clear_refs").write_text("5")
 
     def descriptors(self) -> int:
         """Open files and sockets."""
@@ -159,13 +160,6 @@ class Target:
             process.wait()
         self._folder.cleanup()
 
-    def _configuration(self) -> str:
-        text = SERVER + (TLS if self.kind.tls else "")
-        ports = {"port": self.port, "xela": self.xela, "foxglove": self.foxglove}
-        text = text.format(folder=self.folder, read=READ, control=CONTROL, **ports)
-        text += "".join(BUS.format(bus=at, group=GROUP, port=port) for at, port in enumerate(self.buses))
-        return text + BOARDS
-
     def _run(self, *command: str) -> "subprocess.Popen[bytes]":
         limit = f"ulimit -n {self.kind.descriptors}; " if self.kind.descriptors else ""
         shell = ["sh", "-c", f'{limit}exec "$@"', "sh", sys.executable, "-m", "tactiled", *command]
@@ -174,29 +168,8 @@ class Target:
             return subprocess.Popen(shell, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=settings)
 
 
-class Watch:
-    """Looks at the memory and the descriptors of a service all the time."""
-
-    def __init__(self, target: Target) -> None:
-        self._target, self._done = target, threading.Event()
-        self.rss_mb, self.descriptors = target.rss_mb(), target.descriptors()  # the highest so far
-        self._thread = threading.Thread(target=self._go, daemon=True)
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Look no longer."""
-        self._done.set()
-        self._thread.join()
-
-    def _go(self) -> None:
-        with contextlib.suppress(OSError, IndexError):  # it has ended
-            while not self._done.wait(TICK_S):
-                self.rss_mb = max(self.rss_mb, self._target.rss_mb())
-                self.descriptors = max(self.descriptors, self._target.descriptors())
-
-
 class Pool:
-    """Services that attacks share while they hold: one of each kind, a new one after an attack that did harm."""
+    """Services that attacks share: one of each kind, a new one after an attack that did harm."""
 
     def __init__(self) -> None:
         self._running: dict[Kind, Target] = {}
@@ -224,10 +197,10 @@ class Pool:
 
 
 def trusting() -> ssl.SSLContext:
-    """A client's TLS that takes the certificate as it is."""
-    made = ssl.create_default_context()
-    made.check_hostname, made.verify_mode = False, ssl.CERT_NONE
-    return made
+    """A client's TLS that trusts every certificate."""
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    return context
 
 
 def _certificate(folder: Path) -> None:

@@ -1,0 +1,87 @@
+"""Every attack by its name."""
+
+import asyncio
+import socket
+import time
+
+import can
+from can.interfaces.udp_multicast.utils import pack_message
+
+from tests.attack import fuzz, requests, shutdown, sockets
+from tests.attack.harness import Attack, Findings, Size, each, late_s
+from tests.attack.service import CONTROL, DESCRIPTORS_256, GROUP, TLS, Target
+from tests.attack.wire import BINARY, PONG, Ending, frame, upgrade
+
+FLOOD_HZ = 91_000.0  # messages/s
+FLOOD_S = 4.0
+
+
+def _datagrams() -> list[bytes]:
+    """Messages as python-can packs them: of the palm, out of order, of the skin, of no sensor."""
+    ids = [(0x500, bytes([0, at]) + bytes(62), True) for at in (0, 1, 1, 3)]
+    ids += [(0x4D5, b"\x40" + bytes(7), False), (0x135, bytes(8), False), (0x7FF, b"", False)]
+    datagrams = []
+    for id_, data, fd in ids:
+        message = can.Message(arbitration_id=id_, is_extended_id=False, is_fd=fd, data=data, timestamp=time.time())
+        datagrams.append(bytes(pack_message(message)))
+    return datagrams
+
+
+def _flood(port: int, seconds: float) -> int:
+    """Send at the rate; gives how many."""
+    datagrams, count, began = _datagrams(), 0, time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        while (passed := time.monotonic() - began) < seconds:
+            due = int(passed * FLOOD_HZ) - count
+            for at in range(min(due, 1000)):
+                out.sendto(datagrams[at % len(datagrams)], (GROUP, port))
+            count += min(due, 1000)
+            if due < 100:
+                time.sleep(0.001)
+    return count
+
+
+async def flood(target: Target, size: Size, findings: Findings) -> None:
+    """91 000 messages a second on the bus."""
+    findings.outcomes["messages"] += await asyncio.to_thread(_flood, target.bus_port, size.factor * FLOOD_S)
+
+
+def _upgraded(ending: Ending) -> bool:
+    return b" 101 " in ending.received
+
+
+def _unauthorized(ending: Ending) -> bool:
+    return requests.closed_with(4401, ending)
+
+
+# Foxglove's SDK waits for a head without end, and has no limit of connections: its port is on loopback alone. What
+# must hold is that the service's own port goes on.
+UNBOUNDED = {"port": "foxglove", "ends": False}
+CLIENT = upgrade(sockets.PROTOCOL, path="/")
+LARGE = {"a message of 40 MB": [CLIENT, frame(BINARY, bytes(40 << 20))]}
+ACCEPTED = {name: [upgrade(token=CONTROL), frame(PONG, b"x") + data] for name, data in sockets.FRAMES.items()}
+ATTACKS = {
+    "upgrades": Attack(each(sockets.UPGRADES, 50), kind=DESCRIPTORS_256),
+    "empty-frames": Attack(run=sockets.empty_frames),
+    "trailers": Attack(run=sockets.trailers),
+    "polls": Attack(requests.polls),
+    "bad-upgrades": Attack(each(sockets.BAD_UPGRADES, 200, wait_s=1.0, ends=False), at_once=100),
+    "slow": Attack(each(requests.SLOW_SENDERS, 50, pause_s=0.2)),
+    "tokens": Attack(requests.tokens, at_once=50),
+    "strangers": Attack(requests.strangers, at_once=50),
+    "nonsense": Attack(requests.nonsense, at_once=50),
+    "frames": Attack(each(ACCEPTED, 5, pause_s=0.5, expect=_upgraded), at_once=50),
+    "handshakes": Attack(each(sockets.HANDSHAKES, 15, wait_s=late_s("refused"), expect=_unauthorized), at_once=50),
+    "tls": Attack(sockets.tls, kind=TLS, grown_mb=160),  # 0.3 MB for each connection that was open at once
+    "foxglove": Attack(each(sockets.FOXGLOVE, 20, wait_s=4.0, **UNBOUNDED)),
+    "foxglove-large": Attack(each(LARGE, 2, wait_s=4.0, **UNBOUNDED), grown_mb=128),
+    "foxglove-many": Attack(each({"a client": CLIENT}, 400, wait_s=4.0, **UNBOUNDED)),
+    "foxglove-open": Attack(each({"half a head": CLIENT[:20]}, 300, **UNBOUNDED), kind=DESCRIPTORS_256),
+    "fuzz": Attack(run=fuzz.fuzz),
+    "uploads": Attack(requests.uploads),
+    "calls": Attack(requests.calls, at_once=20),
+    "flood": Attack(run=flood),
+    "sigterm": Attack(run=shutdown.sigterm, alone=True),
+    "sigint": Attack(run=shutdown.sigint, kind=TLS, alone=True),
+}

@@ -1,0 +1,155 @@
+"""Requests that must be refused, or are more than one client should make."""
+
+import io
+import json
+import random
+from collections.abc import Iterator
+
+import numpy as np
+
+from tests.attack.harness import Try, late_s
+from tests.attack.service import CONTROL, READ, Target
+from tests.attack.wire import Ending, request, upgrade
+
+JSON, NPY = "Content-Type: application/json", "Content-Type: application/x-npy"
+LAST = "Connection: close"
+READS = ("/", "/metrics", "/docs", *(f"/api/v1/{each}" for each in (
+    "health", "sensors", "sensors/palm0", "sensors/palm0/frames/raw", "config", "events", "recordings",
+    "openapi.json",
+)))  # fmt: skip
+METHOD, RECORD, RESTORE = (
+    "PUT /api/v1/sensors/palm0/method",
+    "POST /api/v1/recordings",
+    "POST /api/v1/restore?sensor=palm0",
+)
+CHANGES = (METHOD, "POST /api/v1/sensors/palm0/tare", RECORD, "DELETE /api/v1/recordings/a.log", RESTORE)
+
+
+def closed_with(code: int, ending: Ending) -> bool:
+    """Whether a WebSocket was closed with a code, or its handshake refused."""
+    return code.to_bytes(2, "big") in ending.received or ending.status in (400, code - 4000)
+
+
+def npy(frames: int) -> bytes:
+    """Frames of the palm."""
+    out = io.BytesIO()
+    np.save(out, np.zeros((frames, 8, 8)))
+    return out.getvalue()
+
+
+def _wrong_token(number: int, rng: random.Random) -> str:
+    token = rng.choice((READ, CONTROL))
+    at = rng.randrange(len(token))
+    changed = token[:at] + "?" + token[at + 1 :]
+    wrong = (token[:at], token + "x", changed, token.upper(), "", token[::-1], f"{at:032}")
+    return wrong[number % len(wrong)]
+
+
+def tokens(_: Target) -> Iterator[Try]:
+    """1000 requests with a wrong token, or with one that does not suffice."""
+    rng = random.Random(1)
+    lines = [f"GET {path}" for path in READS] + list(CHANGES)
+    for number in range(1000):
+        line, token = rng.choice(lines), _wrong_token(number, rng)
+        how, headers = "wrong in the address", []
+        if number % 5 == 4 and not line.startswith("GET"):
+            how, headers = "read token", [f"Authorization: Bearer {READ}"]
+        elif number % 3 == 0:
+            how, headers = "wrong in the header", [f"Authorization: Bearer {token}"]
+        elif number % 3 == 1:
+            how, headers = "wrong in the cookie", [f"Cookie: tactiled={token}"]
+        else:
+            line = f"{line}{'&' if '?' in line else '?'}token={token or 'x'}"
+        data = request(line, *headers, LAST, "Content-Length: 0")
+        yield Try(how, [data], late_s("refused"), expect=lambda ending: ending.status in (401, 403))
+
+
+FOREIGN = {
+    "rebinding": ("Host: elsewhere.example",),
+    "rebinding, two hosts": ("Host: localhost", "Host: elsewhere.example"),
+    "origin": ("Origin: https://elsewhere.example",),
+    "origin null": ("Origin: null",),
+    "cross-site": ("Sec-Fetch-Site: cross-site",),
+    "same site": ("Sec-Fetch-Site: same-site",),
+}
+
+
+def strangers(_: Target) -> Iterator[Try]:
+    """300 requests and handshakes of pages of another site, or to another name than loopback's."""
+    for name, headers in list(FOREIGN.items()) * 10:
+        for line in ("GET /api/v1/health", *CHANGES[:3]):
+            data = request(line, *headers, JSON, "Content-Length: 2", LAST, token=CONTROL, body=b"{}")
+            yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (400, 403))
+        stream = upgrade(*headers, token=CONTROL)
+        yield Try(f"{name}, stream", [stream], late_s("refused"), expect=lambda ending: closed_with(4403, ending))
+
+
+def _mutated(data: bytes, rng: random.Random) -> bytes:
+    """Some bytes changed, deleted or added."""
+    changed = bytearray(data)
+    for _ in range(rng.randrange(1, 8)):
+        at = rng.randrange(len(changed) + 1)
+        changed[at : at + rng.choice((0, 1, 4))] = rng.randbytes(rng.choice((0, 1, 4)))
+    return bytes(changed)
+
+
+def nonsense(_: Target) -> Iterator[Try]:
+    """300 wrong bodies, headers and ranges, with the control token."""
+    rng = random.Random(1)
+    seeds = (
+        ("JSON", METHOD, JSON, b'{"method": "raw"}'),
+        ("JSON of a recording", RECORD, JSON, b'{"bus": "can9", "name": "a.log"}'),
+        (".npy", RESTORE, NPY, npy(4)),
+    )
+    for number in range(300):
+        name, line, kind, body = seeds[number % 3]
+        body = _mutated(body, rng)
+        headers = kind, f"Content-Length: {len(body)}", LAST
+        yield Try(name, [request(line, *headers, token=CONTROL, body=body)])
+        if number % 3 == 0:
+            part = f"Range: bytes={rng.randrange(10**9)}-{rng.randrange(-9, 99)},{rng.randrange(99)}-"
+            yield Try("range", [request("GET /static/app.js", part, LAST, token=CONTROL)])
+            yield Try("header", [_mutated(request("GET /", LAST), rng) + b"\r\n\r\n"])
+
+
+def uploads(_: Target) -> Iterator[Try]:
+    """160 uploads of frames at once, complete, cut in the middle, and larger than announced."""
+    data = npy(64)
+    kinds = (  # name, announced length, body, whether the service ends it
+        ("complete", len(data), data, True),
+        ("half of it", 2 * len(data), data, False),
+        ("cut", len(data), data[: len(data) // 2], False),
+    )
+    for number in range(160):
+        name, length, body, ends = kinds[number % 4 % 3]
+        head = request(RESTORE, f"Content-Length: {length}", NPY, LAST, token=CONTROL)
+        source = f"127.0.2.{1 + number % 16}"
+        yield Try(name, [head, body], 30.0 if ends else 1.0, ends=ends, source=source)
+
+
+def calls(_: Target) -> Iterator[Try]:
+    """1800 calls, 20 at once, each as fast as it is answered."""
+    paths = (*READS, "/api/v1/sensors/palm0/frames/restored?format=npy", "/api/v1/sensors/palm0/contacts")
+    for number in range(1800):
+        path = paths[number % len(paths)]
+        data = request(f"GET {path}", LAST, token=CONTROL)
+        yield Try(path, [data], 60.0, source=f"127.0.3.{1 + number % 20}")
+
+
+def polls(target: Target) -> Iterator[Try]:
+    """400 clients of one address wait for events."""
+    newest = json.loads(target.get("/api/v1/events"))["newest"]
+    data = request(f"GET /api/v1/events?wait=30&after={newest}", token=CONTROL)
+    yield from [Try("events?wait=30", [data], 5.0, ends=False)] * 400
+
+
+SLOW_SENDERS = {  # pieces with a pause after each
+    "nothing": b"",
+    "a letter": b"G",
+    "half a head": b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ",
+    "a byte at a time": [bytes([each]) for each in request("GET /", "X: " + "x" * 200)],
+    "blank lines": [b"\r\n"] * 200,
+    "half a body": request(METHOD, "Content-Length: 9", body=b"{"),
+    "half an upgrade": upgrade()[:-2],
+    "answered, then half a head": request("GET /", token=CONTROL) + b"GET ",
+}
