@@ -191,9 +191,9 @@ def report(outcome: Outcome) -> str:
     rss_mb = "/".join(f"{each:.0f}" for each in outcome.rss_mb)
     descriptors = "/".join(map(str, outcome.descriptors))
     lines = [
-        f"{outcome.name}: {verdict}: {findings.outcomes.total()} attempts in {outcome.seconds:.0f} s; another client "
-        f"waits {waits.worst_s:.2f} s, {waits.own_s:.2f} s for the service; descriptors before/after {descriptors}; "
-        f"memory before/at most/after {rss_mb} MB"
+        f"{outcome.name}: {verdict}: {findings.outcomes.total()} attempts in {outcome.seconds:.0f} s; another"
+        f" client waits {waits.worst_s:.2f} s, {waits.own_s:.2f} s for the service; descriptors before/after"
+        f" {descriptors}; memory before/at most/after {rss_mb} MB"
     ]
     lines += [f"    {number:>7} {what}" for what, number in findings.outcomes.most_common()]
     return "\n".join(lines + [f"    {note}" for note in (*findings.notes, *findings.failures)])

@@ -13,7 +13,7 @@ from tactiled.runtime.state import State
 from tactiled.web.rest import events
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, until
-from tests.web.http.test_attacks import plug
+from tests.web.http.raw import plug
 from tests.web.rest.test_sensors import problem
 
 

@@ -19,7 +19,7 @@ from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.stream import Stream, due_after
 from tactiled.wire import unpack, unpack_all
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
-from tests.web.http.test_attacks import bound
+from tests.web.http.raw import bound
 
 FEW = 10  # messages that may be on their way to a client that does not read
 

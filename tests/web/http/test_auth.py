@@ -1,0 +1,219 @@
+"""Tokens, foreign pages and foreign host names."""
+
+import secrets
+import subprocess
+from itertools import product
+
+import httpx
+import pytest
+from pydantic import SecretStr, ValidationError
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from tactiled.config import Server, parse
+from tactiled.errors import ConfigError
+from tactiled.web.http.auth import Tokens
+from tactiled.web.server import running
+from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed
+from tests.web.http.raw import send_raw, websocket_url
+from tests.web.rest.test_sensors import problem
+
+METHOD = "/api/v1/sensors/palm/method"
+RAW = {"method": "raw"}
+READ, CONTROL = "r" * 16, "c" * 16
+TOKENS = {"read_token": SecretStr(READ), "control_token": SecretStr(CONTROL)}
+
+
+@pytest.fixture
+def guarded(rig):
+    rig.show(pressed())
+    with running(rig.service, Server(port=0, **TOKENS)) as url:
+        yield url
+
+
+def bearer(token):
+    return {"Authorization": f"Bearer {token}"}
+
+
+def close_code(client):
+    """The code that a stream is closed with."""
+    with pytest.raises(ConnectionClosed) as caught:
+        client.recv(timeout=BUSY_S)
+    return caught.value.rcvd.code
+
+
+FOREIGN_HOSTS = (
+    "elsewhere.example", "localhost.elsewhere.example", "127.0.0.1.elsewhere.example", "localhost@elsewhere",
+    "elsewhere@localhost", "localhost:80@elsewhere", "[::1", "[::1]x", "::1", "localhost:", "localhost:x", "",
+    "127.0.0.2", "0x7f000001", "2130706433", "localhost\tx", "localhost, elsewhere", "l\xf6calhost",
+)  # fmt: skip
+
+
+def test_loopback_is_served_under_its_own_names_only(rig, url):
+    for host in FOREIGN_HOSTS:
+        assert send_raw(url, "GET /api/v1/health", f"Host: {host}")[0] in (400, 403), host
+        body = f"Host: {host}", "Content-Type: application/json", "Content-Length: 17"
+        assert send_raw(url, f"PUT {METHOD}", *body, data=b'{"method": "raw"}')[0] in (400, 403), host
+    assert rig.sensor.method == "wiener"
+    assert send_raw(url, "GET /api/v1/health", "Host: localhost", "Host: elsewhere")[0] == 400  # RFC 9112, 3.2
+    for host in ("localhost", "LocalHost:1", "127.0.0.1", "[::1]", "[::1]:8000"):
+        assert send_raw(url, "GET /api/v1/health", f"Host: {host}")[0] == 200
+
+
+FOREIGN = (
+    {"Origin": "https://elsewhere.example"},
+    {"Origin": "null"},
+    {"Origin": ""},
+    {"Origin": "http://localhost:1"},
+    {"Origin": "file://"},
+    {"Sec-Fetch-Site": "cross-site"},
+    {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
+)
+
+
+def test_a_page_of_another_site_is_refused(rig, tmp_path):
+    server = Server(port=0, recordings=tmp_path)
+    with running(rig.service, server) as url, httpx.Client(**HTTP, base_url=url) as client:
+        paths = client.get("/api/v1/openapi.json").json()["paths"].items()
+        verbs = [(verb, path) for path, operations in paths for verb in set(operations) - {"get"}]
+        assert len(verbs) >= 6
+        for headers, (verb, path) in product(FOREIGN, [*verbs, ("get", "/api/v1/health")]):
+            problem(client.request(verb, path.format(name="palm"), headers=headers, json=RAW), 403)
+        for headers, path in product(FOREIGN, ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
+            with connect(websocket_url(url, path), additional_headers=headers) as stream:
+                assert close_code(stream) == 4403
+        assert client.get("/api/v1/health", headers={"Origin": url}).status_code == 200
+    assert (rig.sensor.method, rig.service.events.newest) == ("wiener", 0)
+
+
+def test_a_link_from_another_site_opens_the_viewer_and_changes_nothing(url):
+    headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
+    assert ask("GET", url, headers=headers).status_code == 200
+    problem(ask("POST", url + "/api/v1/sensors/palm/tare", headers=headers), 403)
+    with connect(websocket_url(url), additional_headers=headers) as client:
+        assert close_code(client) == 4403
+
+
+def test_every_resource_needs_a_token(guarded):
+    paths = ("/", "/api/v1/health", "/api/v1/openapi.json", "/static/app.js")
+    for path, token in product(paths, ("", "r", "x" * 16, READ + "r", "ü" * 16)):
+        answer = ask("GET", guarded + path, params={"token": token})
+        assert answer.headers["www-authenticate"] == "Bearer"
+        assert problem(answer, 401).startswith("a token is needed")
+
+
+def test_the_read_token_reads_and_the_control_token_controls(guarded, rig):
+    assert ask("GET", guarded + METHOD, headers=bearer(READ)).status_code == 200
+    answer = ask("PUT", guarded + METHOD, json=RAW, headers=bearer(READ))
+    assert "control token" in problem(answer, 403)
+    assert rig.sensor.method == "wiener"
+    assert ask("PUT", guarded + METHOD, json=RAW, headers=bearer(CONTROL)).status_code == 200
+    assert rig.sensor.method == "raw"
+
+
+def test_a_browser_keeps_the_token_in_a_cookie_that_no_script_reads(guarded):
+    with httpx.Client(**HTTP, base_url=guarded) as browser:
+        answer = browser.get("/", params={"token": READ})
+        assert (answer.status_code, answer.headers["location"]) == (303, "/")
+        assert answer.headers["set-cookie"] == f"tactiled={READ}; HttpOnly; SameSite=Strict; Path=/"
+        assert browser.get("/api/v1/health").status_code == 200
+        assert browser.post("/api/v1/sensors/palm/tare").status_code == 403
+
+
+def test_streams_need_a_token(guarded):
+    address = websocket_url(guarded, "/api/v1/sensors/palm/stream")
+    with connect(address) as client:
+        assert close_code(client) == 4401
+    with connect(f"{address}?token={READ}") as client:
+        assert client.recv(timeout=BUSY_S)
+    with connect(address, additional_headers=bearer(CONTROL)) as client:
+        assert client.recv(timeout=BUSY_S)
+
+
+@pytest.mark.parametrize(
+    ("server", "error"),
+    [
+        ('host = "0.0.0.0"', "server: other machines could reach it: give control_token"),
+        ('read_token = "0123456789abcdef"', "server: read_token without control_token"),
+        ('control_token = "short"', "server.control_token: "),
+        ("control_token = 'short; of sixteen'", "server.control_token: holds what a client cannot show"),
+        ('tls_key = "key.pem"', "server: tls_certificate and tls_key: give both or neither"),
+    ],
+)
+def test_a_server_that_is_open_by_mistake_is_refused(server, error):
+    with pytest.raises(ConfigError) as caught:
+        parse(f"[server]\n{server}\n{CONFIG.format(channel='none')}")
+    assert error in str(caught.value)
+    assert "short" not in str(caught.value).removeprefix("config: server.control_token")
+
+
+VALID = "".join(set(map(chr, range(33, 127))) - set('"#%&+,;\\'))
+
+
+def test_a_valid_token_can_be_sent_unencoded_in_header_address_and_cookie(rig):
+    with running(rig.service, Server(port=0, control_token=SecretStr(VALID))) as url:
+        line = "GET /api/v1/health"
+        assert send_raw(url, f"{line}?token={VALID}")[0] == 200
+        assert send_raw(url, line, f"Authorization: Bearer {VALID}")[0] == 200
+        assert send_raw(url, line, f"Authorization: Basic {VALID}")[0] == 401
+        assert send_raw(url, line, f"Cookie: a=b; tactiled={VALID}; c=d")[0] == 200
+        assert send_raw(url, line, f"Cookie: tactiled=x{VALID}")[0] == 401
+        answer = ask("GET", url, params={"token": VALID})
+        assert answer.headers["set-cookie"].startswith(f"tactiled={VALID}; ")
+
+
+@pytest.mark.parametrize("character", ["ü", "\u2028", " ", "\t", "\0", "\x7f", *'"#%&+,;\\'])
+def test_a_token_that_a_client_cannot_show_is_refused(character):
+    with pytest.raises(ValidationError, match="holds what a client cannot show"):
+        Server(control_token=SecretStr("x" * 16 + character))
+
+
+def test_every_token_is_compared_in_constant_time(monkeypatch):
+    tokens = Tokens(Server(**TOKENS))
+    compared, compare = [], secrets.compare_digest
+    monkeypatch.setattr(secrets, "compare_digest", lambda a, b: compared.append(b) or compare(a, b))
+    for token, rights in {"": set(), "r": set(), READ: {"read"}, CONTROL: {"read", "control"}, "ü": set()}.items():
+        compared.clear()
+        assert tokens.rights(token) == rights
+        assert compared == [b"r" * 16, b"c" * 16]
+
+
+def test_no_answer_has_a_token(rig, tmp_path):
+    rig.show(pressed())
+    count = 0
+    server = Server(port=0, recordings=tmp_path, **TOKENS)
+    with (
+        running(rig.service, server) as url,
+        httpx.Client(**HTTP, base_url=url, headers=bearer(CONTROL)) as client,
+    ):
+        for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
+            if "get" in operations:
+                address = path.format(name="palm", kind="raw")
+                for query in ("", f"?token={CONTROL}", f"?limit={READ[:4]}"):
+                    answer = client.get(address + query)
+                    assert not any(token in answer.text + str(answer.headers) for token in (READ, CONTROL)), (
+                        address
+                    )
+                    count += 1
+    assert count >= 30
+
+
+def test_a_slash_at_the_end_of_an_address_redirects_no_token(url):
+    for path in ("sensors/", "health/", "sensors/palm/"):
+        answer = ask("GET", f"{url}/api/v1/{path}", params={"token": "hush"}, headers={"Host": "localhost"})
+        assert problem(answer, 404) == f"GET /api/v1/{path}: not found"
+        assert "location" not in answer.headers
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_a_browser_keeps_to_tls_except_on_loopback(rig, tmp_path, host):
+    """On loopback every other server of this machine would need it."""
+    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost -out certificate.pem -keyout key.pem"
+    subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
+    files = {"tls_certificate": tmp_path / "certificate.pem", "tls_key": tmp_path / "key.pem"}
+    for tls in (files, {}):
+        with running(rig.service, Server(host=host, port=0, **TOKENS, **tls)) as url:
+            answer = ask("GET", url, headers=bearer(READ), params={"token": READ}, verify=False)
+            assert answer.headers["set-cookie"].endswith("; Secure") == bool(tls)
+            transport = answer.headers.get("strict-transport-security")
+            assert transport == ("max-age=31536000" if tls and host == "0.0.0.0" else None)

@@ -1,0 +1,98 @@
+"""Errors in one form, whatever is wrong, and without secrets."""
+
+from contextlib import ExitStack
+
+import can
+import pytest
+from can.interfaces.virtual import VirtualBus
+from websockets.sync.client import connect
+
+from tactiled.config import Server, parse
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
+from tactiled.web.server import running
+from tests.conftest import CONFIG, ask, pressed, until
+from tests.web.http.raw import websocket_url
+from tests.web.rest.test_sensors import problem
+
+METHOD = "/api/v1/sensors/palm/method"
+
+
+@pytest.mark.parametrize(
+    ("verb", "path", "allowed"),
+    [
+        ("POST", METHOD, "GET, HEAD, PUT"),
+        ("FOO", "/api/v1/health", "GET, HEAD"),
+        ("GET", "/api/v1/restore", "POST"),
+        ("POST", "/static/app.js", "GET, HEAD"),
+    ],
+)
+def test_405_names_the_methods_of_the_path(url, verb, path, allowed):
+    answer = ask(verb, url + path)
+    assert f"{verb} {path}" in problem(answer, 405)
+    assert answer.headers["allow"] == allowed
+
+
+def test_404_names_the_path(url):
+    for path in ("/nothing", "/api/v1/nothing", "/api/v2/health", "/static/nothing", "/API/v1/health"):
+        assert problem(ask("GET", url + path), 404) == f"GET {path}: not found"
+
+
+@pytest.mark.parametrize(
+    ("content", "status", "detail"),
+    [
+        (b"{", 400, "body: no JSON at character 1: Expecting property name enclosed in double quotes"),
+        (b"\xff\xfe", 400, "body: no JSON at character 0: Expecting value"),
+        (b'"\xff"', 400, "body: 'utf-8' codec can't decode byte 0xff in position 1"),
+        (b"[" * 5000, 400, "body: maximum recursion depth exceeded"),
+        (b'{"method": "raw", "x": 1}', 422, "x = 1: Extra inputs are not permitted"),
+        (b"", 422, "body: give a JSON object"),
+        (b"1e999", 422, "body = inf: give a JSON object"),
+        (b"[]", 422, "body = []: give a JSON object"),
+    ],
+)
+def test_a_body_that_is_not_the_expected_json_is_described(url, content, status, detail):
+    answer = ask("PUT", url + METHOD, content=content, headers={"Content-Type": "application/json"})
+    assert problem(answer, status).startswith(detail)
+
+
+@pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
+def test_a_body_that_a_form_can_send_is_refused(rig, url, kind):
+    answer = ask("PUT", url + METHOD, content=b'{"method": "raw"}', headers={"Content-Type": kind})
+    assert problem(answer, 415) == f"Content-Type: {kind}: give application/json"
+    assert rig.sensor.method == "wiener"
+
+
+def test_an_internal_error_has_no_details_and_the_security_headers(rig, url, monkeypatch):
+    rig.show(pressed())
+    monkeypatch.setattr(Sensor, "contacts", lambda _: {}["hush"])
+    answer = ask("GET", url + "/api/v1/sensors/palm/contacts")
+    assert problem(answer, 500) == "the service failed at this: see its log"
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    assert "hush" not in answer.text
+    assert ask("GET", url + "/api/v1/health").status_code == 200
+
+
+def test_no_answer_has_the_login_of_a_bus(tmp_path, monkeypatch):
+    channel = "socket://palm:hush-hush@adapter:1?pin=hush"
+    service = Service(parse(CONFIG.format(channel=channel)))
+
+    def fail(*_, **__):
+        raise OSError(f"no answer from {channel}")
+
+    with ExitStack() as stack:
+        service.start()
+        stack.callback(service.stop)
+        url = stack.enter_context(running(service, Server(port=0, recordings=tmp_path)))
+        stream = stack.enter_context(connect(websocket_url(url, "/api/v1/sensors/palm/stream")))
+        monkeypatch.setattr(can, "Bus", fail)
+        monkeypatch.setattr(VirtualBus, "_recv_internal", fail)
+        until(lambda: service.sensors["palm"].status().state == "down" and service.events.newest)
+        texts = [problem(ask("POST", url + "/api/v1/recordings", json={"bus": "can0"}), 503)]
+        texts.append(next(each for each in stream if '"down"' in each))
+        texts += [
+            ask("GET", f"{url}/api/v1/{path}").text for path in ("health", "sensors/palm", "events", "config")
+        ]
+    for text in texts:
+        assert "socket://adapter:1" in text
+        assert "hush" not in text
