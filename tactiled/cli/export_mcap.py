@@ -29,7 +29,7 @@ class McapExport:
         self.close = self._file.close
         self._writer: Any = Writer(self._file)  # partly untyped
         self._writer.start(library=f"tactiled {__version__}")
-        self._topics = foxglove.Topics(plan.name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
+        self._topics = foxglove.Topics(plan)
         self._bus = self._channel(foxglove.bus_topic(plan.bus))
         self._channels = [self._channel(each) for each in self._topics.topics]
 
@@ -38,7 +38,7 @@ class McapExport:
         return int(self._writer.register_channel(topic.name, topic.encoding, schema))
 
     def _add(self, channel: int, time: float, data: bytes) -> None:
-        at = foxglove.stamp(time)
+        at = foxglove.nanoseconds(time)
         self._writer.add_message(channel, at, data, at)
 
     def add_message(self, message: Message) -> None:

@@ -1,89 +1,44 @@
-"""Images and messages in Foxglove's schemas, and its server; the only room that knows its SDK, which is an extra.
+"""Images and messages in Foxglove's schemas; with `foxglove_live` all that knows its SDK, which is an extra.
 
 Grids are foxglove.Grid, layouts foxglove.PointCloud, true to scale in m: x along a row, y down a column, in the
-array's own frame of reference, which bears the sensor's name.
+array's own frame of reference, which has the sensor's name.
 """
 
 import base64
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
-from tactiled.errors import ConfigError, TactileError
+from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.geometry import Array, Cells
 
 try:
-    import foxglove as sdk
     from foxglove import messages
 except ImportError:
-    sdk = messages = None  # type: ignore[assignment]
+    messages = None  # type: ignore[assignment]
 
-Floats = NDArray[np.float64]
-
-MM = 1e-3  # m
-BUS = {
-    "title": "CAN frame",
-    "type": "object",
-    "properties": {
-        "id": {"type": "integer", "description": "CAN id, 11 bits, or 29 where extended"},
-        "extended": {"type": "boolean"},
-        "fd": {"type": "boolean", "description": "CAN FD"},
-        "data": {"type": "string", "contentEncoding": "base64"},
-    },
-}
-WARNING = {
-    "type": "object",
-    "properties": {
-        "code": {"type": "string", "description": "for programs: it does not change"},
-        "taxels": {"type": ["integer", "null"], "description": "how many it is about, where that applies"},
-        "text": {"type": "string", "description": "for people: it may change"},
-    },
-}
+M_PER_MM = 1e-3
+LABEL_MM, DISC_MM = 1.0, 0.05  # height of a contact's text, and of its disc
+DISC_SIGMAS = 2.0  # radius of a contact's disc, in standard deviations of its pressure
+INTEGER, NUMBER, STRING, BOOLEAN, OBJECT = (
+    {"type": each} for each in ("integer", "number", "string", "boolean", "object")
+)  # in JSON Schema
+WARNING = OBJECT | {"properties": {"code": STRING, "taxels": INTEGER, "text": STRING}}
+BUS = {"id": INTEGER, "extended": BOOLEAN, "fd": BOOLEAN, "data": STRING | {"contentEncoding": "base64"}}
 STATUS = {
-    "title": "tactiled status",
-    "type": "object",
-    "properties": {
-        "sequence": {"type": "integer", "description": "counts up without wrapping, lost frames included"},
-        "method": {"type": "string"},
-        "why": {"type": "string"},
-        "iterations": {"type": "integer"},
-        "noise_kpa": {"type": "number", "description": "standard deviation of one raw taxel"},
-        "noise_gain": {"type": "number", "description": "restored noise over raw noise"},
-        "resolution_mm": {"type": "number", "description": "finest half-period above the noise"},
-        "force_n": {"type": "number", "description": "whole force of the restored image"},
-        "peak_kpa": {"type": "number", "description": "highest pressure of the restored image"},
-        "loss": {"type": "object", "description": "counts so far by kind"},
-        "warnings": {"type": "array", "items": WARNING},
-    },
-}
+    "sequence": INTEGER, "method": STRING, "why": STRING, "iterations": INTEGER, "noise_kpa": NUMBER,
+    "noise_gain": NUMBER, "resolution_mm": NUMBER, "force_n": NUMBER, "peak_kpa": NUMBER, "loss": OBJECT,
+    "warnings": {"type": "array", "items": WARNING},
+}  # fmt: skip
 STATE = {
-    "title": "tactiled state",
-    "type": "object",
-    "properties": {
-        "state": {
-            "type": "string",
-            "description": "live; stale: no new frame; silent: none yet; down: the bus is gone",
-        },
-        "detail": {"type": "string", "description": "one line on the state"},
-        "age_s": {"type": "number", "description": "since the last frame came in; left out before the first"},
-        "rate_hz": {"type": "number", "description": "frames a second"},
-        "method": {"type": "string", "description": "asked for"},
-        "loss": {"type": "object", "description": "counts so far by kind"},
-    },
-}
-PRESSURE, FLAGS = ("pressure_kpa", "<f4"), ("flags", "u1")  # fields of a cell
-SHEAR = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
-BACKLOG = 32  # messages that wait for one client of the server; the oldest is dropped
-LABEL_MM, DISC_MM, SPREADS = (
-    1.0,
-    0.05,
-    2.0,
-)  # of a contact: height of its text, of its disc; radius, std deviations
+    "state": STRING, "detail": STRING, "age_s": NUMBER, "rate_hz": NUMBER, "method": STRING, "loss": OBJECT
+}  # fmt: skip
 
 
 class Topic(NamedTuple):
@@ -102,142 +57,158 @@ def need(what: str) -> None:
         raise ConfigError(f"{what} needs Foxglove's SDK: pip install 'tactiled[foxglove]'")
 
 
-def stamp(time: float) -> int:
-    """Nanoseconds of a time (s)."""
-    return round(time * 1e9)
+def nanoseconds(seconds: float) -> int:
+    """A time as Foxglove has it."""
+    return round(seconds * 1e9)
 
 
-def _json(name: str, schema: dict[str, Any]) -> Topic:
-    return Topic(name, "json", schema["title"], "jsonschema", json.dumps(schema).encode())
+def _timestamp(seconds: float) -> Any:
+    sec, nsec = divmod(nanoseconds(seconds), 10**9)
+    return messages.Timestamp(sec=sec, nsec=nsec)
 
 
-class Surface:
-    """Images with the fields `form` a cell; cells are at `positions` (N, 2) and, on a grid, of a `side` (mm)."""
+def _pose(x_mm: float, y_mm: float, angle_rad: float = 0.0) -> Any:
+    """At a place, turned by an angle from x to y."""
+    return messages.Pose(
+        position=messages.Vector3(x=M_PER_MM * x_mm, y=M_PER_MM * y_mm, z=0),
+        orientation=messages.Quaternion(x=0, y=0, z=float(np.sin(angle_rad / 2)), w=float(np.cos(angle_rad / 2))),
+    )
+
+
+def _json_topic(name: str, title: str, properties: Mapping[str, object]) -> Topic:
+    schema = {"title": title, "type": "object", "properties": properties}
+    return Topic(name, "json", title, "jsonschema", json.dumps(schema).encode())
+
+
+def _protobuf_topic(name: str, kind: Any) -> Topic:
+    schema = kind.get_schema()
+    return Topic(name, "protobuf", schema.name, schema.encoding, schema.data)
+
+
+class _Surface:
+    """Images of one shape; `fields` are their values' names and numpy types."""
 
     def __init__(
-        self, name: str, shape: tuple[int, ...], positions: Floats, side: float, *form: tuple[str, str]
+        self,
+        name: str,
+        shape: tuple[int, ...],
+        positions: NDArray[np.float64],
+        cell_mm: float,
+        *fields: tuple[str, str],
     ) -> None:
-        self._frame, self._columns = name.split("/")[1], shape[-1]
-        self._grid, self._side = len(shape) == 2, MM * side
+        self._frame_id, self._columns, self._side = name.split("/")[1], shape[-1], M_PER_MM * cell_mm
+        self._grid = len(shape) == 2
         place = () if self._grid else (("x", "<f4"), ("y", "<f4"), ("z", "<f4"))
-        self._data = np.zeros(shape, [*place, *form])
-        x, y = (MM * (positions[0] - side / 2)).tolist() if self._grid else (0.0, 0.0)
-        if not self._grid:
-            self._data["x"], self._data["y"] = MM * positions.T
-        self._pose = messages.Pose(
-            position=messages.Vector3(x=x, y=y, z=0), orientation=messages.Quaternion(x=0, y=0, z=0, w=1)
-        )
-        self._fields = [_field(self._data.dtype, each) for each in self._data.dtype.names or ()]
-        schema = (messages.Grid if self._grid else messages.PointCloud).get_schema()
-        self.topic = Topic(name, "protobuf", schema.name, schema.encoding, schema.data)
+        self._data = np.zeros(shape, [*place, *fields])
+        if self._grid:
+            self._pose = _pose(*(positions[0] - cell_mm / 2).tolist())
+        else:
+            self._pose = _pose(0, 0)
+            self._data["x"], self._data["y"] = M_PER_MM * positions.T
+        numbers = messages.PackedElementFieldNumericType
+        self._fields = [
+            messages.PackedElementField(
+                name=each, offset=offset, type=numbers.Uint8 if form == np.uint8 else numbers.Float32
+            )
+            for each, (form, offset, *_) in (self._data.dtype.fields or {}).items()
+        ]
+        self.topic = _protobuf_topic(name, messages.Grid if self._grid else messages.PointCloud)
 
     def message(self, time: float, **values: NDArray[np.float32] | NDArray[np.uint8]) -> bytes:
         """One image of a time (s), its values by field."""
         for name, each in values.items():
             self._data[name] = each
-        stride, at = self._data.itemsize, stamp(time)
-        told: dict[str, Any] = {
-            "timestamp": messages.Timestamp(sec=at // 10**9, nsec=at % 10**9),
-            "frame_id": self._frame,
+        stride = self._data.itemsize
+        content: dict[str, Any] = {
+            "timestamp": _timestamp(time),
+            "frame_id": self._frame_id,
             "pose": self._pose,
             "fields": self._fields,
             "data": self._data.tobytes(),
         }
         if not self._grid:
-            return messages.PointCloud(**told, point_stride=stride).encode()
-        side = messages.Vector2(x=self._side, y=self._side)
+            return messages.PointCloud(**content, point_stride=stride).encode()
+        size = messages.Vector2(x=self._side, y=self._side)
         rows: dict[str, Any] = {"row_stride": self._columns * stride, "cell_stride": stride}
-        return messages.Grid(**told, **rows, column_count=self._columns, cell_size=side).encode()
-
-
-def _field(form: np.dtype[Any], name: str) -> Any:
-    kind, offset = (form.fields or {name: (form, 0)})[name][:2]
-    number = messages.PackedElementFieldNumericType
-    return messages.PackedElementField(
-        name=name, offset=offset, type=number.Uint8 if kind == np.uint8 else number.Float32
-    )
+        return messages.Grid(**content, **rows, column_count=self._columns, cell_size=size).encode()
 
 
 class Topics:
     """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear."""
 
-    def __init__(self, name: str, array: Array, cells: Cells, surface_shape: tuple[int, ...], shear: bool) -> None:
-        side = array.pitch * array.frame_shape[0] / surface_shape[0]
-        self._raw = Surface(f"/{name}/raw", array.frame_shape, array.positions, array.pitch, PRESSURE, FLAGS)
-        self._restored = Surface(f"/{name}/restored", surface_shape, cells.positions, side, PRESSURE)
+    def __init__(self, plan: SensorPlan) -> None:
+        name, array, shape = plan.name, plan.array, plan.blur.surface_shape
+        cell_mm = array.pitch * array.frame_shape[0] / shape[0]
         taxels = array.frame_shape, array.positions, array.pitch
-        self._shear = Surface(f"/{name}/shear", *taxels, *SHEAR) if shear else None
-        self._areas = 1e-3 * cells.areas.astype(np.float32)  # kPa mm^2 are mN
-        self.topics = [self._raw.topic, self._restored.topic, _json(f"/{name}/status", STATUS)]
+        pressure = "pressure_kpa", "<f4"
+        self._raw = _Surface(f"/{name}/raw", *taxels, pressure, ("flags", "u1"))
+        self._restored = _Surface(f"/{name}/restored", shape, plan.cells.positions, cell_mm, pressure)
+        shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
+        self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
+        self._areas = 1e-3 * plan.cells.areas.astype(np.float32)  # kPa mm^2 are mN
+        status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
+        self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [self._shear.topic] if self._shear else []
 
     def messages(self, image: Image) -> list[bytes]:
         """One image with all that is known of it: a message for each of the topics."""
-        told = {key: getattr(image, key) for key in STATUS["properties"] if hasattr(image, key)}
-        told["force_n"] = float(np.dot(self._areas, image.restored.reshape(-1)))
-        told["peak_kpa"] = float(image.restored.max(initial=0))
-        told["loss"], told["warnings"] = asdict(image.loss), [asdict(each) for each in image.warnings]
-        made = [
+        status = {key: getattr(image, key) for key in STATUS if hasattr(image, key)} | {
+            "force_n": float(np.dot(self._areas, image.restored.reshape(-1))),
+            "peak_kpa": float(image.restored.max(initial=0)),
+            "loss": asdict(image.loss),
+            "warnings": [asdict(each) for each in image.warnings],
+        }
+        encoded = [
             self._raw.message(image.time, pressure_kpa=image.raw, flags=image.flags),
             self._restored.message(image.time, pressure_kpa=image.restored),
-            json.dumps(told).encode(),
+            json.dumps(status).encode(),
         ]
         if self._shear and image.shear is not None:
             x, y = image.shear
-            made.append(self._shear.message(image.time, shear_x_counts=x, shear_y_counts=y))
-        return made
+            encoded.append(self._shear.message(image.time, shear_x_counts=x, shear_y_counts=y))
+        return encoded
 
 
 def bus_topic(name: str) -> Topic:
     """A bus's data frames: /NAME."""
-    return _json(f"/{name}", BUS)
+    return _json_topic(f"/{name}", "CAN frame", BUS)
 
 
 def bus_message(message: Message) -> bytes:
     """One data frame."""
     data = base64.b64encode(message.data).decode()
-    told = {"id": message.id, "extended": message.extended, "fd": message.fd, "data": data}
-    return json.dumps(told).encode()
+    content = {"id": message.id, "extended": message.extended, "fd": message.fd, "data": data}
+    return json.dumps(content).encode()
 
 
 def state_topic(name: str) -> Topic:
     """How a sensor is doing: /NAME/state."""
-    return _json(f"/{name}/state", STATE)
+    return _json_topic(f"/{name}/state", "tactiled state", STATE)
 
 
 def contacts_topic(name: str) -> Topic:
-    """Where something touches: /NAME/contacts, for the scene that the images lie in."""
-    schema = messages.SceneUpdate.get_schema()
-    return Topic(f"/{name}/contacts", "protobuf", schema.name, schema.encoding, schema.data)
+    """The contacts, /NAME/contacts, for the scene that the images lie in."""
+    return _protobuf_topic(f"/{name}/contacts", messages.SceneUpdate)
 
 
 def contacts_message(name: str, time: float, contacts: tuple[Contact, ...]) -> bytes:
     """The contacts (mm, N) of a time (s), in place of those before: an ellipse each, its force beside it."""
-    at = stamp(time)
-    when = messages.Timestamp(sec=at // 10**9, nsec=at % 10**9)
-    gone = messages.SceneEntityDeletion(timestamp=when, type=messages.SceneEntityDeletionType.All)
+    at = _timestamp(time)
+    deletion = messages.SceneEntityDeletion(timestamp=at, type=messages.SceneEntityDeletionType.All)
     entities = [
         messages.SceneEntity(
-            timestamp=when, frame_id=name, id=str(each.id), cylinders=[_ellipse(each)], texts=[_label(each)]
+            timestamp=at, frame_id=name, id=str(each.id), cylinders=[_ellipse(each)], texts=[_label(each)]
         )
         for each in contacts
     ]
-    return messages.SceneUpdate(deletions=[gone], entities=entities).encode()
-
-
-def _pose(contact: Contact, turned: float = 0.0) -> Any:
-    """At a contact's centre, turned by an angle (rad) from x to y."""
-    return messages.Pose(
-        position=messages.Vector3(x=MM * contact.x_mm, y=MM * contact.y_mm, z=0),
-        orientation=messages.Quaternion(x=0, y=0, z=float(np.sin(turned / 2)), w=float(np.cos(turned / 2))),
-    )
+    return messages.SceneUpdate(deletions=[deletion], entities=entities).encode()
 
 
 def _ellipse(contact: Contact) -> Any:
-    across = (2 * SPREADS * MM * each for each in (contact.major_mm, contact.minor_mm))
+    across = 2 * DISC_SIGMAS * M_PER_MM
     return messages.CylinderPrimitive(
-        pose=_pose(contact, contact.angle_rad),
-        size=messages.Vector3(**dict(zip("xy", across, strict=True)), z=MM * DISC_MM),
+        pose=_pose(contact.x_mm, contact.y_mm, contact.angle_rad),
+        size=messages.Vector3(x=across * contact.major_mm, y=across * contact.minor_mm, z=M_PER_MM * DISC_MM),
         bottom_scale=1,
         top_scale=1,
         color=messages.Color(r=1, g=1, b=1, a=0.4),
@@ -246,33 +217,9 @@ def _ellipse(contact: Contact) -> Any:
 
 def _label(contact: Contact) -> Any:
     return messages.TextPrimitive(
-        pose=_pose(contact),
+        pose=_pose(contact.x_mm, contact.y_mm),
         billboard=True,
-        font_size=MM * LABEL_MM,
+        font_size=M_PER_MM * LABEL_MM,
         color=messages.Color(r=1, g=1, b=1, a=1),
         text=f"{contact.force_n:.2f} N",
     )
-
-
-class Live:
-    """A server for Foxglove's apps on a port of loopback (0: any free one)."""
-
-    def __init__(self, port: int) -> None:
-        need("server.foxglove")
-        self._context = sdk.Context()
-        try:
-            self._server = sdk.start_server(
-                name="tactiled", host="127.0.0.1", port=port, context=self._context, message_backlog_size=BACKLOG
-            )
-        except RuntimeError as error:
-            raise TactileError(f"server.foxglove = {port}: {error}: choose another port, or 0 for any") from error
-        self.port: int = self._server.port
-
-    def channel(self, topic: Topic) -> "sdk.Channel":
-        """Offer a topic; its `log` sends a message, and `has_sinks` says whether anyone listens."""
-        schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
-        return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=self._context)
-
-    def stop(self) -> None:
-        """Close the port."""
-        self._server.stop()

@@ -1,100 +1,110 @@
-"""What the sensors show, live in Foxglove's apps: newest wins, and nothing is made that nobody looks at."""
+"""A server for Foxglove's apps: newest wins, and no message is made without a subscriber."""
 
 import json
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 
+from tactiled.errors import TactileError
 from tactiled.frames import Image
 from tactiled.interop import foxglove
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 
-STATE_S = 1.0  # a client hears of a sensor's state at least this often
-CONTACTS_S = 0.05  # between two messages on contacts
+with suppress(ImportError):  # `foxglove.need` says so
+    import foxglove as sdk
+
+STATE_EVERY_S = 1.0  # between two messages on a sensor's state, at most
+CONTACTS_EVERY_S = 0.05  # between two messages on contacts, at least
+BACKLOG = 32  # messages that wait for one client of the server; the oldest is dropped
 
 
-class _Line:
-    """One sensor's topics."""
+class _SensorChannels:
+    """One sensor's topics on the server."""
 
-    def __init__(self, live: foxglove.Live, sensor: Sensor) -> None:
-        plan, name = sensor.plan, sensor.name
-        self._sensor = sensor
-        self._topics = foxglove.Topics(name, plan.array, plan.cells, plan.blur.surface_shape, plan.shears)
-        self._images = [live.channel(topic) for topic in self._topics.topics]
-        self._state = live.channel(foxglove.state_topic(name))
-        self._contacts = live.channel(foxglove.contacts_topic(name))
-        self._shown: Image | None = None
-        self._told = ""
-        self._told_at = self._touched_at = -STATE_S
+    def __init__(self, context: "sdk.Context", sensor: Sensor) -> None:
+        def channel(topic: foxglove.Topic) -> "sdk.Channel":
+            schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
+            return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=context)
 
-    def show(self, now: float) -> None:
+        self._sensor, self._topics = sensor, foxglove.Topics(sensor.plan)
+        self._images = [channel(topic) for topic in self._topics.topics]
+        self._state = channel(foxglove.state_topic(sensor.name))
+        self._contacts = channel(foxglove.contacts_topic(sensor.name))
+        self._image: Image | None = None  # the last one sent
+        self._state_sent = ""
+        self._state_sent_at = self._contacts_sent_at = -STATE_EVERY_S
+
+    def send(self, now: float) -> None:
         """Send what is new at `now` (s, monotonic) to whoever has subscribed."""
         image = self._sensor.hub.latest()
-        seen = any(channel.has_sinks() for channel in (*self._images, self._contacts))
-        if seen and image is not None and image is not self._shown:
-            self._shown = image
-            if any(channel.has_sinks() for channel in self._images):
+        images_subscribed = any(channel.has_sinks() for channel in self._images)
+        contacts_subscribed = self._contacts.has_sinks()
+        if image is not None and image is not self._image and (images_subscribed or contacts_subscribed):
+            self._image = image
+            if images_subscribed:
                 for channel, message in zip(self._images, self._topics.messages(image), strict=True):
-                    channel.log(message, log_time=foxglove.stamp(image.time))
-            if self._contacts.has_sinks() and now - self._touched_at >= CONTACTS_S:
-                self._touch(now)
+                    channel.log(message, log_time=foxglove.nanoseconds(image.time))
+            if contacts_subscribed and now - self._contacts_sent_at >= CONTACTS_EVERY_S:
+                self._contacts_sent_at = now
+                self._send_contacts()
         if self._state.has_sinks():
-            self._tell(now)
+            self._send_state(now)
 
-    def _touch(self, now: float) -> None:
-        self._touched_at = now
+    def _send_contacts(self) -> None:
         image, contacts = self._sensor.contacts()
         if image is not None:
             message = foxglove.contacts_message(self._sensor.name, image.time, contacts)
-            self._contacts.log(message, log_time=foxglove.stamp(image.time))
+            self._contacts.log(message, log_time=foxglove.nanoseconds(image.time))
 
-    def _tell(self, now: float) -> None:
-        """Send the state when it has changed, and at least every STATE_S."""
+    def _send_state(self, now: float) -> None:
+        """Send the state when it has changed, and every STATE_EVERY_S."""
         status = self._sensor.status()
-        if status.state == self._told and now - self._told_at < STATE_S:
+        if status.state == self._state_sent and now - self._state_sent_at < STATE_EVERY_S:
             return
-        self._told, self._told_at = status.state, now
-        told = {
-            "state": status.state,
-            "detail": status.detail,
-            "rate_hz": status.rate_hz,
-            "method": self._sensor.method,
-            "loss": asdict(status.loss),
-        }
-        known = {} if status.age_s is None else {"age_s": status.age_s}
-        self._state.log(json.dumps(told | known).encode(), log_time=time.time_ns())
+        self._state_sent, self._state_sent_at = status.state, now
+        values = {name: getattr(status, name, None) for name in foxglove.STATE}
+        values |= {"method": self._sensor.method, "loss": asdict(status.loss)}
+        content = {name: value for name, value in values.items() if value is not None}
+        self._state.log(json.dumps(content).encode(), log_time=time.time_ns())
 
 
 @contextmanager
 def bridge(service: Service, port: int | None) -> Iterator[int | None]:
-    """Serve Foxglove's apps meanwhile, where a port is given; gives the port that was taken."""
+    """Serve Foxglove's apps meanwhile on a port of loopback (0: any free one); gives the port, None without."""
     if port is None:
         yield None
         return
-    live = foxglove.Live(port)
-    lines = {name: _Line(live, sensor) for name, sensor in service.sensors.items()}
+    foxglove.need("server.foxglove")
+    context = sdk.Context()
+    try:
+        server = sdk.start_server(
+            name="tactiled", host="127.0.0.1", port=port, context=context, message_backlog_size=BACKLOG
+        )
+    except RuntimeError as error:
+        raise TactileError(f"server.foxglove = {port}: {error}: choose another port, or 0 for any") from error
+    sensors = {name: _SensorChannels(context, sensor) for name, sensor in service.sensors.items()}
     new, ended = threading.Event(), threading.Event()
 
     def work() -> None:
         while not ended.is_set():
-            new.wait(STATE_S / 2)
+            new.wait(STATE_EVERY_S / 2)
             new.clear()
-            for name, line in lines.items():
+            for name, channels in sensors.items():
                 with service.faults.turn(f"foxglove of {name}"):
-                    line.show(time.monotonic())
+                    channels.send(time.monotonic())
 
     thread = threading.Thread(target=work, name="foxglove", daemon=True)
-    leave = [sensor.hub.subscribe(lambda _: new.set()) for sensor in service.sensors.values()]
+    unsubscribe = [sensor.hub.subscribe(lambda _: new.set()) for sensor in service.sensors.values()]
     thread.start()
     try:
-        yield live.port
+        yield server.port
     finally:
-        for each in leave:
+        for each in unsubscribe:
             each()
         ended.set()
         new.set()
         thread.join()
-        live.stop()
+        server.stop()
