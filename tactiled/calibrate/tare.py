@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.restore.noise import NORMAL, outstanding
+from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
 
 CLEARLY = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
 AT_ZERO = 2.0  # noise standard deviations within which a taxel reads zero
@@ -30,17 +30,17 @@ def load_seen(frames: Sequence[NDArray[np.float32]], noise_kpa: float) -> str:
         return ""
     level = np.nanmean(values, axis=0)
     above = level - _unloaded(level, noise_kpa)
-    scatter = NORMAL * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
-    taxels = np.count_nonzero(above > outstanding(max(noise_kpa, scatter), level.size))
+    scatter = MAD_TO_SIGMA * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
+    taxels = np.count_nonzero(above > detection_threshold(max(noise_kpa, scatter), level.size))
     if taxels:
         return f"contact of {above.max():.3g} kPa on {taxels} taxel{'s' if taxels > 1 else ''}"
     moved = float(np.nanmax(np.abs(values - level)))
-    return f"readings that move by {moved:.3g} kPa" if moved > outstanding(noise_kpa, values.size) else ""
+    return f"readings that move by {moved:.3g} kPa" if moved > detection_threshold(noise_kpa, values.size) else ""
 
 
 def _unloaded(level: Floats, noise_kpa: float) -> float:
     """Reading (kPa) of a taxel without a load."""
-    median, reach = float(np.median(level)), outstanding(noise_kpa, level.size)
+    median, reach = float(np.median(level)), detection_threshold(noise_kpa, level.size)
     at_zero = np.count_nonzero(np.abs(level) < max(AT_ZERO * noise_kpa, SKIRT * level.max()))
     pressed = median > CLEARLY * reach and level.min() > -reach and at_zero >= UNPRESSED * level.size
     return 0.0 if pressed else median

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from tactiled.restore.aliases import Aliases
-from tactiled.restore.loads import Loads
+from tactiled.restore.aliasing import Aliasing
 from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
+from tactiled.restore.point_response import PointResponse
 
 RANK_TOLERANCE = 1e-7  # of the largest separable part: float32 loses smaller ones anyway
 FINE = 4  # cells along each side of a taxel, of which one is the load of a point
@@ -35,12 +35,12 @@ class Blur:
         raise NotImplementedError
 
     @cached_property
-    def loads(self) -> Loads | None:
+    def response(self) -> PointResponse | None:
         """What a small load anywhere is to the taxels; None where there is no grid."""
         return None
 
     @cached_property
-    def aliases(self) -> Aliases | None:
+    def aliasing(self) -> Aliasing | None:
         """What pressure finer than the grid does to the taxels; None where cells are finer or there is no grid."""
         return None
 
@@ -87,14 +87,14 @@ class GridBlur(Blur):
         return grid_modes(self._rows, self._columns, *marginals)
 
     @cached_property
-    def loads(self) -> Loads | None:
+    def response(self) -> PointResponse | None:
         """What a small load anywhere is to the taxels."""
-        return Loads(self._stencil(FINE), self._shape, FINE)
+        return PointResponse(self._stencil(FINE), self._shape, FINE)
 
     @cached_property
-    def aliases(self) -> Aliases | None:
+    def aliasing(self) -> Aliasing | None:
         """What pressure finer than the grid does to the taxels; None where cells are finer."""
-        return Aliases(self._stencil(FINE), self._shape, FINE) if self._refine == 1 else None
+        return Aliasing(self._stencil(FINE), self._shape, FINE) if self._refine == 1 else None
 
     def cut(self, shape: tuple[int, int]) -> "GridBlur":
         """Make the blur of fewer taxels, of `shape`, under the same cover."""
@@ -115,9 +115,9 @@ def _product(right: Floats) -> Apply:
     return lambda x: np.asarray(x @ rights[x.dtype])
 
 
-def _sum_of_products(left: list[Floats], right: list[Floats]) -> Apply:
-    """Give x -> sum left[k] x right[k], in x's own precision."""
-    lefts, rights = _in_both_precisions(np.concatenate(left, axis=1)), _in_both_precisions(np.stack(right))
+def _sum_of_products(a: list[Floats], b: list[Floats]) -> Apply:
+    """Give x -> sum a[k] x b[k], in x's own precision."""
+    lefts, rights = _in_both_precisions(np.concatenate(a, axis=1)), _in_both_precisions(np.stack(b))
 
     def apply(x: Array) -> Array:
         across = x[..., None, :, :] @ rights[x.dtype]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,24 +10,42 @@ from numpy.typing import NDArray
 from tactiled.errors import ConfigError
 from tactiled.restore.auto import POINTS, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.inpaint import Gaps
+from tactiled.restore.deviation import deviation, raw_deviation
+from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.modes import Floats, Image
-from tactiled.restore.noise import HUGE
-from tactiled.restore.nonnegative import Nonneg
-from tactiled.restore.points import Point, Points
-from tactiled.restore.richardson_lucy import Lucy
+from tactiled.restore.noise import IMPLAUSIBLE_KPA
+from tactiled.restore.nonnegative import Nonnegative
+from tactiled.restore.points import Points
+from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Restored, Scene
-from tactiled.restore.total_variation import Variation
-from tactiled.restore.wiener import Wiener, deviation, untouched
+from tactiled.restore.total_variation import TotalVariation
+from tactiled.restore.wiener import Wiener
 from tactiled.restore.window import Windowed, fits
 
-Run = Callable[[Image], Restored]
-
-LUCY = 30  # iterations of Richardson-Lucy, at most
-FAST = 24  # of the accelerated: 30 are 1 % better at 16 squared, and take over five times the median at times
-ASKED = "selected by hand"
-TOO_MANY = "not a few point loads; used NNLS"
+RL_ITERATIONS = 30  # of Richardson-Lucy, at most
+FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five times the median at times
+BY_HAND = "selected by hand"
+NO_POINTS = "not a few point loads; used NNLS"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
+
+
+class Method(Protocol):
+    """What a name in METHODS makes of a scene."""
+
+    def __call__(self, y: Image) -> Restored:
+        """Restore a frame without gaps."""
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+
+    def prepare(self) -> None:
+        """Make now what any frame may need, so that none has to wait for it."""
+
+    def is_idle(self, y: Image) -> bool:
+        """Whether a frame is noise and nothing else, so that its gaps need not be filled."""
+
+    def deviation(self) -> Floats:
+        """Standard deviation (kPa) of every cell of the image last restored."""
 
 
 class Restorer:
@@ -35,42 +53,23 @@ class Restorer:
 
     def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
         self._scene = Scene(blur, noise_kpa)
-        self._gaps = Gaps(blur.modes)
+        self._inpainter = Inpainter(blur.modes)
         self._method = METHODS[method](self._scene)
-        self._run = self._method.run
-        self._image: Image | None = None  # the last
+        self.prepare, self.reset = self._method.prepare, self._method.reset
+        self.deviation = self._method.deviation
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
-        y = np.ascontiguousarray(frame, np.float32)
-        scene = self._scene
-        scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
-        if not (scene.high < HUGE and scene.low > -HUGE) or (flags is not None and flags.any()):
-            y = self._gaps.mask(y, flags)
-            scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
-            if not self._method.rests(y):
-                y = self._gaps.fill()
-                scene.high, scene.low = y.item(y.argmax()), y.item(y.argmin())
-        done = self._run(y)
-        self._image = done.image
-        return done
-
-    def prepare(self) -> None:
-        """Make now what any frame may need, so that none has to wait for it."""
-        self._method.prepare()
-
-    def reset(self) -> None:
-        """Forget the frames so far."""
-        self._method.forget()
-
-    @property
-    def points(self) -> tuple[Point, ...]:
-        """Loads (mm from the first taxel, N) that make up the image last restored; none if it is no few points."""
-        return self._method.points.found if self._method.points else ()
-
-    def deviation(self) -> Floats:
-        """Standard deviation (kPa) of every cell of the image last restored."""
-        return self._method.spread() if self._method.spread else deviation(self._scene, self._image)
+        y, scene = np.ascontiguousarray(frame, np.float32), self._scene
+        scene.measure_range(y)
+        plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
+        if not plausible or (flags is not None and flags.any()):
+            y = self._inpainter.mask(y, flags)
+            scene.measure_range(y)
+            if not self._method.is_idle(y):
+                y = self._inpainter.fill()
+                scene.measure_range(y)
+        return self._method(y)
 
 
 def require(name: str) -> None:
@@ -87,111 +86,122 @@ def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
     return Restorer(name, blur, float(noise_kpa))
 
 
-class Method(NamedTuple):
-    """What a name in METHODS stands for."""
+class _Linear:
+    """Wiener's filter, and what other methods share with it."""
 
-    run: Run
-    forget: Callable[[], None] = lambda: None
-    prepare: Callable[[], None] = lambda: None
-    rests: Callable[[Image], bool] = lambda _: False  # whether a frame needs none of its gaps filled
-    points: Points | Windowed | None = None  # what fits them
-    spread: Callable[[], Floats] | None = None  # deviation of an image that is not the linear one
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._wiener = scene, Wiener(scene)
+        self._image: Image | None = None  # the last
 
+    def __call__(self, y: Image) -> Restored:
+        self._scene.look(y)
+        return self._done(self._wiener(), "wiener", 0, self._wiener.filter().noise_gain)
 
-def _raw(scene: Scene) -> Method:
-    repeat = [n // m for n, m in zip(scene.blur.surface_shape, scene.blur.frame_shape, strict=True)]
-    image, wiener = np.empty(scene.blur.surface_shape, np.float32), Wiener(scene)
-    cells = image.reshape([each for m, k in zip(scene.blur.frame_shape, repeat, strict=True) for each in (m, k)])
+    def _done(self, image: Image, name: str, iterations: int, gain: float, why: str = BY_HAND) -> Restored:
+        self._image = image
+        return Restored(image, name, why, iterations, gain, self._scene.resolution())
 
-    def run(y: Image) -> Restored:
-        scene.look(y)
-        cells[...] = y.reshape([each for m in y.shape for each in (m, 1)])
-        return Restored(image, "raw", ASKED, 0, 1.0, scene.resolution())
+    def reset(self) -> None:
+        """Forget nothing: each frame stands alone."""
 
-    return Method(run, spread=lambda: untouched(scene, wiener))
+    def prepare(self) -> None:
+        self._scene.prepare(self._wiener.filter)
 
+    def is_idle(self, y: Image) -> bool:
+        del y
+        return False
 
-def _wiener(scene: Scene) -> Method:
-    wiener = Wiener(scene)
-
-    def run(y: Image) -> Restored:
-        scene.look(y)
-        image = wiener()
-        chosen = wiener.chosen
-        return Restored(image, "wiener", ASKED, 0, chosen.noise_gain, chosen.resolution_mm)
-
-    return Method(run, prepare=partial(scene.ahead, wiener.prepare))
+    def deviation(self) -> Floats:
+        return deviation(self._scene, self._image)
 
 
-def _lucy(scene: Scene, accelerate: bool = False) -> Method:
-    lucy, wiener = Lucy(scene, FAST if accelerate else LUCY, accelerate), Wiener(scene)
-    name = "rl-fast" if accelerate else "rl"
+class _Raw(_Linear):
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        taxels, cells = scene.blur.frame_shape, scene.blur.surface_shape
+        self._cells = np.empty(cells, np.float32)
+        self._blocks = self._cells.reshape(
+            [each for m, n in zip(taxels, cells, strict=True) for each in (m, n // m)]
+        )
 
-    def run(y: Image) -> Restored:
-        scene.look(y)
-        done = lucy(y)
-        return Restored(lucy.image, name, ASKED, done, wiener.filter.noise_gain, scene.resolution())
+    def __call__(self, y: Image) -> Restored:
+        self._scene.look(y)
+        self._blocks[...] = y.reshape([each for m in y.shape for each in (m, 1)])
+        return self._done(self._cells, "raw", 0, 1.0)
 
-    return Method(run, prepare=partial(scene.ahead, wiener.prepare))
+    def prepare(self) -> None:
+        """Nothing is needed."""
 
-
-def _nonneg(scene: Scene, solver: Nonneg | None = None, name: str = "nnls", why: str = ASKED) -> Method:
-    nonneg, wiener = solver or Nonneg(scene), Wiener(scene)
-
-    def run(y: Image) -> Restored:
-        scene.look(y)
-        done = nonneg(wiener)
-        gain = nonneg.noise_gain(wiener.filter.noise_gain)
-        return Restored(nonneg.image, name, why, done, gain, scene.resolution())
-
-    return Method(run, nonneg.reset, partial(scene.ahead, wiener.prepare, nonneg.prepare))
+    def deviation(self) -> Floats:
+        return raw_deviation(self._scene, self._wiener)
 
 
-def _variation(scene: Scene) -> Method:
-    if len(scene.blur.surface_shape) == 1:
-        return _nonneg(scene, why=NO_AREA)
-    return _nonneg(scene, Variation(scene), "tv")
+class _RichardsonLucy(_Linear):
+    def __init__(self, scene: Scene, name: str) -> None:
+        super().__init__(scene)
+        self._name, fast = name, name == "rl-fast"
+        self._solver = RichardsonLucy(scene, FAST_RL_ITERATIONS if fast else RL_ITERATIONS, fast)
+
+    def __call__(self, y: Image) -> Restored:
+        self._scene.look(y)
+        done = self._solver(y)
+        return self._done(self._solver.image, self._name, done, self._wiener.filter().noise_gain)
 
 
-def _points(scene: Scene) -> Method:
-    nonneg, wiener, points = Nonneg(scene), Wiener(scene), Points(scene)
+class _Nonnegative(_Linear):
+    def __init__(self, scene: Scene, name: str = "nnls", why: str = BY_HAND) -> None:
+        super().__init__(scene)
+        self._name, self._why = name, why
+        self._solver = TotalVariation(scene) if name == "tv" else Nonnegative(scene)
 
-    def run(y: Image) -> Restored:
-        scene.look(y)
-        done = nonneg(wiener)
-        steps = points(y, nonneg.image)
+    def __call__(self, y: Image) -> Restored:
+        self._scene.look(y)
+        done = self._solver(self._wiener)
+        gain = self._solver.noise_gain(self._wiener.filter().noise_gain)
+        return self._done(self._solver.image, self._name, done, gain, self._why)
+
+    def reset(self) -> None:
+        self._solver.reset()
+
+    def prepare(self) -> None:
+        self._scene.prepare(self._wiener.filter, self._solver.prepare)
+
+
+def _total_variation(scene: Scene) -> Method:
+    return _Nonnegative(scene, "tv") if len(scene.blur.surface_shape) == 2 else _Nonnegative(scene, why=NO_AREA)
+
+
+class _Points(_Nonnegative):
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        self._points = Points(scene)
+
+    def __call__(self, y: Image) -> Restored:
+        done, drawing = super().__call__(y), self._points.drawing
+        steps = self._points(y, done.image)
         if steps:
-            drawn = points.drawing
-            return Restored(drawn.image, "points", POINTS, done + steps, drawn.noise_gain, scene.resolution())
-        gain = nonneg.noise_gain(wiener.filter.noise_gain)
-        return Restored(nonneg.image, "nnls", points.never or TOO_MANY, done, gain, scene.resolution())
+            return self._done(drawing.image, "points", done.iterations + steps, drawing.noise_gain, POINTS)
+        return done._replace(why=self._points.unavailable or NO_POINTS)
 
-    def forget() -> None:
-        nonneg.reset()
-        points.reset()
+    def reset(self) -> None:
+        super().reset()
+        self._points.reset()
 
-    def spread() -> Floats:
-        return points.drawing.deviation() if points.found else deviation(scene, nonneg.image)
-
-    prepare = partial(scene.ahead, wiener.prepare, nonneg.prepare)
-    return Method(run, forget, prepare, points=points, spread=spread)
+    def deviation(self) -> Floats:
+        return self._points.drawing.deviation() if self._points.loads else super().deviation()
 
 
 def _auto(scene: Scene) -> Method:
-    auto = Auto(scene)
-    if not fits(scene.blur):
-        return Method(auto, auto.reset, auto.prepare, auto.rests, auto.points, auto.deviation)
-    windowed = Windowed(auto, scene)
-    return Method(windowed, windowed.reset, windowed.prepare, auto.rests, windowed, windowed.deviation)
+    return Windowed(scene) if fits(scene.blur) else Auto(scene)
 
 
 METHODS: dict[str, Callable[[Scene], Method]] = {
     "auto": _auto,
-    "raw": _raw,
-    "wiener": _wiener,
-    "rl": _lucy,
-    "rl-fast": lambda scene: _lucy(scene, accelerate=True),
-    "nnls": _nonneg,
-    "tv": _variation,
-    "points": _points,
+    "raw": _Raw,
+    "wiener": _Linear,
+    "rl": partial(_RichardsonLucy, name="rl"),
+    "rl-fast": partial(_RichardsonLucy, name="rl-fast"),
+    "nnls": _Nonnegative,
+    "tv": _total_variation,
+    "points": _Points,
 }

@@ -14,26 +14,27 @@ Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 
-class Sandwich:
+class Transform:
     """x -> left x right for frames (m, n), or x -> left x for vectors (m,), on buffers of its own.
 
     By the arrays' own `dot`: `np.dot` first asks who else may want the call, half as long as a small product.
     """
 
-    def __init__(self, left: Floats, right: Floats | None = None) -> None:
-        self._left = np.ascontiguousarray(left, np.float32)
-        self._right = None if right is None else np.ascontiguousarray(right, np.float32)
-        rows, columns = len(left), left.shape[1] if right is None else len(right)
-        self._between = np.empty((rows, columns), np.float32)
-        self.shape = (rows,) if right is None else (rows, right.shape[1])
+    def __init__(self, bases: tuple[Floats, ...]) -> None:
+        self._rows = np.ascontiguousarray(bases[0], np.float32)
+        self._columns = np.ascontiguousarray(bases[1].T, np.float32) if len(bases) == 2 else None
+        self.shape = tuple(len(basis) for basis in bases)
+        self._between = np.empty(
+            (len(self._rows), len(self._columns) if self._columns is not None else 0), np.float32
+        )
 
     def __call__(self, x: Image, out: Image) -> Image:
         """Fill `out` and return it; float32, C-contiguous."""
-        if self._right is None:
-            self._left.dot(x, out)
+        if self._columns is None:
+            self._rows.dot(x, out)
         else:
-            self._left.dot(x, self._between)
-            self._between.dot(self._right, out)
+            self._rows.dot(x, self._between)
+            self._between.dot(self._columns, out)
         return out
 
     def empty(self) -> Image:
@@ -55,27 +56,25 @@ class Modes:
         """Where among the surface's modes those are that the taxels can see."""
         return tuple(slice(n) for n in self.gain.shape)
 
-    def to_taxel_modes(self) -> Sandwich:
+    def to_taxel_modes(self) -> Transform:
         """U': a frame to its coefficients."""
-        return _sandwich(tuple(basis.T for basis in self.taxel))
+        return Transform(tuple(basis.T for basis in self.taxel))
 
-    def to_taxels(self) -> Sandwich:
+    def to_taxels(self) -> Transform:
         """U: coefficients to a frame."""
-        return _sandwich(self.taxel)
+        return Transform(self.taxel)
 
-    def to_surface_modes(self) -> Sandwich:
+    def to_surface_modes(self) -> Transform:
         """V': a surface image to all its coefficients."""
-        return _sandwich(tuple(basis.T for basis in self.surface))
+        return Transform(tuple(basis.T for basis in self.surface))
 
-    def to_surface(self, seen: bool = False) -> Sandwich:
-        """V: coefficients, all or only those `seen` by the taxels, to a surface image."""
-        if not seen:
-            return _sandwich(self.surface)
-        return _sandwich(tuple(basis[:, :n] for basis, n in zip(self.surface, self.gain.shape, strict=True)))
+    def to_surface(self) -> Transform:
+        """V: all coefficients to a surface image."""
+        return Transform(self.surface)
 
-
-def _sandwich(bases: tuple[Floats, ...]) -> Sandwich:
-    return Sandwich(bases[0], bases[1].T if len(bases) == 2 else None)
+    def head_to_surface(self) -> Transform:
+        """V: the coefficients that the taxels can see to a surface image."""
+        return Transform(tuple(basis[:, :n] for basis, n in zip(self.surface, self.gain.shape, strict=True)))
 
 
 def grid_modes(rows: list[Floats], columns: list[Floats], stencil_rows: Floats, stencil_columns: Floats) -> Modes:
@@ -94,10 +93,9 @@ def grid_modes(rows: list[Floats], columns: list[Floats], stencil_rows: Floats, 
 def matrix_modes(matrix: Floats) -> Modes:
     """Give the modes of any layout's matrix (N, M); Weyl's law, k ~ pi M q^2, stands in for a mode's frequency."""
     U, gain, Vt = np.linalg.svd(matrix)
-    count = len(gain)
     cells = matrix.shape[1]
     frequency = np.sqrt(np.arange(cells) / (np.pi * cells))
-    return Modes(gain, frequency, (U[:, :count],), (Vt.T,))
+    return Modes(gain, frequency, (U[:, : len(gain)],), (Vt.T,))
 
 
 def _axis(marginal: Floats) -> tuple[Floats, Floats]:

@@ -5,11 +5,11 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-HUGE = 1e12  # kPa: beyond any sensor, and its square still fits float32
-NORMAL = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
-FALL_BACK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
-APART = 0.5  # of the frames' mean square: if they differ from one to the next by more, they are no film
-PRESSED = 0.02  # of the mean square is the squared mean, at least, where something is pressed
+IMPLAUSIBLE_KPA = 1e12  # beyond any sensor, and its square still fits float32
+MAD_TO_SIGMA = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
+MIN_OVER_PEAK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
+UNRELATED_STEP = 0.5  # of the frames' mean square: successive frames that differ by more are not one recording
+PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where something is pressed
 
 Floats = NDArray[np.float64]
 
@@ -23,34 +23,34 @@ def estimate(frames: NDArray[np.floating]) -> float:
     the rest.
     """
     values = np.asarray(frames, float)
-    values = np.where(np.abs(values) < HUGE, values, np.nan)
-    found = _spread(np.diff(values, 2, axis=0), 6.0) if len(values) >= 3 else np.inf
-    if len(values) < 3 or _apart(values):
+    values = np.where(np.abs(values) < IMPLAUSIBLE_KPA, values, np.nan)
+    sigma = _sigma(np.diff(values, 2, axis=0), 6.0) if len(values) >= 3 else np.inf
+    if len(values) < 3 or _unrelated(values):
         axes = [axis for axis in range(1, values.ndim) if values.shape[axis] >= 3]
         across = values
         for axis in axes:
             across = np.diff(across, 2, axis=axis)
-        found = min(found, _spread(across, 6.0 ** len(axes)) if axes else np.inf)
-    known = np.abs(values[np.isfinite(values)])
-    return max(found if np.isfinite(found) else 0.0, FALL_BACK * float(known.max(initial=0.0)))
+        sigma = min(sigma, _sigma(across, 6.0 ** len(axes)) if axes else np.inf)
+    finite = np.abs(values[np.isfinite(values)])
+    return max(sigma if np.isfinite(sigma) else 0.0, MIN_OVER_PEAK * float(finite.max(initial=0.0)))
 
 
-def outstanding(noise_kpa: float, size: int) -> float:
-    """Pressure (kPa) that noise alone reaches on hardly any of `size` taxels."""
+def detection_threshold(noise_kpa: float, size: int) -> float:
+    """Pressure (kPa) that noise alone reaches on hardly any of `size` taxels: their expected maximum, and 1.5."""
     return noise_kpa * (sqrt(2 * log(size + 1)) + 1.5)
 
 
-def _spread(differences: Floats, variance: float) -> float:
-    """Standard deviation of what has differences of `variance` times its own; infinite where none is known."""
+def _sigma(differences: Floats, variance: float) -> float:
+    """Standard deviation of what has differences of `variance` times its own; infinite where there are none."""
     size = np.abs(differences[np.isfinite(differences)])
-    return NORMAL * float(np.median(size)) / np.sqrt(variance) if size.size else np.inf
+    return MAD_TO_SIGMA * float(np.median(size)) / np.sqrt(variance) if size.size else np.inf
 
 
-def _apart(values: Floats) -> bool:
-    """Whether pressed frames differ from one to the next as those of a film never do."""
+def _unrelated(values: Floats) -> bool:
+    """Whether pressed frames differ from one to the next as those of a recording never do."""
     step = np.diff(values, axis=0)
-    known, step = values[np.isfinite(values)], step[np.isfinite(step)]
-    if not (known.size and step.size):
+    finite, step = values[np.isfinite(values)], step[np.isfinite(step)]
+    if not (finite.size and step.size):
         return False
-    power = np.square(known).mean()
-    return bool(np.square(step).mean() > APART * power and known.mean() ** 2 > PRESSED * power)
+    power = np.square(finite).mean()
+    return bool(np.square(step).mean() > UNRELATED_STEP * power and finite.mean() ** 2 > PRESSED_MEAN * power)

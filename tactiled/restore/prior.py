@@ -5,7 +5,7 @@ variance h^2 S + sigma^2. Of a fixed family of (A, q0, p) the most likely one is
 modes pooled in blocks: a small matrix product a frame, and no cross-validation that small arrays mislead.
 """
 
-from functools import cache
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -13,84 +13,79 @@ from numpy.typing import NDArray
 
 from tactiled.restore.modes import Floats, Image, Modes
 
+# The family was chosen on the scenes of `python -m tests.study restore`.
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
 POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
-LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from nothing there to noise of 1e-4 of it all
-MOST = 100.0  # a filter that amplifies a mode by more leans on gains under 1 %, which no cover's model knows
+LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from no signal to noise of 1e-4 of it all
+MAX_AMPLIFICATION = 100.0  # a filter that amplifies more leans on gains under 1 %, which no cover's model knows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """One of the family, S over the noise's variance."""
+
+    level: float  # A
+    shape: Floats  # of every surface mode, 1 at no frequency
+    corner: float  # q0, cycles a cell
+    power: float  # p
+
+    @property
+    def ratio(self) -> Floats:
+        """S over the noise's variance, for every surface mode."""
+        return np.asarray(self.level * self.shape)
+
+    def fall(self, q: Floats) -> Floats:
+        """S at any frequency q (cycles a cell) over what it is at none."""
+        return np.asarray((1 + (q / self.corner) ** 2) ** -self.power)
 
 
 class Prior:
     """The family of spectra for one blur and one noise; `pick` is allocation-free."""
 
     def __init__(self, modes: Modes, noise: float) -> None:
-        self.noise = noise
-        self.modes = modes
         self._first = [_half_octaves(n) for n in modes.gain.shape]
         indicators = [_indicator(n, first) for n, first in zip(modes.gain.shape, self._first, strict=True)]
-        self._left = indicators[0]
-        self._right = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
+        self._rows = indicators[0]
+        self._columns = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
         count = self._pool(np.ones(modes.gain.shape))
-        self._levels: list[float] = []  # of the spectra, rising
-        self._shapes: list[Floats] = []
-        self._kinds: list[tuple[float, float]] = []  # q0, p
+        self.spectra: list[Spectrum] = []  # their levels rise
         costs: list[list[float]] = []
-        shapes = [(kind, _shape(modes.frequency, *kind)) for kind in product(CORNERS, POWERS)]
-        for level, (kind, shape) in product(LEVELS, shapes):
-            S = level * shape[modes.head]
-            amplified = float((modes.gain * S / (modes.gain**2 * S + 1)).max())
-            if amplified > MOST and costs:
+        shapes = [((1 + (modes.frequency / q0) ** 2) ** -p, q0, p) for q0, p in product(CORNERS, POWERS)]
+        for level, shape in product(LEVELS, shapes):
+            spectrum = Spectrum(level, *shape)
+            S = spectrum.ratio[modes.head]
+            amplification = float((modes.gain * S / (modes.gain**2 * S + 1)).max())
+            if amplification > MAX_AMPLIFICATION and costs:
                 continue
             v = noise**2 * (modes.gain**2 * S + 1)
             # The logarithms ride along as one more block, whose power is always 1.
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
-            self._levels.append(level)
-            self._shapes.append(shape)
-            self._kinds.append(kind)
+            self.spectra.append(spectrum)
         self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
         self.squares = np.empty(modes.gain.shape, np.float32)
         self._blocks = np.ones(count.size + 1, np.float32)
         self._power = self._blocks[:-1].reshape(count.shape)
-        self._between = np.empty((len(self._left), *modes.gain.shape[1:]), np.float32)
+        self._between = np.empty((len(self._rows), *modes.gain.shape[1:]), np.float32)
         self._cost = np.empty(len(self._cost_of), np.float32)
 
-    def _pool(self, values: Floats | Image) -> Floats:
+    def _pool(self, values: Floats) -> Floats:
         # Not by a matrix product: BLAS kernels may raise floating-point flags from lanes that they then discard.
         for axis, first in enumerate(self._first):
             values = np.add.reduceat(values, first, axis=axis)
         return np.asarray(values, float)
 
-    def __len__(self) -> int:
-        return len(self._levels)
-
-    def pick(self, c: Image) -> int:
-        """Number of the most likely spectrum for taxel modes' coefficients."""
+    def pick(self, c: Image) -> Spectrum:
+        """Give the most likely spectrum for taxel modes' coefficients."""
         np.multiply(c, c, out=self.squares)
-        if self._right is None:
-            self._left.dot(self.squares, self._power)
+        if self._columns is None:
+            self._rows.dot(self.squares, self._power)
         else:
-            self._left.dot(self.squares, self._between)
-            self._between.dot(self._right, self._power)
+            self._rows.dot(self.squares, self._between)
+            self._between.dot(self._columns, self._power)
         self._cost_of.dot(self._blocks, self._cost)
-        return int(self._cost.argmin())
-
-    def ratio(self, number: int) -> Floats:
-        """S over the noise's variance, for every surface mode."""
-        return np.asarray(self._levels[number] * self._shapes[number])
-
-    def corner(self, number: int) -> float:
-        """Frequency (cycles a cell) beyond which a spectrum falls."""
-        return self._kinds[number][0]
-
-    def fall(self, number: int, q: Floats) -> Floats:
-        """S at any frequency q (cycles a cell) over what it is at none."""
-        return _shape(q, *self._kinds[number])
+        return self.spectra[self._cost.argmin()]
 
 
-def _shape(q: Floats, q0: float, p: float) -> Floats:
-    return np.asarray((1 + (q / q0) ** 2) ** -p)
-
-
-@cache
 def _half_octaves(n: int) -> NDArray[np.intp]:
     """Where blocks of half an octave of n modes begin."""
     edges = [0, 1, 2, 3]

@@ -9,12 +9,12 @@ from tactiled.restore.modes import Image
 Map = Callable[[Image], Image]
 
 
-def conjugate_gradients(A: Map, b: Image, rounds: int, accuracy: float = 1e-3) -> Image:
-    """Solve A x = b for symmetric positive A; stops at `accuracy` of |b| or after `rounds`."""
+def conjugate_gradients(A: Map, b: Image, max_iterations: int, tolerance: float = 1e-3) -> Image:
+    """Minimise x'Ax / 2 - b'x for symmetric positive A, until |b - A x| is down to `tolerance` of |b|."""
     x, r = np.zeros_like(b), b.copy()
     p, rr = r.copy(), float(r @ r)
-    enough = accuracy**2 * rr
-    for _ in range(rounds):
+    enough = tolerance**2 * rr
+    for _ in range(max_iterations):
         if rr <= enough:
             break
         Ap = A(p)
@@ -32,35 +32,35 @@ def richardson_lucy(
     y: Image,
     x: Image,
     weight: Image,
-    iterations: int,
-    enough: float = 0.0,
+    max_iterations: int,
+    residual: float = 0.0,
     accelerate: bool = False,
 ) -> int:
-    """Multiply x (in place) by H'(y / H x) / H'1 up to `iterations` times; `weight` is 1 / H'1; gives how many.
+    """Minimise sum(H x - y log H x) over x >= 0 (in place): x <- x H'(y / H x) / H'1; `weight` is 1 / H'1.
 
-    Stops once the mean square of y - H x is down to `enough`, before it fits the noise. Accelerated by Biggs
-    and Andrews: extrapolates along the last step by the correlation of the last two.
+    Gives the iterations made: stops once the mean square of y - H x is down to `residual`, before it fits the
+    noise. Accelerated after Biggs and Andrews: along the last step, by the correlation of the last two.
     """
     ratio, floor = np.empty_like(y), np.float32(1e-6 * max(float(y.max()), 1e-30))
-    pace = _Pace(x) if accelerate else None
-    for done in range(iterations):
-        if pace is not None:
-            pace.leap(x)
+    momentum = _Momentum(x) if accelerate else None
+    for done in range(max_iterations):
+        if momentum is not None:
+            momentum.extrapolate(x)
         Hx = np.maximum(forward(x), floor)
         np.subtract(y, Hx, out=ratio)
-        if enough and float(np.vdot(ratio, ratio)) <= enough * y.size:
+        if residual and float(np.vdot(ratio, ratio)) <= residual * y.size:
             return done
         np.divide(y, Hx, out=ratio)
         correction = adjoint(ratio)
         np.multiply(correction, weight, out=correction)
         np.maximum(correction, 0, out=correction)
         np.multiply(x, correction, out=x)
-        if pace is not None:
-            pace.land(x)
-    return iterations
+        if momentum is not None:
+            momentum.update(x)
+    return max_iterations
 
 
-class _Pace:
+class _Momentum:
     """How far to extrapolate along the last step."""
 
     def __init__(self, x: Image) -> None:
@@ -68,7 +68,7 @@ class _Pace:
         self._step, self._before = np.zeros_like(x), np.zeros_like(x)
         self._factor = 0.0
 
-    def leap(self, x: Image) -> None:
+    def extrapolate(self, x: Image) -> None:
         """Move x (in place) on along its last step, never below 0."""
         np.subtract(x, self._last, out=self._start)
         self._last[...] = x
@@ -77,7 +77,7 @@ class _Pace:
         np.maximum(x, 0, out=x)
         self._start[...] = x
 
-    def land(self, x: Image) -> None:
+    def update(self, x: Image) -> None:
         """Learn the factor from the step just made."""
         np.subtract(x, self._start, out=self._step)
         norm = float(np.vdot(self._before, self._before))

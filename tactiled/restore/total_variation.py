@@ -3,14 +3,15 @@
 import numpy as np
 
 from tactiled.restore.modes import Image
-from tactiled.restore.nonnegative import LOOSE, PENALTY, Nonneg, Step
+from tactiled.restore.nonnegative import PENALTY, SPARSE_GAUSSIAN, Nonnegative, Step
 from tactiled.restore.scene import Scene
 
-WEIGHT = 0.04  # of the variation: times the geometric mean of noise and contrast
-CORNER = 0.2  # cycles a cell: a scene whose spectrum reaches further has few flat parts to look for
-WARM = 0.2  # noise standard deviations: from the image before, the pull needs a little longer than the image
-LEAST = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
-DUAL = 0.125  # step of the edges' pull: 1 over the largest eigenvalue of a grid's differences
+# Weight, corner and tolerance were chosen on the scenes of `python -m tests.study restore`.
+VARIATION_WEIGHT = 0.04  # times the geometric mean of noise and contrast
+FLAT_CORNER = 0.2  # cycles a cell: a scene whose spectrum reaches further has few flat parts to look for
+WARM_TOLERANCE = 0.2  # noise standard deviations: from the image before, the pull needs longer than the image
+MIN_WEIGHT = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
+DUAL_STEP = 0.125  # of the edges' pull: 1 over the largest eigenvalue of a grid's differences
 
 
 class Edges:
@@ -25,37 +26,40 @@ class Edges:
         x = np.zeros(cells + columns, np.float32)
         self.x, self._right, self._under = x[:cells], x[1 : cells + 1], x[columns:]
         p = np.zeros(1 + cells, np.float32), np.zeros(columns + cells, np.float32)
-        (self._across, self._down), (self._left, self._over) = [p[0][1:], p[1][columns:]], [q[:cells] for q in p]
+        (self._across, self._down), (self._before, self._above) = (
+            [p[0][1:], p[1][columns:]],
+            [q[:cells] for q in p],
+        )
         self._row_ends, self._column_ends = self._across.reshape(shape)[:, -1], self._down[cells - columns :]
         self._in_row, self._in_column = np.ones((2, cells), np.float32)  # 1 where there is a neighbour
         self._in_row[columns - 1 :: columns] = self._in_column[cells - columns :] = 0
         self._length, self._square = np.empty_like(self.x), np.empty_like(self.x)
-        self._step, self._zero = np.full_like(self.x, DUAL), np.zeros_like(self.x)
+        self._step, self._zero = np.full_like(self.x, DUAL_STEP), np.zeros_like(self.x)
         self._limit = np.ones_like(self.x)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Pull no more."""
         self._across[...] = self._down[...] = 0
 
     def limit(self, weight: float) -> None:
         """Let no pull be longer than `weight` from now on."""
-        self._limit[...] = weight / DUAL
+        self._limit[...] = weight / DUAL_STEP
 
-    def variation(self) -> float:
+    def sum_of_differences(self) -> float:
         """Sum of the differences' magnitudes, along rows and down columns."""
-        found = 0.0
-        for neighbour, known in ((self._right, self._in_row), (self._under, self._in_column)):
+        total = 0.0
+        for neighbour, inside in ((self._right, self._in_row), (self._under, self._in_column)):
             np.subtract(neighbour, self.x, out=self._length)
             np.abs(self._length, out=self._length)
-            found += float(self._length.dot(known))
-        return found
+            total += float(self._length.dot(inside))
+        return total
 
     def fill(self, t: Image) -> None:
         """Make x what is left of t (R C,) under the pull, 0 where that is negative."""
         x = self.x
-        np.subtract(self._across, self._left, out=x)
+        np.subtract(self._across, self._before, out=x)
         np.add(x, self._down, out=x)
-        np.subtract(x, self._over, out=x)
+        np.subtract(x, self._above, out=x)
         np.multiply(x, self._step, out=x)
         np.add(x, t, out=x)
         np.maximum(x, self._zero, out=x)
@@ -78,15 +82,15 @@ class Edges:
         np.multiply(down, length, out=down)
 
 
-class Variation(Nonneg):
+class TotalVariation(Nonnegative):
     """The same iteration, the weighted variation of the image added: its edges' pull is found along the way.
 
     max(t, 0) becomes max(t - D'p, 0), where p follows D x, in no cell longer than the weight over P. The weight is
-    WEIGHT sqrt(sigma B) / (1 + (q0 / CORNER)^2), B = sum x^2 / sum |D x|: between the noise and what the image
-    has to lose, and less the further the scene's spectrum reaches.
+    VARIATION_WEIGHT sqrt(sigma B) / (1 + (q0 / FLAT_CORNER)^2), B = sum x^2 / sum |D x|: between the noise and
+    what the image has to lose, and less the further the scene's spectrum reaches.
     """
 
-    _steady = WARM
+    _warm_tolerance = WARM_TOLERANCE
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
@@ -97,7 +101,7 @@ class Variation(Nonneg):
     def _start(self, guess: Image) -> None:
         super()._start(guess)
         self._x[...] = self._t
-        self._edges.forget()
+        self._edges.reset()
 
     def _shift(self, change: Image) -> None:
         np.add(self._x, change, out=self._x)
@@ -107,17 +111,18 @@ class Variation(Nonneg):
 
     def _slack(self, share: float) -> float:
         del share  # flat parts are asked for in its place
-        return LOOSE
+        return SPARSE_GAUSSIAN
 
-    def _less(self) -> Image:
+    def _reflect(self) -> Image:
         return np.subtract(self._x, self._pull, out=self._abs)
 
     def _load(self) -> Step:
         scene, x = self._scene, self._edges.x
-        variation = self._edges.variation()
-        contrast = float(x.dot(x)) / variation if variation else 0.0
-        flat = 1 / (1 + (scene.prior.corner(scene.number) / CORNER) ** 2)
-        self._edges.limit(max(WEIGHT * flat * (scene.noise * contrast) ** 0.5, LEAST * scene.noise) / PENALTY)
+        differences = self._edges.sum_of_differences()
+        contrast = float(x.dot(x)) / differences if differences else 0.0
+        flat = 1 / (1 + (scene.spectrum.corner / FLAT_CORNER) ** 2)
+        weight = VARIATION_WEIGHT * flat * (scene.noise * contrast) ** 0.5
+        self._edges.limit(max(weight, MIN_WEIGHT * scene.noise) / PENALTY)
         return super()._load()
 
     def _split(self) -> None:

@@ -16,7 +16,7 @@ from tactiled.files import atomic_write
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import Restorer, make
-from tactiled.restore.noise import HUGE, estimate
+from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate
 
 PIECE = 256  # frames in memory at once
 LOOKS = 8  # places of the film where its noise is measured
@@ -70,7 +70,7 @@ def noise_of(frames: Frames) -> float:
 def rounding_of(frames: Frames, steps: tuple[float, ...]) -> float:
     """Noise (kPa) of rounding, where a film's values differ by whole multiples of one of `steps`; else 0."""
     values = np.concatenate([np.empty(0), *(np.ravel(piece).astype(float) for piece in _pieces(frames))])
-    values = values[np.abs(values) < HUGE]
+    values = values[np.abs(values) < IMPLAUSIBLE_KPA]
     for step in steps:
         multiples = (values - values[:1]) / step
         whole = multiples.round()

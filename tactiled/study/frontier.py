@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from tactiled.restore.methods import METHODS, make
-from tactiled.restore.richardson_lucy import Lucy
+from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Scene
 from tactiled.study.machine import describe
 from tactiled.study.peers import STOPS, Restore, absent, ours, peers
@@ -212,7 +212,7 @@ def _method(skin: Skin, clip: Clip, name: str) -> Run:
 def _richardson_lucy(skin: Skin, clip: Clip, iterations: int) -> Run:
     """Our Richardson-Lucy with another limit of iterations."""
     scene = Scene(skin.blur, clip.sigma)
-    method = Lucy(scene, iterations)
+    method = RichardsonLucy(scene, iterations)
 
     def run(frame: Frames) -> Frames:
         scene.look(frame)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.frames import DEAD
-from tactiled.restore.auto import PAUSE
+from tactiled.restore.auto import POINTS_PAUSE_FRAMES
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.points import Points
 from tactiled.study.skin import nrmse
@@ -167,7 +167,7 @@ def test_points_are_left_alone_after_a_fit_that_did_not_stand(covered, sensed, m
     tried = []
     fit = Points.__call__
     monkeypatch.setattr(Points, "__call__", lambda *each: tried.append(1) or fit(*each))
-    for _ in range(PAUSE):
+    for _ in range(POINTS_PAUSE_FRAMES):
         assert auto(sensed(truth, 2.0)).method == "nnls"
     assert len(tried) == 1
     auto(sensed(np.zeros(SHAPE)))

@@ -111,10 +111,10 @@ def test_aliases_miss_what_random_pressure_shows(thickness):
     across = [slice(k * (shape[1] - 1 - column), k * (2 * shape[1] - 1 - column)) for column in columns]
     frames = [np.tensordot(random, table(sensor, k)[down, each]) for each in across]
     missed = np.transpose(frames) - sensor.blur.forward(means)[:, row, columns[0] : columns[1] + 1]
-    assert missed.var() / means.var() == pytest.approx(sensor.blur.aliases.missed(np.ones_like).mean(), rel=0.1)
+    assert missed.var() / means.var() == pytest.approx(sensor.blur.aliasing.variance(np.ones_like).mean(), rel=0.1)
 
 
 def test_a_smooth_scene_has_next_to_no_aliases(covered):
-    missed = covered((9, 12)).aliases.missed(lambda q: (1 + (q / 0.05) ** 2) ** -3)
+    missed = covered((9, 12)).aliasing.variance(lambda q: (1 + (q / 0.05) ** 2) ** -3)
     assert missed[0, 0] < 1e-6
     assert missed[0, 0] < missed[0, 3] < missed[0, 6] < missed[0, 9] < 0.1

@@ -6,6 +6,7 @@ from scipy.signal import fftconvolve
 from skimage import restoration
 
 from tactiled.cover.operator import stencil
+from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
 from tactiled.restore.wiener import Wiener
@@ -32,7 +33,7 @@ def frame(blur):
 def test_for_a_flat_spectrum_the_linear_filter_is_wieners(blur, frame, monkeypatch, balance):
     scene = Scene(blur, 0.01)
     scene.look(frame)
-    monkeypatch.setattr(scene.prior, "ratio", lambda _: np.full(blur.surface_shape, 1 / balance))
+    monkeypatch.setattr(scene, "spectrum", Spectrum(1 / balance, np.ones(blur.surface_shape), 0.2, 1.25))
     monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
     theirs = restoration.wiener(frame, psf_of(blur), balance, reg=np.ones((1, 1)), clip=False)
     assert np.linalg.norm(Wiener(scene)() - theirs) < 0.02 * np.linalg.norm(theirs)

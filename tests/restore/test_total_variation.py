@@ -8,9 +8,9 @@ from scipy.optimize import minimize
 from skimage.restoration import denoise_tv_chambolle
 
 from tactiled.restore.methods import make
-from tactiled.restore.nonnegative import FEWEST, LOOSE, SPARSE
+from tactiled.restore.nonnegative import MIN_SHARE, SPARSE_GAUSSIAN, SPARSE_WEIGHT
 from tactiled.restore.scene import Scene
-from tactiled.restore.total_variation import CORNER, WEIGHT, Edges, Variation
+from tactiled.restore.total_variation import FLAT_CORNER, VARIATION_WEIGHT, Edges, TotalVariation
 from tactiled.restore.wiener import Wiener
 
 SIGMA = 0.5
@@ -34,20 +34,24 @@ def test_without_a_blur_it_is_scikit_images(shape):
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (1, 6), (6, 1), (1, 1)])
-def test_variation_is_the_sum_of_all_differences(shape):
+def test_the_sum_of_differences_is_that_of_all_differences(shape):
     edges = Edges(shape)
     edges.x[...] = np.random.default_rng(1).normal(size=edges.x.size)
     expected = sum(np.abs(each).sum() for each in differences(edges.x.reshape(shape)))
-    assert edges.variation() == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert edges.sum_of_differences() == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 def weights(scene, x):
     """What the image of a scene is weighed by: its Gaussian (surface modes), its sum and its variation."""
-    gaussian = LOOSE / scene.prior.ratio(scene.number)
-    share = max(x.sum() ** 2 / (x.size * (x**2).sum()), FEWEST)
+    gaussian = SPARSE_GAUSSIAN / scene.spectrum.ratio
+    share = max(x.sum() ** 2 / (x.size * (x**2).sum()), MIN_SHARE)
     contrast = (x**2).sum() / sum(np.abs(each).sum() for each in differences(x))
-    flat = 1 / (1 + (scene.prior.corner(scene.number) / CORNER) ** 2)
-    return gaussian, SPARSE * scene.noise / np.sqrt(share), WEIGHT * flat * np.sqrt(scene.noise * contrast)
+    flat = 1 / (1 + (scene.spectrum.corner / FLAT_CORNER) ** 2)
+    return (
+        gaussian,
+        SPARSE_WEIGHT * scene.noise / np.sqrt(share),
+        VARIATION_WEIGHT * flat * np.sqrt(scene.noise * contrast),
+    )
 
 
 def objective(scene, frame, x, smooth=0.0):
@@ -78,7 +82,7 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     frame, _ = pressed(blur, SIGMA, seed)
     scene = Scene(blur, SIGMA)
     monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
-    solver, wiener = Variation(scene), Wiener(scene)
+    solver, wiener = TotalVariation(scene), Wiener(scene)
     for _ in range(3000):
         scene.look(frame)
         solver(wiener)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.operator import matrix
-from tactiled.restore.auto import REVIEW, Auto
+from tactiled.restore.auto import REVIEW_FRAMES, Auto
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.window import SIDE, Windowed, fits
@@ -38,7 +38,7 @@ def both(covered):
     """Restores a frame through windows and by the whole alone; gives both and the windows."""
     blur = covered(SHAPE)
     scene, alone = Scene(blur, SIGMA), Scene(blur, SIGMA)
-    windowed, whole = Windowed(Auto(scene), scene), Auto(alone)
+    windowed, whole = Windowed(scene), Auto(alone)
 
     def restore(frame):
         for each in (scene, alone):
@@ -68,7 +68,7 @@ def test_in_a_window_a_contact_is_what_it_is_on_the_whole(sensed, both, place):
     both(sensed(truth))
     for _ in range(5):
         mine, plain, windowed = both(sensed(truth))
-        assert windowed.shown
+        assert windowed.used
         assert mine.method == plain.method == "nnls"
         assert error(mine.image, truth) < 1.1 * error(plain.image, truth)
         assert np.sqrt(np.mean((mine.image - plain.image) ** 2)) < SIGMA
@@ -80,7 +80,7 @@ def test_a_contact_that_crosses_is_never_cut(sensed, both):
     for step in np.arange(0, 42, 0.25):
         truth = disc(5 + 0.9 * step, 5 + step)
         mine, plain, windowed = both(sensed(truth))
-        shown.append(windowed.shown)
+        shown.append(windowed.used)
         errors.append((error(mine.image, truth), error(plain.image, truth)))
     mine, plain = np.array(errors).T
     assert np.mean(shown) > 0.9
@@ -93,7 +93,7 @@ def test_a_contact_that_grows_is_left_to_the_whole(sensed, both):
     shown = []
     for radius in np.arange(3, 20, 0.25):
         mine, plain, windowed = both(sensed(disc(24, 26, radius)))
-        shown.append(windowed.shown)
+        shown.append(windowed.used)
     assert shown[1]
     assert not shown[-1]
     assert sum(a != b for a, b in itertools.pairwise(shown)) <= 4
@@ -104,19 +104,19 @@ def test_two_far_apart_are_left_to_the_whole(sensed, both):
     near, truth = disc(8, 9), disc(8, 9) + disc(40, 44)
     for _ in range(3):
         *_, windowed = both(sensed(near))
-    assert windowed.shown
-    for _ in range(2 * REVIEW):
+    assert windowed.used
+    for _ in range(2 * REVIEW_FRAMES):
         mine, plain, windowed = both(sensed(truth))
-        assert not windowed.shown
+        assert not windowed.used
         assert error(mine.image, truth) < 1.1 * error(plain.image, truth)
 
 
 def test_what_is_faint_but_wide_is_not_lost_around_a_window(sensed, both):
     for _ in range(3):
         *_, windowed = both(sensed(disc(12, 12)))
-    assert windowed.shown
+    assert windowed.used
     mine, _, windowed = both(sensed(disc(12, 12) + 1.0))
-    assert not windowed.shown
+    assert not windowed.used
     assert mine.image[36:, 36:].mean() > 0.3
 
 
@@ -124,21 +124,21 @@ def test_a_window_closes_on_what_only_the_sum_or_the_power_shows(sensed, both):
     everywhere = np.full(SHAPE, 0.25 * SIGMA)
     ripple = 0.6 * SIGMA * (-1.0) ** np.add.outer(np.arange(SHAPE[0]), np.arange(SHAPE[1]))
     for faint in (everywhere, ripple):
-        for _ in range(REVIEW + 3):
+        for _ in range(REVIEW_FRAMES + 3):
             *_, windowed = both(sensed(disc(12, 12)))
-        assert windowed.shown
+        assert windowed.used
         frame = sensed(disc(12, 12)) + faint.astype(np.float32)
         assert np.abs(frame[30:]).max() < windowed._peak
         *_, windowed = both(frame)
-        assert not windowed.shown
+        assert not windowed.used
 
 
 def test_an_empty_window_is_closed(sensed, both):
     for _ in range(3):
         *_, windowed = both(sensed(disc(12, 12)))
-    assert windowed.shown
+    assert windowed.used
     mine, _, windowed = both(sensed(disc(12, 12, peak=0)))
-    assert not windowed.shown
+    assert not windowed.used
     assert mine.method == "idle"
     assert not mine.image.any()
 
@@ -157,8 +157,8 @@ def test_points_and_deviation_are_where_the_window_is():
     done = restorer(sensed())
     assert done.method == "points"
     assert error(done.image, truth) < 0.1 + error(alone, truth)
-    (point,) = restorer.points
-    assert (point.x_mm, point.y_mm, point.force_n) == pytest.approx((40, 31, 2.0), rel=0.02)
+    assert done.image.argmax() == np.ravel_multi_index((31, 40), SHAPE)
+    assert done.image.sum() == pytest.approx(2000, rel=0.02)
     spread = restorer.deviation()
     assert spread.shape == SHAPE
     assert spread[31, 40] > 0.5 * around[31, 40]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tactiled.cli.bench import print_lines, print_table
-from tactiled.restore.auto import REVIEW, Auto
+from tactiled.restore.auto import REVIEW_FRAMES, Auto
 from tactiled.restore.scene import Scene
 from tactiled.study.machine import describe
 from tactiled.study.skin import Clip, clips, nrmse, rubber
@@ -35,19 +35,19 @@ def _before(change, name):
 
 # rule -> what it does, the method of `Auto` that decides it, that method without the rule
 RULES = {
-    "idle": ("a frame of noise is empty", "rests", _always(False)),
-    "raw": ("a cover that hardly matters is not restored", "_untouched", _always("")),
+    "idle": ("a frame of noise is empty", "is_idle", _always(False)),
+    "raw": ("a cover that hardly matters is not restored", "_raw_reason", _always("")),
     "wiener": ("a linear image that hardly falls below zero stays linear", "_linear", _always(False)),
-    "points": ("a few points are fitted where they explain the frame", "_pointed", _always(0)),
-    "pause": ("no fit of points soon after one that failed", "_pointed",
-              _before(lambda auto: setattr(auto, "_wait", 0), "_pointed")),
+    "points": ("a few points are fitted where they explain the frame", "_point_steps", _always(0)),
+    "pause": ("no fit of points soon after one that failed", "_point_steps",
+              _before(lambda auto: setattr(auto, "_wait", 0), "_point_steps")),
     "hysteresis": ("the method of the previous frame stays on the border", "_reach", _always(1.0)),
-    "review": ("linear is tested again at every eighth frame only", "_some",
-               _before(lambda auto: setattr(auto, "_age", REVIEW), "_some")),
+    "review": ("linear is tested again at every eighth frame only", "_restored",
+               _before(lambda auto: setattr(auto, "_age", REVIEW_FRAMES), "_restored")),
     "warm start": ("iterations start from the previous image", "_iterated",
-                   _before(lambda auto: auto._nonneg.reset(), "_iterated")),
-    "warm points": ("points start from the previous points", "_pointed",
-                    _before(lambda auto: auto.points.reset(), "_pointed")),
+                   _before(lambda auto: auto._nonnegative.reset(), "_iterated")),
+    "warm points": ("points start from the previous points", "_point_steps",
+                    _before(lambda auto: auto.points.reset(), "_point_steps")),
 }  # fmt: skip
 HEADINGS = ("without", "frames changed", "mean µs", "median µs", "error", "of these, times", "changes of method")
 

@@ -6,11 +6,9 @@ import numpy as np
 
 from tactiled.restore.modes import Floats
 
-Spectrum = Callable[[Floats], Floats]  # cycles a cell -> relative variance of pressure
 
-
-class Aliases:
-    """The waves that look alike on the grid: what a taxel feels of each, and what is left of it in a cell's mean.
+class Aliasing:
+    """The waves that look alike on the grid: what a taxel feels of each, and what remains of it in a cell's mean.
 
     Made from a stencil of cells `parts` times finer than the taxels', on a surface of one cell a taxel.
     """
@@ -19,20 +17,23 @@ class Aliases:
         sizes = [2 * parts * n for n in shape]
         waves = [np.asarray(np.fft.fftfreq(size, 1 / parts), float) for size in sizes]
         turns = (np.exp(1j * np.pi * (n - 1) * q / parts) for n, q in zip(stencil.shape, waves, strict=True))
-        felt = (np.fft.fft2(stencil, sizes) * np.multiply.outer(*turns)).real
+        gain = (np.fft.fft2(stencil, sizes) * np.multiply.outer(*turns)).real
         within = (np.arange(parts) - (parts - 1) / 2) / parts
         means = (np.cos(2 * np.pi * np.multiply.outer(q, within)).mean(axis=1) for q in waves)
         smooth = np.multiply.outer(*(_spline(q) * np.sinc(q / parts) for q in waves))
-        self._felt, self._mean, self._q, told = (
+        folded, self._mean, self._q, of_smooth = (
             _folded(values, shape, parts)
-            for values in (felt, np.multiply.outer(*means), np.hypot(waves[0][:, None], waves[1]), felt * smooth)
+            for values in (gain, np.multiply.outer(*means), np.hypot(waves[0][:, None], waves[1]), gain * smooth)
         )
-        self._left = (self._felt - told.sum(axis=(0, 2))[:, None] * self._mean) ** 2
+        self._missed = (folded - of_smooth.sum(axis=(0, 2))[:, None] * self._mean) ** 2
 
-    def missed(self, spectrum: Spectrum) -> Floats:
-        """Give the variance of each taxel mode that pressure smooth between cells leaves, over the cells' own."""
+    def variance(self, spectrum: Callable[[Floats], Floats]) -> Floats:
+        """Give the variance of each taxel mode that pressure smooth between cells leaves, over the cells' own.
+
+        `spectrum` maps frequency (cycles a cell) to the relative variance of pressure.
+        """
         S = spectrum(self._q)
-        return np.asarray((S * self._left).sum(axis=(0, 2)) / (S * self._mean**2).sum(axis=(0, 2)))
+        return np.asarray((S * self._missed).sum(axis=(0, 2)) / (S * self._mean**2).sum(axis=(0, 2)))
 
 
 def _spline(q: Floats) -> Floats:

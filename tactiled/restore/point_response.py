@@ -7,10 +7,10 @@ from scipy.interpolate import make_interp_spline
 from tactiled.restore.modes import Floats, Image
 
 PHASES = 64  # places a pitch that are tabulated: between them, the slope
-RANK = 1e-4  # of the largest separable part: less is left out
+RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
 
 
-class Loads:
+class PointResponse:
     """Responses as sums of products of a column's and a row's part, each tabulated along its axis.
 
     Made from a stencil of cells `refine` times finer than the pitch: such a cell is the load. Places are counted
@@ -20,7 +20,7 @@ class Loads:
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
         self.shape, self.side = shape, 1 / refine
         U, s, Vt = np.linalg.svd(stencil * refine**2)
-        parts = max(1, int(np.count_nonzero(s > RANK * s[0])))
+        parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         self._down = _Axis(U[:, :parts] * s[:parts], shape[0], refine)
         self._across = _Axis(Vt[:parts].T, shape[1], refine)
 
@@ -36,23 +36,21 @@ class Loads:
         down, slope_down, curve_down = self._down(rows, ahead[:, 0])
         across, slope_across, curve_across = self._across(columns, ahead[:, 1])
         view = out.reshape(6, len(places), *self.shape)
-        np.matmul(down, across.swapaxes(1, 2), out=view[0])
-        np.matmul(slope_down, across.swapaxes(1, 2), out=view[1])
-        np.matmul(down, slope_across.swapaxes(1, 2), out=view[2])
-        np.matmul(curve_down, across.swapaxes(1, 2), out=view[3])
-        np.matmul(down, curve_across.swapaxes(1, 2), out=view[4])
-        np.matmul(slope_down, slope_across.swapaxes(1, 2), out=view[5])
+        of_rows = down, slope_down, down, curve_down, down, slope_down
+        of_columns = across, across, slope_across, across, curve_across, slope_across
+        for a, b, frames in zip(of_rows, of_columns, view, strict=True):
+            np.matmul(a, b.swapaxes(1, 2), out=frames)
         view[3:5] *= np.float32(0.5)
 
-    def stir(self) -> float:
+    def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
         middle = [(n - 1) // 2 for n in self.shape]
         places = np.add.outer([-0.125, 0.125], middle)
         out = np.empty((6, 2, self.shape[0] * self.shape[1]), np.float32)
         self.jacobian(places, out)
-        here, there = out[0].astype(float)
-        across = there - here * (here @ there) / (here @ here)
-        return float(np.linalg.norm(across) / np.linalg.norm(there))
+        first, second = out[0].astype(float)
+        across = second - first * (first @ second) / (first @ first)
+        return float(np.linalg.norm(across) / np.linalg.norm(second))
 
 
 class _Axis:
@@ -66,9 +64,9 @@ class _Axis:
         """Give (3, n, taxels, parts) for loads at `nearest` phases, and a little `ahead`."""
         # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
         turn, phase = np.divmod(self._n * PHASES - nearest, PHASES)
-        found = self._table[:, phase[:, None], turn[:, None] + self._taxels]
-        found[:2] += ahead * found[1:]
-        return found
+        values = self._table[:, phase[:, None], turn[:, None] + self._taxels]
+        values[:2] += ahead * values[1:]
+        return values
 
 
 def _table(parts: Floats, n: int, refine: int) -> Floats:

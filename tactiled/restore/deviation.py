@@ -1,0 +1,47 @@
+"""Standard deviation (kPa) of every cell of an image: of the noise, of what a method leaves out, of the model."""
+
+import numpy as np
+
+from tactiled.restore.modes import Floats, Image
+from tactiled.restore.scene import Scene
+from tactiled.restore.wiener import Wiener
+
+MISPLACED = 0.5  # pitches that a small spot may be from where it is drawn, and the share of it
+THICKNESS_ERROR = 0.03  # of a cover's thickness: better is hardly known
+MIN_GAIN = 1e-12  # keeps the logarithm finite
+
+
+def deviation(scene: Scene, image: Image | None = None) -> Floats:
+    """Give it for an image of the scene, the linear one or any that knows more.
+
+    Of the noise, of what the filter leaves out, and of the model: a cover known to THICKNESS_ERROR of its
+    thickness, whose gain falls by as many octaves for a wave, and pressure finer than the grid; all given the
+    spectrum picked for the scene, which is the same everywhere. That says too little of a few small spots: what
+    may be elsewhere of `image` is added.
+    """
+    modes, spectrum = scene.modes, scene.spectrum
+    variance = spectrum.ratio.copy()
+    S, h = variance[modes.head], modes.gain
+    model = (THICKNESS_ERROR * h * np.log(np.maximum(h, MIN_GAIN))) ** 2
+    if scene.blur.aliasing:
+        model = model + scene.blur.aliasing.variance(spectrum.fall)
+    variance[modes.head] = S / (h**2 * S + 1) * (1 + h**2 * S / (h**2 * S + 1) * S * model)
+    variance *= scene.noise**2
+    squares = [basis**2 for basis in modes.surface]
+    spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
+    if image is not None and scene.spotted:
+        from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
+
+        refine = image.shape[0] // scene.blur.frame_shape[0]
+        about = gaussian_filter(np.abs(image), MISPLACED * refine) if image.ndim > 1 else np.abs(image)
+        spread = np.hypot(spread, MISPLACED * about)
+    return np.asarray(spread, float)
+
+
+def raw_deviation(scene: Scene, wiener: Wiener) -> Floats:
+    """Give it for the raw image: the linear one's, and what `wiener` would change."""
+    synthesise = scene.modes.to_taxels()
+    raw = synthesise(scene.c, synthesise.empty())
+    for axis, cells in enumerate(scene.blur.surface_shape):
+        raw = np.repeat(raw, cells // raw.shape[axis], axis)
+    return np.asarray(np.hypot(deviation(scene, raw), raw - wiener()), float)
