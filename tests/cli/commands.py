@@ -10,8 +10,8 @@ from tactiled.errors import TactileError
 TACTILED = (sys.executable, "-m", "tactiled")
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(each) for each in arguments])
+def run(*arguments, **settings):
+    return CliRunner().invoke(app, [str(each) for each in arguments], **settings)
 
 
 def succeed(*arguments):

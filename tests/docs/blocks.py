@@ -1,50 +1,33 @@
-"""What a machine prints into README and guide, between `<!-- begin: NAME -->` and `<!-- end -->`."""
+"""Blocks of README and guide that code prints, between `<!-- begin: NAME -->` and `<!-- end -->`."""
 
 import re
-from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
-from tests.docs import examples, interfaces, settings, words
+from tests.docs import examples, tables
 
 ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "tactiled/docs"
 BLOCK = re.compile(r"(<!-- begin: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-BLOCKS: dict[str, Callable[[], Iterable[str]]] = {
-    "settings": settings.tables,
-    "codecs": settings.codecs,
-    "codec-settings": settings.codec_tables,
-    "routes": interfaces.routes,
-    "parameters": interfaces.parameters,
-    "metrics": interfaces.metrics,
-    "stream-parameters": interfaces.stream_parameters,
-    "stream-header": interfaces.stream_header,
-    "close-codes": interfaces.close_codes,
-    "verbs": interfaces.verbs,
-    "loss": words.loss,
-    "error-kinds": words.error_kinds,
-    "events": words.events,
-    "methods": words.methods,
-    "reasons": words.reasons,
-    "warnings": words.warnings,
-    "packed-classic": examples.packed_classic,
-    "packed-fd": examples.packed_fd,
-    "stream-example": examples.stream_message,
-    "check": examples.check,
-    "sniff": examples.sniff,
+BLOCKS = {
+    name.replace("_", "-"): function
+    for module in (examples, tables)
+    for name, function in vars(module).items()
+    if getattr(function, "is_block", False)
 }
 
 
-def pages() -> list[Path]:
+def pages():
     """README and every page of the guide."""
-    return [ROOT / "README.md", *sorted((ROOT / "tactiled/docs").glob("*.md"))]
+    return [ROOT / "README.md", *sorted(GUIDE.glob("*.md"))]
 
 
 @cache
-def block(name: str) -> str:
+def block(name):
     """The lines of one block; KeyError where no block has this name."""
     return "".join(f"{line}\n" for line in BLOCKS[name]())
 
 
-def printed(page: str) -> str:
+def printed(page):
     """A page with its blocks printed again."""
-    return BLOCK.sub(lambda found: f"{found[1]}{block(found[2])}{found[3]}", page)
+    return BLOCK.sub(lambda match: f"{match[1]}{block(match[2])}{match[3]}", page)

@@ -5,37 +5,38 @@ import tomllib
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tactiled.bus import recording, skins
-from tactiled.cli.app import app
 from tactiled.cli.demo import demo_config
 from tactiled.config.example import GRASP
+from tests.cli.commands import succeed
 from tests.conftest import pressed
-from tests.docs.blocks import ROOT
-from tests.docs.settings import models
+from tests.docs.blocks import GUIDE
 
 
-def programs(name):
-    """The Python programs of a page."""
-    return re.findall(r"```python\n(.*?)```", (ROOT / "tactiled/docs" / name).read_text("utf-8"), re.DOTALL)
+def read(name):
+    return (GUIDE / name).read_text("utf-8")
+
+
+def program(name):
+    """The only Python program of a page."""
+    (text,) = re.findall(r"```python\n(.*?)```", read(name), re.DOTALL)
+    return text
 
 
 def test_the_client_of_the_streams_page_prints_the_newest_image(rig, url, capsys):
     rig.stale_after(600)
     image = rig.show(pressed())
-    (program,) = programs("streams.md")
-    once = program.replace("ws://127.0.0.1:8000", url.replace("http", "ws", 1))
+    client = program("streams.md").replace("ws://127.0.0.1:8000", url.replace("http", "ws", 1))
     asks_again = """        socket.send('{"type": "next"}')\n"""
-    assert once.endswith(asks_again)
-    exec(once.removesuffix(asks_again) + "        break\n", {})
+    assert client.endswith(asks_again)
+    exec(client.removesuffix(asks_again) + "        break\n", {})
     assert capsys.readouterr().out == f"{image.sequence} {image.restored.max()!s} kPa\n"
 
 
 def test_the_rest_example_adds_up_the_force(rig, url, capsys):
     rig.show(pressed())
-    (program,) = programs("api.md")
-    exec(program.replace("http://127.0.0.1:8000", url), {})
+    exec(program("api.md").replace("http://127.0.0.1:8000", url), {})
     image = rig.sensor.hub.latest()
     assert float(capsys.readouterr().out.split()[0]) == pytest.approx(float(image.restored.sum()) * 1e-3)
 
@@ -43,29 +44,21 @@ def test_the_rest_example_adds_up_the_force(rig, url, capsys):
 def test_an_export_has_the_arrays_of_the_recordings_page(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hand.toml").write_text(GRASP)
-    done = CliRunner().invoke(
-        app, ["export", str(recording.path("book_1")), "--config", "hand.toml", "-o", "grasp.npz"]
-    )
-    assert done.exit_code == 0, done.output
-    page = (ROOT / "tactiled/docs/recordings.md").read_text("utf-8")
-    rows = page.split("| Array | Meaning |")[1].split("\n\n")[0]
-    named = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in rows.splitlines()[2:]))
-    assert set(np.load("grasp.npz")) == {*named} - {"shear"}
-    (program,) = programs("recordings.md")
-    exec(program, {})
+    succeed("export", recording.path("book_1"), "--config", "hand.toml", "-o", "grasp.npz")
+    rows = read("recordings.md").split("| Array | Meaning |")[1].split("\n\n")[0]
+    names = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in rows.splitlines()[2:]))
+    assert set(np.load("grasp.npz")) == {*names} - {"shear"}
+    capsys.readouterr()
+    exec(program("recordings.md"), {})
     assert "kPa" in capsys.readouterr().out
 
 
-def test_the_demo_is_as_the_simulation_page_says():
-    page = (ROOT / "tactiled/docs/simulation.md").read_text("utf-8")
-    for arguments in ({}, {"shear": True}, {"record": "book_1"}):
-        (name,) = demo_config(**arguments).sensor
-        assert not arguments or f"`{name}`" in page
-    assert all(f"`{name}`" in page for name in recording.names())
+def test_the_simulation_page_names_the_sensors_and_recordings_of_the_demo():
+    page = read("simulation.md")
+    sensors = [*demo_config(shear=True).sensor, *demo_config(record="book_1").sensor]
+    assert all(f"`{name}`" in page for name in (*sensors, *recording.names()))
 
 
 def test_the_codecs_page_has_a_line_for_every_codec():
-    page = (ROOT / "tactiled/docs/codecs.md").read_text("utf-8")
-    lines = re.search(r"# one of these.*?\n(.*?)```", page, re.DOTALL)[1].splitlines()
-    named = [tomllib.loads(line)["codec"]["name"] for line in lines]
-    assert sorted(named) == sorted(skins.BUILT_IN) == sorted(models())
+    lines = re.search(r"# one of these.*?\n(.*?)```", read("codecs.md"), re.DOTALL)[1].splitlines()
+    assert sorted(tomllib.loads(line)["codec"]["name"] for line in lines) == sorted(skins.BUILT_IN)

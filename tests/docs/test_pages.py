@@ -1,27 +1,65 @@
-"""README and guide: printed blocks are as the code prints them, links lead somewhere, examples work."""
+"""README and guide: printed blocks and tables of names agree with the code, links lead somewhere."""
 
 import re
 import tomllib
-from pathlib import Path
+from typing import get_args
 from urllib.parse import unquote
 
 import pytest
 
+from tactiled.bus.faults import KINDS
 from tactiled.config import parse
-from tests.docs.blocks import BLOCK, BLOCKS, ROOT, pages, printed
+from tactiled.diagnostics.warning_codes import TEXTS, warning
+from tactiled.restore import auto, points
+from tactiled.restore import methods as method_table
+from tactiled.runtime.events import Kind
+from tactiled.web.schemas import Loss
+from tests.docs.blocks import BLOCK, BLOCKS, GUIDE, ROOT, pages, printed
+from tests.docs.markdown import code
 
 PAGES = pages()
-README, GUIDE = PAGES[0], ROOT / "tactiled/docs"
+README = PAGES[0]
 FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
+WARNING_VALUES = {
+    "pitch_mm": 1, "gap": "finer than 3.1 mm", "measured_kpa": 0.5, "noise_kpa": 0.2, "source": "configured"
+}  # fmt: skip
 by_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+
+
+def read(name):
+    return (GUIDE / name).read_text("utf-8")
+
+
+def reasons():
+    """Every reason for a method: the sentences among the constants of these modules."""
+    for module in (auto, points, method_table):
+        for name, text in vars(module).items():
+            if name.isupper() and isinstance(text, str) and " " in text:
+                yield text
+
+
+NAMES = {
+    ("bus.md", "Count"): {*map(code, Loss.model_fields)},
+    ("bus.md", "Kind"): {*map(code, KINDS)},
+    ("api.md", "`kind`"): {*map(code, get_args(Kind))},
+    ("restoration.md", "`method`"): {*map(code, method_table.METHODS)},
+    ("restoration.md", "`why`"): {*reasons()},
+    ("restoration.md", "`code`"): {*map(code, TEXTS)},
+}  # page and head of a table whose first column names everything of one kind
+
+
+def cells(page, head):
+    """The rows of a page's table, whose first column has this head."""
+    rows = read(page).split(f"\n| {head} |")[1].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in row.strip("|").split(" | ")] for row in rows if row.startswith("|")]
 
 
 def anchors(page):
     """The anchors that GitHub gives a page's headings."""
     headings = re.findall(r"^#+ (.+)$", FENCE.sub("", page), re.MULTILINE)
-    plain = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower().strip() for heading in headings)
-    return {re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain}
+    texts = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).lower().strip() for heading in headings)
+    return {re.sub(r"[^\w\- ]", "", text).replace(" ", "-") for text in texts}
 
 
 def links(page):
@@ -30,36 +68,41 @@ def links(page):
 
 
 @by_page
-def test_its_printed_blocks_are_what_the_code_prints(path):
+def test_printed_blocks_are_what_the_code_prints(path):
     page = path.read_text("utf-8")
     assert page == printed(page), "run python -m tests.docs"
     assert page.count("<!-- begin") == page.count("<!-- end") == len(BLOCK.findall(page))
 
 
-def test_a_block_that_was_edited_is_found():
-    page = (GUIDE / "streams.md").read_text("utf-8")
-    assert page.replace("| 4401 |", "| 4402 |") != page
+def test_every_block_is_in_a_page_and_an_edited_one_is_noticed():
+    assert {match[1] for path in PAGES for match in BLOCK.findall(path.read_text("utf-8"))} == set(BLOCKS)
+    page = read("streams.md")
     assert printed(page.replace("| 4401 |", "| 4402 |")) == page
 
 
-def test_every_block_stands_in_a_page():
-    found = {found[1] for path in PAGES for found in BLOCK.findall(path.read_text("utf-8"))}
-    assert found == set(BLOCKS)
+@pytest.mark.parametrize(("page", "head"), NAMES)
+def test_a_table_has_a_row_for_each_name(page, head):
+    assert {row[0] for row in cells(page, head)} == NAMES[page, head]
+
+
+def test_warnings_have_their_texts():
+    rows = {row[0]: row[1] for row in cells("restoration.md", "`code`")}
+    assert rows == {code(each): warning(each, 2, **WARNING_VALUES).text for each in TEXTS}
 
 
 @by_page
-def test_its_links_lead_to_files_and_headings_that_exist(path):
+def test_links_lead_to_files_and_headings_that_exist(path):
     for link in links(path.read_text("utf-8")):
         if link.startswith(("http://", "https://")):
             continue
         name, _, anchor = unquote(link).partition("#")
-        there = (path.parent / name).resolve() if name else path
-        assert there.is_file(), link
-        assert there.is_relative_to(ROOT), link
-        assert not anchor or anchor in anchors(there.read_text("utf-8")), link
+        target = (path.parent / name).resolve() if name else path
+        assert target.is_file(), link
+        assert target.is_relative_to(ROOT), link
+        assert not anchor or anchor in anchors(target.read_text("utf-8")), link
 
 
-def test_links_and_anchors_are_found():
+def test_links_and_anchors_are_recognised():
     page = '# A *b* `c_d`\n[x](y.md#z) `[no](link)` <img src="p.png">\n```\n# none\n```\n### It\'s [e](f.md)\n'
     assert links(page) == ["y.md#z", "p.png", "f.md"]
     assert anchors(page) == {"a-b-c_d", "its-e"}
@@ -67,8 +110,8 @@ def test_links_and_anchors_are_found():
 
 def test_the_index_and_the_readme_name_every_page():
     for page, folder in ((GUIDE / "index.md", ""), (README, "tactiled/docs/")):
-        named = {link.partition("#")[0] for link in links(page.read_text("utf-8"))}
-        assert {f"{folder}{path.name}" for path in PAGES[1:] if path != page} <= named
+        names = {link.partition("#")[0] for link in links(page.read_text("utf-8"))}
+        assert {f"{folder}{path.name}" for path in PAGES[1:] if path != page} <= names
 
 
 def test_the_readme_is_short():
@@ -78,20 +121,18 @@ def test_the_readme_is_short():
 
 
 @by_page
-def test_its_toml_can_be_read(path):
+def test_toml_can_be_read(path):
     for text in re.findall(r"```toml\n(.*?)```", path.read_text("utf-8"), re.DOTALL):
-        if text.startswith("# one of these"):
-            for line in text.splitlines()[1:]:
-                tomllib.loads(line)
-        else:
-            tomllib.loads(text)
+        for part in text.splitlines() if text.startswith("# one of these") else [text]:
+            tomllib.loads(part)
 
 
-def test_the_configuration_page_begins_with_a_whole_file():
-    text = re.search(r"```toml\n(.*?)```", (GUIDE / "configuration.md").read_text("utf-8"), re.DOTALL)[1]
+def test_the_configuration_page_begins_with_a_complete_file():
+    text = re.search(r"```toml\n(.*?)```", read("configuration.md"), re.DOTALL)[1]
     assert parse(text, "palm.toml").sensor["palm"].codec.name == "packed"
 
 
-def test_the_package_has_the_guide():
-    project = tomllib.loads(Path(ROOT / "pyproject.toml").read_text("utf-8"))
-    assert "docs/**" in project["tool"]["setuptools"]["package-data"]["tactiled"]
+def test_the_package_has_the_guide_and_the_examples():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    files = project["tool"]["setuptools"]["package-data"]["tactiled"]
+    assert {"docs/**", "config/examples/**"} <= {*files}
