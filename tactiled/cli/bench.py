@@ -1,17 +1,18 @@
 """`tactiled bench`: speed, accuracy and failures of restoration on this machine and on one's own skin."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn, track
+from rich.progress import Progress, track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.errors import ConfigError
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 
 if TYPE_CHECKING:
     from tactiled.study.skin import Skin
@@ -29,48 +30,36 @@ def frontier(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
 ) -> None:
     """Chart error against time for every method of ours and for others', in one run on one thread."""
-    from tactiled.study import frontier as measure
-    from tactiled.study.frontier_chart import draw
+    from tactiled.study import frontier as study
 
-    effort = measure.QUICK_EFFORT if quick else measure.Effort()
-    _make(out)
-    with threadpool_limits(1):
+    effort = study.QUICK_EFFORT if quick else study.Effort()
+    with _measuring(out):
         skins = _skins(config, sensor, effort.covers, effort.size)
         count = len(skins) * len(effort.noises)
-        panels = list(track(measure.measure(skins, effort, seed), "Frontier", count, transient=True))
-    measure.write(out, panels, seed)
-    draw(out / "frontier.svg", panels)
-    print_table("NRMSE, and median time of a frame", measure.HEADINGS, measure.lines(panels))
-    print_lines(
-        *measure.verdict(panels), *_about(seed), f"Written: {out}/frontier.svg, frontier.csv, frontier.json"
-    )
+        panels = list(track(study.measure(skins, effort, seed), "Frontier", count, transient=True))
+    study.write(out, panels, seed)
+    print_table("NRMSE, and median time of a frame", study.HEADINGS, study.lines(panels))
+    print_lines(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}")
+    print_lines(f"Written: {out}/frontier.svg, frontier.csv, frontier.json")
 
 
 def stability(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
-    from tactiled.study import stability as measure
-    from tactiled.study import stability_chart
+    from tactiled.study import stability as study
     from tactiled.study.faults import sweeps
-    from tactiled.study.skin import configured
 
-    _make(out)
-    with threadpool_limits(1):
-        setting, values = measure.setting(quick, seed, configured(config, sensor) if config else None)
-        steps = measure.measure(setting, values)
+    with _measuring(out):
+        skins = _skins(config, sensor)
+        setting, values = study.setting(quick, seed, *skins)
+        steps = study.measure(setting, values)
         results = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
-    measure.write(out, results, seed)
-    stability_chart.draw(out / "stability.svg", results)
-    stability_chart.calibration(out / "calibration.svg", results)
-    title = f"Methods whose mean error is over {measure.WORSE:g} times the raw image's"
-    print_table(title, measure.HEADINGS, measure.lines(results))
-    silent = measure.silent_lines(results)
-    print_lines(f"Images of auto that are worse than the raw image, and show it by nothing: {len(silent)}.")
-    if silent:
-        print_table("", measure.SILENT_HEADINGS, silent)
-    files = "stability.svg, calibration.svg, stability.csv, stability-table.csv, stability.json"
-    print_lines(measure.false_warnings(results), *_about(seed), f"Written: {out}/{files}")
+    study.write(out, results, seed)
+    title = f"Methods whose mean error is over {study.WORSE:g} times the raw image's"
+    print_table(title, study.HEADINGS, study.lines(results))
+    print_lines(*study.verdict(results), f"Seed {seed}. One thread. {machine()}")
+    print_lines(f"Written: {out}/stability.svg, calibration.svg, stability.csv, stability.json")
 
 
 def picard(
@@ -81,35 +70,26 @@ def picard(
     seed: Seed = 1,
 ) -> None:
     """Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise."""
-    from tactiled.study.picard import chart, measure
+    from tactiled.study import picard as study
 
-    _make(out)
-    with threadpool_limits(1):
-        skins = _skins(config, sensor, (0.5, 1.0, 2.0, 3.0), 32)
-        measured = [measure(skin, noise / 100, seed) for skin in skins]
-    chart(out / "picard.svg", measured)
-    for one in measured:
-        print_lines(
-            f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
-            f" of {noise:g} % of the peak; the finest has a half-period of {one.resolution_mm:.2f} mm"
-        )
-    print_lines(f"Seed {seed}. Written: {out}/picard.svg")
+    with _measuring(out):
+        skins = _skins(config, sensor, (0.5, 1.0, 2.0, 3.0))
+        modes = [study.measure(skin, noise / 100, seed) for skin in skins]
+    study.write(out, modes)
+    print_lines(*(study.line(one, noise / 100) for one in modes), f"Seed {seed}. Written: {out}/picard.svg")
 
 
 def report(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
 ) -> None:
     """Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables."""
-    from tactiled.study import report as make
-    from tactiled.study.skin import configured
+    from tactiled.study import report as study
 
-    _make(out)
-    columns = (TextColumn("{task.description:<44}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with threadpool_limits(1), Progress(*columns, transient=True) as progress:
-        plan = make.plan((configured(config, sensor),) if config else (), quick, seed)
-        task = progress.add_task("starting", total=plan.steps)
-        results = make.measure(plan, lambda done: progress.update(task, advance=1, description=done))
-    print(make.write(out, results, seed))
+    with _measuring(out), Progress(transient=True) as progress:
+        plan = study.plan(tuple(_skins(config, sensor)), quick, seed)
+        task = progress.add_task("", total=plan.steps)
+        results = study.measure(plan, lambda done: progress.update(task, advance=1, description=done))
+    print(study.write(out, results, seed))
 
 
 def latency(
@@ -129,25 +109,25 @@ def latency(
         source = simulated(config, sensor, "tour").messages
         result = measure(service, config, source, rate_hz, seconds, clients)
     print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result, clients))
-    print_lines(describe())
+    print_lines(machine())
 
 
-def _make(folder: Path) -> None:
+@contextmanager
+def _measuring(folder: Path) -> Iterator[None]:
+    """Make the folder for the results first, and measure on one thread."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
+    with threadpool_limits(1):
+        yield
 
 
-def _skins(config: Path | None, sensor: str | None, covers: Iterable[float], size: int) -> "list[Skin]":
-    """The configured skin, or rubber covers over size x size taxels."""
+def _skins(config: Path | None, sensor: str | None, covers: Iterable[float] = (), size: int = 32) -> "list[Skin]":
+    """The configured skin, or rubber covers (t/pitch) over size x size taxels."""
     from tactiled.study.skin import configured, rubber
 
     return [configured(config, sensor)] if config else [rubber(thickness, size) for thickness in covers]
-
-
-def _about(seed: int) -> tuple[str]:
-    return (f"Seed {seed}. One thread. {describe()}",)
 
 
 def print_lines(*lines: str) -> None:

@@ -7,10 +7,8 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.typing import RcKeyType
 
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
@@ -20,28 +18,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9")
 MARKS = ("o", "s", "^", "D", "v", "P")
 WORSE_COLOUR = "#FBEEE6"  # background of what is worse than the raw image, or under the noise
 FREQUENCY = "spatial frequency q (cycles/mm)"
-STYLE: dict[RcKeyType, Any] = {
-    "axes.edgecolor": "#444444",
-    "axes.grid": True,
-    "axes.labelsize": 11,
-    "axes.linewidth": 0.8,
-    "axes.prop_cycle": cycler(color=COLOURS),
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 12,
-    "axes.titleweight": "bold",
-    "figure.dpi": 120,
-    "figure.facecolor": "white",
-    "font.family": "sans-serif",
-    "font.size": 10.5,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "lines.linewidth": 1.9,
-    "lines.markersize": 4.5,
-    "svg.hashsalt": "tactiled",
-}
+STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 @contextmanager
@@ -49,7 +26,7 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     """Draw a figure of width x height inches into `path`; its ending says whether as SVG, PNG or PDF."""
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise ConfigError(f"picture {path}: give a name that ends in .svg, .png or .pdf")
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(fname=STYLE):
         chart = Figure(figsize=(width, height), layout="constrained")
         yield chart
         try:

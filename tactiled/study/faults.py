@@ -1,8 +1,9 @@
 """Faults, each swept from harmless to hopeless: frames that go wrong, the settings for them, and the truth."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,41 +34,31 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """One frame that goes wrong, what restoration is configured with, and the truth."""
+    """One frame, what restoration is configured with, and the truth."""
 
     scene: str
     skin: Skin  # its surface blurred the frame
-    clean: Floats
-    peak_kpa: float
-    frame: Frames
+    clean: Floats  # without noise
     truth: Floats
-    noise: float  # kPa, as configured
-    random: np.random.Generator  # for further faults
+    peak_kpa: float
+    frame: Frames = field(default_factory=lambda: np.empty(0, np.float32))
+    noise: float = 0.0  # kPa, as configured
+    random: np.random.Generator = field(default_factory=np.random.default_rng)  # for further faults
     flags: NDArray[np.uint8] | None = None
     floor: float = 0.0  # kPa, the part of the noise that rounding causes
     before: Frames | None = None  # frames (T, ...) that a method restores before this one
     still: Frames | None = None  # frames (T, ...) from which the service measures the noise
 
 
-class Contact(NamedTuple):
-    """A scene as sensed without noise."""
-
-    scene: str
-    clean: Floats
-    truth: Floats
-    peak_kpa: float
+Sense = Callable[[Skin, Setting, float], Iterator[Case]]
 
 
-Sense = Callable[[Skin, Setting, float], Iterator[Contact]]
-
-
-def _touching(skin: Skin, setting: Setting, value: float) -> Iterator[Contact]:
+def _touching(skin: Skin, setting: Setting, _: float) -> Iterator[Case]:
     """Every scene that touches the skin."""
-    del value
     for scene in setting.scenes:
         clean, truth = sense(skin, draw(skin, scene, np.random.default_rng([setting.seed, 0])))
         if touches(truth):
-            yield Contact(scene, clean, truth, float(clean.max()))
+            yield Case(scene, skin, clean, truth, float(clean.max()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +72,8 @@ class Sweep:
     spoil: Callable[[Case, float], Case] = lambda case, _: case
     skin: Callable[[Skin, float], Skin] = lambda skin, _: skin
     sense: Sense = _touching
-    logarithmic: bool = False
     grid: bool = False  # whether it needs rows and columns
-    known: bool = True  # whether restoration is configured for it, by settings or flags
+    configured: bool = True  # whether restoration has the right settings or flags for it
 
 
 def cases(setting: Setting, faults: dict[str, float]) -> Iterator[Case]:
@@ -92,18 +82,16 @@ def cases(setting: Setting, faults: dict[str, float]) -> Iterator[Case]:
     skin = setting.skin
     for sweep in sweeps:
         skin = sweep.skin(skin, faults[sweep.name])
-    own = [sweep for sweep in sweeps if sweep.sense is not _touching]
-    contacts = own[0].sense(skin, setting, faults[own[0].name]) if own else _touching(skin, setting, 0.0)
-    for number, contact in enumerate(contacts):
+    sources = [(sweep.sense, faults[sweep.name]) for sweep in sweeps if sweep.sense is not _touching]
+    source, value = sources[0] if sources else (_touching, 0.0)
+    for number, case in enumerate(source(skin, setting, value)):
         random = np.random.default_rng([setting.seed, number, 2])
-        sigma = faults.get("white noise", NOISE) / 100 * contact.peak_kpa
-        frame = (contact.clean + random.normal(0, sigma, contact.clean.shape)).astype(np.float32)
-        case = Case(
-            contact.scene, skin, contact.clean, contact.peak_kpa, frame, contact.truth, noise=sigma, random=random
-        )
+        sigma = faults.get("white noise", NOISE) / 100 * case.peak_kpa
+        frame = (case.clean + random.normal(0, sigma, case.clean.shape)).astype(np.float32)
+        spoiled = replace(case, frame=frame, noise=sigma, random=random)
         for sweep in sweeps:
-            case = sweep.spoil(case, faults[sweep.name])
-        yield case
+            spoiled = sweep.spoil(spoiled, faults[sweep.name])
+        yield spoiled
 
 
 def _add(case: Case, error: Any, **changes: Any) -> Case:
@@ -149,12 +137,9 @@ def _blank(case: Case, missing: NDArray[np.bool_], flag: int) -> Case:
     return replace(case, frame=np.where(missing, np.float32(0), case.frame), flags=flags)
 
 
-def _dead(flag: int) -> Callable[[Case, float], Case]:
-    def spoil(case: Case, value: float) -> Case:
-        order = case.random.permutation(case.frame.size)
-        return _blank(case, (order < round(value / 100 * case.frame.size)).reshape(case.frame.shape), flag)
-
-    return spoil
+def _dead(case: Case, value: float, flag: int = 0) -> Case:
+    order = case.random.permutation(case.frame.size).reshape(case.frame.shape)
+    return _blank(case, order < round(value / 100 * case.frame.size), flag)
 
 
 def _lost(case: Case, value: float) -> Case:
@@ -163,13 +148,10 @@ def _lost(case: Case, value: float) -> Case:
     return _blank(case, missing[: case.frame.size].reshape(case.frame.shape), MISSING)
 
 
-def _saturated(flagged: bool) -> Callable[[Case, float], Case]:
-    def spoil(case: Case, value: float) -> Case:
-        ceiling = np.float32(value / 100 * case.peak_kpa)
-        flags = np.where(case.frame >= ceiling, SATURATED, 0).astype(np.uint8) if flagged else case.flags
-        return replace(case, frame=np.minimum(case.frame, ceiling), flags=flags)
-
-    return spoil
+def _saturated(case: Case, value: float, flag: int = 0) -> Case:
+    ceiling = np.float32(value / 100 * case.peak_kpa)
+    flags = np.where(case.frame >= ceiling, flag, 0).astype(np.uint8) if flag else case.flags
+    return replace(case, frame=np.minimum(case.frame, ceiling), flags=flags)
 
 
 def _quantised(case: Case, value: float) -> Case:
@@ -187,7 +169,7 @@ EDGE_CONTACTS: dict[str, Callable[[Floats, Floats], Floats]] = {
 }
 
 
-def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Contact]:
+def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Case]:
     """Contacts whose middle is `value` pitches past the array's edge; what lies outside presses as well."""
     wide = doubled(skin)
     rows, columns = skin.array.frame_shape
@@ -196,23 +178,23 @@ def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Contact]:
     for name, contact in EDGE_CONTACTS.items():
         clean, truth = sense(wide, contact(x - columns / 2 - value, y))
         peak = float(wide.surface.sense(contact(x, y)).max())
-        yield Contact(name, clean[inside], truth[inside], peak)
+        yield Case(name, skin, clean[inside], truth[inside], peak)
 
 
-def _misplaced(skin: Skin, setting: Setting, value: float) -> Iterator[Contact]:
+def _misplaced(skin: Skin, setting: Setting, value: float) -> Iterator[Case]:
     """Taxels off their places by `value` % of the pitch, standard deviation along x and y."""
     random = np.random.default_rng([setting.seed, 6])
     rows, columns = skin.array.frame_shape
     places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
-    for contact in _touching(skin, setting, value):
-        fine = draw(skin, contact.scene, np.random.default_rng([setting.seed, 0]))
+    for case in _touching(skin, setting, value):
+        fine = draw(skin, case.scene, np.random.default_rng([setting.seed, 0]))
         between = np.empty((rows * FINER, columns * FINER))  # what taxels a FINERth of the pitch apart would sense
         padded = np.pad(fine, ((0, FINER), (0, FINER)))
         for down in range(FINER):
             for along in range(FINER):
                 moved = padded[down : down + rows * FINER, along : along + columns * FINER]
                 between[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
-        yield contact._replace(clean=map_coordinates(between, places * FINER, order=3, mode="nearest"))
+        yield replace(case, clean=map_coordinates(between, places * FINER, order=3, mode="nearest"))
 
 
 def _cover(layer_property: str) -> Callable[[Skin, float], Skin]:
@@ -228,29 +210,29 @@ OFFSETS = (-10, -5, -2, -1, 0, 1, 2, 5, 10)
 CEILINGS = (100, 90, 80, 70, 60, 50, 40, 30)
 SHARES = (0, 1, 2, 5, 10, 20)
 SWEEPS = (
-    Sweep("cover", "t/pitch", COVERS, 1, skin=with_thickness, logarithmic=True),
-    Sweep("white noise", OF_PEAK, NOISES, 0.01, logarithmic=True),
-    Sweep("correlated noise", OF_PEAK, STRONGER, 0.1, _correlated, logarithmic=True, grid=True, known=False),
-    Sweep("row-wise noise", OF_PEAK, STRONGER, 0.1, _rowwise, logarithmic=True, grid=True, known=False),
-    Sweep("offset", OF_PEAK, OFFSETS, 0, _offset, known=False),
-    Sweep("drift", OF_PEAK, STRONGER, 0.1, _drift, logarithmic=True, grid=True, known=False),
-    Sweep("noise misjudged", "true / configured", RATIOS, 1, _misjudged, logarithmic=True, known=False),
-    Sweep("thickness wrong", "% thicker", STEPS, 0, skin=_cover("thickness"), known=False),
-    Sweep("modulus wrong", "% stiffer", (-30, -15, 0, 15, 30), 0, skin=_cover("young"), known=False),
-    Sweep("Poisson's ratio wrong", "% higher", (*STEPS[:5], 2, 3.9), 0, skin=_cover("poisson"), known=False),
-    Sweep("dead taxels", "%, flagged", SHARES, 0, _dead(DEAD)),
-    Sweep("dead taxels unflagged", "%, read 0", (0, 0.2, 1, 2, 5, 10), 0, _dead(0), known=False),
+    Sweep("cover", "t/pitch", COVERS, 1, skin=with_thickness),
+    Sweep("white noise", OF_PEAK, NOISES, 0.01),
+    Sweep("correlated noise", OF_PEAK, STRONGER, 0.1, _correlated, grid=True, configured=False),
+    Sweep("row-wise noise", OF_PEAK, STRONGER, 0.1, _rowwise, grid=True, configured=False),
+    Sweep("offset", OF_PEAK, OFFSETS, 0, _offset, configured=False),
+    Sweep("drift", OF_PEAK, STRONGER, 0.1, _drift, grid=True, configured=False),
+    Sweep("noise misjudged", "true / configured", RATIOS, 1, _misjudged, configured=False),
+    Sweep("thickness wrong", "% thicker", STEPS, 0, skin=_cover("thickness"), configured=False),
+    Sweep("modulus wrong", "% stiffer", (-30, -15, 0, 15, 30), 0, skin=_cover("young"), configured=False),
+    Sweep("Poisson's ratio wrong", "% higher", (*STEPS[:5], 2, 3.9), 0, skin=_cover("poisson"), configured=False),
+    Sweep("dead taxels", "%, flagged", SHARES, 0, partial(_dead, flag=DEAD)),
+    Sweep("dead taxels unflagged", "%, read 0", (0, 0.2, 1, 2, 5, 10), 0, _dead, configured=False),
     Sweep("messages lost", "%", SHARES, 0, _lost),
-    Sweep("saturation", "ceiling, % of the peak, flagged", CEILINGS, 100, _saturated(True)),
-    Sweep("saturation unflagged", "ceiling, % of the peak", CEILINGS[:6], 100, _saturated(False), known=False),
+    Sweep("saturation", "ceiling, % of the peak, flagged", CEILINGS, 100, partial(_saturated, flag=SATURATED)),
+    Sweep("saturation unflagged", "ceiling, % of the peak", CEILINGS[:6], 100, _saturated, configured=False),
     Sweep(
         "over the edge", "pitches past it", (-6, -4, -3, -2, -1, 0, 1, 2), -6,
-        sense=_over_the_edge, grid=True, known=False,
+        sense=_over_the_edge, grid=True, configured=False,
     ),
     Sweep("quantisation", "bits", (16, 14, 12, 10, 8, 7, 6, 5, 4), 16, _quantised),
     Sweep(
         "taxels out of place", "% of the pitch", (0, 2, 5, 10, 15, 20, 30), 0,
-        sense=_misplaced, grid=True, known=False,
+        sense=_misplaced, grid=True, configured=False,
     ),
 )  # fmt: skip
 

@@ -1,7 +1,5 @@
 """Speed against accuracy: every method timed and scored on the same frames, in one run on one thread."""
 
-import csv
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,14 +10,13 @@ import numpy as np
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Scene
-from tactiled.study.machine import describe
 from tactiled.study.peers import STOPS, Restore, absent, ours, peers
+from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Frames, Skin, clips, nrmse
 
 Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
 RL_ITERATIONS = (5, 200)  # of our Richardson-Lucy, beside its default
-SAME_IMAGE = 0.01  # of an error: images that differ by less count as the same
 BOUND = "best linear filter, given the truth's spectrum"
 
 
@@ -103,15 +100,11 @@ def rivals(panel: Panel) -> str:
 
 
 def verdict(panels: Sequence[Panel]) -> Iterator[str]:
-    """Sentences: where `auto` is on the Pareto front, where it is not, and why not."""
-    beaten = [panel for panel in panels if better(panel)]
-    yield f"auto is on the Pareto front in {len(panels) - len(beaten)} of {len(panels)} panels."
-    for panel in beaten:
-        same = all(mark.nrmse >= (1 - SAME_IMAGE) * panel.mark("auto").nrmse for mark in better(panel))
-        why = "same image; the time is that of selecting" if same else "auto did not select the best method"
-        yield f"Not at {panel.skin}, {100 * panel.noise:g} % noise: {rivals(panel)} ({why})."
+    """In how many panels `auto` is on the Pareto front, and which libraries are not compared."""
+    count = sum(not better(panel) for panel in panels)
+    yield f"auto is on the Pareto front in {count} of {len(panels)} panels."
     if names := absent():
-        yield f"Left out, as they are not installed (extra `peers`): {', '.join(names)}."
+        yield f"Not compared, as they are not installed (extra `peers`): {', '.join(names)}."
 
 
 COLUMNS = ("auto", "raw", "wiener", "rl-fast")
@@ -223,15 +216,16 @@ def _richardson_lucy(skin: Skin, clip: Clip, iterations: int) -> Run:
 
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:
-    """Write the marks to frontier.csv, and all measurements to frontier.json."""
-    with (folder / "frontier.csv").open("w", newline="", encoding="utf-8") as file:
-        out = csv.writer(file)
-        out.writerow(("skin", "t/pitch", "noise", "method", "NRMSE", "median us", "p99 us", "on front"))
-        for one in panels:
-            for mark in one.marks:
-                figures = (f"{mark.nrmse:.6f}", f"{mark.median:.2f}", f"{mark.p99:.2f}", int(mark.front))
-                out.writerow((one.skin, f"{one.thickness:g}", one.noise, mark.method, *figures))
-    about = {"seed": seed, "machine": describe(), "threads": 1, "peers not installed": absent(), "floor": BOUND}
-    beats = [asdict(one) | {"beats auto": [mark.method for mark in better(one)]} for one in panels]
-    text = json.dumps(about | {"panels": beats}, indent=2)
-    (folder / "frontier.json").write_text(text + "\n", encoding="utf-8")
+    """Draw the chart, write the marks to frontier.csv, and all measurements to frontier.json."""
+    from tactiled.study import frontier_chart
+
+    frontier_chart.draw(folder / "frontier.svg", panels)
+    columns = ("skin", "t/pitch", "noise", "method", "NRMSE", "median us", "p99 us", "on front")
+    rows = (
+        (one.skin, one.thickness, one.noise, mark.method, mark.nrmse, mark.median, mark.p99, int(mark.front))
+        for one in panels
+        for mark in one.marks
+    )
+    write_csv(folder / "frontier.csv", columns, rows)
+    about = {"seed": seed, "threads": 1, "peers not installed": absent(), "floor": BOUND}
+    write_json(folder / "frontier.json", about | {"panels": [asdict(one) for one in panels]})

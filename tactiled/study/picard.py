@@ -40,10 +40,10 @@ class Picard:
 
 def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
     """Analyse a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
-    drawn = (
+    scenes = (
         (name, *sense(skin, draw(skin, name, np.random.default_rng([seed, 0])))) for name in (scene, *TEST_SCENES)
     )
-    scene, clean, cells = next(each for each in drawn if touches(each[2]))
+    scene, clean, cells = next(each for each in scenes if touches(each[2]))
     sigma = noise * float(clean.max())
     noisy = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)
     modes = skin.blur.modes
@@ -61,6 +61,14 @@ def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Pica
     )
 
 
+def line(one: Picard, noise: float) -> str:
+    """The result in words."""
+    return (
+        f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
+        f" of {100 * noise:g} % of the peak; the finest has a half-period of {one.resolution_mm:.2f} mm"
+    )
+
+
 def _into(bases: tuple[Floats, ...], image: Floats) -> Floats:
     first = bases[0].T @ image
     return np.asarray(first if len(bases) == 1 else first @ bases[1])
@@ -75,29 +83,29 @@ def _smooth(values: Floats) -> Floats:
     return np.asarray(np.sqrt((power[high] - power[low]) / (high - low)))
 
 
-def chart(path: Path, measured: list[Picard]) -> None:
-    """Draw the singular values of every skin, and the Picard plot of the one in the middle."""
-    with figure(path, 10, 4.2) as drawing:
-        left, right = drawing.subplots(1, 2)
+def write(folder: Path, measured: list[Picard]) -> None:
+    """Draw picard.svg: the singular values of every skin, and the Picard plot of the one in the middle."""
+    with figure(folder / "picard.svg", 10, 4.2) as drawing:
+        values, plot = drawing.subplots(1, 2)
         for one, colour in zip(measured, COLOURS, strict=False):
-            left.plot(1 + np.arange(one.singular.size), one.singular, color=colour, label=one.skin)
-            left.plot(max(one.clear, 1), one.singular[max(one.clear, 1) - 1], "o", color=colour, ms=7)
-        left.set(title="Singular values", xlabel="mode, strongest first", ylabel="what the cover lets through")
-        left.set(xscale="log", yscale="log", ylim=(1e-5, 2))
-        left.plot([], [], "o", color="#666666", ms=7, label=f"the last that shows {measured[0].scene}")
-        left.legend(loc="lower left")
+            values.plot(1 + np.arange(one.singular.size), one.singular, color=colour, label=one.skin)
+            values.plot(max(one.clear, 1), one.singular[max(one.clear, 1) - 1], "o", color=colour, ms=7)
+        values.set(title="Singular values", xlabel="mode, strongest first", ylabel="what the cover lets through")
+        values.set(xscale="log", yscale="log", ylim=(1e-5, 2))
+        values.plot([], [], "o", color="#666666", ms=7, label=f"the last that shows {measured[0].scene}")
+        values.legend(loc="lower left")
         one = measured[len(measured) // 2]
         number = 1 + np.arange(one.singular.size)
         clean = _smooth(one.singular * one.truth)
-        right.plot(number, one.frame, ".", color="#bbbbbb", ms=3, zorder=1)
-        right.plot(number, _smooth(one.frame), color=BLUE, label="in the frame, |u′y|")
-        right.plot(number, clean, color=GREEN, ls=(0, (4, 2)), label="without noise, s |v′x|")
-        right.plot(number, _smooth(one.frame) / one.singular, color=RED, label="inverted, |u′y| / s")
-        right.axhline(one.sigma, color="#444444", lw=1)
-        right.text(1.2, one.sigma * 0.8, "noise of a taxel", fontsize=9, va="top")
-        right.axvspan(max(one.clear, 1), number[-1], color=WORSE_COLOUR, lw=0, zorder=0)
-        right.text(number[-1] * 0.9, 4e3 * one.sigma, "under the noise", ha="right", fontsize=9, color="#7d3600")
-        right.set(xscale="log", yscale="log", xlim=(1, number[-1]), ylim=(one.sigma / 10, 1e4 * one.sigma))
-        right.set(title=f"Picard's plot: {one.skin}, {one.scene}", xlabel="mode, strongest first")
-        right.set_ylabel("size of the mode (kPa)")
-        right.legend(loc="upper left", fontsize=9)
+        plot.plot(number, one.frame, ".", color="#bbbbbb", ms=3, zorder=1)
+        plot.plot(number, _smooth(one.frame), color=BLUE, label="in the frame, |u′y|")
+        plot.plot(number, clean, color=GREEN, ls=(0, (4, 2)), label="without noise, s |v′x|")
+        plot.plot(number, _smooth(one.frame) / one.singular, color=RED, label="inverted, |u′y| / s")
+        plot.axhline(one.sigma, color="#444444", lw=1)
+        plot.text(1.2, one.sigma * 0.8, "noise of a taxel", fontsize=9, va="top")
+        plot.axvspan(max(one.clear, 1), number[-1], color=WORSE_COLOUR, lw=0, zorder=0)
+        plot.text(number[-1] * 0.9, 4e3 * one.sigma, "under the noise", ha="right", fontsize=9, color="#7d3600")
+        plot.set(xscale="log", yscale="log", xlim=(1, number[-1]), ylim=(one.sigma / 10, 1e4 * one.sigma))
+        plot.set(title=f"Picard's plot: {one.skin}, {one.scene}", xlabel="mode, strongest first")
+        plot.set_ylabel("size of the mode (kPa)")
+        plot.legend(loc="upper left", fontsize=9)

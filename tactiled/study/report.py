@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.study import frontier, frontier_chart, picard, stability, stability_chart
+from tactiled.study import frontier, picard, stability
 from tactiled.study.faults import Setting, sweeps
-from tactiled.study.machine import describe
 from tactiled.study.page import page, svg, table, text, tiles
+from tactiled.study.results import machine
 from tactiled.study.skin import Skin, rubber
 
 PICARD_NOISE = 0.01  # of the peak
@@ -68,10 +68,7 @@ def write(folder: Path, results: Results, seed: int) -> Path:
     """Draw every chart, write every table, and the page that holds them all; give its path."""
     frontier.write(folder, results.panels, seed)
     stability.write(folder, results.sweeps, seed)
-    frontier_chart.draw(folder / "frontier.svg", results.panels)
-    stability_chart.draw(folder / "stability.svg", results.sweeps)
-    stability_chart.calibration(folder / "calibration.svg", results.sweeps)
-    picard.chart(folder / "picard.svg", results.modes)
+    picard.write(folder, results.modes)
     path = folder / "index.html"
     path.write_text(page(TITLE, _parts(folder, results, seed)), encoding="utf-8")
     return path
@@ -79,7 +76,7 @@ def write(folder: Path, results: Results, seed: int) -> Path:
 
 def _parts(folder: Path, results: Results, seed: int) -> Iterator[str]:
     yield f"<h1>{TITLE}</h1>"
-    yield f"<p class='soft'>{escape(describe())}. One thread. Seed {seed}.</p>"
+    yield f"<p class='soft'>{escape(machine())}. One thread. Seed {seed}.</p>"
     yield tiles(_headlines(results))
     yield text(
         "Scenes are drawn four times finer than the taxels, off their grid, and blurred by the exact solution"
@@ -107,8 +104,12 @@ def _headlines(results: Results) -> Iterator[tuple[str, str]]:
         closer = sum(auto.nrmse < peer.nrmse for auto, peer in peers)
         words = f"as the best setting of other libraries, and more accurate in {closer} of {len(peers)} panels"
         yield f"{faster:.0f} x as fast", words
-    broken = [one for one in stability.failures(results.sweeps) if one.method == "auto" and one.breaks_at]
-    names = ", ".join(one.sweep for one in broken) or "none"
+    broken = [
+        sweep.name
+        for sweep, rows in results.sweeps
+        if stability.breaks(stability.curve(rows, "auto"), sweep.harmless)
+    ]
+    names = ", ".join(broken) or "none"
     yield f"{len(broken)} of {len(results.sweeps)} faults", f"make auto worse than the raw image: {names}"
 
 
@@ -150,13 +151,8 @@ def _failures(folder: Path, results: Results) -> Iterator[str]:
         " noticed if the image has a flag or a warning, or if its stated deviation is at least half the error.",
     )
     yield svg(folder / "stability.svg", "Error over the raw image's; in the shaded part the raw image is better.")
-    yield table(
-        stability.HEADINGS, stability.lines(results.sweeps), good="none|yes|nothing.*", bad="(no|partly) .*"
-    )
-    yield text(stability.false_warnings(results.sweeps))
-    if silent := stability.silent_lines(results.sweeps):
-        yield text(f"Images of auto that are worse than the raw image, and show it by nothing: {len(silent)}.")
-        yield table(stability.SILENT_HEADINGS, silent)
+    yield table(stability.HEADINGS, stability.lines(results.sweeps), good="none|nothing to notice")
+    yield text(*stability.verdict(results.sweeps))
 
 
 def _deviation(folder: Path) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from tactiled.cli.bench import print_lines, print_table
 from tactiled.restore.auto import REVIEW_FRAMES, Auto
 from tactiled.restore.scene import Scene
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 from tactiled.study.skin import Clip, clips, nrmse, rubber
 
 COVERS = (0.1, 0.5, 1.0, 2.0, 3.0)  # t/pitch
@@ -127,4 +127,4 @@ def ablation(frames: int = 40, size: int = 32, seed: int = 1) -> None:
         for name, each in measure(COVERS, size, NOISES, frames, seed).items()
     ]  # fmt: skip
     print_table("Rules of auto, one off at a time", HEADINGS, rows)
-    print_lines(*(f"{rule}: {meaning}." for rule, (meaning, *_) in RULES.items()), describe())
+    print_lines(*(f"{rule}: {meaning}." for rule, (meaning, *_) in RULES.items()), machine())

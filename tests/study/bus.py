@@ -20,7 +20,7 @@ from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
 from tactiled.cli.bench import print_lines, print_table
 from tactiled.errors import BusError
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 
 LIVE = "packed, 32 x 32 of 12 bits, classic"
 SKINS = {
@@ -28,7 +28,7 @@ SKINS = {
     "packed, 32 x 32 of 12 bits, CAN FD": Packed(1024, 12, fd=True),
     "iCub, 16 triangles": Icub(0, tuple(range(16))),
 }
-QUIET_S = 1.0  # a bus that is quiet for so long has delivered everything
+QUIET_S = 5.0  # a bus that is quiet for so long has lost the rest
 OPEN_S = 30.0  # for the sender to open its end
 TICK_S = 0.002  # a sender wakes up so often
 CAN_FRAME = struct.Struct("=IB3x8s")  # of Linux: id, length, data
@@ -83,7 +83,7 @@ def live(buses, rate, seconds):
     sender.start()
     try:
         with ThreadPoolExecutor(len(readers)) as pool:
-            results = list(pool.map(_drain, readers))
+            results = list(pool.map(partial(_drain, count), readers))
     finally:
         for reader in readers:
             reader.close()
@@ -100,8 +100,8 @@ def _clock_step_s():
     return now - began
 
 
-def _drain(reader):
-    """Make frames of messages until the bus is quiet: received, lost, messages a second, cores."""
+def _drain(count, reader):
+    """Make frames of `count` messages, or until the bus is quiet: received, lost, messages a second, cores."""
     router = Router({"it": SKINS[LIVE]})
     if not (messages := reader.batch(OPEN_S)):
         raise BusError(f"bus {reader.label}: no message within {OPEN_S:g} s: can its interface send to itself?")
@@ -112,7 +112,7 @@ def _drain(reader):
             router.push(message)
         received += len(messages)
         last, cores_s = time.perf_counter(), time.thread_time() - busy
-        messages = reader.batch(QUIET_S)
+        messages = reader.batch(QUIET_S) if received < count else []
     took = max(last - began, TICK_S)
     return received, router.assemblers["it"].loss.lost, received / took, cores_s / took
 
@@ -175,4 +175,4 @@ def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seco
             f" sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s, {result.lost:,} lost;"
             f" cores busy reading: {busy} (aim: 16,000/s, none lost, under 0.6)"
         )
-    print_lines(describe())
+    print_lines(machine())

@@ -13,7 +13,7 @@ from tactiled.contacts.detection import Finder
 from tactiled.geometry import tiling
 from tactiled.restore.methods import make
 from tactiled.simulate.array import FINER
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 from tactiled.study.scenes import PEAK_KPA
 from tactiled.study.skin import rubber
 
@@ -99,4 +99,4 @@ def contacts(repeats: int = 40, seed: int = 1) -> None:
             ]
             rows.append((f"{thickness:g}, {100 * noise:g} %", *cells))
     print_table("Contacts, raw / restored", HEADINGS, rows)
-    print_lines(f"{repeats} discs, seed {seed}. {describe()}")
+    print_lines(f"{repeats} discs, seed {seed}. {machine()}")

@@ -13,7 +13,7 @@ from tactiled.cover import fem, layered
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 
 PAPER = Stack((Layer(0.2, 98.0, 0.3), Layer(1.0, 980.0, 0.3)))
 REPEATS = 9  # of every timing, of which the median counts
@@ -102,4 +102,4 @@ def cover(stacks: int = 200, seed: int = 1) -> None:
     print_table(f"Covers at 1e-3, {stacks} random stacks", ("figure", "measured", "aim"), rows)
     worst = max(solved, key=lambda each: each.error)
     print_lines(f"Worst error: {worst.stack}; {worst.unknowns} unknowns.")
-    print_lines(*(f"Refused: {each.stack}: {each.refusal}." for each in trials if each.refusal), describe())
+    print_lines(*(f"Refused: {each.stack}: {each.refusal}." for each in trials if each.refusal), machine())

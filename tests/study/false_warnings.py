@@ -7,7 +7,7 @@ import numpy as np
 from tactiled.cli.bench import print_lines
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.restore.methods import make
-from tactiled.study.machine import describe
+from tactiled.study.results import machine
 from tactiled.study.skin import clips, rubber
 
 COVERS = (0.5, 1.0, 2.0, 3.0)  # t/pitch
@@ -33,4 +33,4 @@ def false_warnings(places: int = 120, size: int = 32, seed: int = 1) -> None:
     """Count warnings on frames with nothing wrong."""
     frames, warnings = measure(COVERS, size, NOISES, places, seed)
     print_lines(f"{frames} frames, {warnings.total()} warnings at a first look.")
-    print_lines(*(f"{count} x {code}" for code, count in warnings.items()), describe())
+    print_lines(*(f"{count} x {code}" for code, count in warnings.items()), machine())

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from tactiled.cli.bench import print_lines, print_table
 from tactiled.study.faults import cases
-from tactiled.study.machine import describe
-from tactiled.study.stability import WORSE, curve, rows, setting
+from tactiled.study.results import machine
+from tactiled.study.stability import WORSE, curve, restore, setting
 
 FAULTS = {  # mild and bad, in the unit of the sweep
     "thickness wrong": (-20, 20),
@@ -28,15 +28,15 @@ class Pair(NamedTuple):
     scenes: int
 
 
-def measure(setting, quick):
+def measure(setting, bad_only):
     """Every pair of faults, at both strengths of both, or at the bad ones only."""
     for pair in combinations(FAULTS, 2):
-        for values in product(*(FAULTS[name][quick:] for name in pair)):
+        for values in product(*(FAULTS[name][bad_only:] for name in pair)):
             faults = dict(zip(pair, values, strict=True))
             name = " with ".join(f"{fault} {value:g} %" for fault, value in faults.items())
-            found = [row for case in cases(setting, faults) for row in rows(name, 0, case)]
-            auto = [row for row in found if row.method == "auto"]
-            ratios = {method: curve(found, method)[0] for method in METHODS}
+            rows = [row for case in cases(setting, faults) for row in restore(name, 0, case)]
+            auto = [row for row in rows if row.method == "auto"]
+            ratios = {method: curve(rows, method)[0] for method in METHODS}
             yield Pair(name, ratios, [row.noticed for row in auto if row.failed], len(auto))
 
 
@@ -52,4 +52,4 @@ def fault_pairs(quick: bool = False, seed: int = 1) -> None:
     broken = sum(pair.over_raw["auto"] > WORSE for pair in pairs)
     failed, noticed = (sum(map(count, (pair.noticed for pair in pairs))) for count in (len, sum))
     print_lines(f"{broken} of {len(pairs)} pairs make auto worse than raw in the mean; {noticed} of the {failed}")
-    print_lines("single images that are worse are noticed.", describe())
+    print_lines("single images that are worse are noticed.", machine())

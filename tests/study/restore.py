@@ -11,8 +11,8 @@ from scipy import fft
 from tactiled.cli.bench import print_lines, print_table
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.machine import describe
 from tactiled.study.peers import richardson_lucy, wiener
+from tactiled.study.results import machine
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import nrmse, rubber
 from tests.study.presses import presses
@@ -203,4 +203,4 @@ def restore(quick: bool = False, repeats: int = 3, seed: int = 1) -> None:
             rows.append((name, *each, f"{ratio:.2f}", str(count)))
         heads = ("", *TEST_SCENES, "mean", "worst over raw", "> 2 % worse")
         print_table(f"NRMSE at {size} x {size}, {len(results)} presses, t/pitch {covers}", heads, rows)
-    print_lines(describe())
+    print_lines(machine())

@@ -65,12 +65,12 @@ def test_the_ring_has_the_papers_sides_and_its_force_under_a_thin_cover():
     assert ring.shape == (40, 40)
     assert ring[20].sum() * models.ELEMENT == pytest.approx(1.0 - 0.6)
     assert ring.sum() * models.ELEMENT**2 == pytest.approx(1.0**2 - 0.6**2)
-    assert models.under(models.covered(0.1), "exact").sum() == pytest.approx(ring.sum(), rel=0.01)
+    assert models.under(models.covered("layered", 0.1)).sum() == pytest.approx(ring.sum(), rel=0.01)
 
 
 def test_the_rod_presses_on_one_cell_in_its_middle_and_on_two_on_their_common_edge():
     def force(sheet, *x):
-        return models.cell_force(models.covered(sheet).exact, np.array(x), models.POINT)
+        return models.cell_force(models.covered("layered", sheet), np.array(x), models.POINT)
 
     assert force(1.0, 0.0) < force(0.25, 0.0)
     assert force(0.25, 0.0) == pytest.approx(models.LOAD, abs=0.002)
@@ -79,7 +79,7 @@ def test_the_rod_presses_on_one_cell_in_its_middle_and_on_two_on_their_common_ed
 
 
 def test_a_spread_load_is_still_the_whole_load_and_filters_more():
-    point = models.covered(0.25).exact
+    point = models.covered("layered", 0.25)
     spread = models.spread(point, 0.3)
     assert spread.gain_at(1e-6) == pytest.approx(1)
     assert spread.gain_at(1.0) < point.gain_at(1.0) - 0.1

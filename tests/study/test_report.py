@@ -35,7 +35,7 @@ def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tmp_path, m
     assert "images with the right settings" in html
     assert "<img" not in html
     assert "<script" not in html
-    assert {p.name for p in tmp_path.iterdir()} >= {"frontier.csv", "stability-table.csv", "stability.json"}
+    assert {p.name for p in tmp_path.iterdir()} >= {"frontier.csv", "stability.csv", "stability.json"}
 
 
 def test_tables_are_shaded_by_their_patterns_and_escaped():

@@ -11,15 +11,15 @@ from tactiled.restore.methods import Restorer
 from tactiled.study import stability
 from tactiled.study.faults import SWEEPS, Setting, cases, sweeps
 from tactiled.study.skin import configured, rubber
-from tactiled.study.stability import Row, breaks, curve, failure, lines, rows, silent_lines
+from tactiled.study.stability import Row, breaks, curve, lines, restore, verdict
 from tests.study import false_warnings, fault_pairs
 
-SMALL = Setting(rubber(1.5, 12), 1, ("punches",))
+SETTING = Setting(rubber(1.5, 12), 1, ("punches",))
 SWEEP = {sweep.name: sweep for sweep in SWEEPS}
 
 
 def case(**faults):
-    (one,) = cases(SMALL, {name.replace("_", " "): value for name, value in faults.items()})
+    (one,) = cases(SETTING, {name.replace("_", " "): value for name, value in faults.items()})
     return one
 
 
@@ -36,10 +36,10 @@ def sweep_of(ratios, **other):
 @pytest.mark.parametrize(
     ("ratios", "harmless", "values"),
     [
-        ({-10: 1.5, -5: 1.1, -1: 1.0, 0: 0.5, 1: 0.9, 2: 1.03, 5: 0.9, 10: 2.0}, 0, (-5, 2)),
-        ({-10: 1.5, 10: 2.0}, 10, (10,)),
-        ({0: 0.5, 1: 1.02}, 0, ()),
-        ({30: 1.4, 50: 1.1, 100: 0.5}, 100, (50,)),
+        ({-10: 1.5, -5: 1.1, -1: 1.0, 0: 0.5, 1: 0.9, 2: 1.03, 5: 0.9, 10: 2.0}, 0, [-5, 2]),
+        ({-10: 1.5, 10: 2.0}, 10, [10]),
+        ({0: 0.5, 1: 1.02}, 0, []),
+        ({30: 1.4, 50: 1.1, 100: 0.5}, 100, [50]),
     ],
 )
 def test_a_method_breaks_at_the_first_value_over_the_limit_on_either_side(ratios, harmless, values):
@@ -47,17 +47,16 @@ def test_a_method_breaks_at_the_first_value_over_the_limit_on_either_side(ratios
 
 
 def test_a_curve_is_the_ratio_of_mean_errors():
-    found = [row(0, 0.2, scene="a"), row(0, 0.6, scene="b"), row(0, 1.0, "raw", "a"), row(0, 1.0, "raw", "b")]
-    assert curve(found, "auto") == pytest.approx({0: 0.4})
+    rows = [row(0, 0.2, scene="a"), row(0, 0.6, scene="b"), row(0, 1.0, "raw", "a"), row(0, 1.0, "raw", "b")]
+    assert curve(rows, "auto") == pytest.approx({0: 0.4})
 
 
-def test_a_failure_has_its_place_and_whether_it_was_noticed():
-    silent = failure(SWEEP["offset"], sweep_of({0: 0.5, 2: 1.2, 5: 1.4}), "auto")
-    assert (silent.breaks_at, silent.worst, silent.worst_at, silent.noticed) == ((2,), 1.4, 5, "no (0 of 2)")
-    good = failure(SWEEP["offset"], sweep_of({0: 0.5, 2: 0.6}), "auto")
-    assert (good.breaks_at, good.noticed) == ((), "")
-    partly = sweep_of({0: 0.5, 2: 1.2}) + sweep_of({5: 1.4}, flagged=True)
-    assert failure(SWEEP["offset"], partly, "auto").noticed == "partly (1 of 2)"
+def test_the_table_has_places_of_failures_and_how_many_are_noticed():
+    rows = sweep_of({-5: 1.2, 0: 0.5, 2: 1.4}) + sweep_of({5: 1.3}, flagged=True)
+    (line,) = lines([(SWEEP["offset"], rows)])
+    assert line == ("offset (% of the peak)", "auto −5, 2", "1.40 at 2", "1 of 3")
+    (line,) = lines([(SWEEP["offset"], sweep_of({0: 0.5, 2: 0.6}))])
+    assert line == ("offset (% of the peak)", "none", "0.60 at 2", "nothing to notice")
 
 
 @pytest.mark.parametrize(
@@ -65,33 +64,34 @@ def test_a_failure_has_its_place_and_whether_it_was_noticed():
     [
         ({}, False),
         ({"flagged": True}, True),
-        ({"warnings": ("tare",)}, True),
+        ({"warnings": ("negative",)}, True),
         ({"stated": 2.0}, True),
         ({"stated": np.nan}, False),
     ],
 )
 def test_flags_warnings_and_honest_deviations_are_noticed(other, noticed):
     assert row(0, 1.5, **other).noticed is noticed
-    results = [
-        (SWEEP["offset"], [row(5, 1.5, **other), row(5, 0.9), row(5, 1.5, "nnls"), row(-5, 1.6, flagged=True)])
-    ]
-    expected = (
-        []
-        if noticed
-        else [("offset", "5 % of the peak", "punches", "1.50", "4.00", f"{other.get('stated', 1):.2f}")]
+    results = [(SWEEP["offset"], [row(5, 1.5, **other), row(5, 0.9), row(5, 1.5, "nnls")])]
+    assert f"show it by nothing: {int(not noticed)} of 2" in verdict(results)[0]
+
+
+def test_warnings_with_the_right_settings_are_counted_on_good_images():
+    rows = [row(1, 0.5), row(1, 0.5, warnings=("negative",)), row(1, 1.5, warnings=("negative",))]
+    assert (
+        verdict([(SWEEP["cover"], rows), (SWEEP["offset"], rows)])[1]
+        == "Warnings on 3 images with the right settings: 1."
     )
-    assert silent_lines(results) == expected
 
 
 @pytest.mark.parametrize("sweep", SWEEPS, ids=lambda sweep: sweep.name)
 def test_every_sweep_is_deterministic_and_its_worst_value_changes_the_frame(sweep):
     assert sweep.harmless in sweep.values
-    first, second = (next(cases(SMALL, {sweep.name: sweep.harmless})) for _ in range(2))
+    first, second = (next(cases(SETTING, {sweep.name: sweep.harmless})) for _ in range(2))
     assert np.array_equal(first.frame, second.frame)
     assert first.frame.dtype == np.float32
     assert first.frame.shape == first.truth.shape == (12, 12)
     worst = max(sweep.values, key=lambda value: abs(value - sweep.harmless))
-    other = next(cases(SMALL, {sweep.name: worst}))
+    other = next(cases(SETTING, {sweep.name: worst}))
     assert not np.array_equal(other.frame, first.frame) or other.noise != first.noise
 
 
@@ -113,36 +113,36 @@ def test_faults_add_up():
 
 
 def test_a_drift_grows_from_the_frames_before_which_the_method_restores_first(monkeypatch):
-    small, large = case(drift=0.1), case(drift=20)
-    assert small.before.shape == large.before.shape == (23, 12, 12)
-    assert 5 < 100 * np.abs(large.frame - small.frame).max() / small.frame.max() < 80
-    assert np.abs(large.before[-1] - large.frame).max() < np.abs(large.before[11] - large.frame).max()
-    calls, restore = [], Restorer.__call__
-    monkeypatch.setattr(Restorer, "__call__", lambda *each: calls.append(1) or restore(*each))
-    rows("drift", 20, large)
+    slow, fast = case(drift=0.1), case(drift=20)
+    assert slow.before.shape == fast.before.shape == (23, 12, 12)
+    assert 5 < 100 * np.abs(fast.frame - slow.frame).max() / slow.frame.max() < 80
+    assert np.abs(fast.before[-1] - fast.frame).max() < np.abs(fast.before[11] - fast.frame).max()
+    calls, call = [], Restorer.__call__
+    monkeypatch.setattr(Restorer, "__call__", lambda *each: calls.append(1) or call(*each))
+    restore("drift", 20, fast)
     assert len(calls) == 24 * (1 + len(stability.OURS))
 
 
 @pytest.mark.parametrize(("value", "noticed"), [(0.5, False), (1, False), (3, True), (10, True)])
 def test_noise_that_the_service_measures_is_noticed(value, noticed):
     assert all(
-        (stability.NOISY in each.warnings) is noticed for each in rows("", value, case(noise_misjudged=value))
+        (stability.NOISY in each.warnings) is noticed for each in restore("", value, case(noise_misjudged=value))
     )
 
 
 def test_a_configured_layout_is_swept_where_no_grid_is_needed(tmp_path):
     (tmp_path / "it.toml").write_text(GRASP)
-    setting = Setting(configured(tmp_path / "it.toml"), 1, ("blobs",))
-    allowed = sweeps(setting)
+    layout = Setting(configured(tmp_path / "it.toml"), 1, ("blobs",))
+    allowed = sweeps(layout)
     assert [sweep.grid for sweep in SWEEPS].count(True) == 5 == len(SWEEPS) - len(allowed)
     for sweep in allowed:
-        one = next(cases(setting, {sweep.name: sweep.values[-1]}))
-        assert [each.method for each in rows(sweep.name, 0, one)] == ["raw", *stability.OURS]
+        one = next(cases(layout, {sweep.name: sweep.values[-1]}))
+        assert [each.method for each in restore(sweep.name, 0, one)] == ["raw", *stability.OURS]
 
 
 def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     monkeypatch.setattr("tactiled.study.faults.SWEEPS", tuple(SWEEP[name] for name in ("cover", "offset")))
-    monkeypatch.setattr(stability, "setting", lambda quick, *_: (SMALL, slice(0, 1 + quick)))
+    monkeypatch.setattr(stability, "setting", lambda *_: (SETTING, slice(0, 2)))
     done = CliRunner().invoke(app, ["bench", "stability", "--quick", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     for name in ("stability.svg", "calibration.svg"):
@@ -151,25 +151,18 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     assert max(len(line) for line in done.output.splitlines() if "│" in line) <= 80
     images = list(csv.DictReader((tmp_path / "stability.csv").read_text().splitlines()))
     assert {each["method"] for each in images} == {"raw", *stability.OURS, *stability.PEERS}
-    written = list(csv.DictReader((tmp_path / "stability-table.csv").read_text().splitlines()))
-    assert len(written) == 2 * len(stability.OURS + stability.PEERS)
-    assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == len(written)
-
-
-def test_a_method_that_breaks_is_listed_with_its_places():
-    (line,) = lines([(SWEEP["offset"], sweep_of({-5: 1.2, 0: 0.5, 2: 1.4}))])
-    assert line == ("offset (% of the peak)", "auto −5, 2", "1.40 at 2", "no (0 of 2)")
+    assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == 2
 
 
 def test_every_pair_of_faults_is_made_and_judged(monkeypatch):
     monkeypatch.setattr(
         fault_pairs, "FAULTS", {"white noise": (3, 10), "offset": (-5, 5), "thickness wrong": (-20, 20)}
     )
-    pairs = list(fault_pairs.measure(SMALL, quick=True))
+    pairs = list(fault_pairs.measure(SETTING, bad_only=True))
     assert pairs[0].name == "white noise 10 % with offset 5 %"
     assert len(pairs) == 3
     assert all(bool(pair.noticed) == (pair.over_raw["auto"] > stability.WORSE) for pair in pairs)
-    assert len(list(fault_pairs.measure(SMALL, quick=False))) == 12
+    assert len(list(fault_pairs.measure(SETTING, bad_only=False))) == 12
 
 
 def test_frames_with_nothing_wrong_have_no_warning():

@@ -2,74 +2,77 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from tactiled.cover.fem import FLOOR
+from tactiled.cover.kernel import Kernel
 from tactiled.study.charts import COLOURS, FREQUENCY, MARKS, figure
 from tactiled.study.paper import models
-from tactiled.study.paper.models import Pair, covered
+from tactiled.study.paper.models import covered
 from tactiled.study.scenes import Floats
 
 Q = np.linspace(0, 6, 301)  # cycles/mm
 SPACING = 20  # points of a line between marks
 
-NINE = (  # thickness (mm), Young's modulus (MPa), Poisson's ratio
-    *((thickness, 98.0, 0.3) for thickness in (0.1, 0.4, 0.6)),
-    *((0.2, young, 0.3) for young in (490.0, 980.0, 4903.0)),
-    *((0.2, 98.0, poisson) for poisson in (0.2, 0.4, 0.45)),
-)
+NINE = {f"Thickness {thickness:g} mm": (thickness, 98.0, 0.3) for thickness in (0.1, 0.4, 0.6)}
+NINE |= {f"Modulus {young:g} MPa": (0.2, young, 0.3) for young in (490.0, 980.0, 4903.0)}
+NINE |= {f"Poisson's ratio {poisson:g}": (0.2, 98.0, poisson) for poisson in (0.2, 0.4, 0.45)}
+
+
+def _models(thickness: float = 0.2, **cover: float) -> list[Kernel]:
+    """A cover solved exactly, and by finite elements."""
+    return [covered(model, thickness, **cover) for model in models.MODELS]
 
 
 def _fig4(path: Path) -> None:
     """Fig. 4: stress under the paper's point load, and its peaks against the law they should follow."""
     r = np.linspace(0, 1, 301)
     with figure(path, 10, 4.2) as chart:
-        left, right = chart.subplots(1, 2, width_ratios=(1.5, 1))
-        pairs = [covered(thickness) for thickness in models.THICKNESSES]
+        main, side = chart.subplots(1, 2, width_ratios=(1.5, 1))
+        pairs = [_models(thickness) for thickness in models.THICKNESSES]
         for number, (thickness, pair) in enumerate(zip(models.THICKNESSES, pairs, strict=True)):
-            values = [models.LOAD * np.interp(r, each.r, each.g) for each in (pair.exact, pair.fem)]
-            _both(left, number, r, values, f"{thickness:g} mm")
-        left.set(xlabel="distance from the load r (mm)", ylabel="stress under 0.98 N (MPa)", yscale="log")
-        left.set(title="Stress on the sensor, by thickness", xlim=(0, 1), ylim=(1e-2, 100))
-        left.legend(title="cover")
-        peaks = [models.LOAD * pair.exact.g[0] for pair in pairs]
+            values = [models.LOAD * np.interp(r, each.r, each.g) for each in pair]
+            _both(main, number, r, values, f"{thickness:g} mm")
+        main.set(xlabel="distance from the load r (mm)", ylabel="stress under 0.98 N (MPa)", yscale="log")
+        main.set(title="Stress on the sensor, by thickness", xlim=(0, 1), ylim=(1e-2, 100))
+        main.legend(title="cover")
+        peaks = [models.LOAD * exact.g[0] for exact, _ in pairs]
         law = peaks[1] * (models.THICKNESSES[1] / np.array(models.THICKNESSES)) ** 2
-        right.loglog(models.THICKNESSES, law, "--", color="#888888", label="1 / thickness²")
-        right.loglog(models.THICKNESSES, peaks, "o", color=COLOURS[0], markersize=7, label="peak, exact")
-        right.set(title="Its peak", xlabel="thickness (mm)", ylabel="peak stress (MPa)")
-        right.set_xticks(models.THICKNESSES, [f"{thickness:g}" for thickness in models.THICKNESSES])
-        right.set_yticks(peaks, [f"{peak:.3g}" for peak in peaks])
-        right.minorticks_off()
-        right.legend()
+        side.loglog(models.THICKNESSES, law, "--", color="#888888", label="1 / thickness²")
+        side.loglog(models.THICKNESSES, peaks, "o", color=COLOURS[0], markersize=7, label="peak, exact")
+        side.set(title="Its peak", xlabel="thickness (mm)", ylabel="peak stress (MPa)")
+        side.set_xticks(models.THICKNESSES, [f"{thickness:g}" for thickness in models.THICKNESSES])
+        side.set_yticks(peaks, [f"{peak:.3g}" for peak in peaks])
+        side.minorticks_off()
+        side.legend()
 
 
 def _fig5(path: Path) -> None:
     """Fig. 5."""
-    _gains(path, "Gain by thickness of the cover", models.THICKNESSES, lambda x: covered(x), "{:g} mm")
+    _gains(path, "Gain by thickness of the cover", "thickness", models.THICKNESSES, "{:g} mm")
 
 
 def _fig6(path: Path) -> None:
     """Fig. 6."""
-    _gains(path, "Gain by Young's modulus of the cover", models.MODULI, lambda x: covered(young=x), "{:g} MPa")
+    _gains(path, "Gain by Young's modulus of the cover", "young", models.MODULI, "{:g} MPa")
 
 
 def _fig7(path: Path) -> None:
     """Fig. 7, and how far each ratio is from the paper's 0.3."""
     with figure(path, 10, 4.2) as chart:
-        left, right = chart.subplots(1, 2)
-        reference = covered()
+        main, side = chart.subplots(1, 2)
+        reference = [each.gain_at(Q) for each in _models()]
         for number, poisson in enumerate(models.RATIOS):
-            pair = covered(poisson=poisson)
-            values = [pair.exact.gain_at(Q), pair.fem.gain_at(Q)]
-            _both(left, number, Q, values, f"{poisson:g}")
-            change = [values[0] - reference.exact.gain_at(Q), values[1] - reference.fem.gain_at(Q)]
-            _both(right, number, Q, change, f"{poisson:g}")
-        _gain_axes(left, "Gain by Poisson's ratio of the cover")
-        left.legend(title="Poisson's ratio")
-        right.set(title="Change from ratio 0.3", xlabel=FREQUENCY, ylabel="change of G", xlim=(0, 6))
+            values = [each.gain_at(Q) for each in _models(poisson=poisson)]
+            _both(main, number, Q, values, f"{poisson:g}")
+            _both(side, number, Q, list(np.subtract(values, reference)), f"{poisson:g}")
+        _gain_axes(main, "Gain by Poisson's ratio of the cover")
+        main.legend(title="Poisson's ratio")
+        side.set(title="Change from ratio 0.3", xlabel=FREQUENCY, ylabel="change of G", xlim=(0, 6))
 
 
 def _fig8(path: Path) -> None:
@@ -77,11 +80,10 @@ def _fig8(path: Path) -> None:
     with figure(path, 10, 12.6) as chart:
         axes = chart.subplots(4, 3)
         image = _picture(axes[0, 0], models.ring(), "On the cover")
-        _picture(axes[0, 1], models.under(covered(), "fem"), "0.2 mm, 98 MPa, ratio 0.3")
+        _picture(axes[0, 1], models.under(covered("fem")), "0.2 mm, 98 MPa, ratio 0.3")
         _section(axes[0, 2])
-        for axis, (thickness, young, poisson) in zip(axes[1:].flat, NINE, strict=True):
-            picture = models.under(covered(thickness, young, poisson), "fem")
-            _picture(axis, picture, _difference(thickness, young, poisson))
+        for axis, (title, cover) in zip(axes[1:].flat, NINE.items(), strict=True):
+            _picture(axis, models.under(covered("fem", *cover)), title)
         for axis in (*axes[:3, :2].flat, *axes[1:3, 2]):
             axis.set_xlabel("")
         for axis in (axes[0, 1], *axes[1:, 1:].flat):
@@ -94,39 +96,40 @@ def _fig10(path: Path) -> None:
     """Fig. 10: force on one cell, and faintly on its neighbours, as the rod moves along the row."""
     x = np.linspace(-6, 6, 481)
     with figure(path, 10, 4.4) as chart:
-        left, right = chart.subplots(1, 2)
+        main, side = chart.subplots(1, 2)
         for number, thickness in enumerate(models.SHEETS):
-            pair = covered(thickness)
-            forces = [models.cell_force(each, x, models.POINT) for each in (pair.exact, pair.fem)]
-            _both(left, number, x, forces, f"{thickness:g} mm", 40)
-            _both(right, number, x, forces, f"{thickness:g} mm", 12)
-            for side in (-models.CELL, models.CELL):
-                beside = models.cell_force(pair.exact, x - side, models.POINT)
-                left.plot(x, beside, color=COLOURS[number], lw=1, alpha=0.4)
-        for axis in (left, right):
+            pair = _models(thickness)
+            forces = [models.cell_force(each, x, models.POINT) for each in pair]
+            _both(main, number, x, forces, f"{thickness:g} mm", 40)
+            _both(side, number, x, forces, f"{thickness:g} mm", 12)
+            for offset in (-models.CELL, models.CELL):
+                beside = models.cell_force(pair[0], x - offset, models.POINT)
+                main.plot(x, beside, color=COLOURS[number], lw=1, alpha=0.4)
+        for axis in (main, side):
             axis.axvspan(-models.CELL / 2, models.CELL / 2, color="#999999", alpha=0.15, lw=0, label="the cell")
             axis.set(xlabel="place of the rod (mm)", ylabel="force on the cell (N)", ylim=(-0.02, 1.03))
-        left.set(title="One cell of the row, and its neighbours", xlim=(-6, 6))
-        right.set(title="At the cell's edge", xlim=(1, 3.6))
-        right.legend(title="rubber", loc="upper right")
+        main.set(title="One cell of the row, and its neighbours", xlim=(-6, 6))
+        side.set(title="At the cell's edge", xlim=(1, 3.6))
+        side.legend(title="rubber", loc="upper right")
 
 
-def _gains(path: Path, title: str, of: Sequence[float], pair: Callable[[float], Pair], name: str) -> None:
+def _gains(path: Path, title: str, layer_property: str, values: Sequence[float], label: str) -> None:
     """Draw one gain for every value, with the error of the finite elements beside it."""
     with figure(path, 10, 4.2) as chart:
-        left, right = chart.subplots(1, 2, width_ratios=(1.5, 1))
-        for number, value in enumerate(of):
-            exact, fem = pair(value).exact.gain_at(Q), pair(value).fem.gain_at(Q)
-            _both(left, number, Q, [exact, fem], name.format(value))
+        main, side = chart.subplots(1, 2, width_ratios=(1.5, 1))
+        for number, value in enumerate(values):
+            exact, fem = (each.gain_at(Q) for each in _models(**{layer_property: value}))
+            _both(main, number, Q, [exact, fem], label.format(value))
             error = np.where(exact >= FLOOR, fem - exact, np.nan)
-            _line(right, number, Q, error * 1e3, name.format(value))
-        _gain_axes(left, title)
-        left.legend(title="cover")
-        right.set(title="Finite elements − exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
-        right.set(xlim=(0, 6), ylim=(-1.1, 1.1), yticks=(-1, -0.5, 0, 0.5, 1))
+            look: Any = {"color": COLOURS[number], "marker": MARKS[number], "mfc": "white", "lw": 1.2}
+            side.plot(Q, error * 1e3, markevery=(13 * number % 60 + 8, 60), **look)
+        _gain_axes(main, title)
+        main.legend(title="cover")
+        side.set(title="Finite elements − exact", xlabel=FREQUENCY, ylabel="error of G (10⁻³)")
+        side.set(xlim=(0, 6), ylim=(-1.1, 1.1), yticks=(-1, -0.5, 0, 0.5, 1))
         for aim in (-1, 1):
-            right.axhline(aim, color="#444444", lw=1, ls=(0, (4, 3)))
-        right.text(5.9, 0.97, "aim: ±1", ha="right", va="top", fontsize=9.5, color="#444444")
+            side.axhline(aim, color="#444444", lw=1, ls=(0, (4, 3)))
+        side.text(5.9, 0.97, "aim: ±1", ha="right", va="top", fontsize=9.5, color="#444444")
 
 
 def _gain_axes(axis: Axes, title: str) -> None:
@@ -139,14 +142,6 @@ def _both(axis: Axes, number: int, x: Floats, values: list[Floats], label: str, 
     axis.plot([], [], MARKS[number], ls="-", color=COLOURS[number], mfc="white", label=label)
     every = (3 * number % spacing, spacing)
     axis.plot(x, values[1], MARKS[number], color=COLOURS[number], mfc="white", markevery=every)
-
-
-def _line(axis: Axes, number: int, x: Floats, values: Floats, label: str) -> None:
-    """Draw a thin line with a few marks, so that colour alone need not tell it from the others."""
-    every = (13 * number % 60 + 8, 60)
-    axis.plot(
-        x, values, color=COLOURS[number], marker=MARKS[number], mfc="white", lw=1.2, markevery=every, label=label
-    )
 
 
 def _picture(axis: Axes, pressure: Floats, title: str) -> AxesImage:
@@ -164,7 +159,7 @@ def _section(axis: Axes) -> None:
     middle = models.ELEMENTS // 2
     axis.step(x, models.ring()[middle], where="mid", color="#999999", lw=1.2, label="cover")
     for number, thickness in enumerate(models.THICKNESSES):
-        cut = [models.under(covered(thickness), model)[middle] for model in ("exact", "fem")]
+        cut = [models.under(each)[middle] for each in _models(thickness)]
         _both(axis, number, x, cut, f"{thickness:g} mm", 5)
     axis.set_title("Cut at y = 0", fontsize=11)
     axis.set(xlabel="x (mm)", ylabel="pressure ratio", xlim=(-1, 1), ylim=(0, 1.75), xticks=(-1, 0, 1))
@@ -173,23 +168,11 @@ def _section(axis: Axes) -> None:
     axis.legend(fontsize=9, ncols=2, loc="upper center", columnspacing=1.2, handlelength=1.6)
 
 
-def _difference(thickness: float, young: float, poisson: float) -> str:
-    """Name what differs from the reference cover."""
-    if thickness != 0.2:
-        return f"Thickness {thickness:g} mm"
-    return f"Modulus {young:g} MPa" if young != 98.0 else f"Poisson's ratio {poisson:g}"
-
-
 FIGURES: tuple[tuple[str, str, str, Callable[[Path], None]], ...] = (
     ("fig04.svg", "Fig. 4", "Stress on the sensor under a point load of 0.98 N, by thickness.", _fig4),
     ("fig05.svg", "Fig. 5", "Gain by thickness; error of the finite elements where it is 0.001 or more.", _fig5),
     ("fig06.svg", "Fig. 6", "Gain by the cover's Young's modulus, and the error of the finite elements.", _fig6),
     ("fig07.svg", "Fig. 7", "Gain by the cover's Poisson's ratio, and the difference from that at 0.3.", _fig7),
     ("fig08.png", "Fig. 8", "A square ring under the reference cover and under nine others.", _fig8),
-    (
-        "fig10.svg",
-        "Fig. 10",
-        "Force on a cell of 4.57 mm as a rod with 0.98 N moves along; pale: neighbours.",
-        _fig10,
-    ),
+    ("fig10.svg", "Fig. 10", "Force on a cell of 4.57 mm as a rod with 0.98 N moves along; pale: others.", _fig10),
 )

@@ -1,6 +1,6 @@
 """The covers, loads and cells of Shimojo's paper, each solved by finite elements and exactly."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Literal
 
@@ -14,7 +14,8 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid
 from tactiled.study.scenes import Floats
 
-Model = Literal["fem", "exact"]
+Model = Literal["layered", "fem"]
+MODELS: tuple[Model, Model] = ("layered", "fem")  # exact, and by finite elements
 
 SENSOR = Layer(thickness=1.0, young=980.0, poisson=0.3)
 THICKNESSES = (0.1, 0.2, 0.4, 0.6)  # mm
@@ -31,23 +32,10 @@ ROD = 3.0  # mm, radius of the rod's tip
 POINT = 0.02  # mm, side of the square that stands for a point load
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """One cover, solved both ways."""
-
-    fem: Kernel
-    exact: Kernel
-
-    def of(self, model: Model) -> Kernel:
-        """The kernel of one model."""
-        return self.fem if model == "fem" else self.exact
-
-
 @cache
-def covered(thickness: float = 0.2, young: float = 98.0, poisson: float = 0.3) -> Pair:
-    """Solve the paper's sensor under a cover: thickness (mm), Young's modulus (MPa), Poisson's ratio."""
-    stack = Stack((Layer(thickness, young, poisson), SENSOR))
-    return Pair(solve(stack, "fem"), solve(stack, "layered"))
+def covered(model: Model, thickness: float = 0.2, young: float = 98.0, poisson: float = 0.3) -> Kernel:
+    """The paper's sensor under a cover: thickness (mm), Young's modulus (MPa), Poisson's ratio."""
+    return solve(Stack((Layer(thickness, young, poisson), SENSOR)), model)
 
 
 def centres() -> Floats:
@@ -63,9 +51,9 @@ def ring() -> Floats:
 
 
 @cache
-def under(pair: Pair, model: Model) -> Floats:
+def under(kernel: Kernel) -> Floats:
     """The ring's pressure (40, 40) under a cover, element by element."""
-    response = stencil(pair.of(model), grid(ELEMENTS, ELEMENTS, ELEMENT))
+    response = stencil(kernel, grid(ELEMENTS, ELEMENTS, ELEMENT))
     return np.asarray(fftconvolve(response, ring(), "valid"))
 
 
