@@ -1,35 +1,47 @@
-"""Recordings as python-can reads them, but in bounded memory: no line or container may fill it."""
+"""Recordings as python-can reads and writes them; read in bounded memory: no line or container may fill it."""
 
 import gzip
 import io
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
-import can
-from can.io import blf
-from can.io.generic import MessageReader
+from tactiled.bus.canbus import (
+    ASCReader,
+    ASCWriter,
+    BLFReader,
+    BLFWriter,
+    CanMessage,
+    CanutilsLogReader,
+    CanutilsLogWriter,
+    CSVReader,
+    LogReader,
+    MessageReader,
+    MessageWriter,
+    TRCReader,
+    blf,
+)
 
-MAX_LINE = 1 << 16  # characters; a message's line has some hundreds, whatever the format
+MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
-TEXT = {".log": can.CanutilsLogReader, ".asc": can.ASCReader, ".csv": can.CSVReader, ".trc": can.TRCReader}
-ENDED = (".log", ".asc")  # of whose lines the last one has an end, too: without it a message may be half of one
+TEXT_READERS = {".log": CanutilsLogReader, ".asc": ASCReader, ".csv": CSVReader, ".trc": TRCReader}
+WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
 
 
 class Lines(io.TextIOWrapper):
     """A text file whose lines are bounded: ValueError; EOFError for a last one without the end it should have."""
 
-    def __init__(self, file: BinaryIO, ended: bool) -> None:
+    def __init__(self, file: BinaryIO, with_last_end: bool) -> None:
         super().__init__(file, "utf-8")
-        self._ended = ended
+        self._with_last_end = with_last_end
 
     def readline(self, _: int | None = -1, /) -> str:  # type: ignore[override]
         """The next line."""
-        line = super().readline(MAX_LINE + 1)
-        if len(line) > MAX_LINE:
-            raise ValueError(f"a line is longer than {MAX_LINE} characters")
-        if self._ended and line and not line.endswith("\n"):
+        line = super().readline(MAX_LINE_CHARACTERS + 1)
+        if len(line) > MAX_LINE_CHARACTERS:
+            raise ValueError(f"a line is longer than {MAX_LINE_CHARACTERS} characters")
+        if self._with_last_end and line and not line.endswith("\n"):
             raise EOFError("its last line is cut off")
         return line
 
@@ -44,10 +56,10 @@ class Blocks(io.BufferedReader):
         return super().read(size)
 
 
-class BoundedBlf(can.BLFReader):
+class BoundedBlf(BLFReader):
     """python-can's reader of .blf, which unpacks a container and joins an object's parts whatever their size."""
 
-    def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
+    def __iter__(self) -> Iterator[CanMessage]:  # type: ignore[override]
         """Every message; EOFError where the file ends within an object."""
         size = blf.OBJ_HEADER_BASE_STRUCT.size
         while header := self.file.read(size):
@@ -65,7 +77,7 @@ class BoundedBlf(can.BLFReader):
                 raise EOFError("it is cut off")
         self.stop()
 
-    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+    def _parse_container(self, data: bytes) -> Iterator[CanMessage]:
         if len(self._tail) + len(data) > 2 * MAX_BLOCK_BYTES:
             raise ValueError(f"an object is longer than {MAX_BLOCK_BYTES} bytes")
         return super()._parse_container(data)
@@ -93,12 +105,38 @@ def open_log(path: Path) -> MessageReader:
     suffixes = [each.lower() for each in path.suffixes]
     packed = len(suffixes) == 2 and suffixes[1] == ".gz"
     kind = "".join(suffixes[:1] if packed else suffixes[-1:])
-    if kind not in TEXT and kind != ".blf":
-        return can.LogReader(path)  # no stream of bytes, or no recording, which it says
+    if kind not in TEXT_READERS and kind != ".blf":
+        return LogReader(path)  # no stream of bytes, or no recording, which it says
     source = gzip.GzipFile(path) if packed else path.open("rb")
-    file = Blocks(cast(io.RawIOBase, source)) if kind == ".blf" else Lines(cast(BinaryIO, source), kind in ENDED)
     try:
-        return BoundedBlf(file) if isinstance(file, Blocks) else TEXT[kind](file)
+        if kind == ".blf":
+            return BoundedBlf(Blocks(cast(io.RawIOBase, source)))
+        lines = Lines(cast(BinaryIO, source), kind in WITH_LAST_END)
+        return cast(MessageReader, TEXT_READERS[kind](lines))
     except BaseException:
-        file.close()
+        source.close()
         raise
+
+
+def _text(file: BinaryIO) -> io.TextIOWrapper:
+    return io.TextIOWrapper(file, "utf-8", newline="\n")
+
+
+def _gzip(file: BinaryIO) -> BinaryIO:
+    return cast(BinaryIO, gzip.GzipFile("", "wb", 6, file, 0))
+
+
+WRITERS: dict[str, Callable[[BinaryIO], MessageWriter]] = {
+    ".log": lambda file: CanutilsLogWriter(_text(file), "can0"),
+    ".asc": lambda file: ASCWriter(_text(file)),
+    ".blf": BLFWriter,
+    ".log.gz": lambda file: CanutilsLogWriter(_text(_gzip(file)), "can0"),
+    ".asc.gz": lambda file: ASCWriter(_text(_gzip(file))),
+}  # python-can's formats that keep all of a message and can be read without their end
+
+
+def flush(writer: MessageWriter) -> None:
+    """Hand all that a writer was given to its file."""
+    if isinstance(writer, BLFWriter):
+        writer._flush()  # ends a container: python-can has no public way
+    cast(Any, writer).file.flush()

@@ -1,10 +1,8 @@
-"""A bus's raw traffic into a file: every message of it, or a loud end."""
+"""A bus's raw traffic into a file: every message of it, or an error that says how many."""
 
-import gzip
 import io
 import os
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from math import inf
 from pathlib import Path
@@ -13,41 +11,14 @@ from shutil import disk_usage
 from threading import Event, Thread
 from typing import Any, BinaryIO, cast
 
-import can
-
-from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.canbus import CanMessage, channel2int
+from tactiled.bus.logfile import WRITERS, flush
+from tactiled.bus.reader import Reader
 from tactiled.errors import BusError, ConfigError, TactileError
 
 FLUSH_S = 0.25  # how often what has come is put on the disk: a crash costs no more, and a slow disk's time
-WAITING = 100_000  # messages that wait for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
-POLL_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
-
-
-class Tap:
-    """An open bus as a recorder hears it: error and remote frames too, nothing left out."""
-
-    def __init__(self, reader: Reader) -> None:
-        self._reader, self.label = reader, reader.label
-        self.receive = reader.frame
-        self.close = reader.close
-        self._before = reader.dropped
-
-    @property
-    def unreadable(self) -> int:
-        """Messages that the bus's interface could not decode, of which the recording has nothing."""
-        return self._reader.unreadable
-
-    def check(self) -> None:
-        """BusError where the kernel has dropped messages that were not taken in time."""
-        if (dropped := self._reader.dropped - self._before) > 0:
-            raise BusError(
-                f"bus {self.label}: the kernel dropped {dropped} messages: this machine is too busy for it"
-            )
-
-
-def open_tap(interface: str, **settings: Any) -> Tap:
-    """Open a bus by python-can's own names to record it; BusError where it cannot be opened."""
-    return Tap(open_bus(interface, **settings))
+MAX_WAITING = 100_000  # messages for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
+READ_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
 
 
 class ChunkFile(io.RawIOBase):
@@ -109,24 +80,21 @@ class ChunkFile(io.RawIOBase):
 
     def check(self) -> None:
         """TactileError, and nothing more is written, where another program has changed it; it may be renamed."""
-        if fault := self._meddled():
-            self.failed = True
-            raise TactileError(fault)
-
-    def _meddled(self) -> str | None:
-        """What another program did to it."""
-        here = os.fstat(self._fd)
+        own = os.fstat(self._fd)
         try:
-            same = os.path.samestat(here, self._path.stat())
+            same = os.path.samestat(own, self._path.stat())
         except FileNotFoundError:
             same = None
-        if not here.st_nlink and not same:  # some file systems count no links
-            return "was removed"
-        if same is False:
-            return "was replaced by another file"
-        if here.st_size != self._size:
-            return f"was changed by another program: it has {here.st_size} bytes, {self._size} were written"
-        return None
+        if not own.st_nlink and not same:  # some file systems count no links
+            fault = "was removed"
+        elif same is False:
+            fault = "was replaced by another file"
+        elif own.st_size != self._size:
+            fault = f"was changed by another program: it has {own.st_size} bytes, {self._size} were written"
+        else:
+            return
+        self.failed = True
+        raise TactileError(fault)
 
     def close(self) -> None:
         """Flush, check and close."""
@@ -140,52 +108,25 @@ class ChunkFile(io.RawIOBase):
             os.close(self._fd)
 
 
-def _text(file: BinaryIO) -> io.TextIOWrapper:
-    return io.TextIOWrapper(file, "utf-8", newline="\n")
-
-
-def _gzip(file: BinaryIO) -> BinaryIO:
-    return cast(BinaryIO, gzip.GzipFile("", "wb", 6, file, 0))
-
-
-WRITERS: dict[str, Callable[[BinaryIO], can.io.generic.MessageWriter]] = {
-    ".log": lambda file: can.CanutilsLogWriter(_text(file), "can0"),
-    ".asc": lambda file: can.ASCWriter(_text(file)),
-    ".blf": can.BLFWriter,
-    ".log.gz": lambda file: can.CanutilsLogWriter(_text(_gzip(file)), "can0"),
-    ".asc.gz": lambda file: can.ASCWriter(_text(_gzip(file))),
-}  # python-can's formats that keep all of a message and can be read without their end
-
-
-def _writer(path: Path) -> Callable[[BinaryIO], can.io.generic.MessageWriter]:
-    """The writer for a file's ending; ConfigError where there is none."""
-    for ending, make in WRITERS.items():
-        if path.name.lower().endswith(ending):
-            if ending.count(".") > 1 and len(path.suffixes) > 2:
-                raise ConfigError(f"{path}: python-can could not read it again: leave out dots before {ending}")
-            return make
-    raise ConfigError(f"{path}: unsupported format; use one of {', '.join(WRITERS)}")
-
-
 class Recorder:
     """A new recording and the thread that writes it.
 
-    `put` never waits for the disk. Where the disk fails, falls behind by more than `waiting` messages or has less
-    than `leave_mb` left, `put` and `close` raise TactileError, and the file holds all messages up to a point,
+    `put` never waits for the disk. Where the disk fails, falls behind by more than `max_waiting` messages or has
+    less than `leave_mb` left, `put` and `close` raise TactileError, and the file holds all messages up to a point,
     which the error names. ConfigError for a `leave_mb` that is no bound.
     """
 
-    def __init__(self, path: Path, waiting: int = WAITING, leave_mb: float = 0.0) -> None:
+    def __init__(self, path: Path, max_waiting: int = MAX_WAITING, leave_mb: float = 0.0) -> None:
         if not 0 <= leave_mb < inf:
             raise ConfigError(f"recordings_leave_mb = {leave_mb:g}: give 0 (no bound) or more, in MB")
-        self.path, self._most, self._leave_mb = path, waiting, leave_mb
+        self.path, self._max_waiting, self._leave_mb = path, max_waiting, leave_mb
         self.written = 0  # messages that are on the disk
-        self._taken = 0
-        self._queue: SimpleQueue[can.Message | None] = SimpleQueue()
-        self._failed: str | None = None
-        make = _writer(path)
+        self._encoded = 0  # messages that the writer was given
+        self._queue: SimpleQueue[CanMessage | None] = SimpleQueue()
+        self._fault: str | None = None
+        ending = _ending(path)
         try:
-            self._look_for_room()
+            self._check_free_space()
             self._file = ChunkFile(path)
         except FileExistsError as error:
             raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
@@ -193,30 +134,29 @@ class Recorder:
             raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error
         except TactileError as error:
             raise TactileError(f"{path}: {error}") from error
-        self._writer = make(cast(BinaryIO, self._file))
+        self._writer = WRITERS[ending](cast(BinaryIO, self._file))
         self._thread = Thread(target=self._run, name=f"record {path.name}", daemon=True)
         self._thread.start()
 
-    def put(self, message: can.Message) -> None:
+    def put(self, message: CanMessage) -> None:
         """Take one message."""
+        if self._queue.qsize() >= self._max_waiting:
+            self._fault = self._fault or f"the disk is too slow: {self._max_waiting} messages wait for it"
         self.check()
-        if self._queue.qsize() >= self._most:
-            self._failed = f"the disk is too slow: {self._most} messages wait for it"
-            self.check()
         self._queue.put(message)
 
     def check(self) -> None:
         """TactileError where the recording has ended before its time."""
-        if self._failed is not None:
-            raise TactileError(f"{self.path}: {self._failed}: the recording ends early: see that there is room")
+        if self._fault is not None:
+            raise TactileError(f"{self.path}: {self._fault}: the recording ends early: see that there is room")
 
     def close(self) -> None:
         """Write what waits and close the file; TactileError where not all of it is on the disk."""
         self._queue.put(None)
         self._thread.join()
-        if self._failed is not None:
+        if self._fault is not None:
             raise TactileError(
-                f"{self.path}: {self._failed}: the recording ends early, after {self.written} messages"
+                f"{self.path}: {self._fault}: the recording ends early, after {self.written} messages"
             )
 
     def _run(self) -> None:
@@ -225,8 +165,8 @@ class Recorder:
             self._write()
             self._end()
         except Exception as error:  # a writer raises what it likes on a message that its format does not know
-            says = error.strerror if isinstance(error, OSError) else str(error)
-            self._failed = " ".join((says or type(error).__name__).split())
+            reason = error.strerror if isinstance(error, OSError) else str(error)
+            self._fault = " ".join((reason or type(error).__name__).split())
             with suppress(OSError, TactileError):
                 self._end()
 
@@ -235,7 +175,7 @@ class Recorder:
         self._writer.stop()
         self._file.close()
         if not self._file.failed:
-            self.written = self._taken
+            self.written = self._encoded
 
     def _write(self) -> None:
         """Write what comes until None does; flush in time."""
@@ -245,35 +185,43 @@ class Recorder:
                 message = self._queue.get(timeout=max(0.0, due - time.monotonic()))
                 if message is None:
                     return
-                self._writer.on_message_received(_plain(message))
-                self._taken += 1
+                message.channel = _channel(message)
+                self._writer.on_message_received(message)
+                self._encoded += 1
             if time.monotonic() >= due:
                 self._flush()
                 due = time.monotonic() + FLUSH_S
 
     def _flush(self) -> None:
-        if isinstance(self._writer, can.BLFWriter):
-            self._writer._flush()  # ends a container: python-can has no public way
-        cast(Any, self._writer).file.flush()
-        self.written = self._taken
-        self._look_for_room()
+        flush(self._writer)
+        self.written = self._encoded
+        self._check_free_space()
 
-    def _look_for_room(self) -> None:
+    def _check_free_space(self) -> None:
         """TactileError where there is less room than is to be left."""
         if self._leave_mb and disk_usage(self.path.parent).free < self._leave_mb * 1e6:
             raise TactileError(f"less than {self._leave_mb:g} MB of its disk are free (recordings_leave_mb)")
 
 
-def _plain(message: can.Message) -> can.Message:
-    """The message with a channel that every format can say, or none."""
+def _ending(path: Path) -> str:
+    """The format of a file by its name; ConfigError where there is none."""
+    ending = next((each for each in WRITERS if path.name.lower().endswith(each)), None)
+    if ending is None:
+        raise ConfigError(f"{path}: unsupported format; use one of {', '.join(WRITERS)}")
+    if ending.count(".") > 1 and len(path.suffixes) > 2:
+        raise ConfigError(f"{path}: python-can could not read it again: leave out dots before {ending}")
+    return ending
+
+
+def _channel(message: CanMessage) -> str | None:
+    """The message's channel where every format can hold it."""
     name = "".join(str(message.channel or "").split())
-    number = can.util.channel2int(name)
-    message.channel = name if name and (number is None or number < 255) else None
-    return message
+    number = channel2int(name)
+    return name if name and (number is None or number < 255) else None
 
 
-def record(tap: Tap, recorder: Recorder, stop: Event, seconds: float = float("inf")) -> int:
-    """Record a bus until `stop` or for `seconds`; returns how many messages are in the file.
+def record(reader: Reader, recorder: Recorder, stop: Event, seconds: float = inf) -> int:
+    """Record a bus until `stop` or for `seconds`, error and remote frames too; returns the messages in the file.
 
     TactileError, with the file readable to the point that it names, where bus or disk ends it before.
     """
@@ -281,17 +229,25 @@ def record(tap: Tap, recorder: Recorder, stop: Event, seconds: float = float("in
     end = now + seconds
     try:
         while not stop.is_set() and now < end:
-            message = tap.receive(min(end - now, POLL_S))
+            message = reader.frame(min(end - now, READ_S))
             if message is not None:
                 recorder.put(message)
             if (now := time.monotonic()) >= due:
                 recorder.check()
-                tap.check()
-                due = now + POLL_S
-        tap.check()
+                _check_drops(reader)
+                due = now + READ_S
+        _check_drops(reader)
     except BusError as error:
         recorder.close()
         raise BusError(f"{error}: the recording ends early, after {recorder.written} messages") from error
     finally:
         recorder.close()
     return recorder.written
+
+
+def _check_drops(reader: Reader) -> None:
+    """BusError where the kernel has dropped messages that were not taken in time."""
+    if dropped := reader.dropped:
+        raise BusError(
+            f"bus {reader.label}: the kernel dropped {dropped} messages: this machine is too busy for it"
+        )

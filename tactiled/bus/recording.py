@@ -1,36 +1,60 @@
-"""Recordings of CAN traffic, in any format that python-can reads, and their way back onto a bus."""
+"""Recordings of CAN traffic, in any format that python-can reads."""
 
-import logging
+import struct
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from threading import Event
 
 from tactiled.bus.logfile import open_log
-from tactiled.bus.pace import Pace
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
 
 MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's times go no further
-LOG = logging.getLogger(__name__)
+MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or nobody waits for its end
+MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
 SHIPPED = Path(__file__).parents[1] / "recordings"
 
 
 def names() -> tuple[str, ...]:
     """The recordings that come with the package."""
-    return tuple(sorted(_shipped()))
+    return tuple(sorted(each.stem for each in SHIPPED.glob("*/*.log")))
 
 
 def path(name: str) -> Path:
     """Where a recording of the package is; ConfigError, with those there are, where there is none of that name."""
-    try:
-        return _shipped()[name]
-    except KeyError as error:
-        raise ConfigError(f"recording {name!r}: no such recording: choose one of {', '.join(names())}") from error
+    if name not in names():
+        raise ConfigError(f"recording {name!r}: no such recording: choose one of {', '.join(names())}")
+    (file,) = SHIPPED.glob(f"*/{name}.log")
+    return file
 
 
-def _shipped() -> dict[str, Path]:
-    return {each.stem: each for each in SHIPPED.glob("*/*.log")}
+class Pace:
+    """Time (s) since a recording's first message, which goes on with its messages and never back.
+
+    Of a step, a pause longer than MAX_PAUSE_S or one back by more than MAX_BACK_S, so much is played and no more.
+    """
+
+    def __init__(self) -> None:
+        self.now = 0.0  # s, of the newest message
+        self.steps = self._count = 0
+        self._origin: float | None = None  # s, the recording's time at 0
+
+    def go(self, time: float) -> str | None:
+        """Go on to the next message, of `time` (s); returns a description of a step, None where there is none."""
+        self._count += 1
+        self._origin = time if self._origin is None else self._origin
+        ahead = time - self._origin - self.now
+        if -MAX_BACK_S <= ahead <= MAX_PAUSE_S:
+            self.now = max(self.now, time - self._origin)
+            return None
+        played = MAX_PAUSE_S if ahead > 0 else MAX_BACK_S
+        self._origin += ahead - played
+        self.now += played
+        self.steps += 1
+        step = f"pauses for {ahead:.6g} s before" if ahead > 0 else f"steps back in time by {-ahead:.6g} s at"
+        return f"{step} message {self._count}"
 
 
 def read(path: Path) -> Iterator[Message]:
@@ -49,39 +73,58 @@ def read(path: Path) -> Iterator[Message]:
     except MemoryError as error:
         raise TactileError(f"recording {path}: this machine's memory is full, after {count} messages") from error
     except Exception as error:  # readers raise what they like, AssertionError and struct.error included
-        says = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(
-            f"recording {path}: {says}: give a recording in a format that python-can reads"
+            f"recording {path}: {reason}: give a recording in a format that python-can reads"
         ) from error
 
 
-def replay(
-    path: Path, send: Callable[[Message], None], stop: Event, loop: bool = False, speed: float = 1.0
-) -> int:
-    """Send a recording at `speed` times its own pace until its end, or in a loop until `stop`; returns how many.
+class Recording:
+    """The data frames of a recording, once through; an end that a crash cut off is left out and reported."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.count = 0  # messages so far
+        self.torn = False  # whether the end turned out to be cut off
+        self.pace = Pace()  # as of the newest message
+        self.step: str | None = None  # a description of a step of the clock right before it
+
+    def __iter__(self) -> Iterator[Message]:
+        """Every whole message; ConfigError where the recording cannot be read or meant."""
+        try:
+            for message in read(self.path):
+                self.count += 1
+                self.step = self.pace.go(message.time)
+                yield message
+        except ConfigError as error:
+            if not isinstance(error.__cause__, EOFError | struct.error):
+                raise
+            self.torn = True
+
+    def summary(self) -> str:
+        """One phrase of what was read."""
+        count = self.pace.steps
+        steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
+        return f"{self.count} messages{steps}" + (", then an end that was cut off" if self.torn else "")
+
+
+def play(path: Path, send: Callable[[Message], None], stop: Event, loop: bool = False) -> int:
+    """Send a recording at its own pace until its end, or in a loop until `stop`; returns how many messages.
 
     A message bears the time of its sending. In a loop a lap follows the one before after the recording's longest
-    pause, so that a frame is not cut short. An infinite `speed` sends without a pause. Nothing is sent of a
-    recording that cannot be read to its end; steps of its clock are cut, as in `Pace`, and logged.
+    pause, so that a frame is not cut short. Nothing is sent of a recording that cannot be read to its end.
     """
-    if not speed > 0:
-        raise ConfigError(f"speed = {speed}: give a number above 0")
-    pace, pause = Pace(), 0.0
-    for message in read(path):
-        last = pace.now
-        if step := pace.go(message.time):
-            LOG.warning("recording %s %s", path.name, step)
-        pause = max(pause, pace.now - last)
-    lap, sent, began = pace.now + (pause or 1.0), 0, time.monotonic()
-    while not stop.is_set():
-        pace = Pace()
-        for message in read(path):
-            pace.go(message.time)
-            if stop.wait(max(0.0, began + pace.now / speed - time.monotonic())):
-                return sent
+    recording = Recording(path)
+    messages = [(recording.pace.now, each) for each in recording]
+    lap_s = recording.pace.now + max(
+        (after - before for (before, _), (after, _) in pairwise(messages)), default=1.0
+    )
+    count, began = 0, time.monotonic()
+    while messages and (count == 0 or loop):
+        for at, message in messages:
+            if stop.wait(max(0.0, began + at - time.monotonic())):
+                return count
             send(message._replace(time=time.time()))
-            sent += 1
-        if not loop or not sent:
-            break
-        began += lap / speed
-    return sent
+            count += 1
+        began += lap_s
+    return count

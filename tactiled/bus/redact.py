@@ -14,25 +14,25 @@ HARMLESS = frozenset({  # python-can's settings that may be texts and say nothin
 SECRET_NAME = re.compile(  # of a number that is a secret; pin, but neither pinky nor mapping
     "token|pass|pwd|secret|key|credential|auth|pincode|pin(?![a-z])", re.IGNORECASE
 )
-PLAIN = re.compile(r"(?s)(?!.*://)[^@?#&=]*(@\d+)?")  # no address; @ is a serial port's bit rate
+NO_ADDRESS = re.compile(r"(?s)(?!.*://)[^@?#&=]*(@\d+)?")  # no address; @ is a serial port's bit rate
 SEPARATORS = re.compile(r"[/@:?#&=]+")  # of an address
-SHORT = 4  # characters: shorter secrets are replaced in a text only where they stand as a word
+SHORT_SECRET = 4  # characters: shorter secrets are replaced in a text only where they stand as a word
 
 
 class Secret:
-    """A setting's value of which only `shown` is ever printed."""
+    """A setting's value of which only `text` is ever printed."""
 
-    __slots__ = ("_shown", "_value")
+    __slots__ = ("_text", "_value")
 
-    def __init__(self, value: Any, shown: str = HIDDEN) -> None:
-        self._value, self._shown = value, shown
+    def __init__(self, value: Any, text: str = HIDDEN) -> None:
+        self._value, self._text = value, text
 
     def reveal(self) -> Any:
         """The value itself."""
         return self._value
 
     def __repr__(self) -> str:
-        return self._shown
+        return self._text
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Secret) and self._value == other._value
@@ -61,10 +61,10 @@ def _seal(name: str, value: Any, harmless: Collection[str]) -> Any:
 
 def _address(text: str) -> str | Secret:
     """A harmless text as it is; of an address only scheme, host, port and path are shown."""
-    return text if PLAIN.fullmatch(text) else Secret(text, _shown(text))
+    return text if NO_ADDRESS.fullmatch(text) else Secret(text, _redacted(text))
 
 
-def _shown(address: str) -> str:
+def _redacted(address: str) -> str:
     """Scheme, host, port and path; less where a login's end is in doubt."""
     try:
         parts = urlsplit(address)
@@ -97,20 +97,20 @@ def show(value: Any) -> Any:
 
 def redactor(settings: Mapping[str, Any]) -> Callable[[str], str]:
     """What replaces the secrets of `settings` in another package's texts, whole or in parts."""
-    known = {
-        spelling.lower(): shown
-        for text, shown in _texts(dict(settings))
+    secrets = {
+        spelling.lower(): instead
+        for text, instead in _texts(dict(settings))
         for spelling in _spellings(text)
         if spelling.strip()
     }
-    if not known:
+    if not secrets:
         return str
     words = (
-        re.escape(each) if len(each) >= SHORT else rf"(?<!\w){re.escape(each)}(?!\w)"
-        for each in sorted(known, key=len, reverse=True)
+        re.escape(each) if len(each) >= SHORT_SECRET else rf"(?<!\w){re.escape(each)}(?!\w)"
+        for each in sorted(secrets, key=len, reverse=True)
     )
     pattern = re.compile("|".join(words), re.IGNORECASE)
-    return lambda text: pattern.sub(lambda match: known.get(match[0].lower(), HIDDEN), text)
+    return lambda text: pattern.sub(lambda match: secrets.get(match[0].lower(), HIDDEN), text)
 
 
 def _texts(value: Any, inside: bool = False) -> Iterator[tuple[str, str]]:
@@ -119,8 +119,8 @@ def _texts(value: Any, inside: bool = False) -> Iterator[tuple[str, str]]:
         yield from _texts(value.reveal(), inside=True)
         if isinstance(text := value.reveal(), str):
             yield text, str(value)
-            shown = {HIDDEN, *SEPARATORS.split(str(value))}
-            yield from ((part, HIDDEN) for part in SEPARATORS.split(text) if "://" in text and part not in shown)
+            public = {HIDDEN, *SEPARATORS.split(str(value))}
+            yield from ((part, HIDDEN) for part in SEPARATORS.split(text) if "://" in text and part not in public)
     elif isinstance(value, dict):
         for each in value.values():
             yield from _texts(each, inside)

@@ -1,51 +1,20 @@
 """A recording in the place of a bus: the same frames from run to run, at any speed."""
 
 import logging
-import struct
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread
 
-from tactiled.bus import recording
 from tactiled.bus.codec import Codec
-from tactiled.bus.pace import Pace
+from tactiled.bus.recording import Pace, Recording
 from tactiled.bus.router import Router
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message, RawFrame
 
 GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
 LOG = logging.getLogger(__name__)
-
-
-class Recording:
-    """The data frames of a recording, once through; what a crash cut off at its end is left out and told."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.count = 0  # messages so far
-        self.torn = False  # whether the end turned out to be cut off
-        self.pace = Pace()  # as of the newest message
-        self.step: str | None = None  # what to tell of a step of the clock right before it
-
-    def __iter__(self) -> Iterator[Message]:
-        """Every whole message; ConfigError where the recording cannot be read or meant."""
-        try:
-            for message in recording.read(self.path):
-                self.count += 1
-                self.step = self.pace.go(message.time)
-                yield message
-        except ConfigError as error:
-            if not isinstance(error.__cause__, EOFError | struct.error):
-                raise
-            self.torn = True
-
-    def told(self) -> str:
-        """One phrase of what was read."""
-        count = self.pace.steps
-        steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
-        return f"{self.count} messages{steps}" + (", then an end that was cut off" if self.torn else "")
 
 
 def frames(messages: Iterable[Message], router: Router) -> Iterator[tuple[str, RawFrame]]:
@@ -107,12 +76,12 @@ class Replay:
                 if self._stop.is_set():
                     return
                 self._take(name, frame)
-            self._ended(f"{self._recording.path.name} has ended after {self._recording.told()}")
+            self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}")
         except TactileError as error:
             self._ended(str(error))
         except Exception as error:  # our own fault, or a codec's: no reason to go silent
-            LOG.exception("replay of %s failed", self._recording.path.name)
             name, count = self._recording.path.name, self._recording.count
+            LOG.exception("replay of %s failed", name)
             self._ended(f"{name}: the replay failed at message {count}: {type(error).__name__}: {error}")
 
     def _paced(self) -> Iterator[Message]:

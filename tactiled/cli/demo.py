@@ -95,7 +95,7 @@ def running(service: Service, config: Config, source: Source) -> Iterator[None]:
 
 def _recorded(record: str) -> Source:
     path = recording.path(record)
-    return lambda sender, stop: recording.replay(path, sender.send, stop, loop=True)
+    return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
 
 
 def _played(one: Player, rate_hz: float) -> Source:

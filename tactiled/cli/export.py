@@ -14,7 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from tactiled import __version__
 from tactiled.build import SensorPlan, make_codec, sensor_plan
-from tactiled.bus.replay import Recording, frames
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
 from tactiled.cli import options
 from tactiled.cli.export_arrays import LOSS_KINDS, Hdf5Export, NpzExport
@@ -64,7 +65,9 @@ def export(
         plan = sensor_plan(name, settings.sensor[name])
         with closing(FORMATS[out.suffix](part, Path(folder), plan)) as target:
             count = _fill(target, recording, plan, settings, config)
-    typer.echo(f"{out}: {count} frames of {name} from {recording.told()} in {time.perf_counter() - began:.1f} s")
+    typer.echo(
+        f"{out}: {count} frames of {name} from {recording.summary()} in {time.perf_counter() - began:.1f} s"
+    )
 
 
 def _fill(target: Export, recording: Recording, plan: SensorPlan, settings: Config, config: Path) -> int:
@@ -76,7 +79,9 @@ def _fill(target: Export, recording: Recording, plan: SensorPlan, settings: Conf
         target.add_image(image)
         count += 1
     if not count:
-        raise ConfigError(f"recording {recording.path}: holds no frame of sensor {plan.name} ({recording.told()})")
+        raise ConfigError(
+            f"recording {recording.path}: holds no frame of sensor {plan.name} ({recording.summary()})"
+        )
     provenance = _provenance(recording, plan) | {"loss": asdict(router.assemblers[plan.name].loss)}
     provenance["config"] = {"file": config.name} | settings.model_dump(mode="json", exclude={"server"})
     target.finish(provenance)

@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from tactiled.bus.recorder import Recorder, open_tap
+from tactiled.bus.reader import open_bus
+from tactiled.bus.recorder import Recorder
 from tactiled.bus.recorder import record as record_bus
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
@@ -36,17 +37,17 @@ def record(
     """Record all messages of a bus to a file, also of other devices, and error frames."""
     settings = load(config) if config else None
     keys = options.present(channel=channel, bitrate=bitrate, fd=fd or None)
-    tap = open_tap(**_bus(settings, bus, interface, keys))
+    reader = open_bus(**_bus(settings, bus, interface, keys))
     if leave_mb is None:
         leave_mb = (settings.server if settings else Server()).recordings_leave_mb
     try:
         with interrupted() as stop:
             recorder = Recorder(out, leave_mb=leave_mb)
-            typer.echo(f"{tap.label}: recording to {out}: press Ctrl-C to stop")
-            written = record_bus(tap, recorder, stop, float("inf") if seconds is None else seconds)
+            typer.echo(f"{reader.label}: recording to {out}: press Ctrl-C to stop")
+            written = record_bus(reader, recorder, stop, float("inf") if seconds is None else seconds)
     finally:
-        tap.close()
-    unreadable = f", and {tap.unreadable} that could not be decoded" if tap.unreadable else ""
+        reader.close()
+    unreadable = f", and {reader.unreadable} that could not be decoded" if reader.unreadable else ""
     typer.echo(f"{out}: {written} messages{unreadable}")
 
 

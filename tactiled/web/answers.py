@@ -6,7 +6,7 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.cover.summary import meaning
 from tactiled.frames import Image
 from tactiled.restore.methods import METHODS

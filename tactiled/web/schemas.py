@@ -4,7 +4,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.pipeline import TARE_FRAMES

@@ -5,7 +5,7 @@ import can
 import pytest
 from can.interfaces.socketcan import SocketcanBus
 
-from tactiled.bus.reader import OFF, Reader, only, open_bus
+from tactiled.bus.reader import BUS_OFF_HINT, Reader, only, open_bus
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -96,7 +96,7 @@ def test_bus_off_is_counted_and_told_until_the_bus_is_back(back):
     for _ in range(4):
         reader.receive(1.0)
         told.append(reader.off)
-    assert told == [None, f"bus socketcan can0: {OFF}", f"bus socketcan can0: {OFF}", None]
+    assert told == [None, f"bus socketcan can0: {BUS_OFF_HINT}", f"bus socketcan can0: {BUS_OFF_HINT}", None]
     assert (reader.errors, reader.kinds["bus_off"]) == (4 if back.is_error_frame else 3, 1)
 
 
@@ -205,7 +205,7 @@ def test_an_error_of_the_bus_says_what_to_do(monkeypatch, code, hint, wrapped):
         raise error
 
     broken = Reader(Broken(error), "socketcan can0")
-    monkeypatch.setattr(can, "Bus", fail)
+    monkeypatch.setattr("tactiled.bus.reader.Bus", fail)
     for act in (
         lambda: open_bus(interface="socketcan", channel="can0"),
         lambda: broken.receive(0),

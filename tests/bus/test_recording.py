@@ -1,16 +1,28 @@
-from dataclasses import replace
-from threading import Event, Thread
+"""Recordings of the package, how fast they are played, and files that are faulty or would fill the memory."""
 
+import gzip
+import struct
+import time
+import tracemalloc
+import zlib
+from dataclasses import replace
+from threading import Event
+
+import can
 import numpy as np
 import pytest
+from can.io import blf
 
 from tactiled.build import sensor_plan
-from tactiled.bus import recording
-from tactiled.bus.reader import open_bus
+from tactiled.bus import logfile, recording
+from tactiled.bus.assembler import assemble
+from tactiled.bus.logfile import MAX_BLOCK_BYTES, MAX_LINE_CHARACTERS
+from tactiled.bus.recorder import Recorder
+from tactiled.bus.recording import MAX_BACK_S, MAX_PAUSE_S, Pace, Recording
 from tactiled.bus.router import Router
 from tactiled.config import parse
 from tactiled.config.example import GRASP
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.runtime.pipeline import Pipeline
 
 # Slices of the data set, as its files have them: rows thumb, index, middle, ring, little.
@@ -21,13 +33,6 @@ BEAR_1_FIRST = """
 241 243 244 244 244 244 243 243 244 244 244 243
 244 244 247 248 248 247 248 247 246 247 248 245
 """
-BOOK_1_FIRST = """
-243 241 236 241 241 239 240 238 242 241 238 241
-243 243 243 243 243 243 246 239 243 243 242 243
-243 245 243 244 248 244 238 242 244 244 245 244
-242 244 245 245 245 244 245 244 244 245 244 244
-244 245 249 250 249 250 251 250 248 250 251 246
-"""
 BOOK_2_LAST = """
 242 240 234 242 241 234 239 236 241 241 236 242
 242 243 242 243 242 239 233 233 240 243 241 242
@@ -36,11 +41,8 @@ BOOK_2_LAST = """
 244 245 249 250 249 249 251 249 248 249 249 246
 """
 THUMB_LAST = [1, 2, 3, 4, 0]  # triangles are index, middle, ring, little, thumb
-
-
-def taxels(rows):
-    """(60,) counts in the codec's order."""
-    return np.array(rows.split(), np.uint16).reshape(5, 12)[THUMB_LAST].ravel()
+LINE = b"(1.000000) can0 500#0102 R\n"
+BOMB = 1 << 28  # bytes
 
 
 @pytest.fixture(scope="module")
@@ -48,73 +50,36 @@ def plan():
     return sensor_plan("hand", parse(GRASP).sensor["hand"])
 
 
-@pytest.fixture
-def wire(request):
-    ends = [open_bus(interface="virtual", channel=request.node.name) for _ in range(2)]
-    yield ends
-    for each in ends:
-        each.close()
-
-
 def test_the_recordings_of_the_package_have_their_licence_beside_them():
     assert recording.names() == ("blue_bear_1", "blue_bear_2", "book_1", "book_2")
     for name in recording.names():
         beside = recording.path(name).parent
         assert "Copyright 2012 Harold Soh" in (beside / "DATASET.txt").read_text("utf-8")
-
-
-def test_a_recording_that_is_not_there_is_refused_with_those_that_are():
     with pytest.raises(ConfigError, match="recording 'cup': no such recording: choose one of blue_bear_1, "):
         recording.path("cup")
 
 
-def received(plan, wire, name):
-    """Every frame of a recording that was played over a bus."""
-    sender, reader = wire
-    router = Router({plan.name: plan.codec})
-    stop = Event()
-    thread = Thread(target=recording.replay, args=(recording.path(name), sender.send, stop))
-    thread.start()
-    frames = []
-    while (message := reader.receive(0.5)) is not None:
-        frames += [frame for _, frame in router.push(message)]
-    thread.join()
-    return frames
-
-
 @pytest.mark.parametrize(
-    ("name", "slices", "place", "rows"),
-    [("blue_bear_1", 12, 0, BEAR_1_FIRST), ("book_1", 15, 0, BOOK_1_FIRST), ("book_2", 14, -1, BOOK_2_LAST)],
+    ("name", "slices", "place", "rows"), [("blue_bear_1", 12, 0, BEAR_1_FIRST), ("book_2", 14, -1, BOOK_2_LAST)]
 )
-def test_real_bytes_of_a_grasp_are_restored_from_the_bus_on(plan, wire, name, slices, place, rows):
-    frames = received(plan, wire, name)
-    assert len(frames) == slices
-    assert all(not frame.flags.any() and frame.loss.lost == 0 for frame in frames)
-    np.testing.assert_array_equal(frames[place].counts, taxels(rows))
-
-    pipeline = Pipeline(replace(plan, method="wiener"))
-    image = pipeline.process(frames[place])
-    np.testing.assert_array_equal(image.raw, 245.0 - taxels(rows))  # pressure counts = no load - value
-    assert image.raw.shape == image.restored.shape == (60,)
-    assert [each.code for each in image.warnings] == ["uncalibrated"]
-
-
-def test_a_restored_grasp_explains_what_was_measured(plan, wire):
-    """Blurred again, it comes nearer to the raw image than that image blurred twice would."""
-    frame = received(plan, wire, "book_2")[-1]
-    image = Pipeline(replace(plan, method="wiener")).process(frame)
-    again = np.linalg.norm(plan.blur.forward(image.restored) - image.raw)
+def test_real_bytes_of_a_grasp_are_restored(plan, name, slices, place, rows):
+    frames, loss = assemble(plan.codec, recording.read(recording.path(name)))
+    assert (len(frames), loss.lost, any(frame.flags.any() for frame in frames)) == (slices, 0, False)
+    counts = np.array(rows.split(), np.uint16).reshape(5, 12)[THUMB_LAST].ravel()
+    np.testing.assert_array_equal(frames[place].counts, counts)
+    image = Pipeline(replace(plan, method="wiener")).process(frames[place])
+    np.testing.assert_array_equal(image.raw, 245.0 - counts)  # pressure counts = no load - value
+    again = np.linalg.norm(
+        plan.blur.forward(image.restored) - image.raw
+    )  # nearer than the raw image blurred twice
     assert again < 0.5 * np.linalg.norm(plan.blur.forward(image.raw) - image.raw)
 
 
-def test_frames_go_out_at_the_recorded_pace_and_bear_the_time_of_sending():
-    times = []
-    assert recording.replay(recording.path("book_1"), lambda each: times.append(each.time), Event()) == 150
-    gaps = np.diff(times[::10])  # ten messages a frame
-    assert gaps.sum() == pytest.approx(14 * 0.02, rel=0.05)
-    times.clear()
-    recording.replay(recording.path("book_1"), lambda each: times.append(each.time), Event(), speed=float("inf"))
-    assert times[-1] - times[0] < 0.1
+def test_a_recording_is_played_at_its_own_pace_and_its_messages_bear_the_time_of_sending():
+    times, began = [], time.time()
+    assert recording.play(recording.path("book_1"), lambda each: times.append(each.time), Event()) == 150
+    assert times[0] >= began
+    assert np.diff(times[::10]).sum() > 14 * 0.02 - 0.005  # ten messages a frame
 
 
 def test_a_loop_ends_by_its_stop_and_keeps_frames_whole(plan):
@@ -122,37 +87,172 @@ def test_a_loop_ends_by_its_stop_and_keeps_frames_whole(plan):
 
     def send(message):
         sent.append(message)
-        if len(sent) == 625:
+        if len(sent) == 325:
             stop.set()
 
-    assert recording.replay(recording.path("book_1"), send, stop, loop=True, speed=4) == 625
+    assert recording.play(recording.path("book_1"), send, stop, loop=True) == 325
     router = Router({"hand": plan.codec})
     frames = [frame for each in sent for _, frame in router.push(each)]
-    assert len(frames) == 62
+    assert len(frames) == 32
     assert not any(frame.flags.any() for frame in frames)
-    pauses = [sent[150 * lap].time - sent[150 * lap - 1].time for lap in (1, 2, 3, 4)]
-    assert np.median(pauses) == pytest.approx((0.02 - 9 * 0.00025) / 4, rel=0.4)
+    assert sent[150].time - sent[149].time > 0.017  # a lap follows after the longest pause
+
+
+def paced(times):
+    pace = Pace()
+    return [pace.go(each) for each in times], pace
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "says"),
+    ("times", "now"),
     [
-        ("gone.log", None, "No such file"),
-        ("skin.xyz", "", "give a recording in a format"),
-        ("skin.log", "(0.0) can0 123", "give a recording in a format"),
+        ([1e9, 1e9 + 0.5, 1e9 + 0.5, 1e9 + MAX_PAUSE_S], MAX_PAUSE_S),
+        ([0.0, 5.0, 4.2, 5.1, 4.3, 6.0], 6.0),  # several buses, out of order
     ],
 )
-def test_a_file_that_is_no_recording_is_refused_in_one_line(tmp_path, name, text, says):
-    path = tmp_path / name
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(ConfigError, match=says) as caught:
-        recording.replay(path, lambda _: None, Event())
+def test_a_pace_goes_as_the_messages_do(times, now):
+    steps, pace = paced(times)
+    assert (steps, pace.now, pace.steps) == ([None] * len(times), now, 0)
+
+
+@pytest.mark.parametrize(
+    ("step_s", "played_s", "description"),
+    [
+        (3600.0, MAX_PAUSE_S, "pauses for 3600 s before message 3"),
+        (-3600.0, MAX_BACK_S, "steps back in time by 3600 s at message 3"),
+        (4e9, MAX_PAUSE_S, "pauses for 4e+09 s before message 3"),
+    ],
+)
+def test_a_step_of_the_clock_is_reported_and_cut(step_s, played_s, description):
+    steps, pace = paced([4000.0, 4001.0, 4001.0 + step_s, 4002.0 + step_s])
+    assert pace.now == pytest.approx(1.0 + played_s + 1.0)
+    assert (steps, pace.steps) == ([None, None, description, None], 1)
+
+
+def test_a_pace_never_goes_back():
+    pace, last = Pace(), 0.0
+    for at in range(200):
+        pace.go(((at * 7919) % 101) * 37.0)
+        assert pace.now >= last
+        last = pace.now
+
+
+def refused(path, reason):
+    """A recording is refused in one line with this reason, not as torn, and takes little memory."""
+    messages = Recording(path)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=reason) as caught:
+            list(messages)
+        assert tracemalloc.get_traced_memory()[1] < 8 * MAX_BLOCK_BYTES
+    finally:
+        tracemalloc.stop()
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+    assert not messages.torn
+    return messages.count
 
 
-@pytest.mark.parametrize("speed", [0, -1, float("nan")])
-def test_a_speed_that_leads_nowhere_is_refused(speed):
-    with pytest.raises(ConfigError, match="speed = "):
-        recording.replay(recording.path("book_1"), lambda _: None, Event(), speed=speed)
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("gone.log", None, "No such file"),
+        ("a.xyz", b"", "give a recording in a format"),
+        ("a.log", b"(0.0) can0 123\n", "give a recording in a format"),
+        ("a.log", LINE + b"nonsense\n" + LINE + LINE[:-5], "give a recording in a format"),  # its end is cut, too
+        *(
+            (f"a.log{packed}", LINE * 2 + LINE.replace(b"1.000000", number.encode()) + LINE,
+             rf"message 3: time {float(number):g} s is none from 1970 to 2106".replace("+", r"\+"))
+            for number in ("inf", "nan", "1e300", "-1", "1e10") for packed in ("", ".gz")
+        ),
+    ],
+)  # fmt: skip
+def test_a_faulty_file_is_refused(tmp_path, name, content, reason):
+    if content is not None:
+        (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+    refused(tmp_path / name, reason)
+    with pytest.raises(ConfigError):
+        recording.play(tmp_path / name, lambda _: pytest.fail("sent"), Event())
+
+
+@pytest.mark.parametrize("ending", [".log", ".asc", ".csv", ".trc", ".log.gz", ".asc.gz"])
+def test_an_endless_line_is_refused(tmp_path, ending):
+    path = tmp_path / f"a{ending}"
+    with gzip.open(path, "wb", 1) if ending.endswith(".gz") else path.open("wb") as file:
+        file.write({".log": LINE, ".csv": b"timestamp\n"}.get(ending[:4], b""))
+        for _ in range(BOMB >> 20):
+            file.write(b"0" * (1 << 20))
+    refused(path, f"a line is longer than {MAX_LINE_CHARACTERS} characters")
+
+
+def container(objects, method=blf.ZLIB_DEFLATE):
+    """A .blf file's container of so many bytes."""
+    data = objects if method != blf.ZLIB_DEFLATE else zlib.compress(objects)
+    size = blf.OBJ_HEADER_BASE_STRUCT.size + blf.LOG_CONTAINER_STRUCT.size + len(data)
+    header = blf.OBJ_HEADER_BASE_STRUCT.pack(b"LOBJ", 16, 1, size, blf.LOG_CONTAINER)
+    return header + blf.LOG_CONTAINER_STRUCT.pack(method, len(objects)) + data + bytes(size % 4)
+
+
+def begun(size, kind):
+    """The header of a .blf file's object of so many bytes."""
+    return struct.pack("<4sHHII", b"LOBJ", 16, 1, size, kind)
+
+
+ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 0xF0000000, 1) + bytes(MAX_BLOCK_BYTES - 100)
+
+
+@pytest.mark.parametrize(
+    ("objects", "reason"),
+    [
+        (lambda: container(bytes(BOMB)), f"a container unpacks to more than {MAX_BLOCK_BYTES} bytes"),
+        (
+            lambda: container(ENDLESS) + container(bytes(MAX_BLOCK_BYTES - 100)) * 20,
+            f"an object is longer than {MAX_BLOCK_BYTES} bytes",
+        ),
+        (lambda: begun(0xF0000000, 10), rf"a block of \d+ bytes: 0 to {MAX_BLOCK_BYTES} can be read"),
+        (lambda: begun(3, 10), r"a block of -13 bytes"),
+        (lambda: begun(20, 10) + bytes(100), "a container has 4 bytes"),
+        (lambda: container(b"", 77) + bytes(100), "a container is packed by the unknown method 77"),
+        (lambda: bytes(100), "no object where one must begin"),
+    ],
+)
+def test_a_faulty_blf_file_is_refused(tmp_path, objects, reason):
+    path = tmp_path / "a.blf"
+    Recorder(path).close()
+    with path.open("ab") as file:
+        file.write(objects())
+    assert path.stat().st_size < 1 << 20
+    refused(path, reason)
+
+
+@pytest.mark.parametrize("compression_level", [-1, 0])
+def test_containers_of_python_cans_own_writer_are_read(tmp_path, compression_level):
+    path = tmp_path / "a.blf"
+    messages = [can.Message(1.6e9 + n / 1000, 0x500, data=n.to_bytes(8, "big")) for n in range(20_000)]
+    with can.BLFWriter(path, compression_level=compression_level) as file:
+        for each in messages:
+            file.on_message_received(each)
+    assert [each.data for each in recording.read(path)] == [bytes(each.data) for each in messages]
+
+
+def test_full_memory_is_not_reported_as_a_torn_recording(tmp_path, monkeypatch):
+    path = tmp_path / "a.log"
+    path.write_bytes(LINE * 3)
+
+    class Full:
+        def __enter__(self):
+            self.log = logfile.open_log(path)
+            return self
+
+        def __exit__(self, *_):
+            self.log.stop()
+
+        def __iter__(self):
+            yield next(iter(self.log))
+            raise MemoryError
+
+    monkeypatch.setattr(recording, "open_log", lambda _: Full())
+    messages = Recording(path)
+    with pytest.raises(TactileError, match="this machine's memory is full, after 1 messages"):
+        list(messages)
+    assert not messages.torn

@@ -2,7 +2,6 @@
 
 import datetime
 
-import can
 import pytest
 
 from tactiled.bus.reader import open_bus
@@ -89,7 +88,7 @@ def test_what_python_can_says_of_a_secret_is_replaced(monkeypatch, says):
         assert settings == SETTINGS
         raise OSError(text)
 
-    monkeypatch.setattr(can, "Bus", fail)
+    monkeypatch.setattr("tactiled.bus.reader.Bus", fail)
     with pytest.raises(BusError) as caught:
         open_bus(**SETTINGS)
     assert str(caught.value).startswith("bus slcan socket://adapter:1/port: ")

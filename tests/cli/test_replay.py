@@ -7,7 +7,8 @@ from threading import Event
 import numpy as np
 import pytest
 
-from tactiled.bus.replay import Recording, Replay, frames
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
@@ -169,7 +170,7 @@ def test_a_cut_off_line_is_dropped_and_reported(lossy):
         got = list(recording)
         assert got == complete[: len(complete) - (2 if cut > 30 else 1)]
         assert recording.torn
-        assert recording.told() == f"{len(got)} messages, then an end that was cut off"
+        assert recording.summary() == f"{len(got)} messages, then an end that was cut off"
 
 
 @pytest.mark.parametrize("ending", [".log", ".asc", ".blf", ".log.gz", ".asc.gz"])

@@ -7,7 +7,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import TEXTS, warning
 from tactiled.restore import auto, points

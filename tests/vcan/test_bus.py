@@ -13,7 +13,7 @@ import pytest
 from tactiled.bus import recording
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.reader import BUFFER, only, open_bus
+from tactiled.bus.reader import BUFFER_BYTES, only, open_bus
 from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -140,7 +140,7 @@ def test_what_is_replayed_is_what_candump_sees(bus, tmp_path):
     with log.open("w") as out:
         dump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=out)
         time.sleep(1.0)
-        assert recording.replay(path, bus().send, Event()) == 140
+        assert recording.play(path, bus().send, Event()) == 140
         time.sleep(1.0)
         dump.terminate()
         dump.wait(10)
@@ -227,7 +227,7 @@ def test_what_the_kernel_dropped_is_told_at_once(bus, small):
 
 def test_a_readers_buffer_holds_a_burst(bus):
     reader = bus()
-    assert reader._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= BUFFER
+    assert reader._bus.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= BUFFER_BYTES
 
 
 def test_the_kernel_holds_back_what_no_sensor_listens_to():

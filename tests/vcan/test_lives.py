@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactiled.bus.reader import OFF, open_bus
+from tactiled.bus.reader import BUS_OFF_HINT, open_bus
 from tactiled.config import parse
 from tactiled.errors import BusError
 from tactiled.runtime.service import Service
@@ -119,7 +119,7 @@ def test_a_controller_that_leaves_the_bus_is_down_until_it_is_back(service, show
     error_frame(0x0A8)
     error_frame(0x040)
     status = until(lambda: (now := service.sensor("twin").status()).state == "down" and now)
-    assert status.detail == f"bus socketcan vcan0: {OFF}"
+    assert status.detail == f"bus socketcan vcan0: {BUS_OFF_HINT}"
     assert status.errors == {"rx_passive": 1, "protocol": 1, "no_ack": 1, "bus_error": 1, "bus_off": 1}
     assert (status.loss.errors, status.loss.bus_off) == (3, 1)
     assert service.sensor("palm").status().loss.errors == 0

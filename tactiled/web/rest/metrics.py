@@ -6,7 +6,7 @@ from typing import get_args
 
 from fastapi import APIRouter, Request, Response
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.runtime.sensor import Sensor, State, Status
 from tactiled.runtime.service import Service
 from tactiled.web.http.limits import ConcurrencyLimit

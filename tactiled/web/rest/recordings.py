@@ -14,7 +14,8 @@ from fastapi import Path as Part
 from fastapi.responses import FileResponse
 from pydantic import Field
 
-from tactiled.bus.recorder import Recorder, open_tap, record
+from tactiled.bus.reader import open_bus
+from tactiled.bus.recorder import Recorder, record
 from tactiled.errors import TactileError
 from tactiled.runtime.events import Events
 from tactiled.web import schemas
@@ -93,11 +94,11 @@ class _Run:
         self.bus, self._name, self._events = bus, path.name, events
         self.error: str | None = None
         self._stop = Event()
-        self._tap = open_tap(**settings)
+        self._reader = open_bus(**settings)
         try:
             self.recorder = Recorder(path, leave_mb=leave_mb)
         except TactileError:
-            self._tap.close()
+            self._reader.close()
             raise
         self._thread = Thread(target=self._work, name=f"record {bus}", daemon=True)
         self._thread.start()
@@ -108,7 +109,7 @@ class _Run:
 
     @property
     def unreadable(self) -> int:
-        return self._tap.unreadable
+        return self._reader.unreadable
 
     def stop(self) -> None:
         self._stop.set()
@@ -116,11 +117,11 @@ class _Run:
 
     def _work(self) -> None:
         try:
-            record(self._tap, self.recorder, self._stop)
+            record(self._reader, self.recorder, self._stop)
         except TactileError as error:
             self.error = str(error).replace(f"{self.recorder.path}: ", "")  # whose name is told beside it
         finally:
-            self._tap.close()
+            self._reader.close()
             missed = f", and {self.unreadable} that could not be decoded" if self.unreadable else ""
             ending = (self.error or f"{self.recorder.written} messages") + missed
             self._events.add("recording_ended", f"{self._name}: {ending}", bus=self.bus)

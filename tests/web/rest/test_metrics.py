@@ -2,7 +2,7 @@ import can
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.web.rest.metrics import _family
 from tests.conftest import ask, pressed, until
 

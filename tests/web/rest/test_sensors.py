@@ -10,7 +10,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from tactiled.bus.faults import KINDS
+from tactiled.bus.error_frames import KINDS
 from tactiled.config import Server
 from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.web import answers

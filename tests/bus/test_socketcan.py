@@ -9,7 +9,7 @@ from threading import Timer
 
 import pytest
 
-from tactiled.bus.burst import ERROR, EXTENDED, MOST, REMOTE, SO_TIMESTAMPNS, Burst, Frame
+from tactiled.bus.socketcan import ERROR, EXTENDED, MAX_FRAMES, REMOTE, SO_TIMESTAMPNS, Frame, FrameReader
 
 
 @pytest.fixture
@@ -36,30 +36,30 @@ def test_a_frame_comes_as_it_was_sent_with_the_kernels_time(ends, id_, fd):
     data = bytes(range(64 if fd else 5))
     began = time.time()
     theirs.send((flexible if fd else classic)(id_, data))
-    (got,) = Burst(ours.fileno()).take(1.0)
+    (got,) = FrameReader(ours.fileno()).read(1.0)
     assert got == Frame(got.time, id_, data, fd)
     assert began - 0.01 <= got.time <= time.time()
 
 
 def test_what_has_come_comes_at_once_and_in_order(ends):
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     for round_ in range(3):
         for n in range(7):
             theirs.send(classic(n, bytes((round_, n)) * (n % 4)))
-        got = burst.take(1.0)
+        got = burst.read(1.0)
         assert [(each.id, each.data) for each in got] == [(n, bytes((round_, n)) * (n % 4)) for n in range(7)]
         assert [each.time for each in got] == sorted(each.time for each in got)
 
 
 def test_short_and_long_frames_mix(ends):
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     for _ in range(2):  # the second time over what the first has left behind
         theirs.send(flexible(1, bytes(range(48))))
         theirs.send(classic(2, b"\7\7"))
         theirs.send(flexible(3, b""))
-        assert [each[1:] for each in burst.take(1.0)] == [
+        assert [each[1:] for each in burst.read(1.0)] == [
             (1, bytes(range(48)), True),
             (2, b"\7\7", False),
             (3, b"", True),
@@ -67,43 +67,43 @@ def test_short_and_long_frames_mix(ends):
 
 
 def test_more_than_one_call_takes_is_there_at_the_next(ends, monkeypatch):
-    monkeypatch.setattr("tactiled.bus.burst.MOST", 4)  # a socket of this kind holds little
+    monkeypatch.setattr("tactiled.bus.socketcan.MAX_FRAMES", 4)  # a socket of this kind holds little
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     for n in range(8):
         theirs.send(classic(n, b""))
-    assert [[each.id for each in burst.take(0.0)] for _ in range(3)] == [[0, 1, 2, 3], [4, 5, 6, 7], []]
-    assert MOST >= 64
+    assert [[each.id for each in burst.read(0.0)] for _ in range(3)] == [[0, 1, 2, 3], [4, 5, 6, 7], []]
+    assert MAX_FRAMES >= 64
 
 
 def test_after_a_call_that_took_all_there_was_room_for_the_next_frame_is_waited_for(ends, monkeypatch):
-    monkeypatch.setattr("tactiled.bus.burst.MOST", 4)
+    monkeypatch.setattr("tactiled.bus.socketcan.MAX_FRAMES", 4)
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     for n in range(4):
         theirs.send(classic(n, b""))
-    assert len(burst.take(1.0)) == 4
+    assert len(burst.read(1.0)) == 4
     Timer(0.1, theirs.send, (classic(9, b""),)).start()
-    assert [each.id for each in burst.take(30.0)] == [9]
+    assert [each.id for each in burst.read(30.0)] == [9]
 
 
 def test_nothing_comes_of_a_bus_that_falls_silent_and_it_is_waited_for(ends):
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     theirs.send(classic(1, b""))
-    assert len(burst.take(0.05)) == 1
+    assert len(burst.read(0.05)) == 1
     began = time.monotonic()
-    assert burst.take(0.05) == []
+    assert burst.read(0.05) == []
     assert time.monotonic() - began >= 0.05
 
 
 def test_a_frame_without_a_time_costs_the_next_ones_nothing(ends):
     ours, theirs = ends
-    burst = Burst(ours.fileno())
+    burst = FrameReader(ours.fileno())
     for stamps in (0, 1):
         ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, stamps)
         theirs.send(classic(1, b""))
-        (got,) = burst.take(1.0)
+        (got,) = burst.read(1.0)
     assert got.time == pytest.approx(time.time(), abs=5.0)
 
 
@@ -114,8 +114,8 @@ def test_an_error_of_the_socket_is_told():
             ours.connect(gone.getsockname())
         ours.send(b"x")
         with pytest.raises(ConnectionRefusedError, match=os.strerror(errno.ECONNREFUSED)):
-            Burst(ours.fileno()).take(5.0)
+            FrameReader(ours.fileno()).read(5.0)
 
 
 def test_only_a_socket_that_stamps_its_frames_fits(ends):
-    assert [Burst.fits(each) for each in ends] == [True, False]
+    assert [FrameReader.supported(each) for each in ends] == [True, False]

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tactiled.bus import recording
-from tactiled.bus.decoding import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, is_gone
+from tactiled.bus.driver_errors import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, is_gone
 from tactiled.bus.reader import Reader, open_bus
-from tactiled.bus.recorder import Recorder, open_tap, record
+from tactiled.bus.recorder import Recorder, record
 from tactiled.cli import record as command
 from tactiled.config import parse
 from tactiled.errors import BusError
@@ -246,7 +246,7 @@ def test_a_sensor_stays_live_and_no_frame_is_lost_between_what_is_unreadable(mul
 
 def test_a_recording_goes_on_and_tells_how_much_was_unreadable(tmp_path, throw, port):
     path, stop = tmp_path / "a.log", Event()
-    tap = open_tap("udp_multicast", channel=GROUP, port=port)
+    tap = open_bus("udp_multicast", channel=GROUP, port=port)
     recorder = Recorder(path)
     thread = threading.Thread(target=record, args=(tap, recorder, stop))
     thread.start()

@@ -1,4 +1,4 @@
-"""What SocketCAN's error frames say went wrong on the wire, by the kernel's `linux/can/error.h`; pure."""
+"""What SocketCAN's error frames report, by the kernel's `linux/can/error.h`; pure."""
 
 BUS_OFF, RESTARTED = "bus_off", "restarted"
 CLASSES = {
@@ -11,7 +11,7 @@ CLASSES = {
     0x080: "bus_error",
     0x100: RESTARTED,
 }  # bits of the id
-CONTROLLER = 0x004  # the bit of the id with which byte 1 of the data says more
+CONTROLLER = 0x004  # the bit of the id with which byte 1 of the data reports more
 STATES = {
     0x01: "rx_overflow",
     0x02: "tx_overflow",
@@ -21,14 +21,14 @@ STATES = {
     0x20: "tx_passive",
     0x40: "active",
 }  # bits of that byte
-OTHER = "other"  # none of these, or the interface does not say which
+OTHER = "other"  # none of these, or the interface does not report which
 KINDS = (*CLASSES.values(), *STATES.values(), "controller", OTHER)
 
 
 def kinds(id_: int, data: bytes) -> tuple[str, ...]:
-    """Every kind, of KINDS, that an error frame tells."""
-    told = [kind for bit, kind in CLASSES.items() if id_ & bit]
+    """Every kind, of KINDS, that an error frame reports."""
+    reported = [kind for bit, kind in CLASSES.items() if id_ & bit]
     if id_ & CONTROLLER:
         states = data[1] if len(data) > 1 else 0
-        told += [kind for bit, kind in STATES.items() if states & bit] or ["controller"]
-    return tuple(told) or (OTHER,)
+        reported += [kind for bit, kind in STATES.items() if states & bit] or ["controller"]
+    return tuple(reported) or (OTHER,)

@@ -9,7 +9,7 @@ import struct
 import sys
 from typing import NamedTuple
 
-MOST = 256  # frames a call
+MAX_FRAMES = 256  # a call
 EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000  # in a frame's id
 SO_TIMESTAMPNS = 35  # Linux's
 FRAME = struct.Struct("=IB3x64s")  # id, length, data: of CAN FD; a classic frame fills less of it
@@ -28,36 +28,36 @@ class Frame(NamedTuple):
     fd: bool
 
 
-class Burst:
-    """Takes what has come on a socket that `fits`."""
+class FrameReader:
+    """Takes what has come on a socket that is `supported`."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._poll = select.poll()
         self._poll.register(descriptor, select.POLLIN)
-        self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
+        self._recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
         self._frames, self._stamps, self._parts, self._headers = (
-            ctypes.create_string_buffer(MOST * each.size) for each in (FRAME, STAMP, PART, HEADER)
+            ctypes.create_string_buffer(MAX_FRAMES * each.size) for each in (FRAME, STAMP, PART, HEADER)
         )
         frame, stamp, part = map(ctypes.addressof, (self._frames, self._stamps, self._parts))
-        for n in range(MOST):
+        for n in range(MAX_FRAMES):
             PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.size, FRAME.size)
-            told = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.size, STAMP.size, 0, 0)
-            HEADER.pack_into(self._headers, n * HEADER.size, *told)
-        self._fresh = self._headers.raw
+            header = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.size, STAMP.size, 0, 0)
+            HEADER.pack_into(self._headers, n * HEADER.size, *header)
+        self._blank = self._headers.raw
 
     @staticmethod
-    def fits(found: socket.socket) -> bool:
-        """Whether this machine's frames look as they do here, and the socket stamps its own."""
-        known = sys.platform == "linux" and sys.maxsize > 1 << 32
-        return known and found.getsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS) == 1
+    def supported(candidate: socket.socket) -> bool:
+        """Whether this machine's frames have the layout above, and the socket stamps its own."""
+        linux_64 = sys.platform == "linux" and sys.maxsize > 1 << 32
+        return linux_64 and candidate.getsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS) == 1
 
-    def take(self, timeout: float) -> list[Frame]:
-        """What has come, in order, at most MOST; waits up to `timeout` (s) for the first of it; OSError."""
+    def read(self, timeout: float) -> list[Frame]:
+        """At most MAX_FRAMES, in order; waits up to `timeout` (s) for the first; OSError."""
         if not self._poll.poll(1000 * timeout):
             return []
-        ctypes.memmove(self._headers, self._fresh, len(self._fresh))  # the kernel has written into them
-        count = self._call(self._descriptor, self._headers, MOST, socket.MSG_DONTWAIT, None)
+        ctypes.memmove(self._headers, self._blank, len(self._blank))  # the kernel has written into them
+        count = self._recvmmsg(self._descriptor, self._headers, MAX_FRAMES, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             if code == errno.EAGAIN:

@@ -6,27 +6,26 @@ import struct
 from collections.abc import Iterator
 from math import isfinite
 
-import can
-from can.interfaces.slcan import slcanBus
+from tactiled.bus.canbus import BusABC, CanMessage, SlcanBus
 
 MAX_UNREADABLE_IN_A_ROW = 1000  # without a frame or a silence between: more is a driver that fails, not traffic
 MAX_LINE_BYTES = 1024  # of a line of slcan without its end; its longest message has 138
-CONTENT = (ValueError, IndexError, struct.error)  # what bytes that mean nothing make a driver raise
-DEAD = select.POLLHUP | select.POLLERR | select.POLLNVAL
+CONTENT_ERRORS = (ValueError, IndexError, struct.error)  # what malformed bytes make a driver raise
+HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
-def is_gone(error: Exception, bus: can.BusABC) -> bool:
+def is_gone(error: Exception, bus: BusABC) -> bool:
     """Whether a fault is the bus's: its file or socket fails, or its driver names a code of its own."""
     causes = tuple(_causes(error))
     if any(isinstance(each, OSError) or getattr(each, "error_code", None) is not None for each in causes):
         return True
-    return not isinstance(causes[-1], CONTENT) and not _open(bus)
+    return not isinstance(causes[-1], CONTENT_ERRORS) and not _open(bus)
 
 
-def sound(message: can.Message | None, bus: can.BusABC) -> bool:
+def is_sound(message: CanMessage | None, bus: BusABC) -> bool:
     """Whether what a driver decoded, None if nothing, can be: a garbled line may look like a message to it."""
     if message is None:
-        return not isinstance(bus, slcanBus) or len(bus._buffer) < MAX_LINE_BYTES
+        return not isinstance(bus, SlcanBus) or len(bus._buffer) < MAX_LINE_BYTES
     id_, dlc = message.arbitration_id, message.dlc
     if type(id_) is not int or type(dlc) is not int or not isfinite(message.timestamp):
         return False
@@ -35,9 +34,9 @@ def sound(message: can.Message | None, bus: can.BusABC) -> bool:
     return message.is_error_frame or len(message.data) == (0 if message.is_remote_frame else dlc)
 
 
-def skip(bus: can.BusABC) -> None:
+def skip(bus: BusABC) -> None:
     """Go behind what could not be decoded: slcan's driver would meet the same bytes again."""
-    if isinstance(bus, slcanBus):
+    if isinstance(bus, SlcanBus):
         bus._buffer.clear()
 
 
@@ -48,11 +47,11 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__ or error.__context__
 
 
-def _open(bus: can.BusABC) -> bool:
+def _open(bus: BusABC) -> bool:
     """Whether a bus's file or socket is still there; False where it has none that can be asked."""
     try:
         poll = select.poll()
         poll.register(bus.fileno(), 0)
-        return os.fstat(bus.fileno()) is not None and not any(told & DEAD for _, told in poll.poll(0))
+        return os.fstat(bus.fileno()) is not None and not any(events & HUNG_UP for _, events in poll.poll(0))
     except Exception:  # of a driver that has none, or has lost it
         return False
