@@ -4,7 +4,6 @@ import contextlib
 import os
 import platform
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -15,28 +14,33 @@ import pytest
 from tactiled.bus.reader import open_bus
 from tests.conftest import turn
 
-THERE = all(Path("/sys/class/net", name).exists() for name in ("vcan0", "vcan1"))
+HAS_VCAN = all(Path("/sys/class/net", name).exists() for name in ("vcan0", "vcan1"))
+OWN_KERNEL = "User Mode Linux" in Path("/proc/cpuinfo").read_text()
 HERE = Path(__file__).parent
-HOW = f"{sys.executable} {HERE / 'kernel.py'} {sys.executable} -m pytest {HERE}"
-RAN = pytest.StashKey[int]()
+COMMAND = f"{sys.executable} {HERE / 'kernel.py'} {sys.executable} -m pytest {HERE}"
+COUNT = pytest.StashKey[int]()
 
 
 def pytest_collection_modifyitems(config, items):
     mine = [item for item in items if HERE in item.path.parents]
     for item in mine:
         item.add_marker(pytest.mark.timeout(300))
-        if not THERE:
+        if not HAS_VCAN:
             item.add_marker(pytest.mark.skip(reason="this kernel has no vcan0 and vcan1"))
-    config.stash[RAN] = len(mine)
+    config.stash[COUNT] = len(mine)
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    if count := config.stash.get(RAN, 0):
-        own = "User Mode Linux" in Path("/proc/cpuinfo").read_text()
-        where = f"ran on {'a kernel of their own' if own else 'this machine'}, Linux {platform.release()}"
-        terminalreporter.write_line(
-            f"vcan: {count} tests {where if THERE else 'DID NOT RUN: this kernel has no vcan0 and vcan1: ' + HOW}"
-        )
+    if count := config.stash.get(COUNT, 0):
+        where = f"ran on {'a kernel of their own' if OWN_KERNEL else 'this machine'}, Linux {platform.release()}"
+        if not HAS_VCAN:
+            where = f"DID NOT RUN: this kernel has no vcan0 and vcan1: {COMMAND}"
+        terminalreporter.write_line(f"vcan: {count} tests {where}")
+
+
+def ip(*arguments):
+    sudo = [] if os.geteuid() == 0 else ["sudo"]
+    subprocess.run([*sudo, "ip", "link", *arguments], check=True)
 
 
 @pytest.fixture(autouse=True)
@@ -51,8 +55,8 @@ def bus():
     """Opens buses, classic on vcan0 and CAN FD on vcan1, and closes them."""
     with contextlib.ExitStack() as stack:
 
-        def opened(fd=False, **settings):
-            one = open_bus(interface="socketcan", channel="vcan1" if fd else "vcan0", fd=fd, **settings)
+        def opened(fd=False):
+            one = open_bus(interface="socketcan", channel="vcan1" if fd else "vcan0", fd=fd)
             stack.callback(one.close)
             return one
 
@@ -60,30 +64,13 @@ def bus():
 
 
 @pytest.fixture
-def small(bus):
-    """A reader whose socket holds little."""
-
-    def made(size, **settings):
-        reader = bus(**settings)
-        reader._bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
-        return reader
-
-    return made
-
-
-@pytest.fixture
 def run():
     """Starts processes, and ends them."""
     with contextlib.ExitStack() as stack:
 
-        def started(*command, **settings):
-            process = subprocess.Popen(
-                [str(part) for part in command],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                **settings,
-            )
+        def started(*command, stdout=subprocess.PIPE):
+            words = [str(part) for part in command]
+            process = subprocess.Popen(words, stdout=stdout, stderr=subprocess.STDOUT, text=True)
             stack.callback(ended, process)
             return process
 
@@ -103,14 +90,9 @@ def ended(process):
 @pytest.fixture
 def link():
     """Sets a link down or up; it is up again afterwards."""
-
-    def put(name, state):
-        sudo = [] if os.geteuid() == 0 else ["sudo"]
-        subprocess.run([*sudo, "ip", "link", "set", name, state], check=True)
-
-    yield put
+    yield lambda name, state: ip("set", name, state)
     for name in ("vcan0", "vcan1"):
-        put(name, "up")
+        ip("set", name, "up")
 
 
 @pytest.fixture
@@ -119,7 +101,7 @@ def until():
         end = time.monotonic() + seconds
         while not (value := true()):
             assert time.monotonic() < end, "it did not happen in time"
-            time.sleep(0.2)  # asking is work, too, for the one processor there
+            time.sleep(0.2)  # asking is work, too, for the one processor of the kernel
         return value
 
     return wait

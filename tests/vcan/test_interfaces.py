@@ -1,7 +1,6 @@
-"""The service on buses that come and go: an adapter that is unplugged, a controller that leaves the bus."""
+"""The service on interfaces that come and go: an adapter that is unplugged, a controller that leaves the bus."""
 
 import gc
-import os
 import subprocess
 import threading
 import time
@@ -14,17 +13,10 @@ from tactiled.bus.reader import BUS_OFF_HINT, open_bus
 from tactiled.config import parse
 from tactiled.errors import BusError
 from tactiled.runtime.service import Service
+from tests.vcan.conftest import ip
 
 ADAPTER = "vcan8"  # a link of these tests' own
-CONFIG = """
-[bus.own]
-interface = "socketcan"
-channel = "vcan8"
-
-[bus.other]
-interface = "socketcan"
-channel = "vcan0"
-"""
+BUS = '[bus.{name}]\ninterface = "socketcan"\nchannel = "{channel}"\n'
 SENSOR = """
 [sensor.{name}]
 bus = "{bus}"
@@ -36,23 +28,20 @@ cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
 kernel = {{ model = "layered" }}
 calibration = {{ kpa_per_count = 0.5, noise_kpa = 0.5 }}
 """
-BOTH = CONFIG + SENSOR.format(name="palm", bus="own") + SENSOR.format(name="twin", bus="other")
+CHANNELS = {"own": ADAPTER, "other": "vcan0"}
+CONFIG = "".join(BUS.format(name=name, channel=channel) for name, channel in CHANNELS.items())
+CONFIG += SENSOR.format(name="palm", bus="own") + SENSOR.format(name="twin", bus="other")
 pytestmark = pytest.mark.filterwarnings(
     "ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning"
 )  # python-can leaves a socket that it could not bind to the collector, which warns
-
-
-def ip(*arguments):
-    sudo = [] if os.geteuid() == 0 else ["sudo"]
-    subprocess.run([*sudo, "ip", "link", *arguments], check=True)
 
 
 @pytest.fixture
 def adapter():
     """Plugs an adapter in, or out; it is gone afterwards."""
 
-    def plugged(there):
-        if there:
+    def plugged(into):
+        if into:
             ip("add", ADAPTER, "type", "vcan")
             ip("set", ADAPTER, "mtu", "16", "up")
         else:
@@ -67,10 +56,9 @@ def adapter():
 @pytest.fixture
 def service(adapter):
     adapter(True)
-    made = Service(parse(BOTH))
-    made.start()
-    yield made
-    made.stop()
+    made = Service(parse(CONFIG))
+    with made.running():
+        yield made
 
 
 @pytest.fixture
@@ -80,8 +68,8 @@ def show(service, until):
     def shown(name, count, sequence=0):
         sensor = service.sensor(name)
         before = sensor.hub.latest()
-        bus = open_bus(interface="socketcan", channel={"own": ADAPTER, "other": "vcan0"}[sensor.plan.bus])
-        for message in sensor.codec.encode(np.full(16, count, np.uint16), sequence, time.time()):
+        bus = open_bus(interface="socketcan", channel=CHANNELS[sensor.plan.bus])
+        for message in sensor.plan.codec.encode(np.full(16, count, np.uint16), sequence, time.time()):
             bus.send(message)
         bus.close()
         image = until(lambda: (now := sensor.hub.latest()) is not before and now)
@@ -91,55 +79,50 @@ def show(service, until):
     return shown
 
 
-def error_frame(id_, *data):
-    told = bytes(data).ljust(8, b"\0").hex()
-    subprocess.run(["cansend", "vcan0", f"{0x20000000 | id_:08X}#{told}"], check=True)
+def send_error_frame(id_, *data):
+    payload = bytes(data).ljust(8, b"\0").hex()
+    subprocess.run(["cansend", "vcan0", f"{0x20000000 | id_:08X}#{payload}"], check=True)
 
 
-def test_an_adapter_that_is_unplugged_is_told_and_used_again_when_it_is_back(service, show, adapter, until):
+def test_an_unplugged_adapter_is_reported_and_used_again_when_it_is_back(service, show, adapter, until):
+    palm = service.sensor("palm")
     first = show("palm", 100)
-    assert service.sensor("palm").status().state == "live"
+    assert palm.status().state == "live"
     adapter(False)
-    until(lambda: "No such device" in service.sensor("palm").status().detail)
-    status = service.sensor("palm").status()
+    until(lambda: "No such device" in palm.status().detail)
+    status = palm.status()
     assert status.state == "down"
     assert status.detail.startswith(f"bus socketcan {ADAPTER}: ")
     assert "no such interface: see `ip link show type can`" in status.detail
-    show("twin", 300)  # the other bus is not concerned
+    show("twin", 300)  # the other bus, with the same ids, is not concerned
+    assert service.sensor("twin").status().loss.foreign == 0
     adapter(True)
-    until(lambda: service.sensor("palm").down is None)
+    until(lambda: palm.down is None)
     again = show("palm", 200)  # its sequence numbers start again
-    assert service.sensor("palm").status().state == "live"
+    assert palm.status().state == "live"
     assert again.sequence > first.sequence
 
 
 def test_a_controller_that_leaves_the_bus_is_down_until_it_is_back(service, show, until):
+    twin = service.sensor("twin")
     show("twin", 100)
-    error_frame(0x004, 0, 0x10)
-    error_frame(0x0A8)
-    error_frame(0x040)
-    status = until(lambda: (now := service.sensor("twin").status()).state == "down" and now)
+    send_error_frame(0x004, 0, 0x10)
+    send_error_frame(0x0A8)
+    send_error_frame(0x040)
+    status = until(lambda: (now := twin.status()).state == "down" and now)
     assert status.detail == f"bus socketcan vcan0: {BUS_OFF_HINT}"
     assert status.errors == {"rx_passive": 1, "protocol": 1, "no_ack": 1, "bus_error": 1, "bus_off": 1}
     assert (status.loss.errors, status.loss.bus_off) == (3, 1)
     assert service.sensor("palm").status().loss.errors == 0
-    error_frame(0x100)
-    until(lambda: service.sensor("twin").status().state == "live")
-    assert service.sensor("twin").status().errors["restarted"] == 1
+    send_error_frame(0x100)
+    until(lambda: twin.status().state == "live")
+    assert twin.status().errors["restarted"] == 1
     image = show("twin", 200, 1)
     assert (image.loss.errors, image.loss.bus_off, image.loss.lost) == (4, 1, 0)
 
 
-def test_sensors_with_the_same_ids_on_two_buses_are_two(service, show):
-    for sequence in range(5):
-        show("palm", 100 + sequence, sequence)
-        show("twin", 300 + sequence, sequence)
-    for sensor in service.sensors.values():
-        assert (sensor.status().loss.lost, sensor.status().loss.foreign) == (0, 0)
-
-
-def test_an_interface_that_is_not_there_at_the_start_is_named_and_nothing_runs():
-    service = Service(parse(BOTH))
+def test_a_missing_interface_is_named_at_the_start_and_nothing_runs():
+    service = Service(parse(CONFIG))
     threads = threading.active_count()
     with pytest.raises(BusError, match=rf"^bus socketcan {ADAPTER}: .*no such interface: see `ip link"):
         service.start()
