@@ -22,7 +22,7 @@ from tactiled.cli.app import EXIT_INTERRUPTED, interrupted
 from tactiled.config import load
 from tactiled.errors import ConfigError
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.offline import Offline, Told, created, opened, write
+from tactiled.runtime.offline import FrameInfo, Offline, create, open_frames, write
 
 PROGRESS_FROM_FRAMES = 2000  # fewer take about a second
 PROGRESS = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
@@ -44,19 +44,18 @@ def restore(
     settings = load(config)
     name = options.choose("sensor", sensor, settings.sensor)
     plan = sensor_plan(name, settings.sensor[name])
-    kpa = opened(frames, plan)
-    offline = Offline(plan, method, noise)
+    kpa = open_frames(frames, plan)
     console = Console(stderr=True)
     with threadpool_limits(1), interrupted() as stop, ExitStack() as stack:
-        noise_kpa = offline.begin(kpa)
-        summary = _Stats(stack.enter_context(created(stats)) if stats else None)
+        offline = Offline(plan, kpa, method, noise)
+        summary = _Stats(stack.enter_context(create(stats)) if stats else None)
         hidden = len(kpa) < PROGRESS_FROM_FRAMES
         progress = stack.enter_context(Progress(*PROGRESS, console=console, disable=hidden))
         task = progress.add_task("restoring", total=len(kpa))
         shape = (len(kpa), *plan.blur.surface_shape)
-        write(summary.through(offline(kpa), stop), shape, out, lambda count: progress.advance(task, count))
+        write(summary.through(iter(offline), stop), shape, out, lambda count: progress.advance(task, count))
         summary.end()
-    typer.echo(f"{out}: {' x '.join(map(str, shape))}, noise {noise_kpa:.3g} kPa: {summary}", err=True)
+    typer.echo(f"{out}: {' x '.join(map(str, shape))}, noise {offline.noise_kpa:.3g} kPa: {summary}", err=True)
 
 
 def _refuse_same(path: Path, option: str, others: dict[str, Path]) -> None:
@@ -74,7 +73,7 @@ class _Stats:
         self._methods: Counter[str] = Counter()
 
     def through(
-        self, pieces: Iterator[tuple[NDArray[np.float32], list[Told]]], stop: Event
+        self, pieces: Iterator[tuple[NDArray[np.float32], list[FrameInfo]]], stop: Event
     ) -> Iterator[NDArray[np.float32]]:
         """Pass the images on; `stop` ends the command."""
         for images, stories in pieces:

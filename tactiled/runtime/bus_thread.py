@@ -1,4 +1,4 @@
-"""What hands a bus's frames to its sensors: a thread that reads it and opens it again when it goes away."""
+"""The thread that reads a bus, hands frames to its sensors, and opens the bus again when it goes away."""
 
 import logging
 import threading
@@ -22,8 +22,8 @@ BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened ag
 LOG = logging.getLogger(__name__)
 
 
-class Listening(Protocol):
-    """What hands a bus's frames to its sensors."""
+class FrameSource(Protocol):
+    """What hands frames to sensors: a bus, or a recording in its place."""
 
     def start(self) -> None:
         """Start; a TactileError where it cannot."""
@@ -32,19 +32,19 @@ class Listening(Protocol):
         """Stop, whether it was started or not."""
 
 
-class Listener:
+class BusThread:
     """One bus and the thread that reads it; the bus is opened again, with back-off, when it goes away."""
 
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
         self.name, self._sensors = name, sensors
         self._router = Router({each.name: each.codec for each in sensors.values()})
         self._settings = only(settings, self._router.ids)
-        self._past: Counter[str] = Counter()  # what readers before this one counted
-        self._errors: Counter[str] = Counter()  # what their error frames told
-        self._swap = threading.Lock()
-        self._told: str | None = None
+        self._counts: Counter[str] = Counter()  # of readers before this one
+        self._kinds: Counter[str] = Counter()  # of their error frames
+        self._reader_lock = threading.Lock()
+        self._down: str | None = None
         for sensor in sensors.values():
-            sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._kinds
+            sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._error_kinds
         self._poller = Poller(each.codec.polling for each in sensors.values())
         self._stop = threading.Event()
         self._reader: Reader | None = None
@@ -65,33 +65,33 @@ class Listener:
             self._reader.close()
 
     def _run(self) -> None:
-        wait, last = BACK_OFF_S[0], ""
+        wait, last_reason = BACK_OFF_S[0], ""
         while not self._stop.is_set():
             began, fault = time.monotonic(), None
             try:
                 self._reader = self._reader or open_bus(**self._settings)
-                self._tell(None)
+                self._set_down(None)
                 for sensor in self._sensors.values():
                     sensor.clock = self._reader.clock
                 self._read(self._reader)
             except BusError as error:
-                why = str(error)
-            except Exception as error:  # a codec's fault, or our own: no reason to go silent
-                why = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
+                reason = str(error)
+            except Exception as error:  # of ours: no reason to go silent
+                reason = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
                 fault = error
             else:
                 return
             if time.monotonic() - began > BACK_OFF_S[1]:
-                wait, last = BACK_OFF_S[0], ""
-            if fault and why != last:
+                wait, last_reason = BACK_OFF_S[0], ""
+            if fault and reason != last_reason:
                 LOG.error("bus %s failed, and is opened again", self.name, exc_info=fault)
-            self._tell(why)
-            self._drop()
+            self._set_down(reason)
+            self._close_reader()
             self._stop.wait(wait)
-            wait, last = min(2 * wait, BACK_OFF_S[1]), why
+            wait, last_reason = min(2 * wait, BACK_OFF_S[1]), reason
 
     def _read(self, reader: Reader) -> None:
-        """Take messages until the stop; BusError where the bus goes, and whatever a codec or a sensor raises."""
+        """Take messages until the stop; BusError where the bus goes, and whatever else is raised."""
         self._poller.start(time.monotonic())
         while not self._stop.is_set():
             now = time.monotonic()
@@ -99,40 +99,40 @@ class Listener:
             messages = reader.batch(min(POLL_S, self._poller.wait_s(now)))
             now = time.monotonic()
             for message in messages:
-                self._hand(self._router.push(message, now))
-            self._hand(self._router.flush(now - (BUSY_S if messages else POLL_S)))
-            if reader.off != self._told:
-                self._tell(reader.off)
+                self._offer(self._router.push(message, now))
+            self._offer(self._router.flush(now - (BUSY_S if messages else POLL_S)))
+            if reader.off != self._down:
+                self._set_down(reader.off)
 
-    def _hand(self, frames: Frames) -> None:
+    def _offer(self, frames: Frames) -> None:
         if frames:
-            counted = self._counted()
+            counts = self._bus_counts()
             for name, frame in frames:
-                self._sensors[name].offer(replace(frame, loss=replace(frame.loss, **counted)))
+                self._sensors[name].offer(replace(frame, loss=replace(frame.loss, **counts)))
 
-    def _counted(self) -> Counter[str]:
-        """What the bus itself counted since the start, however often it was opened again."""
-        with self._swap:
-            return self._past + Counter(self._reader.counts() if self._reader else {})
+    def _bus_counts(self) -> Counter[str]:
+        """Losses that the bus itself counted since the start, however often it was opened."""
+        with self._reader_lock:
+            return self._counts + Counter(self._reader.counts() if self._reader else {})
 
-    def _kinds(self) -> Mapping[str, int]:
-        """What the bus's error frames told since the start, by kind; any thread."""
-        with self._swap:
-            return self._errors + Counter(self._reader.kinds if self._reader else {})
+    def _error_kinds(self) -> Mapping[str, int]:
+        """Error frames since the start, by kind; any thread."""
+        with self._reader_lock:
+            return self._kinds + Counter(self._reader.kinds if self._reader else {})
 
     def _loss(self, name: str) -> Loss:
-        """What went wrong by now on a sensor's way in; any thread."""
-        return replace(self._router.assemblers[name].loss, **self._counted())
+        """Losses by now on a sensor's way in; any thread."""
+        return replace(self._router.assemblers[name].loss, **self._bus_counts())
 
-    def _tell(self, down: str | None) -> None:
-        self._told = down
+    def _set_down(self, reason: str | None) -> None:
+        self._down = reason
         for sensor in self._sensors.values():
-            sensor.down = down
+            sensor.down = reason
 
-    def _drop(self) -> None:
+    def _close_reader(self) -> None:
         if self._reader is not None:
             self._reader.close()
-            with self._swap:
-                self._past += Counter(self._reader.counts())
-                self._errors += Counter(self._reader.kinds)
+            with self._reader_lock:
+                self._counts += Counter(self._reader.counts())
+                self._kinds += Counter(self._reader.kinds)
                 self._reader = None

@@ -1,4 +1,4 @@
-"""The running service: every sensor and every bus, started and stopped together; methods kept, events told."""
+"""The running service: every sensor and every bus, started and stopped together."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,41 +9,39 @@ from tactiled.build import sensor_plans
 from tactiled.config import Config
 from tactiled.errors import ConfigError, StateError, TactileError, UnknownSensorError
 from tactiled.restore.methods import METHODS, require
-from tactiled.runtime.bus_thread import Listener, Listening
+from tactiled.runtime.bus_thread import BusThread, FrameSource
 from tactiled.runtime.events import Events, Faults
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.state import State as Kept
+from tactiled.runtime.state import StateFile
 from tactiled.runtime.watch import Watch
 
 
 class Service:
-    """Every sensor of a configuration, on its bus or on what `listen` puts in a bus's place."""
+    """Every sensor of a configuration, on its bus or on the source that `listen` makes in a bus's place."""
 
     def __init__(
         self,
         config: Config,
-        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], Listening] = Listener,
-        state: Kept | None = None,
+        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], FrameSource] = BusThread,
+        state: StateFile | None = None,
         replayed: bool = False,  # whether recordings are in the buses' place: none is open then
     ) -> None:
         self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults = Faults(self.events)
-        self._setting = Lock()  # what is kept is what runs, whoever asks at once
+        self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
         plans = sensor_plans(config)
         try:
             self.sensors = {plan.name: Sensor(plan, history=history) for plan in plans}
         except MemoryError as error:
-            room = f"server.history_mb = {config.server.history_mb:g}"
-            raise ConfigError(f"{room}: this machine has less memory: give less") from error
+            setting = f"server.history_mb = {config.server.history_mb:g}"
+            raise ConfigError(f"{setting}: this machine has less memory: give less") from error
         self._watch = Watch(self.sensors.values(), self.events, self.faults)
-        self._recall()
-        self._listeners = [
-            listen(
-                name, bus.settings(), {key: each for key, each in self.sensors.items() if each.plan.bus == name}
-            )
-            for name, bus in config.bus.items()
+        self._set_kept_methods()
+        self._sources = [
+            listen(name, settings, {key: each for key, each in self.sensors.items() if each.plan.bus == name})
+            for name, settings in self.buses.items()
         ]
 
     def sensor(self, name: str) -> Sensor:
@@ -60,7 +58,7 @@ class Service:
         """
         sensor = self.sensor(name)
         require(method)
-        with self._setting:
+        with self._set_lock:
             if keep:
                 if self.state is None:
                     raise StateError("keep = true: this service keeps no state: `tactiled run` does")
@@ -69,16 +67,13 @@ class Service:
             self.events.add("method_set", f"{method}{', kept' if keep else ''}", name)
 
     def tare(self, name: str, force: bool = False) -> None:
-        """Take the mean of a sensor's next frames as the unloaded array; NotLiveError where none come.
-
-        LoadedError where the newest frames show a load, unless it is by `force`.
-        """
+        """Take the mean of a sensor's next frames as the unloaded array; raises as `Sensor.tare`."""
         self.sensor(name).tare(force)
         forced = " (forced)" if force else ""
         self.events.add("tare_asked", f"the next frames are taken as no load{forced}", name)
 
-    def _recall(self) -> None:
-        """Take over what was kept; what no longer means anything is told, not applied."""
+    def _set_kept_methods(self) -> None:
+        """Set the methods of the state file; an event names those that no longer apply."""
         for name, method in self.state.methods.items() if self.state else ():
             sensor = self.sensors.get(name)
             if sensor is None or method not in METHODS:
@@ -92,8 +87,8 @@ class Service:
         for sensor in self.sensors.values():
             sensor.start()
         try:
-            for listener in self._listeners:
-                listener.start()
+            for source in self._sources:
+                source.start()
         except TactileError:
             self.stop()
             raise
@@ -111,7 +106,5 @@ class Service:
     def stop(self) -> None:
         """Stop everything that runs."""
         self._watch.stop()
-        for listener in self._listeners:
-            listener.stop()
-        for sensor in self.sensors.values():
-            sensor.stop()
+        for each in (*self._sources, *self.sensors.values()):
+            each.stop()

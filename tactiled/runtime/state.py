@@ -1,4 +1,4 @@
-"""What clients changed and want kept: a small file beside the configuration, read at start."""
+"""The state file: methods that clients set and keep, read at start."""
 
 import hashlib
 import json
@@ -13,23 +13,20 @@ from tactiled.files import atomic_write
 VERSION = 1
 
 
-def default(config: Path) -> Path:
-    """Where the state of a configuration file is kept if it names no place: the user's state directory.
-
-    ConfigError where the user has none.
-    """
-    place = config.resolve()
-    named = hashlib.sha256(str(place).encode()).hexdigest()[:8]
+def default_path(config: Path) -> Path:
+    """The state file of a configuration that names none, in the user's state directory; or ConfigError."""
+    config = config.resolve()
+    digest = hashlib.sha256(str(config).encode()).hexdigest()[:8]
     try:
         home = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     except RuntimeError as error:
         raise ConfigError(
             "server.state is missing and there is no home directory: set server.state, HOME or XDG_STATE_HOME"
         ) from error
-    return home / "tactiled" / f"{place.stem}-{named}.json"
+    return home / "tactiled" / f"{config.stem}-{digest}.json"
 
 
-class State:
+class StateFile:
     """Methods kept by sensor; on the disk it is the old file or the new one, never half of one."""
 
     def __init__(self, path: Path) -> None:
@@ -50,19 +47,18 @@ class State:
 
 def _read(path: Path) -> dict[str, str]:
     try:
-        said: Any = json.loads(path.read_text("utf-8"))
+        content: Any = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"state {path}: {error}: mend it or delete it") from error
-    methods = said.get("methods") if isinstance(said, dict) and said.get("version") == VERSION else None
+    methods = content.get("methods") if isinstance(content, dict) and content.get("version") == VERSION else None
     if not isinstance(methods, dict) or not all(isinstance(each, str) for each in methods.values()):
         raise ConfigError(f"state {path}: no state file of version {VERSION}: delete it")
     return methods
 
 
 def _write(path: Path, content: object) -> None:
-    """Replace a file at once."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path, replace=True) as part:

@@ -9,9 +9,8 @@ import pytest
 
 from tactiled.build import sensor_plan
 from tactiled.config import load
-from tactiled.errors import ConfigError
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.offline import PIECE, Offline, checked
+from tactiled.runtime.offline import PIECE_FRAMES, Offline
 from tests.cli.commands import refusal, run, succeed
 
 SENSOR = """
@@ -70,9 +69,18 @@ def restored(frames, config, *options):
 def test_frames_are_restored_by_every_method(config, npy, tmp_path, method):
     stats = tmp_path / "stats.json"
     images = restored(
-        npy(press(PIECE + 9)), config(), "--method", method, "--noise", "0.5", "--stats", stats, "--sensor", "palm"
+        npy(press(PIECE_FRAMES + 9)),
+        config(),
+        "--method",
+        method,
+        "--noise",
+        "0.5",
+        "--stats",
+        stats,
+        "--sensor",
+        "palm",
     )
-    assert (images.shape, images.dtype) == ((PIECE + 9, 8, 6), np.float32)
+    assert (images.shape, images.dtype) == ((PIECE_FRAMES + 9, 8, 6), np.float32)
     assert np.isfinite(images).all()
     stories = json.loads(stats.read_text())
     assert len(stories) == len(images)
@@ -91,10 +99,10 @@ def test_any_real_numbers_are_accepted(config, npy, dtype):
 
 def test_the_noise_is_measured(plan):
     frames = press(200)
-    noise = Offline(plan).begin(frames)
+    noise = Offline(plan, frames).noise_kpa
     assert noise == pytest.approx(0.5, rel=0.1)
     frames[:40] = 0  # a beginning without a touch is not rounding
-    assert Offline(plan).begin(1e-3 * frames) == pytest.approx(1e-3 * noise, rel=0.2)
+    assert Offline(plan, 1e-3 * frames).noise_kpa == pytest.approx(1e-3 * noise, rel=0.2)
 
 
 @pytest.mark.parametrize(("step", "noise"), [(0.5, 0.5 / 12**0.5), (1.0, 0.5 / 12**0.5), (1e-4, 0.05)])
@@ -102,7 +110,7 @@ def test_rounding_is_noise(plan, step, noise):
     """Most taxels of quiet frames stay at one count, which looks like less noise than rounding has."""
     frames = np.round(0.1 * press(60) / step) * step
     frames[0, 0, :2] = np.nan, 1e30
-    assert Offline(plan).begin(frames.astype(np.float32)) == pytest.approx(noise, rel=0.1)
+    assert Offline(plan, frames.astype(np.float32)).noise_kpa == pytest.approx(noise, rel=0.1)
 
 
 def test_a_finer_surface_makes_larger_images(config, npy):
@@ -171,13 +179,13 @@ def earlier(tmp_path):
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_command_leaves_nothing_half_written(config, npy, earlier, monkeypatch, kind):
-    once = Offline._one
+    once = Offline._restore
 
     def one(self, *arguments):
         signal.raise_signal(kind)
         return once(self, *arguments)
 
-    monkeypatch.setattr(Offline, "_one", one)
+    monkeypatch.setattr(Offline, "_restore", one)
     before = signal.getsignal(kind)
     done = run("restore", npy(press(9)), "-o", earlier[0], "--config", config(), "--stats", earlier[1])
     assert done.exit_code == 130
@@ -192,7 +200,7 @@ def test_a_failed_command_leaves_no_stats(config, npy, earlier):
 def test_memory_does_not_grow_with_the_frames(config, npy):
     """23 MB of frames, in a process that may grow by a third of it over what a short file takes."""
     config, count = config(), 120_000
-    files = npy(np.zeros((4 * PIECE, 8, 6), np.float32), "short.npy"), config.with_name("long.npy")
+    files = npy(np.zeros((4 * PIECE_FRAMES, 8, 6), np.float32), "short.npy"), config.with_name("long.npy")
     np.lib.format.open_memmap(files[1], "w+", np.float32, (count, 8, 6)).flush()
     code = (
         "import resource, sys, tactiled.cli; from tactiled.cli.app import app; "
@@ -250,8 +258,3 @@ def test_wrong_options_are_refused(config, npy, tmp_path):
         assert message in refusal("restore", frames, *(word for pair in options.items() for word in pair))
     message = refusal("restore", frames, "-o", tmp_path / "o.npy", "--config", settings)
     assert message == "--sensor is missing: choose one of palm, sole"
-
-
-def test_frames_that_clients_send_are_checked_alike(plan):
-    with pytest.raises(ConfigError, match=r"body: shape \(3, 3\)"):
-        checked(np.zeros((3, 3)), plan, "body")

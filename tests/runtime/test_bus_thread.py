@@ -3,10 +3,10 @@ import time
 import numpy as np
 import pytest
 
-from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
-from tactiled.runtime.bus_thread import Listener
+from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.sensor import Sensor
 from tests.conftest import until
 
@@ -52,7 +52,7 @@ class Line:
 
     def __init__(self, plan):
         self.bus, self.sensor = Bus(), Sensor(plan)
-        self.listener = Listener("can0", {}, {"palm": self.sensor})
+        self.listener = BusThread("can0", {}, {"palm": self.sensor})
 
     def send(self, sequence, when=None, counts=100):
         when = time.time() if when is None else when
@@ -91,12 +91,9 @@ def test_a_bus_that_goes_away_is_opened_again_when_it_is_back(line):
     assert (line.bus.opened, line.bus.closed) == (2, 1)
 
 
-def test_a_fault_of_a_codec_is_the_detail_of_its_bus_which_goes_on(line, monkeypatch, caplog):
-    def decode(*_):
-        raise KeyError("byte 7")
-
+def test_a_fault_of_the_service_is_the_detail_of_the_bus_which_goes_on(line, monkeypatch, caplog):
     with monkeypatch.context() as broken:
-        broken.setattr(Packed, "decode", decode)
+        broken.setattr(Router, "push", lambda *_: {}["byte 7"])
         line.send(0)
         line.until_state("down")
     assert line.sensor.status().detail == "bus can0: the service failed at it: KeyError: 'byte 7'"
@@ -112,7 +109,7 @@ def test_the_same_fault_is_logged_again_after_a_healthy_stretch(plan, monkeypatc
     line = Line(plan)
     monkeypatch.setattr(OPEN_BUS, line.bus.open)
     monkeypatch.setattr("tactiled.runtime.bus_thread.BACK_OFF_S", (0.0, longest_s))
-    monkeypatch.setattr(Packed, "decode", lambda *_: {}["byte 7"])
+    monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
     line.send(0)
     line.bus.messages = line.bus.messages[:1] * 3
     line.listener.start()

@@ -6,137 +6,119 @@ import numpy as np
 import pytest
 
 from tactiled.frames import Image
-from tactiled.runtime.history import RATE_HZ, History
+from tactiled.runtime.history import MAX_RATE_HZ, History
 
 RAW, RESTORED = (4, 4), (8, 8)
-EACH = 5 * 16 + 4 * 64 + 32  # bytes
-ALL = 10**9
+FRAME_BYTES = 5 * 16 + 4 * 64 + 32
+SHEAR_BYTES = 8 * 16
+UNLIMITED = 10**9
 
 
-def image(n, sequence=None):
-    return Image(
-        sensor="palm", sequence=n if sequence is None else sequence, time=n / 100,
-        raw=np.full(RAW, n, np.float32), restored=np.full(RESTORED, 10 * n, np.float32),
-        flags=np.full(RAW, n % 2, np.uint8), method="nnls", why="", iterations=0, microseconds=0, noise_kpa=1,
-        noise_gain=1, resolution_mm=1, arrived=n / 100,
+def image(n, **fields):
+    shear = np.stack([np.full(RAW, n, np.float32), np.full(RAW, -n, np.float32)])
+    made = Image(
+        sensor="palm", sequence=n, time=n / 100, raw=np.full(RAW, n, np.float32),
+        restored=np.full(RESTORED, 10 * n, np.float32), flags=np.full(RAW, n % 2, np.uint8), method="nnls", why="",
+        iterations=0, microseconds=0, noise_kpa=1, noise_gain=1, resolution_mm=1, arrived=n / 100, shear=shear,
     )  # fmt: skip
+    return replace(made, **fields)
 
 
-def ring(frames):
-    return History(1e6, EACH * (frames + 1), RAW, RESTORED)
+def ring(capacity, images=()):
+    history = History(1e6, FRAME_BYTES * (capacity + 1), RAW, RESTORED)
+    for each in images:
+        history.add(each)
+    return history
 
 
-def sheared(n):
-    return replace(image(n), shear=np.stack([np.full(RAW, n, np.float32), np.full(RAW, -n, np.float32)]))
+def page(history, kind="raw", seconds=100, before=None, max_frames=1000, max_values=UNLIMITED, since=None):
+    return history.page(kind, seconds, before, max_frames, max_values, since)
 
 
-def bytes_of(kept):
-    held = (*kept._images.values(), kept._flags, kept._sequence, kept._time, kept._arrived)
-    return sum(each.nbytes for each in held) + 8 * len(kept._method)
+def numbers(history, **query):
+    return page(history, **query).sequence.tolist()
 
 
 def test_memory_is_bounded_by_time_and_by_bytes():
-    assert History(1.0, ALL, RAW, RESTORED).capacity == RATE_HZ - 1
-    small = ring(20)
-    assert bytes_of(small) == EACH * 21
-    for nothing in (History(0, ALL, RAW, RESTORED), History(5, EACH, RAW, RESTORED)):
-        nothing.add(image(0))
-        assert len(nothing("raw", 10, None, 10, ALL).values) == 0
-
-
-def test_shear_counts_towards_the_bound_and_is_kept_beside_the_images():
-    each = EACH + 8 * 16
-    kept = History(1e6, each * 21, RAW, RESTORED, shear=True)
-    assert bytes_of(kept) == each * 21
-    for n in range(50):
-        kept.add(sheared(n))
-    assert bytes_of(kept) == each * 21
-    found = kept("shear", 100, None, 100, ALL)
-    assert found.values.shape == (20, 2, 4, 4)
-    np.testing.assert_array_equal(found.values[:, 0, 0, 0], np.arange(30, 50))
-    np.testing.assert_array_equal(found.values[:, 1, 3, 3], -np.arange(30, 50))
-    np.testing.assert_array_equal(kept("raw", 100, None, 100, ALL).values[:, 0, 0], np.arange(30, 50))
-    assert kept("shear", 100, None, 100, 3 * 32).sequence.tolist() == [47, 48, 49]  # of 32 numbers each
+    assert History(1.0, UNLIMITED, RAW, RESTORED).capacity == MAX_RATE_HZ - 1
+    assert ring(20).capacity == 20
+    assert History(1e6, FRAME_BYTES * 21 - 1, RAW, RESTORED).capacity == 19
+    each = FRAME_BYTES + SHEAR_BYTES
+    assert History(1e6, each * 21, RAW, RESTORED, shear=True).capacity == 20
+    for empty in (History(0, UNLIMITED, RAW, RESTORED), History(5, FRAME_BYTES, RAW, RESTORED), ring(5)):
+        if not empty.capacity:
+            empty.add(image(0))
+        for kind, shape in (("raw", RAW), ("restored", RESTORED)):
+            assert page(empty, kind).values.shape == (0, *shape)
+        assert page(empty).flags.shape == (0, *RAW)
 
 
 def test_the_last_images_come_in_order_with_all_that_is_known_of_them():
-    kept = ring(20)
+    history = History(1e6, (FRAME_BYTES + SHEAR_BYTES) * 21, RAW, RESTORED, shear=True)
     for n in range(50):
-        kept.add(image(n))
-    found = kept("raw", 100, None, 100, ALL)
-    assert found.sequence.tolist() == list(range(30, 50))
-    np.testing.assert_array_equal(found.time, np.arange(30, 50) / 100)
-    assert found.values.shape == (20, 4, 4)
-    np.testing.assert_array_equal(found.values[:, 0, 0], np.arange(30, 50))
-    np.testing.assert_array_equal(found.flags[:, 0, 0], np.arange(30, 50) % 2)
-    assert found.method == ("nnls",) * 20
-    assert not found.older
-    np.testing.assert_array_equal(kept("restored", 100, None, 100, ALL).values[:, 7, 7], 10.0 * np.arange(30, 50))
+        history.add(image(n))
+    last = np.arange(30, 50)
+    raw, restored, shear = (page(history, kind) for kind in ("raw", "restored", "shear"))
+    assert raw.sequence.tolist() == last.tolist()
+    np.testing.assert_array_equal(raw.time, last / 100)
+    np.testing.assert_array_equal(raw.values, np.broadcast_to(last[:, None, None], (20, *RAW)))
+    np.testing.assert_array_equal(raw.flags[:, 0, 0], last % 2)
+    assert raw.method == ("nnls",) * 20
+    assert not raw.older
+    np.testing.assert_array_equal(restored.values[:, 7, 7], 10.0 * last)
+    assert shear.values.shape == (20, 2, *RAW)
+    np.testing.assert_array_equal(shear.values[:, 0, 0, 0], last)
+    np.testing.assert_array_equal(shear.values[:, 1, 3, 3], -last)
+    assert numbers(history, kind="shear", max_values=3 * 32) == [47, 48, 49]  # of 32 numbers each
 
 
 def test_pages_lead_back_through_a_window():
-    kept = ring(40)
-    for n in range(100):
-        kept.add(image(n, 2 * n))
+    history = ring(40, (image(n, sequence=2 * n) for n in range(100)))
     pages, before = [], None
-    while True:
-        page = kept("raw", 0.245, before, 10, ALL)
-        pages.append(page.sequence.tolist())
-        if not page.older:
-            break
-        before = int(page.sequence[0])
-    assert [len(page) for page in pages] == [10, 10, 5]
-    assert [n for page in reversed(pages) for n in page] == list(range(150, 200, 2))
-    assert kept("raw", 10, 5, 10, ALL).sequence.tolist() == []
-    assert kept("raw", 10, None, 10, 16 * 3).sequence.tolist() == [194, 196, 198]  # three images of 16 numbers
-    assert kept("raw", 10, None, 10, 1).sequence.tolist() == [198]
+    while not pages or pages[-1].older:
+        pages.append(page(history, seconds=0.245, before=before, max_frames=10))
+        before = int(pages[-1].sequence[0])
+    assert [len(each.sequence) for each in pages] == [10, 10, 5]
+    assert [n for each in reversed(pages) for n in each.sequence] == list(range(150, 200, 2))
+    assert numbers(history, before=5) == []
+    assert numbers(history, max_values=16 * 3) == [194, 196, 198]  # three images of 16 numbers
+    assert numbers(history, max_values=1) == [198]
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
-def test_a_step_of_the_buss_clock_neither_widens_nor_narrows_a_window(step):
-    kept = ring(400)
-    for n in range(300):
-        kept.add(replace(image(n), time=n / 100 + (step if n >= 250 else 0.0)))
-    found = kept("raw", 0.995, None, 1000, ALL)
-    assert found.sequence.tolist() == list(range(200, 300))
-    assert found.time[[0, 49, 50, 99]].tolist() == [2.0, 2.49, 2.5 + step, 2.99 + step]
-    page = kept("raw", 0.995, None, 30, ALL)
-    assert page.older
-    assert kept("raw", 0.0, int(page.sequence[0]), 1000, ALL, page.since).sequence.tolist() == list(
-        range(200, 270)
-    )
+def test_a_step_of_the_clock_of_the_bus_neither_widens_nor_narrows_a_window(step):
+    history = ring(400, (image(n, time=n / 100 + (step if n >= 250 else 0.0)) for n in range(300)))
+    window = page(history, seconds=0.995)
+    assert window.sequence.tolist() == list(range(200, 300))
+    assert window.time[[0, 49, 50, 99]].tolist() == [2.0, 2.49, 2.5 + step, 2.99 + step]
+    newest = page(history, seconds=0.995, max_frames=30)
+    assert newest.older
+    assert numbers(history, seconds=0.0, before=270, since=newest.since) == list(range(200, 270))
 
 
-def test_what_a_copy_gives_while_images_are_added_is_never_mixed():
-    kept, stop = ring(8), threading.Event()
+def test_a_page_that_is_copied_while_images_are_added_is_never_mixed():
+    history, stop = ring(8), threading.Event()
 
     def add():
         n = 0
         while not stop.is_set():
-            kept.add(image(n))
+            history.add(image(n))
             n += 1
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     thread = threading.Thread(target=add)
     thread.start()
-    seen = 0
+    count = 0
     try:
-        while seen < 2000:
-            found = kept("raw", 1e9, None, 100, ALL)
-            seen += len(found.sequence)
-            n = found.sequence.astype(np.float32)
-            assert (found.values == n[:, None, None]).all()
-            np.testing.assert_array_equal(found.time, found.sequence / 100)
-            assert np.diff(found.sequence).tolist() == [1] * max(len(n) - 1, 0)
+        while count < 2000:
+            copied = page(history, seconds=1e9)
+            count += len(copied.sequence)
+            n = copied.sequence.astype(np.float32)
+            assert (copied.values == n[:, None, None]).all()
+            np.testing.assert_array_equal(copied.time, copied.sequence / 100)
+            assert np.diff(copied.sequence).tolist() == [1] * max(len(n) - 1, 0)
     finally:
         stop.set()
         thread.join()
         sys.setswitchinterval(interval)
-
-
-@pytest.mark.parametrize("kind", ["raw", "restored"])
-def test_an_empty_history_has_no_images_of_the_right_shape(kind):
-    found = ring(5)(kind, 1.0, None, 10, ALL)
-    assert found.values.shape == (0, *(RAW if kind == "raw" else RESTORED))
-    assert found.flags.shape == (0, *RAW)

@@ -49,7 +49,7 @@ def test_a_service_is_not_disturbed_by_a_step_of_the_clock(bus, until, put_clock
         put_clock(step)
         for n in range(110, 120):
             show(n)
-        history = sensor.history("raw", 1000.0, None, 1000, 10**6)
+        history = sensor.history.page("raw", 1000.0, None, 1000, 10**6)
         assert len(history.sequence) == 20
         assert abs(history.time[-1] - history.time[0] - step) < 600  # as the kernel stamped them
         send(120, segments=HALF)  # half a frame, and silence

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactiled.runtime.history import Kept
+from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers, schemas
 from tactiled.web.rest.common import (
@@ -141,12 +141,12 @@ async def frames(
     seconds, most = float(last[:-1]), MOST_VALUES[form]
 
     def answer() -> Response:
-        return _answer(sensor, kind, form, sensor.history(kind, seconds, number, limit, most, since))
+        return _answer(sensor, kind, form, sensor.history.page(kind, seconds, number, limit, most, since))
 
     return await in_turn(request, answer)
 
 
-def _before(kept: Kept) -> str | None:
+def _before(kept: Page) -> str | None:
     """Where the next page begins: the number that it stays below, and the beginning of the window."""
     return f"{kept.sequence[0]}@{kept.since:.6f}" if kept.older else None
 
@@ -157,7 +157,7 @@ def _place(before: str | None) -> tuple[int | None, float | None]:
     return int(number) if number else None, float(since) if since else None
 
 
-def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Kept) -> Response:
+def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Page) -> Response:
     headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
     if len(kept.time):
         headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"
@@ -168,7 +168,7 @@ def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Kept) -> Response:
     return Response(_content(sensor, kind, kept, form), media_type=MEDIA[form], headers=headers)
 
 
-def _content(sensor: Sensor, kind: Kind, kept: Kept, form: Format) -> bytes:
+def _content(sensor: Sensor, kind: Kind, kept: Page, form: Format) -> bytes:
     if form == "json":
         return b"".join(_json(sensor, kind, kept))
     if form == "npy":
@@ -179,7 +179,7 @@ def _content(sensor: Sensor, kind: Kind, kept: Kept, form: Format) -> bytes:
     return out.getvalue()
 
 
-def _json(sensor: Sensor, kind: Kind, kept: Kept) -> Iterator[bytes]:
+def _json(sensor: Sensor, kind: Kind, kept: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
     head = Frames(sensor=sensor.name, kind=kind, unit=UNITS[kind], before=_before(kept), cut=kept.cut, frames=[])
     yield head.model_dump_json().encode().removesuffix(b"]}")
@@ -188,7 +188,7 @@ def _json(sensor: Sensor, kind: Kind, kept: Kept) -> Iterator[bytes]:
     yield b"]}"
 
 
-def _one(kind: Kind, kept: Kept, n: int) -> KeptFrame | KeptShear:
+def _one(kind: Kind, kept: Page, n: int) -> KeptFrame | KeptShear:
     """Fill in the form of image `n`."""
     sequence, timestamp = int(kept.sequence[n]), float(kept.time[n])
     flags = kept.flags[n].tolist() if kept.flags[n].any() else None

@@ -19,7 +19,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
-from tactiled.runtime.offline import Offline, opened, write
+from tactiled.runtime.offline import Offline, open_frames, write
 from tactiled.runtime.service import Service
 from tactiled.web.http.body import MAX_UPLOAD_BYTES
 from tactiled.web.http.limits import client_of
@@ -177,7 +177,7 @@ def _restore(
     plan: SensorPlan, film: Path, images: Path, method: str, noise_kpa: float | None, progress: Progress
 ) -> _Done:
     try:
-        frames = opened(film, plan)
+        frames = open_frames(film, plan)
     except ConfigError as error:
         raise ConfigError(str(error).replace(str(film), "body")) from error
     shape = (len(frames), *plan.blur.surface_shape)
@@ -186,13 +186,12 @@ def _restore(
             413, f"{len(frames)} frames make images of more than {MOST_OUT >> 20} MiB: send them in parts"
         )
     progress.begin(len(frames))
-    offline = Offline(plan, method, noise_kpa)
-    noise, chosen = offline.begin(frames), Counter[str]()
+    offline, chosen = Offline(plan, frames, method, noise_kpa), Counter[str]()
 
     def pieces() -> Iterator[NDArray[np.float32]]:
-        for restored, told in offline(frames):
-            chosen.update(each.method for each in told)
+        for restored, infos in offline:
+            chosen.update(each.method for each in infos)
             yield restored
 
     write(pieces(), shape, images, progress.add)
-    return _Done(noise, dict(chosen))
+    return _Done(offline.noise_kpa, dict(chosen))

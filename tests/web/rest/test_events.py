@@ -9,7 +9,7 @@ from pydantic import SecretStr
 from tactiled.config import Server, parse
 from tactiled.config.schema import Bus
 from tactiled.runtime.service import Service
-from tactiled.runtime.state import State
+from tactiled.runtime.state import StateFile
 from tactiled.web.rest import events
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, until
@@ -107,7 +107,7 @@ def test_a_method_is_kept_where_the_service_keeps_state(tmp_path, client):
     assert client.get("/sensors/palm/method").json()["method"] == "wiener"
     config = parse(CONFIG.format(channel="none"))
     for _ in range(2):
-        service = Service(config, state=State(tmp_path / "state.json"))
+        service = Service(config, state=StateFile(tmp_path / "state.json"))
         with running(service) as url:
             asked = {"method": "nnls", "keep": True}
             told = ask("PUT", url + "/api/v1/sensors/palm/method", json=asked).json()

@@ -18,7 +18,7 @@ from schemathesis.engine import events, from_schema
 
 from tactiled.config import Server
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.state import State
+from tactiled.runtime.state import StateFile
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, HTTP, ask, pressed, until
 
@@ -43,7 +43,7 @@ def whole(rig, tmp_path):
     rig.stale_after(BUSY_S)
     player = rig.play(50, stop)
     until(lambda: rig.sensor.hub.latest())
-    rig.service.state = State(tmp_path / "state.json")
+    rig.service.state = StateFile(tmp_path / "state.json")
     with running(rig.service, Server(port=0, recordings=tmp_path / "recordings", control_per_minute=0)) as url:
         yield url
     stop.set()

@@ -45,13 +45,9 @@ def test_a_film_is_restored_as_offline(rig, url, frames, query):
     answer = post(url, npy(frames), **query)
     assert answer.status_code == 200, answer.text
     images = np.load(io.BytesIO(answer.content))
-    restored = Offline(
-        sensor_plan("palm", rig.config.sensor["palm"]), query.get("method", "auto"), query.get("noise_kpa")
-    )
-    noise = restored.begin(frames)
-    expected = np.concatenate([each.copy() for each, _ in restored(frames)])
-    np.testing.assert_array_equal(images, expected)
-    assert float(answer.headers["x-tactiled-noise"]) == pytest.approx(noise, rel=1e-5)
+    offline = Offline(sensor_plan("palm", rig.config.sensor["palm"]), frames, **query)
+    np.testing.assert_array_equal(images, np.concatenate([each.copy() for each, _ in offline]))
+    assert float(answer.headers["x-tactiled-noise"]) == pytest.approx(offline.noise_kpa, rel=1e-5)
     assert sum(json.loads(answer.headers["x-tactiled-methods"]).values()) == 20
 
 
@@ -116,7 +112,7 @@ def test_a_second_film_is_refused_until_the_first_is_restored(url, frames, monke
         write(images, shape, path, told)
 
     monkeypatch.setattr(restore, "write", slow)
-    monkeypatch.setattr(offline, "PIECE", 1)
+    monkeypatch.setattr(offline, "PIECE_FRAMES", 1)
     with ThreadPoolExecutor(1) as other:
         began = time.monotonic()
         first = other.submit(post, url, npy(frames))
