@@ -15,7 +15,7 @@ from tactiled.cover.kernel import Kernel, cached
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
-from tactiled.cover.summary import Meaning, meaning
+from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import FrameWarning
@@ -95,7 +95,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
-        warnings=_constant_warnings(sensor, meaning(kernel, array), array),
+        warnings=_constant_warnings(sensor, summarise(kernel, array), array),
     )
 
 
@@ -120,7 +120,7 @@ def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
         raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
 
 
-def _constant_warnings(sensor: schema.Sensor, summary: Meaning, array: Array) -> tuple[FrameWarning, ...]:
+def _constant_warnings(sensor: schema.Sensor, summary: CoverSummary, array: Array) -> tuple[FrameWarning, ...]:
     """Warnings of every image of a sensor."""
     warnings = [] if sensor.calibration.kpa_per_count else [warning("uncalibrated")]
     if summary.smallest_gap > THICK * array.pitch:

@@ -11,7 +11,7 @@ from tactiled.build import SensorPlan
 from tactiled.cli import options
 from tactiled.cli.prepare import prepared
 from tactiled.config import tls
-from tactiled.cover.summary import Meaning, meaning
+from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.interop.foxglove import need
 
 
@@ -24,7 +24,7 @@ def check(config: options.Config) -> None:
         need("server.foxglove")
     for sensor in service.sensors.values():
         plan = sensor.plan
-        Console(soft_wrap=True, highlight=False).print(_table(plan, meaning(plan.kernel, plan.array)))
+        Console(soft_wrap=True, highlight=False).print(_table(plan, summarise(plan.kernel, plan.array)))
         for warning in plan.warnings:
             typer.echo(f"  {warning.text}")
     typer.echo(f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}")
@@ -35,7 +35,7 @@ def _count(named: Mapping[str, object], noun: str) -> str:
     return f"{len(named)} {noun if len(named) == 1 else plural}"
 
 
-def _table(plan: SensorPlan, summary: Meaning) -> Table:
+def _table(plan: SensorPlan, summary: CoverSummary) -> Table:
     """What a person wants to know of one sensor before it runs."""
     table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
     array = plan.array

@@ -18,7 +18,7 @@ from tactiled.config import load
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.stack import Layer, Profile, Stack
-from tactiled.cover.summary import Meaning, meaning
+from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, grid
 
@@ -70,7 +70,7 @@ def cover(
     start = perf_counter()
     kernel = solve(stack, model, accuracy, rise, perf_counter, budget)
     seconds = perf_counter() - start
-    summary, press = meaning(kernel, array, noise), None
+    summary, press = summarise(kernel, array, noise), None
     if q is None:
         low, high = summary.half_gain / 8, 2 * summary.tenth_gain
         q = np.array([each for each in ROUND_FREQUENCIES if low < each < high])
@@ -137,7 +137,7 @@ def _press_record(radius: float | None, press: Press | None) -> dict[str, Any]:
     return {"footprint": {"radius": radius} | stress}
 
 
-def _record(kernel: Kernel, q: Floats, seconds: float, summary: Meaning) -> dict[str, Any]:
+def _record(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary) -> dict[str, Any]:
     """What --json prints; null stands for infinity, which JSON does not have."""
     return {
         "model": kernel.model,
@@ -151,7 +151,7 @@ def _record(kernel: Kernel, q: Floats, seconds: float, summary: Meaning) -> dict
     }
 
 
-def _show(kernel: Kernel, q: Floats, seconds: float, summary: Meaning, noise: float) -> None:
+def _show(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary, noise: float) -> None:
     """Print the table of gains, what it means, and how far to trust it."""
     table = Table("q (1/mm)", "half wave (mm)", "gain", title="Gain of the cover")
     for frequency, gain in zip(q, kernel.gain_at(q), strict=True):

@@ -18,7 +18,7 @@ from tactiled.cover.line import DEGREE, lagrange
 from tactiled.cover.stack import Stack
 from tactiled.errors import PhysicsError
 
-HELD = -1  # the number of a displacement that is held at 0: the last one of an array with a 0 appended
+FIXED = -1  # the number of a displacement that is fixed at 0: the last one of an array with a 0 appended
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -56,7 +56,7 @@ class Mesh:
 
     @property
     def unknowns(self) -> int:
-        """Displacements, those held at 0 included."""
+        """Displacements, those fixed at 0 included."""
         return 2 * (DEGREE * self.shape[0] + 1) * (DEGREE * self.shape[1] + 1)
 
 
@@ -65,7 +65,7 @@ class Elements:
     """Every element's stiffness and where its 2 n displacements stand in the system."""
 
     stiffness: Floats  # (elements, 2 n, 2 n), u_r of its n nodes, then u_z
-    dofs: Ints  # (elements, 2 n), HELD where it is held at 0
+    dofs: Ints  # (elements, 2 n), FIXED where it is fixed at 0
     row: Ints  # (elements,) along z
     lattice: Ints  # (elements, n, 2): each node's place on the lattice of all nodes
     size: int
@@ -116,7 +116,7 @@ def _stiffness(stack: Stack, basis: Basis, layer: Ints) -> Floats:
 
 
 def _number(stack: Stack, mesh: Mesh, nodes: Ints, layer: Ints) -> tuple[Ints, int]:
-    """Number displacements column by column: held ones -1, u_r twice where an interface has no friction."""
+    """Number displacements column by column: fixed ones -1, u_r twice where an interface has no friction."""
     columns, rows = mesh.shape
     lines = np.arange(DEGREE * rows + 1)
     slips = [DEGREE * start for start, bonded in zip(mesh.starts[1:-1], stack.bonds, strict=False) if not bonded]
@@ -128,7 +128,7 @@ def _number(stack: Stack, mesh: Mesh, nodes: Ints, layer: Ints) -> tuple[Ints, i
         free[side, across] = True
     free[:, across[-1]] = False
     free[:, across[-1] - 1] &= not stack.bonds[-1]
-    number = np.where(free, free.cumsum().reshape(free.shape) - 1, HELD)
+    number = np.where(free, free.cumsum().reshape(free.shape) - 1, FIXED)
     i, j = nodes[..., 0], nodes[..., 1]
     on_top = j == DEGREE * np.asarray(mesh.starts)[layer][:, None]
     along = 2 * j + np.where(on_top, reached[j], passed[j])
@@ -163,7 +163,7 @@ def sensed(stack: Stack, mesh: Mesh, pressure: Floats) -> Floats:
     surface = j == 0
     load = np.zeros(elements.size)
     load[elements.dofs[:, SIZE:][surface]] = pressure[i[surface]]
-    moved = np.append(solve(elements, load), 0.0)  # the last one for displacements that are HELD
+    moved = np.append(solve(elements, load), 0.0)  # the last one for displacements that are FIXED
     above = elements.row == mesh.starts[stack.sensing] - 1
     residual = (elements.stiffness[above] @ moved[elements.dofs[above]][:, :, None])[:, SIZE:, 0]
     plane = j[above] == DEGREE * mesh.starts[stack.sensing]

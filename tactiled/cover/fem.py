@@ -5,7 +5,7 @@ J1(2 pi q R) is 0 such a rim stands where a wave has no slope, so that the disc 
 the endless cover: no far field is cut, and R only says how closely low frequencies are sampled.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,35 +19,36 @@ from tactiled.errors import PhysicsError
 
 Floats = NDArray[np.float64]
 
+# Chosen on random stacks against the exact gain: `python -m tests.study cover`.
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
 FOOTPRINT = 0.25  # the footprint's radius, and
 CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
 COARSEST = 0.5  # element size over distance from the core's far side, outwards and downwards, and its
 LEVELS = [(COARSEST * 2**-step, COARSEST * 2 ** (-step / 2)) for step in np.arange(0, 5.1, 0.5)]  # refinement
-FEWEST = 0.5  # elements through a layer, over the growth
-SHRINK = 1.0  # the error of a level over its difference from the level before, at worst: on coarse ones
-NEAR = 10.0  # radius of the disc over the stack's thickness, to begin with
-BEND = 0.004  # the largest loss of gain at the disc's lowest frequency
-COARSE = 5e-3  # the accuracy of a coarse mesh
-LOW = 17  # frequencies that tell whether the disc samples the low end closely enough
-SAMPLES = 48  # frequencies a decade
-FINEST = 1e-6  # the interpolation between frequencies is no better
-PLACES = 301  # where the stress under a footprint is given
-LARGEST = 120_000  # unknowns
-WAVES = 1e5  # across the disc, at most: the transform of so many takes seconds
-WIDEST = 1e5  # radius of the disc over the stack's thickness
+MIN_ELEMENTS = 0.5  # through a layer, over the growth
+START_RADIUS = 10.0  # of the disc, over the stack's thickness
+MAX_RADIUS = 1e5  # of the disc, over the stack's thickness
+LOWEST_LOSS = 0.004  # the largest loss of gain at the disc's lowest frequency
+COARSE_ACCURACY = 5e-3  # of a coarse mesh
+LOW_FREQUENCIES = 17  # that tell whether the disc samples the low end closely enough
+SAMPLES_PER_DECADE = 48
+MIN_ACCURACY = 1e-6  # the interpolation between frequencies is no better
+STRESS_PLACES = 301  # where the stress under a footprint is given
+MAX_UNKNOWNS = 120_000  # seconds, and a gigabyte
+MAX_WAVES = 1e5  # across the disc: the transform of so many takes seconds
+
+Late = Callable[[], bool]  # whether time is up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What the elements found, as plain arrays."""
+    """The elements' gain, as plain arrays."""
 
     q: Floats  # (n,) cycles/mm, 0 first
     gain: Floats  # (n,), to a little past where it stays under FLOOR
     error_estimate: float
     mesh: tuple[int, int]  # elements along r and along z
     unknowns: int
-    radius: float  # mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,34 +68,25 @@ def interpolant(q: Floats, gain: Floats) -> Callable[[Floats], Floats]:
 
 
 def solve(
-    stack: Stack,
-    accuracy: float = 1e-3,
-    profile: Profile | None = None,
-    radius: float | None = None,
-    late: Callable[[], bool] = lambda: False,
+    stack: Stack, accuracy: float = 1e-3, profile: Profile | None = None, late: Late = lambda: False
 ) -> Solution:
     """Refine until the estimated error of G is within `accuracy` wherever G is FLOOR or more.
 
-    `radius` (mm) fixes the disc; `late` says that time is up. PhysicsError where either forbids the accuracy.
+    PhysicsError where `late` or the number of unknowns forbids the accuracy.
     """
-    _asked(accuracy)
-    end, reach = _survey(stack, profile, radius, accuracy, late)
+    end, reach = _survey(stack, profile, accuracy, late)
     q = _frequencies(reach, end)
-    before, error = np.full_like(q, np.inf), np.inf
-    for growths in LEVELS:
-        mesh = _mesh(stack, profile, reach, CORE / end, *growths)
-        if mesh.unknowns > LARGEST:
-            break
-        gain = _gain(stack, mesh, FOOTPRINT / end, q)
-        heard = q <= _last(q, gain, FLOOR)
-        error = SHRINK * float(np.abs(gain - before)[heard].max()) + _between(q[heard], gain[heard])
-        if error <= accuracy:
-            return Solution(q, gain, error, mesh.shape, mesh.unknowns, reach)
-        _check(late, accuracy, error)
-        before = gain
-    raise PhysicsError(
-        f"accuracy {accuracy:g} of the gain cannot be met: the error estimate stands at {error:.1e}; ask for less"
-    )
+
+    def gain(mesh: elements.Mesh) -> Floats:
+        return _gain(stack, mesh, FOOTPRINT / end, q)
+
+    def error(gain: Floats, before: Floats) -> float:
+        inside = q <= _last(q, gain, FLOOR)
+        return float(np.abs(gain - before)[inside].max()) + _interpolation_error(q[inside], gain[inside])
+
+    meshes = (_mesh(stack, profile, reach, CORE / end, *growths) for growths in LEVELS)
+    solved, mesh, estimate = _refined(meshes, gain, error, "gain", accuracy, late)
+    return Solution(q, solved, estimate, mesh.shape, mesh.unknowns)
 
 
 def pressed(
@@ -102,7 +94,7 @@ def pressed(
     radius: float,
     accuracy: float = 1e-3,
     profile: Profile | None = None,
-    late: Callable[[], bool] = lambda: False,
+    late: Late = lambda: False,
 ) -> Press:
     """Give the stress under even pressure on a disc of `radius` (mm), to `accuracy` of that pressure.
 
@@ -110,26 +102,48 @@ def pressed(
     """
     if not 0 < radius < np.inf:
         raise PhysicsError(f"footprint radius is {radius} mm: give a finite number above 0")
-    _asked(accuracy)
     bent = _with_corner(profile, radius)
-    end, reach = _survey(stack, bent, None, accuracy, late)
-    r = np.linspace(0, 2 * radius + 3 * stack.depth, PLACES)
-    before, error = np.full_like(r, np.inf), np.inf
-    for growths in LEVELS:
-        mesh = _mesh(stack, bent, reach, CORE / end, *growths)
-        if mesh.unknowns > LARGEST:
+    end, reach = _survey(stack, bent, accuracy, late)
+    r = np.linspace(0, 2 * radius + 3 * stack.depth, STRESS_PLACES)
+
+    def stress(mesh: elements.Mesh) -> Floats:
+        pressure = np.asarray(line.points(mesh.r)[0] < radius, float)
+        force = elements.sensed(stack, mesh, line.forces(mesh.r, pressure))
+        return line.between(mesh.r, line.recover(mesh.r, force), r)
+
+    def error(stress: Floats, before: Floats) -> float:
+        return float(np.abs(stress - before).max())
+
+    meshes = (_mesh(stack, bent, reach, CORE / end, *growths) for growths in LEVELS)
+    solved, _, estimate = _refined(meshes, stress, error, "stress", accuracy, late)
+    return Press(r, solved, estimate)
+
+
+def _refined(
+    meshes: Iterable[elements.Mesh],
+    solve: Callable[[elements.Mesh], Floats],
+    difference: Callable[[Floats, Floats], float],
+    what: str,
+    accuracy: float,
+    late: Late,
+) -> tuple[Floats, elements.Mesh, float]:
+    """Give the first solution within `accuracy`, its mesh and error: its difference from the mesh before."""
+    before, error = np.asarray(np.inf), np.inf
+    for mesh in meshes:
+        if mesh.unknowns > MAX_UNKNOWNS:
             break
-        force = elements.sensed(
-            stack, mesh, line.forces(mesh.r, np.asarray(line.points(mesh.r)[0] < radius, float))
-        )
-        stress = line.between(mesh.r, line.recover(mesh.r, force), r)
-        error = SHRINK * float(np.abs(stress - before).max())
+        solution = solve(mesh)
+        error = difference(solution, before)
         if error <= accuracy:
-            return Press(r, stress, error)
-        _check(late, accuracy, error)
-        before = stress
+            return solution, mesh, error
+        if late():
+            estimate = f"the estimate is {error:.1e}" if np.isfinite(error) else "there is no estimate yet"
+            raise PhysicsError(
+                f"accuracy {accuracy:g} is not met in the given time: {estimate}; allow more time or ask for less"
+            )
+        before = solution
     raise PhysicsError(
-        f"accuracy {accuracy:g} of the stress cannot be met: the estimate stands at {error:.1e}; ask for less"
+        f"accuracy {accuracy:g} of the {what} cannot be met: the error estimate is {error:.1e}; ask for less"
     )
 
 
@@ -140,46 +154,28 @@ def _with_corner(profile: Profile | None, radius: float) -> Profile:
     return Profile(tuple(corners.tolist()), tuple(rise.tolist()))
 
 
-def _asked(accuracy: float) -> None:
-    """Refuse an accuracy that means nothing."""
-    if not FINEST <= accuracy < 1:
-        raise PhysicsError(f"accuracy is {accuracy}: give {FINEST:g} to less than 1, such as 1e-3")
-
-
-def _check(late: Callable[[], bool], accuracy: float, error: float) -> None:
-    """Refuse to go on when time is up."""
-    if late():
-        known = f"the estimate is {error:.1e}" if np.isfinite(error) else "there is no estimate yet"
-        raise PhysicsError(
-            f"accuracy {accuracy:g} is not met in the given time: {known}; allow more time or ask for less"
-        )
-
-
-def _survey(
-    stack: Stack, profile: Profile | None, radius: float | None, accuracy: float, late: Callable[[], bool]
-) -> tuple[float, float]:
+def _survey(stack: Stack, profile: Profile | None, accuracy: float, late: Late) -> tuple[float, float]:
     """Find by coarse meshes the frequency (cycles/mm) where the gain ends and the radius (mm) the disc needs.
 
     High frequencies hear the coarse mesh's own error, which lessens with the mesh fitted closer: in steps.
     """
-    deepest = end = 2 / _depth(stack, profile)
-    reach = radius or NEAR * _extent(stack, profile)
+    if not MIN_ACCURACY <= accuracy < 1:
+        raise PhysicsError(f"accuracy is {accuracy}: give {MIN_ACCURACY:g} to less than 1, such as 1e-3")
+    depth, extent = _depth(stack, profile), max(stack.faces[-1], profile.radius[-1] if profile else 0.0)
+    deepest = end = 2 / depth
+    reach = START_RADIUS * extent
     falling = True
-    while reach < WIDEST * _extent(stack, profile):
-        if reach * end > WAVES:
+    while reach < MAX_RADIUS * extent:
+        if reach * end > MAX_WAVES:
             raise PhysicsError(
                 f"far field reaches past {reach:.3g} mm, too far for finite elements where stress is sensed "
-                f"{_depth(stack, profile):g} mm deep: use model 'layered'"
+                f"{depth:g} mm deep: use model 'layered'"
             )
         q = _frequencies(reach, end)
         gain = _gain(stack, _mesh(stack, profile, reach, CORE / end, *LEVELS[0]), FOOTPRINT / end, q)
-        last = _last(q, gain, COARSE)
-        if abs(1 - gain[1]) > BEND or _between(q[:LOW], gain[:LOW]) > accuracy / 4:
-            if radius is not None:
-                raise PhysicsError(
-                    f"domain radius {radius:g} mm cuts the far field of a stack {stack.faces[-1]:g} mm thick: "
-                    f"the gain is {gain[1]:.3f} at its lowest frequency; give a wider domain or none"
-                )
+        last = _last(q, gain, COARSE_ACCURACY)
+        low = slice(LOW_FREQUENCIES)
+        if abs(1 - gain[1]) > LOWEST_LOSS or _interpolation_error(q[low], gain[low]) > accuracy / 4:
             if late():
                 raise PhysicsError(
                     f"accuracy {accuracy:g} is not met in the given time: the far field reaches past "
@@ -197,7 +193,7 @@ def _survey(
 
 def _last(q: Floats, gain: Floats, floor: float) -> float:
     """Give the last frequency (cycles/mm) where the gain is above a floor, or a low one."""
-    return float(q[max(int(np.flatnonzero(np.abs(gain) > floor)[-1]), LOW // 2)])
+    return float(q[max(int(np.flatnonzero(np.abs(gain) > floor)[-1]), LOW_FREQUENCIES // 2)])
 
 
 def _depth(stack: Stack, profile: Profile | None) -> float:
@@ -211,15 +207,10 @@ def _depth(stack: Stack, profile: Profile | None) -> float:
     return depth
 
 
-def _extent(stack: Stack, profile: Profile | None) -> float:
-    """Give the length (mm) that the disc must be wide against."""
-    return max(stack.faces[-1], profile.radius[-1] if profile else 0.0)
-
-
 def _frequencies(reach: float, end: float) -> Floats:
     """Give 0 and the disc's own frequencies (cycles/mm) to a little past `end`, even in their logarithm."""
     count = max(int(2.6 * reach * end), 16)
-    steps = int(SAMPLES * np.log10(count / 8)) + 2
+    steps = int(SAMPLES_PER_DECADE * np.log10(count / 8)) + 2
     n = np.unique(np.concatenate([np.arange(1, 9), np.geomspace(8, count, steps).astype(int)]))
     return np.concatenate([[0.0], line.standing(n) / (2 * np.pi * reach)])
 
@@ -229,8 +220,8 @@ def _gain(stack: Stack, mesh: elements.Mesh, radius: float, q: Floats) -> Floats
     density = np.exp(-((line.points(mesh.r)[0] / radius) ** 2)) / (np.pi * radius**2)
     pressure = line.forces(mesh.r, density)
     sensed = elements.sensed(stack, mesh, pressure)
-    given, felt = (line.hankel(mesh.r, line.recover(mesh.r, force), q) for force in (pressure, sensed))
-    return felt / given
+    applied, felt = (line.hankel(mesh.r, line.recover(mesh.r, force), q) for force in (pressure, sensed))
+    return felt / applied
 
 
 def _mesh(
@@ -244,7 +235,7 @@ def _mesh(
     r = np.concatenate(
         [
             [0.0],
-            *(_between_corners(*ends, core, outwards) for ends in pairwise(corners)),
+            *(_between_both(*ends, core, outwards) for ends in pairwise(corners)),
             _graded(corners[-1], reach, core, outwards, corners[-1]),
         ]
     )
@@ -260,21 +251,21 @@ def _mesh(
 def _graded(start: float, stop: float, core: float, growth: float, origin: float) -> Floats:
     """Give the ends of elements from `start` to `stop`, each `growth` times as long as it is far from `origin`."""
     first, last = start - origin + core, stop - origin + core
-    fewest = int(np.ceil(FEWEST / growth))
-    count = max(fewest, int(np.ceil(np.log(last / first) / np.log1p(growth))))
+    min_count = int(np.ceil(MIN_ELEMENTS / growth))
+    count = max(min_count, int(np.ceil(np.log(last / first) / np.log1p(growth))))
     ends = np.geomspace(first, last, count + 1)[1:] - core + origin
     ends[-1] = stop
     return ends
 
 
-def _between_corners(start: float, stop: float, core: float, growth: float) -> Floats:
+def _between_both(start: float, stop: float, core: float, growth: float) -> Floats:
     """Grade from both corners of a profile to the middle."""
     half = (stop - start) / 2
     out = _graded(0.0, half, core, growth, 0.0)
     return start + np.concatenate([out, (2 * half - out[:-1])[::-1], [2 * half]])
 
 
-def _between(q: Floats, gain: Floats) -> float:
+def _interpolation_error(q: Floats, gain: Floats) -> float:
     """Estimate the error of interpolating the gain, below the lowest frequency and above it.
 
     Above, it is a quarter of what every other sample makes of the rest.

@@ -12,7 +12,7 @@ from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 
 from tactiled.cover import layered
-from tactiled.cover.cache import Report, kept
+from tactiled.cover.cache import Report, cached_table
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Model = Literal["fem", "layered"]
 
-TABLE = 512  # frequencies of a tabulated gain
-NOTHING = 1e-9  # a gain that is as good as 0, and a loss of gain that is as good as none
+TABLE_SIZE = 512  # frequencies of a tabulated gain
+NEGLIGIBLE = 1e-9  # a gain that is as good as 0, and a loss of gain that is as good as none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,16 +62,16 @@ def solve(
             raise PhysicsError("model 'layered' knows flat layers only: use 'fem' for a cover with a profile")
         q = _frequencies(stack)
         gain = layered.gain(stack, q)
-        return Kernel(stack, model, q, gain, *radial(q, gain), error_estimate=layered.ROUNDING)
+        return Kernel(stack, model, q, gain, *radial(q, gain), error_estimate=layered.MAX_ROUNDING)
     if model != "fem":
         raise PhysicsError(f"cover model is {model!r}: give 'fem' or 'layered'")
     from tactiled.cover import fem  # scikit-fem, which a cached kernel does not need
 
     start = clock()
-    found = fem.solve(stack, accuracy, profile, late=lambda: clock() - start > budget_s)
-    q, gain = _continued(found)
+    solved = fem.solve(stack, accuracy, profile, lambda: clock() - start > budget_s)
+    q, gain = _continued(solved)
     return Kernel(
-        stack, model, q, gain, *radial(q, gain), found.error_estimate, found.mesh, found.unknowns, profile
+        stack, model, q, gain, *radial(q, gain), solved.error_estimate, solved.mesh, solved.unknowns, profile
     )
 
 
@@ -88,7 +88,11 @@ def cached(
     `report` gets a line on a cache that cannot be read or written.
     """
     inputs = version("tactiled"), stack, model, accuracy, profile
-    numbers = kept(folder, inputs, lambda: _numbers(solve(stack, model, accuracy, profile)), report, "kernel")
+
+    def numbers_of_solution() -> Floats:
+        return _numbers(solve(stack, model, accuracy, profile))
+
+    numbers = cached_table(folder, inputs, numbers_of_solution, report, "kernel")
     n, m, error, columns, rows, unknowns = numbers[:6, 0]
     q, gain, r, g, _ = np.split(numbers[6:, 0], np.cumsum([int(n), int(n), int(m), int(m)]))
     return Kernel(stack, model, q, gain, r, g, float(error), (int(columns), int(rows)), int(unknowns), profile)
@@ -100,15 +104,15 @@ def _numbers(kernel: Kernel) -> Floats:
     return np.concatenate([head, kernel.q, kernel.gain, kernel.r, kernel.g])[:, None]
 
 
-def _continued(found: "fem.Solution") -> tuple[Floats, Floats]:
+def _continued(solved: "fem.Solution") -> tuple[Floats, Floats]:
     """Tabulate the elements' gain evenly in log q, and let it die away past the end as it did before it."""
     from tactiled.cover import fem
 
-    value = fem.interpolant(found.q, found.gain)
-    last = float(found.q[np.flatnonzero(np.abs(found.gain) >= fem.FLOOR)[-1]])
+    value = fem.interpolant(solved.q, solved.gain)
+    last = float(solved.q[np.flatnonzero(np.abs(solved.gain) >= fem.FLOOR)[-1]])
     before, at = value(np.array([0.8 * last, last]))
     fall = max(float(np.log(max(before / at, 1.0))) / (0.2 * last), 1 / last)
-    q = np.geomspace(1e-3 * found.q[1], last + np.log(fem.FLOOR / NOTHING) / fall, TABLE)
+    q = np.geomspace(1e-3 * solved.q[1], last + np.log(fem.FLOOR / NEGLIGIBLE) / fall, TABLE_SIZE)
     tail = at * np.exp(-fall * np.maximum(q - last, 0))
     gain = np.where(q > last, tail, value(np.minimum(q, last)))
     return np.concatenate([[0.0], q]), np.concatenate([[1.0], gain])
@@ -118,8 +122,8 @@ def _frequencies(stack: Stack) -> Floats:
     """Give q (cycles/mm) over all that a stack's gain does, 0 first, 64 a decade."""
     wide = np.logspace(-7, 3, 321) / stack.faces[-1]
     gain = layered.gain(stack, wide)
-    first = np.flatnonzero(np.abs(1 - gain) > NOTHING)[0]
-    last = np.flatnonzero(np.abs(gain) > NOTHING)[-1]
+    first = np.flatnonzero(np.abs(1 - gain) > NEGLIGIBLE)[0]
+    last = np.flatnonzero(np.abs(gain) > NEGLIGIBLE)[-1]
     ends = wide[max(first - 1, 0)], wide[min(last + 1, len(wide) - 1)]
     return np.concatenate([[0.0], np.geomspace(*ends, int(64 * np.log10(ends[1] / ends[0])) + 2)])
 

@@ -14,8 +14,8 @@ from tactiled.errors import PhysicsError
 Floats = NDArray[np.float64]
 
 NORMAL, SHEAR, ALONG, ACROSS = range(4)  # the rows of a state
-DEEP = 800.0  # e^-DEEP is 0 in double precision
-ROUNDING = 1e-6  # the largest rounding error of a gain that passes for exact
+MAX_HEIGHT = 800.0  # over 1/k: e^-MAX_HEIGHT is 0 in double precision
+MAX_ROUNDING = 1e-6  # error of a gain that passes for exact
 
 
 def gain(stack: Stack, q: Floats | float) -> Floats:
@@ -47,7 +47,7 @@ def _solve(stack: Stack, k: Floats) -> Floats:
     except np.linalg.LinAlgError as error:
         raise PhysicsError(f"layers' system is singular in double precision: {_contrast(stack)}") from error
     rounding = np.finfo(float).eps * (np.abs(dual) * (np.abs(system) @ np.abs(state))).sum(axis=(1, 2))
-    if not rounding.max() < ROUNDING:
+    if not rounding.max() < MAX_ROUNDING:
         raise PhysicsError(f"layers' system is too near singular in double precision: {_contrast(stack)}")
     return np.asarray((sensed * state).sum(axis=(1, 2)))
 
@@ -83,7 +83,7 @@ def _system(stack: Stack, faces: list[tuple[Floats, Floats]]) -> Floats:
 
 def _faces(layer: Layer, k: Floats) -> tuple[Floats, Floats]:
     """Give the states (n, 4, 4) of a layer's four solutions on its top and on its bottom face."""
-    height = np.minimum(k * layer.thickness, DEEP)
+    height = np.minimum(k * layer.thickness, MAX_HEIGHT)
     thin = (height < 1)[:, None, None]
     growing, decaying = _series(np.minimum(height, 1.0)), _exponentials(height)
     nu = layer.poisson
@@ -127,7 +127,7 @@ def _third(h: Floats) -> Floats:
 
 def _exponentials(height: Floats) -> tuple[Floats, Floats]:
     """Give (f, f', f'', f''') at 0 and `height` of (1, z) e^-z and, from the bottom face, (1, z-h) e^(z-h)."""
-    far = np.exp(-height)
+    decayed = np.exp(-height)
     one, zero = np.ones_like(height), np.zeros_like(height)
 
     def falling(z: Floats, e: Floats) -> list[list[Floats]]:
@@ -136,6 +136,6 @@ def _exponentials(height: Floats) -> tuple[Floats, Floats]:
     def rising(z: Floats, e: Floats) -> list[list[Floats]]:
         return [[e, z * e], [e, (1 + z) * e], [e, (2 + z) * e], [e, (3 + z) * e]]
 
-    top = np.concatenate([falling(zero, one), rising(-height, far)], axis=1)
-    bottom = np.concatenate([falling(height, far), rising(zero, one)], axis=1)
+    top = np.concatenate([falling(zero, one), rising(-height, decayed)], axis=1)
+    bottom = np.concatenate([falling(height, decayed), rising(zero, one)], axis=1)
     return np.moveaxis(top, -1, 0), np.moveaxis(bottom, -1, 0)

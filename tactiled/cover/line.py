@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 X = (_POINTS + 1) / 2
-WAVES = 1.0  # waves that eight Gauss points integrate
+WAVES_PER_PIECE = 1.0  # that eight Gauss points integrate
 DEGREE = 3  # quadratic elements are too stiff for a hard skin that bends over foam
 
 
@@ -29,11 +29,6 @@ def points(r: Floats) -> tuple[Floats, Floats]:
     width = np.diff(r)[:, None]
     place = r[:-1, None] + width * X
     return place, width * _WEIGHTS / 2 * place
-
-
-def nodes(r: Floats) -> Floats:
-    """Give the places (DEGREE elements + 1,) of all nodes in mm."""
-    return np.interp(np.arange(DEGREE * len(r) - DEGREE + 1) / DEGREE, np.arange(len(r)), r)
 
 
 def _of(r: Floats) -> NDArray[np.intp]:
@@ -83,7 +78,7 @@ def _octaves(q: Floats) -> NDArray[np.intp]:
 def _octave(r: Floats, value: Floats, q: Floats) -> Floats:
     """Give the Hankel transform at some q (n,) that one division of the elements serves."""
     width = np.diff(r)
-    pieces = np.ceil(width * q[-1] / WAVES).astype(int) + 1
+    pieces = np.ceil(width * q[-1] / WAVES_PER_PIECE).astype(int) + 1
     element = np.repeat(np.arange(len(width)), pieces)
     piece = np.arange(len(element)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     local = (piece[:, None] + X) / pieces[element][:, None]

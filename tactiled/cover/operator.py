@@ -14,22 +14,21 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
 
-from tactiled.cover.cache import kept
+from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import Kernel
-from tactiled.errors import PhysicsError
 from tactiled.geometry import Array, Cells
 
 Floats = NDArray[np.float64]
 
-BAND = 4.0  # ratio of neighbouring bands' cut-offs
-FALL = 4.6  # a Gaussian exp(-x^2) is as good as 0 (1e-9) here
-RANGE = 6.0  # a band from q on reaches this over q in space: four times its Gaussian's own FALL / pi
+BAND_RATIO = 4.0  # of neighbouring bands' cut-offs
+GAUSSIAN_END = 4.6  # where exp(-x^2) is as good as 0 (1e-9)
+REACH = 6.0  # over q, in space, of a band from q on: four times its Gaussian's own GAUSSIAN_END / pi
 CODE = (  # a cached table of other code is not ours
     np.__version__,
     scipy.__version__,
     *(each.read_bytes() for each in sorted(Path(__file__).parent.glob("*.py"))),
 )
-FINEST = 1000.0  # cycles a cell or, if wider, its mean with the aperture, beyond which they leave 1e-7 of the peak
+MAX_CYCLES = 1000.0  # a cell or, if wider, its mean with the aperture, beyond which they leave 1e-7 of the peak
 
 
 def stencil(kernel: Kernel, array: Array, refine: int = 1) -> Floats:
@@ -37,12 +36,8 @@ def stencil(kernel: Kernel, array: Array, refine: int = 1) -> Floats:
 
     Cells are squares of side pitch / k. Entry [d_y + k (R-1), d_x + k (C-1)] belongs to the index offset
     d = cell - k taxel, that is to a cell's centre (d - (k-1)/2) pitch / k mm from the taxel's centre.
-    PhysicsError where the array is no grid.
     """
-    if array.shape is None:
-        raise PhysicsError("array is no grid: use matrix() for any other layout")
-    if refine < 1:
-        raise PhysicsError(f"refinement is {refine}: give a whole number of 1 or more")
+    assert array.shape is not None, "only grids have a stencil"
     side = array.pitch / refine
     y, x = ((np.arange(-refine * (n - 1), refine * n) - (refine - 1) / 2) * side for n in array.shape)
     return _response(kernel, array, side, np.abs(x), np.abs(y))
@@ -69,11 +64,11 @@ def tiled(kernel: Kernel, array: Array, cells: Cells) -> Floats:
     (across, column), (down, row) = (np.unique(each, return_inverse=True) for each in cells.pieces.T)
     response = np.empty((array.size, len(cells.areas)))
     for taxel, (middle_x, middle_y) in enumerate(array.positions):
-        (away_y, of_y), (away_x, of_x) = (
+        (offset_y, of_y), (offset_x, of_x) = (
             np.unique(np.abs(line - middle), return_inverse=True)
             for line, middle in ((down, middle_y), (across, middle_x))
         )
-        response[taxel] = np.bincount(cells.owner, table(away_y, away_x)[of_y[row], of_x[column]])
+        response[taxel] = np.bincount(cells.owner, table(offset_y, offset_x)[of_y[row], of_x[column]])
     return response
 
 
@@ -88,7 +83,7 @@ def cached(
     cover = make.__name__, kernel.q, kernel.gain
     taxels = array.positions, array.shape, array.pitch, array.width, array.aperture
     cells = (more.pieces, more.side, more.owner) if isinstance(more, Cells) else (more,)
-    return kept(folder, (*CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
+    return cached_table(folder, (*CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
 
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:
@@ -96,10 +91,10 @@ def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -
     result = np.zeros((len(y), len(x)))
     cuts = [np.inf]
     while cuts[-1] > kernel.q[1]:
-        cuts.append(min(cuts[-1], kernel.q[-1]) / BAND)
+        cuts.append(min(cuts[-1], kernel.q[-1]) / BAND_RATIO)
     for high, low in zip(cuts, [*cuts[1:], 0.0], strict=True):
-        cutoff = min(FALL * high, kernel.q[-1], FINEST / np.sqrt(side * max(side, array.width)))
-        reach = RANGE / (low or high) + (side + array.width) / 2
+        cutoff = min(GAUSSIAN_END * high, kernel.q[-1], MAX_CYCLES / np.sqrt(side * max(side, array.width)))
+        reach = REACH / (low or high) + (side + array.width) / 2
         frequency = np.arange(int(cutoff * 2 * reach) + 2) / (2 * reach)
         u, v = np.meshgrid(frequency, frequency)
         q = np.hypot(u, v)

@@ -12,11 +12,11 @@ from tactiled.geometry import Array
 
 Floats = NDArray[np.float64]
 
-VISIBLE = 3.0  # a dip survives if it is this many times deeper than the noise
+VISIBLE_SIGMAS = 3.0  # noise standard deviations: a dip this deep survives
 
 
 @dataclass(frozen=True, slots=True)
-class Meaning:
+class CoverSummary:
     """A cover over an array: frequencies in cycles/mm, lengths in mm."""
 
     half_gain: float  # frequency where the gain has fallen to 0.5
@@ -28,11 +28,11 @@ class Meaning:
     limit: str  # what sets the smallest gap: "cover" or "pitch"
 
 
-def meaning(kernel: Kernel, array: Array, noise: float = 0.01) -> Meaning:
+def summarise(kernel: Kernel, array: Array, noise: float = 0.01) -> CoverSummary:
     """Say what survives of the surface pressure if a taxel's noise is `noise` times the indenters' pressure.
 
-    Two indenters and the gap between them, all w wide, are a wave of frequency 1 / (2 w). Its dip is seen if cover
-    and aperture leave VISIBLE times the noise of it, and if neighbouring taxels stand no further apart than w.
+    Two indenters and the gap between them, all w wide, are a wave of frequency 1 / (2 w). Its dip is visible if
+    cover and aperture pass VISIBLE_SIGMAS times the noise of it, and if taxels stand no further apart than w.
     """
     if not 0 < noise < np.inf:
         raise PhysicsError(f"noise is {noise} of the indenters' pressure: give a number above 0, such as 0.01")
@@ -40,15 +40,15 @@ def meaning(kernel: Kernel, array: Array, noise: float = 0.01) -> Meaning:
     gain = kernel.gain_at(q)
     nyquist = 1 / (2 * array.pitch)
     nyquist_gain = float(kernel.gain_at(nyquist))
-    left = float(abs(nyquist_gain * aperture_mean(array, np.array(nyquist))))
-    seen = _falls(q, np.abs(gain * aperture_mean(array, q)), VISIBLE * noise)
-    gap = 1 / (2 * seen) if seen else np.inf
-    return Meaning(
+    passed = float(abs(nyquist_gain * aperture_mean(array, np.array(nyquist))))
+    finest = _falls(q, np.abs(gain * aperture_mean(array, q)), VISIBLE_SIGMAS * noise)
+    gap = 1 / (2 * finest) if finest else np.inf
+    return CoverSummary(
         half_gain=_falls(q, gain, 0.5),
         tenth_gain=_falls(q, gain, 0.1),
         nyquist=nyquist,
         nyquist_gain=nyquist_gain,
-        noise_gain=1 / left if left > np.finfo(float).tiny else np.inf,
+        noise_gain=1 / passed if passed > np.finfo(float).tiny else np.inf,
         smallest_gap=max(gap, array.pitch),
         limit="cover" if gap > array.pitch else "pitch",
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.cover.summary import meaning
+from tactiled.cover.summary import summarise
 from tactiled.frames import Image
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
@@ -180,7 +180,7 @@ def stream_status(sensor: Sensor, image: Image | None, status: Status) -> Stream
 
 def kernel(sensor: Sensor) -> KernelForm:
     """A sensor's cover."""
-    solved, told = sensor.plan.kernel, meaning(sensor.plan.kernel, sensor.array)
+    solved, told = sensor.plan.kernel, summarise(sensor.plan.kernel, sensor.array)
     return KernelForm(
         model=solved.model,
         error_estimate=solved.error_estimate,

@@ -1,5 +1,8 @@
+"""Solved covers and operators on the disk: whatever became of a file, they are right, and a line says why."""
+
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,77 +10,161 @@ import pytest
 from tactiled.build import make_array, make_blur
 from tactiled.config import parse
 from tactiled.config.example import EXAMPLE, GRASP
+from tactiled.cover import kernel as kernels
 from tactiled.cover import operator
-from tactiled.cover.cache import kept
+from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import solve
 from tactiled.cover.operator import cached, stencil, tiled
+from tactiled.cover.stack import Layer, Profile, Stack
 from tactiled.geometry import grid, layout, tiling
 
 TABLE = np.arange(6.0).reshape(2, 3) / 7
 
 
-def never():
-    raise AssertionError("computed again")
+class Cache:
+    """A folder with one table in it, and what was computed and reported since."""
+
+    def __init__(self, folder):
+        self.folder, self.computed, self.lines = folder, 0, []
+
+    def make(self):
+        self.computed += 1
+        return TABLE.copy()
+
+    def ask(self, *inputs):
+        self.computed, self.lines = 0, []
+        table = cached_table(self.folder, inputs or ("a", TABLE), self.make, self.lines.append)
+        np.testing.assert_array_equal(table, TABLE)
+        return table
+
+    @property
+    def path(self):
+        (path,) = self.folder.iterdir()
+        return path
 
 
-def test_a_table_is_computed_once_and_read_to_the_bit(tmp_path):
-    first = kept(tmp_path, ("a", TABLE, 1.5), TABLE.copy)
-    again = kept(tmp_path, ("a", TABLE.copy(), 1.5), never)
-    np.testing.assert_array_equal(again, first)
-    assert (again.dtype, again.shape, again.flags.writeable) == (TABLE.dtype, TABLE.shape, True)
+@pytest.fixture
+def cache(tmp_path):
+    cache = Cache(tmp_path / "cache")
+    cache.ask()
+    assert (cache.computed, cache.lines) == (1, [])
+    return cache
+
+
+def refuse(error):
+    def refused(*_):
+        raise error
+
+    return refused
+
+
+def test_a_table_is_computed_once_and_read_to_the_bit(cache):
+    table = cache.ask("a", TABLE.copy())
+    assert (cache.computed, cache.lines) == (0, [])
+    assert (table.dtype, table.shape, table.flags.writeable) == (TABLE.dtype, TABLE.shape, True)
+
+
+def flip(at, content):
+    return content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :]
 
 
 @pytest.mark.parametrize(
     "damage",
     [
         lambda content: content[:0],
+        lambda content: content[:31],
         lambda content: content[:-8],
         lambda content: content + bytes(24),
-        lambda content: content[:-1] + bytes([content[-1] ^ 1]),
+        *(partial(flip, at) for at in (0, 33, 87)),
         lambda content: content[:32] + (2).to_bytes(8, "little") + content[40:],
     ],
-    ids=["empty", "cut off", "too long", "a wrong bit", "another shape"],
+    ids=["empty", "within the checksum", "cut off", "too long", "checksum", "columns", "numbers", "another shape"],
 )
-def test_a_damaged_table_is_computed_again(tmp_path, damage):
-    kept(tmp_path, ("a",), TABLE.copy)
-    (path,) = tmp_path.iterdir()
-    path.write_bytes(damage(path.read_bytes()))
-    np.testing.assert_array_equal(kept(tmp_path, ("a",), TABLE.copy), TABLE)
-    np.testing.assert_array_equal(kept(tmp_path, ("a",), never), TABLE)
-    assert list(tmp_path.iterdir()) == [path]
+def test_a_damaged_file_is_computed_again(cache, damage):
+    content = cache.path.read_bytes()
+    cache.path.write_bytes(damage(content))
+    cache.ask()
+    assert (cache.computed, cache.lines) == (1, [f"{cache.path}: the checksum is wrong: it is computed again"])
+    assert cache.path.read_bytes() == content
 
 
-def test_another_tables_file_is_no_answer(tmp_path):
-    kept(tmp_path / "a", ("a",), TABLE.copy)
-    kept(tmp_path / "b", ("b",), lambda: 2 * TABLE)
-    (one,), (other,) = ((tmp_path / name).iterdir() for name in "ab")
-    one.write_bytes(other.read_bytes())
-    np.testing.assert_array_equal(kept(tmp_path / "a", ("a",), TABLE.copy), TABLE)
+def test_another_tables_file_is_no_answer(cache, tmp_path):
+    other = Cache(tmp_path / "other")
+    other.ask("b")
+    cache.path.write_bytes(other.path.read_bytes())
+    cache.ask()
+    assert (cache.computed, len(cache.lines)) == (1, 1)
 
 
-def test_a_folder_that_cannot_be_written_is_no_reason_to_stop(tmp_path):
-    (tmp_path / "file").touch()
-    np.testing.assert_array_equal(kept(tmp_path / "file", ("a",), TABLE.copy), TABLE)
+def test_a_folder_in_the_files_place(cache):
+    path = cache.path
+    path.unlink()
+    path.mkdir()
+    cache.ask()
+    assert cache.lines[0] == f"{path}: Is a directory: it is computed again"
+    assert cache.lines[1].endswith("it is not kept")
+    assert list(cache.folder.iterdir()) == [path]
 
 
-def test_every_input_has_a_table_of_its_own(paper, tmp_path):
+def test_a_file_that_may_not_be_read(cache, monkeypatch):
+    monkeypatch.setattr(Path, "read_bytes", refuse(PermissionError(13, "Permission denied")))
+    cache.ask()
+    assert cache.lines == [f"{cache.path}: Permission denied: it is computed again"]
+
+
+def test_a_full_disk_leaves_no_part_of_a_file(cache, monkeypatch):
+    cache.path.unlink()
+    monkeypatch.setattr(Path, "replace", refuse(OSError(28, "No space left on device")))
+    cache.ask()
+    assert [line.partition(".table: ")[2] for line in cache.lines] == ["No space left on device: it is not kept"]
+    assert not list(cache.folder.iterdir())
+
+
+def test_a_user_without_a_home(cache, monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", refuse(RuntimeError("Could not determine home directory.")))
+    cache.folder = None
+    cache.ask()
+    assert cache.lines == ["no table is kept: there is no home directory: set HOME or XDG_CACHE_HOME"]
+
+
+def test_every_cover_is_solved_once(tmp_path, monkeypatch):
+    stack, profile = Stack((Layer(1.0, 1.0, 0.3),)), Profile((0.0, 0.5), (0.1, 0.0))
+    settings = [(stack,), (stack, "layered"), (stack, "fem", 1e-2), (stack, "fem", 1e-3, profile)]
+    solved = []
+
+    def tiny(stack, model, accuracy, profile):
+        solved.append(stack)
+        q, r = np.array([0.0, 0.5, 1.0]), np.array([0.0, 2.0])
+        return kernels.Kernel(stack, model, q, q[::-1] - 0.125, r, r + accuracy, 3e-4, (7, 5), 350, profile)
+
+    monkeypatch.setattr(kernels, "solve", tiny)
+    first, again = ([kernels.cached(*each, folder=tmp_path) for each in settings] for _ in range(2))
+    assert len(solved) == len(list(tmp_path.iterdir())) == len(settings)
+    for made, read in zip(first, again, strict=True):
+        for name in ("q", "gain", "r", "g", "error_estimate", "mesh", "unknowns", "stack", "model", "profile"):
+            assert np.array_equal(getattr(made, name), getattr(read, name)), name
+    monkeypatch.setattr(kernels, "version", lambda _: "0.0.0")
+    kernels.cached(stack, folder=tmp_path)
+    assert len(list(tmp_path.iterdir())) == len(settings) + 1  # another release has files of its own
+
+
+def test_every_operator_has_a_table_of_its_own(paper, tmp_path):
     kernel, array = solve(paper(), "layered"), grid(3, 4, 0.3, 0.2)
-    arrays = [
-        array,
-        grid(3, 5, 0.3, 0.2),
-        grid(3, 4, 0.31, 0.2),
-        grid(3, 4, 0.3, 0.21),
-        grid(3, 4, 0.3, 0.2, "round"),
-    ]
-    asked = [(stencil, kernel, each, 2) for each in arrays]
-    asked += [(stencil, kernel, array, 1), (stencil, solve(paper(0.3), "layered"), array, 2)]
-    asked.append((stencil, replace(kernel, gain=kernel.gain * 0.99), array, 2))
+    sizes = [(3, 5, 0.3, 0.2), (3, 4, 0.31, 0.2), (3, 4, 0.3, 0.21), (3, 4, 0.3, 0.2, "round")]
     loose = layout(array.positions, 0.2)
-    asked += [(tiled, kernel, loose, tiling(loose)), (tiled, kernel, loose, replace(tiling(loose), side=0.02))]
+    inputs = [
+        *((stencil, kernel, each, 2) for each in (array, *(grid(*size) for size in sizes))),
+        (stencil, kernel, array, 1),
+        (stencil, solve(paper(0.3), "layered"), array, 2),
+        (stencil, replace(kernel, gain=kernel.gain * 0.99), array, 2),
+        (tiled, kernel, loose, tiling(loose)),
+        (tiled, kernel, loose, replace(tiling(loose), side=0.02)),
+    ]
     for _ in range(2):
-        for make, *inputs in asked:
-            np.testing.assert_array_equal(cached(make, *inputs, folder=tmp_path), make(*inputs))
-    assert len(list(tmp_path.iterdir())) == len(asked)
+        for make, *each in inputs:
+            np.testing.assert_array_equal(cached(make, *each, folder=tmp_path), make(*each))
+    assert len(list(tmp_path.iterdir())) == len(inputs)
 
 
 @pytest.mark.parametrize("text", [EXAMPLE, GRASP], ids=["grid", "layout"])
@@ -88,5 +175,5 @@ def test_an_operator_is_built_once_on_a_machine(text, paper, tmp_path, monkeypat
     built = partial(make_blur, solve(paper(1.0, 0.6, 0.48), "layered"), array, sensor.refine)
     pressure = np.random.default_rng(1).random(array.frame_shape)
     first = built().forward(pressure)
-    monkeypatch.setattr(operator, "_response", lambda *_: never())
+    monkeypatch.setattr(operator, "_response", refuse(AssertionError("computed again")))
     np.testing.assert_array_equal(built().forward(pressure), first)

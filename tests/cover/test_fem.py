@@ -6,53 +6,48 @@ from scipy.special import j0, j1
 from tactiled.cover import fem, layered
 from tactiled.cover.stack import Layer, Profile, Stack
 
-
-def error(stack, found):
-    """Worst error of the elements' gain, between the samples too, wherever the exact gain is 1e-3 or more."""
-    q = np.geomspace(found.q[1] / 30, found.q[-1], 600)
-    exact = layered.gain(stack, q)
-    return np.abs(fem.interpolant(found.q, found.gain)(q) - exact)[np.abs(exact) >= 1e-3].max()
-
-
-@pytest.mark.parametrize("thickness", [0.1, 0.2, 0.4, 0.6])
-def test_paper_covers_within_the_accuracy_and_the_estimate(paper, thickness):
-    stack = paper(thickness)
-    found = fem.solve(stack, 1e-3)
-    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
-    assert found.error_estimate <= 1e-3
-
-
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4])
-def test_a_finer_accuracy_is_met(paper, accuracy):
-    stack = paper(poisson=0.49)
-    found = fem.solve(stack, accuracy)
-    assert error(stack, found) <= 2 * found.error_estimate <= 2 * accuracy
-    assert error(stack, found) <= accuracy
-
-
 RUBBER = Layer(2.0, 0.5, 0.4999)
 BOARD = Layer(1.6, 20_000.0, 0.3)
 FOAM = Layer(3.0, 0.05, 0.1)
-FILM = Layer(0.05, 4_000.0, 0.35)
+FOIL = Layer(0.05, 4_000.0, 0.35)
+STIFF = Layer(0.5, 8_400.0, 0.4996), Layer(0.7, 4_200.0, 0.4988), Layer(2.2, 57.0, 0.3), Layer(6.2, 2.6, 0.4999)
+
+
+def error(stack, solved):
+    """Worst error of the elements' gain, between the samples too, wherever the exact gain is 1e-3 or more."""
+    q = np.geomspace(solved.q[1] / 30, solved.q[-1], 600)
+    exact = layered.gain(stack, q)
+    return np.abs(fem.interpolant(solved.q, solved.gain)(q) - exact)[np.abs(exact) >= 1e-3].max()
 
 
 @pytest.mark.parametrize(
     "stack",
     [
+        *(Stack((Layer(thickness, 98.0, 0.3), Layer(1.0, 980.0, 0.3))) for thickness in (0.1, 0.2, 0.4, 0.6)),
         Stack((RUBBER, BOARD)),
-        Stack((FILM, FOAM, BOARD), sensing=2),
-        Stack((FILM, RUBBER, FOAM, BOARD), sensing=3),
+        Stack((FOIL, FOAM, BOARD), sensing=2),
+        Stack((FOIL, RUBBER, FOAM, BOARD), sensing=3),
         Stack((RUBBER,)),
-        Stack((FILM, Layer(10.0, 0.05, 0.4999), Layer(10.0, 200_000.0, 0.0)), sensing=2),
+        Stack((FOIL, Layer(10.0, 0.05, 0.4999), Layer(10.0, 200_000.0, 0.0)), sensing=2),
         Stack((RUBBER, BOARD), bonds=(False, True)),
-        Stack((FILM, RUBBER, BOARD), sensing=2, bonds=(True, False, False)),
+        Stack((FOIL, RUBBER, BOARD), sensing=2, bonds=(True, False, False)),
         Stack((RUBBER, FOAM), sensing=2, bonds=(False, False)),
+        *(Stack(STIFF, sensing) for sensing in (1, 2, 3)),
     ],
-    ids=["rubber", "film on foam", "four", "alone", "contrast", "loose", "half loose", "all loose"],
+    ids=str,
 )
 def test_stacks_agree_with_the_exact_solution(stack):
-    found = fem.solve(stack, 1e-3)
-    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
+    solved = fem.solve(stack, 1e-3)
+    assert error(stack, solved) <= min(1e-3, 2 * solved.error_estimate)
+    assert solved.unknowns < 60_000
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+def test_another_accuracy_is_met(paper, accuracy):
+    stack = paper(poisson=0.49)
+    solved = fem.solve(stack, accuracy)
+    assert error(stack, solved) <= min(accuracy, 2 * solved.error_estimate)
+    assert solved.error_estimate <= accuracy
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.49, 0.4999])
@@ -62,62 +57,35 @@ def test_gain_converges_at_twice_the_degree(paper, poisson):
     exact = layered.gain(stack, q)
     meshes = [fem._mesh(stack, None, 12.0, 0.1, growth, growth) for growth in growths]
     errors = [np.sqrt(np.mean((fem._gain(stack, mesh, 0.035, q) - exact) ** 2)) for mesh in meshes]
-    slope = np.polyfit(np.log(np.log1p(growths)), np.log(errors), 1)[0]
-    assert slope > 5
+    assert np.polyfit(np.log(np.log1p(growths)), np.log(errors), 1)[0] > 5
 
 
-@pytest.mark.parametrize("sensing", [1, 2, 3])
-def test_hard_skins_that_bend_over_soft_ones(sensing):
-    hard = Layer(0.5, 8_400.0, 0.4996), Layer(0.7, 4_200.0, 0.4988)
-    stack = Stack((*hard, Layer(2.2, 57.0, 0.3), Layer(6.2, 2.6, 0.4999)), sensing)
-    found = fem.solve(stack, 1e-3)
-    assert found.unknowns < 60_000
-    assert error(stack, found) <= min(1e-3, 2 * found.error_estimate)
-
-
-def test_loads_of_a_flat_profile_change_nothing(paper):
-    flat, bent = (fem.solve(paper(), 1e-3, profile) for profile in (None, Profile((0.0, 0.5), (0.0, 0.0))))
-    value = fem.interpolant(bent.q, bent.gain)(np.array([0.5, 1, 2, 4]))
-    np.testing.assert_allclose(value, fem.interpolant(flat.q, flat.gain)(np.array([0.5, 1, 2, 4])), atol=5e-4)
-
-
-@pytest.mark.parametrize(("rise", "thickness"), [(0.1, 0.3), (-0.1, 0.1)])
+@pytest.mark.parametrize(("rise", "thickness"), [(0.1, 0.3), (-0.1, 0.1), (0.0, 0.2)])
 def test_a_wide_plateau_is_a_cover_of_its_own_thickness(paper, rise, thickness):
-    found = fem.solve(paper(), 1e-3, Profile((0.0, 3.0, 3.5), (rise, rise, 0.0)))
+    solved = fem.solve(paper(), 1e-3, Profile((0.0, 3.0, 3.5), (rise, rise, 0.0)))
     q = np.array([1.0, 1.5, 2.0, 3.0, 4.0])
     np.testing.assert_allclose(
-        fem.interpolant(found.q, found.gain)(q), layered.gain(paper(thickness), q), atol=1e-3
+        fem.interpolant(solved.q, solved.gain)(q), layered.gain(paper(thickness), q), atol=1e-3
     )
 
 
 def test_a_small_boss_lowers_and_a_small_dimple_raises_the_gain(paper):
     q = np.array([0.5, 1.0, 2.0])
     boss, flat, dimple = (
-        fem.interpolant(found.q, found.gain)(q)
-        for found in (fem.solve(paper(), 1e-3, Profile((0.0, 0.3, 0.5), (h, h, 0.0))) for h in (0.05, 0.0, -0.05))
+        fem.interpolant(solved.q, solved.gain)(q)
+        for solved in (fem.solve(paper(), 1e-3, Profile((0.0, 0.3, 0.5), (h, h, 0.0))) for h in (0.05, 0.0, -0.05))
     )
     assert (boss < flat - 0.02).all()
     assert (dimple > flat + 0.02).all()
 
 
-def test_the_same_domain_serves_a_thin_stack(paper):
-    found = fem.solve(paper(), radius=20.0)
-    assert error(paper(), found) <= 1e-3
-
-
-def under_a_disc(stack, radius, r):
-    """Stress under unit pressure on a disc, from the exact gain."""
-    q = np.linspace(0, 60 / stack.depth, 400_001)
-    waves = CubicSpline(q[::50], layered.gain(stack, q[::50]))(q) * 2 * np.pi * radius * j1(2 * np.pi * q * radius)
-    return np.array([np.trapezoid(waves * j0(2 * np.pi * q * one), q) for one in r])
-
-
 @pytest.mark.parametrize("radius", [0.02, 0.5, 3.0])
 def test_a_footprint_of_any_radius_leaves_the_stress_that_the_exact_gain_gives(paper, radius):
-    found = fem.pressed(paper(), radius)
-    some = slice(None, None, 15)
-    exact = under_a_disc(paper(), radius, found.r[some])
-    assert np.abs(found.stress[some] - exact).max() <= min(1e-3, 2 * found.error_estimate)
+    press, stack = fem.pressed(paper(), radius), paper()
+    q = np.linspace(0, 60 / stack.depth, 400_001)
+    waves = CubicSpline(q[::50], layered.gain(stack, q[::50]))(q) * 2 * np.pi * radius * j1(2 * np.pi * q * radius)
+    exact = np.array([np.trapezoid(waves * j0(2 * np.pi * q * r), q) for r in press.r[::15]])
+    assert np.abs(press.stress[::15] - exact).max() <= min(1e-3, 2 * press.error_estimate)
 
 
 def test_a_boss_takes_stress_from_the_middle_of_a_footprint(paper):

@@ -49,12 +49,12 @@ def test_deep_base_is_boussinesq(poisson):
 
 
 def test_cutting_a_layer_in_two_changes_nothing():
-    whole = Stack((Layer(0.5, 1.0, 0.49), Layer(3.0, 200.0, 0.2)))
+    full = Stack((Layer(0.5, 1.0, 0.49), Layer(3.0, 200.0, 0.2)))
     cut = Stack(
         (Layer(0.01, 1.0, 0.49), Layer(0.49, 1.0, 0.49), Layer(1.0, 200.0, 0.2), Layer(2.0, 200.0, 0.2)), sensing=2
     )
     q = np.logspace(-4, 1, 60)
-    np.testing.assert_allclose(gain(cut, q), gain(whole, q), atol=1e-9)
+    np.testing.assert_allclose(gain(cut, q), gain(full, q), atol=1e-9)
 
 
 def test_gain_at_zero_is_one_and_far_out_is_zero(paper):
