@@ -1,18 +1,21 @@
 """What a codec and a skin are; pure functions of bytes, without I/O, clock or thread."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from tactiled.bus.polling import Polling
-from tactiled.bus.traffic import Key, Match, Traffic
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 from tactiled.geometry import Array
+
+Key = tuple[int, bool]  # CAN id, whether it has 29 bits
 
 
 class Codec(ABC):
@@ -93,6 +96,41 @@ class ShearCodec(Codec):
         """The messages of one frame (N,) and its shear (2, N): the inverse of `decode`, `unpack` and `shear`."""
 
 
+@dataclass(frozen=True, slots=True)
+class Match:
+    """One array that a recogniser found."""
+
+    settings: dict[str, Any]  # of its codec, as a configuration has them
+    codec: Codec
+    keys: tuple[Key, ...]  # its messages' ids, in order
+    shape: tuple[int, int] | None  # rows, columns; None where the skin knows its taxels' positions
+    description: str  # one phrase
+    notes: tuple[str, ...] = ()  # what the bus does not tell
+    pitch_mm: float = 4.0  # a guess
+
+
+class Traffic(dict[Key, list[Message]]):
+    """Messages by id."""
+
+    def __init__(self, messages: Iterable[Message]) -> None:
+        super().__init__()
+        for each in messages:
+            self.setdefault((each.id, each.extended), []).append(each)
+
+    def standard(self, ids: Iterable[int]) -> tuple[Key, ...]:
+        """Those of some 11-bit ids on which messages came."""
+        return tuple((each, False) for each in ids if (each, False) in self)
+
+    def messages(self, keys: Iterable[Key]) -> list[Message]:
+        """All messages on some ids."""
+        return [each for key in keys for each in self[key]]
+
+    def even(self, keys: Iterable[Key]) -> bool:
+        """Whether ids came as often as one another, but for what was cut at the ends or lost."""
+        counts = [len(self[key]) for key in keys]
+        return max(counts) - min(counts) <= 2 + 0.1 * max(counts)
+
+
 class Skin:
     """A frozen dataclass whose fields are a skin's settings; a file of `codecs/` registers it as SKIN."""
 
@@ -144,6 +182,16 @@ class ClassicSkin(Skin, Codec):
         """The payloads of a frame (segments, length); 0 where one is None."""
         blank = bytes(length)
         return np.frombuffer(b"".join(each or blank for each in payloads), np.uint8).reshape(-1, length)
+
+
+def understands(codec: Codec, messages: Iterable[Message]) -> bool:
+    """Whether a codec decodes every one of some messages."""
+    try:
+        for each in messages:
+            codec.decode(each)
+    except CodecError:
+        return False
+    return True
 
 
 def standard_ids(*ids: int) -> frozenset[Key]:

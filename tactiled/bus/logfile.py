@@ -7,25 +7,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from tactiled.bus.canbus import (
-    ASCReader,
-    ASCWriter,
-    BLFReader,
-    BLFWriter,
-    CanMessage,
-    CanutilsLogReader,
-    CanutilsLogWriter,
-    CSVReader,
-    LogReader,
-    MessageReader,
-    MessageWriter,
-    TRCReader,
-    blf,
-)
+from tactiled.bus.canbus import CanMessage, MessageReader, MessageWriter, blf, formats
 
 MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
-TEXT_READERS = {".log": CanutilsLogReader, ".asc": ASCReader, ".csv": CSVReader, ".trc": TRCReader}
+TEXT_READERS = {
+    ".log": formats.CanutilsLogReader,
+    ".asc": formats.ASCReader,
+    ".csv": formats.CSVReader,
+    ".trc": formats.TRCReader,
+}
 WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
 
 
@@ -56,7 +47,7 @@ class Blocks(io.BufferedReader):
         return super().read(size)
 
 
-class BoundedBlf(BLFReader):
+class BoundedBlf(formats.BLFReader):
     """python-can's reader of .blf, which unpacks a container and joins an object's parts whatever their size."""
 
     def __iter__(self) -> Iterator[CanMessage]:  # type: ignore[override]
@@ -106,7 +97,7 @@ def open_log(path: Path) -> MessageReader:
     packed = len(suffixes) == 2 and suffixes[1] == ".gz"
     kind = "".join(suffixes[:1] if packed else suffixes[-1:])
     if kind not in TEXT_READERS and kind != ".blf":
-        return LogReader(path)  # no stream of bytes, or no recording, which it says
+        return formats.LogReader(path)  # no stream of bytes, or no recording, which it says
     source = gzip.GzipFile(path) if packed else path.open("rb")
     try:
         if kind == ".blf":
@@ -127,16 +118,16 @@ def _gzip(file: BinaryIO) -> BinaryIO:
 
 
 WRITERS: dict[str, Callable[[BinaryIO], MessageWriter]] = {
-    ".log": lambda file: CanutilsLogWriter(_text(file), "can0"),
-    ".asc": lambda file: ASCWriter(_text(file)),
-    ".blf": BLFWriter,
-    ".log.gz": lambda file: CanutilsLogWriter(_text(_gzip(file)), "can0"),
-    ".asc.gz": lambda file: ASCWriter(_text(_gzip(file))),
+    ".log": lambda file: formats.CanutilsLogWriter(_text(file), "can0"),
+    ".asc": lambda file: formats.ASCWriter(_text(file)),
+    ".blf": formats.BLFWriter,
+    ".log.gz": lambda file: formats.CanutilsLogWriter(_text(_gzip(file)), "can0"),
+    ".asc.gz": lambda file: formats.ASCWriter(_text(_gzip(file))),
 }  # python-can's formats that keep all of a message and can be read without their end
 
 
 def flush(writer: MessageWriter) -> None:
     """Hand all that a writer was given to its file."""
-    if isinstance(writer, BLFWriter):
+    if isinstance(writer, formats.BLFWriter):
         writer._flush()  # ends a container: python-can has no public way
     cast(Any, writer).file.flush()

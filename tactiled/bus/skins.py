@@ -78,7 +78,7 @@ def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
     return checked
 
 
-def shown(name: str, skin: Skin) -> dict[str, Any]:
+def redacted(name: str, skin: Skin) -> dict[str, Any]:
     """A codec's settings as they may be printed: the texts of another package are secrets."""
     table: dict[str, Any] = TypeAdapter(type(skin)).dump_python(skin, mode="json")
     return table if name in BUILT_IN else show(seal(table))

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tactiled.bus.assembler import assemble
+from tactiled.bus.codec import Match, Traffic
 from tactiled.bus.skins import skins
-from tactiled.bus.traffic import Match, Traffic
 from tactiled.frames import Message
 
 SETTLED_FRAMES = 8  # in which the beginning of a frame without sequence numbers is learned

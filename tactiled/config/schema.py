@@ -144,7 +144,7 @@ class Codec(Section):
 
     @model_serializer
     def _show(self) -> dict[str, Any]:
-        return {"name": self.name} | skins.shown(self.name, self.settings)
+        return {"name": self.name} | skins.redacted(self.name, self.settings)
 
 
 class Layer(Section):

@@ -7,33 +7,21 @@ from typer.testing import CliRunner
 
 from tactiled.build import make_array, make_codec, sensor_plans
 from tactiled.bus import recording
-from tactiled.bus.codecs.barrett import Barrett
-from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
-from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.codecs.poweron import PowerOn
-from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.reader import open_bus
-from tactiled.bus.sniff import survey as recognise
-from tactiled.cli import app as door
+from tactiled.bus.sniff import survey
+from tactiled.cli.app import app
 from tactiled.cli.sniff import configuration, report
 from tactiled.config import load, parse
 from tactiled.errors import BusError, ConfigError
 from tactiled.frames import Message
+from tests.bus.skins import CODECS, traffic
 from tests.conftest import Clock
 
 
 def run(*arguments):
-    return CliRunner().invoke(door.app, ["sniff", *map(str, arguments)])
-
-
-def traffic(codec, count=30):
-    rng = np.random.default_rng(0)
-    for sequence in range(count):
-        counts = (60 + rng.normal(0, 2, codec.size)).astype(np.uint16)
-        for n, each in enumerate(codec.encode(counts, sequence, 0.0)):
-            yield each._replace(time=sequence / 50 + n * 1e-4)
+    return CliRunner().invoke(app, ["sniff", *map(str, arguments)])
 
 
 @pytest.fixture
@@ -69,16 +57,13 @@ def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, pla
     playing({"interface": interface, "channel": channel}, Packed(64, 12, fd=True, array_id=2), Icub(3, (1, 4)))
     done = run("--interface", interface, "--channel", channel, "--seconds", 0.8, "--write", path)
     assert done.exit_code == 0, done.output
-    assert (
-        "packed layout, CAN FD, array 2 at 0x500, 12 bits a taxel: 64 taxels, 2 messages a frame on id"
-        in done.output
-    )
-    assert (
-        "iCub MTB, class 0x400, board 3, triangles 1, 4: 20 taxels, 4 messages a frame on ids 0x431 to"
-        in done.output
-    )
-    assert "unknown id 6a1: " in done.output
-    assert "wrote " in done.output
+    for line in (
+        "packed layout, CAN FD, array 2 at 0x500, 12 bits a taxel: 64 taxels, 2 messages a frame on id",
+        "iCub MTB, class 0x400, board 3, triangles 1, 4: 20 taxels, 4 messages a frame on ids 0x431 to",
+        "unknown id 6a1: ",
+        "wrote ",
+    ):
+        assert line in done.output
     plans = {plan.name: plan for plan in sensor_plans(load(path))}
     assert plans["packed1"].codec == Packed(64, 12, fd=True, array_id=2)
     assert plans["packed1"].calibration.no_load == 60
@@ -87,22 +72,14 @@ def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, pla
     assert load(path).bus.popitem()[1].settings() == {"interface": interface, "channel": channel}
 
 
+SKINS = ("barrett", "cyskin", "linker", "poweron", "xela", "xela-4x6-old")
+
+
 @pytest.mark.parametrize(
-    "codec",
-    [
-        Packed(1024, 12, fd=True),
-        Packed(100, 10, base_id=0x18000000, extended=True),
-        Icub(13, (0, 3, 5)),
-        Barrett(11),
-        CySkin(),
-        Linker("left", (1, 3)),
-        PowerOn(0x340),
-        Xela(controller=2),
-        Xela("4x6-old"),
-    ],
+    "codec", [Packed(100, 10, base_id=0x18000000, extended=True), Icub(3, (0, 2)), *map(CODECS.get, SKINS)]
 )
-def test_what_is_written_makes_the_codec_that_was_heard(codec):
-    text = configuration(recognise(traffic(codec)), {"interface": "virtual", "channel": "a b"})
+def test_a_written_configuration_makes_the_codec_that_was_recognised(codec):
+    text = configuration(survey(traffic(codec, 30)), {"interface": "virtual", "channel": "a b"})
     (sensor,) = parse(text).sensor.values()
     assert make_codec(sensor) == codec
     assert make_array(sensor).size == codec.size
@@ -110,45 +87,45 @@ def test_what_is_written_makes_the_codec_that_was_heard(codec):
 
 
 def test_two_of_a_kind_have_names_of_their_own():
-    heard = recognise([*traffic(Packed(64, 12)), *traffic(Packed(64, 12, array_id=3))])
-    assert list(parse(configuration(heard, {"interface": "virtual"})).sensor) == ["packed1", "packed2"]
+    result = survey([*traffic(Packed(64, 12)), *traffic(Packed(64, 12, array_id=3))])
+    assert list(parse(configuration(result, {"interface": "virtual"})).sensor) == ["packed1", "packed2"]
 
 
-def test_the_words_for_a_real_grasp():
+def test_the_report_of_a_real_grasp():
     messages = list(recording.read(recording.path("book_1")))
-    lines = report(recognise(messages), len(messages), 3.0)
+    lines = report(survey(messages), len(messages), 3.0)
     assert lines[0] == "150 messages in 3 s"
     assert lines[1].startswith("iCub MTB, class 0x400, board 14, triangles 0, 1, 2, 3, 4: 50 taxels, 10 messages")
     assert lines[2].startswith("  thermal_pads: false where")
 
 
 def test_many_unknown_ids_are_cut_short():
-    lines = report(recognise(Message(n / 10, n % 20, b"") for n in range(200)), 200, 3.0)
+    lines = report(survey(Message(n / 10, n % 20, b"") for n in range(200)), 200, 3.0)
     assert lines[1].startswith("no known skin: some are silent until")
     assert len(lines) == 2 + 8 + 1
     assert lines[-1] == "and 12 unknown ids more"
 
 
-def test_what_cannot_be_is_refused_in_one_line_and_writes_nothing(tmp_path, request):
-    there = tmp_path / "a.toml"
-    there.write_text("mine")
-    virtual = ("--interface", "virtual", "--channel", request.node.name, "--seconds", 0.1)
-    for arguments, error, says in (
-        ((*virtual, "--write", there), ConfigError, "a.toml is there already"),
-        (
-            (*virtual, "--write", tmp_path / "b.toml"),
-            ConfigError,
-            "no known skin sends on this bus: nothing to write",
-        ),
+VIRTUAL = ("--interface", "virtual", "--channel", "sniffed", "--seconds", 0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "says"),
+    [
+        ((*VIRTUAL, "--write", "a.toml"), ConfigError, "a.toml is there already"),
+        ((*VIRTUAL, "--write", "b.toml"), ConfigError, "no known skin sends on this bus: nothing to write"),
         (("--interface", "nope"), BusError, "python-can has no interface of that name"),
         (("--channel", "gone7"), BusError, "bus socketcan gone7: "),
-    ):
-        told = run(*arguments).exception
-        assert isinstance(told, error)
-        assert says in str(told)
-        assert "\n" not in str(told)
-    assert there.read_text() == "mine"
-    assert list(tmp_path.iterdir()) == [there]
+    ],
+)
+def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, monkeypatch, arguments, error, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("mine")
+    fault = run(*arguments).exception
+    assert isinstance(fault, error)
+    assert says in str(fault)
+    assert "\n" not in str(fault)
+    assert [each.read_text() for each in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_silent_bus_ends_in_time(monkeypatch):

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, standard_ids
-from tactiled.bus.traffic import Key, Match, Traffic, understands
+from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, standard_ids, understands
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.codec import ClassicSkin, standard_ids
-from tactiled.bus.traffic import Match, Traffic, understands
+from tactiled.bus.codec import ClassicSkin, Match, Traffic, standard_ids, understands
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, require_distinct, standard_ids
+from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, require_distinct, standard_ids, understands
 from tactiled.bus.polling import Polling
-from tactiled.bus.traffic import Key, Match, Traffic, understands
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
 from tactiled.bus.assembler import assemble
-from tactiled.bus.codec import Codec, Skin
-from tactiled.bus.traffic import Key, Match, Traffic, understands
+from tactiled.bus.codec import Codec, Key, Match, Skin, Traffic, understands
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 from tactiled.geometry import Array

@@ -15,9 +15,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, ShearCodec, require_distinct, standard_ids
+from tactiled.bus.codec import (
+    ClassicSkin,
+    Key,
+    Match,
+    ShearCodec,
+    Traffic,
+    require_distinct,
+    standard_ids,
+    understands,
+)
 from tactiled.bus.polling import Polling
-from tactiled.bus.traffic import Key, Match, Traffic, understands
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
