@@ -166,3 +166,19 @@ def rig(request):
 def url(rig):
     with running(rig.service) as address:
         yield address
+
+
+@pytest.fixture
+def client(url):
+    with httpx.Client(**HTTP, base_url=url + "/api/v1") as made:
+        yield made
+
+
+def problem(answer, status):
+    """The detail of an answer that must be a problem of this status."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    body = answer.json()
+    assert body["status"] == status
+    assert body["title"]
+    return body["detail"]

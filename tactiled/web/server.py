@@ -1,4 +1,4 @@
-"""The HTTP server: one door for `run`, `demo`, tests and benchmarks."""
+"""The HTTP server of `run`, `demo`, tests and benchmarks."""
 
 import errno
 import logging
@@ -27,20 +27,22 @@ from tactiled.web.http.places import Places, limit
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
 
-SWITCH_S = 5e-4  # how long one thread may keep the others waiting: a tenth of Python's own, for the images' sake
+SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
 LOG_LIMIT = LogLimit()
-START_S = 10.0  # that a server may take to start
+MAX_START_S = 10.0
+WHY_NOT_BOUND = {
+    errno.EADDRINUSE: "in use: choose another port, or 0 for any free one",
+    errno.EACCES: "not permitted: choose a port of 1024 or more",
+    errno.EADDRNOTAVAIL: "not an address of this machine",
+}
 
 
-def _listen(at: Server) -> socket.socket:
-    """Take the port; TactileError, one line, where it cannot be had."""
-    host, port = at.host, at.port
+def _listen(config: Server) -> socket.socket:
+    """Bind the port; TactileError, one line, where it cannot be had."""
+    host, port = config.host, config.port
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (
-        socket.gaierror,
-        ValueError,
-    ) as error:  # ValueError: a name that none can be, such as one of 64 letters
+    except (socket.gaierror, ValueError) as error:  # ValueError: no possible name, such as one of 64 letters
         why = error.strerror if isinstance(error, OSError) else error
         raise TactileError(f"host {host}: {why}: give an address of this machine") from error
     listener = socket.socket(family, kind)
@@ -51,24 +53,19 @@ def _listen(at: Server) -> socket.socket:
         listener.bind(address)
     except OSError as error:
         listener.close()
-        advice = {
-            errno.EADDRINUSE: "in use: choose another port, or 0 for any free one",
-            errno.EACCES: "not permitted: choose a port of 1024 or more",
-            errno.EADDRNOTAVAIL: "not an address of this machine",
-        }.get(error.errno or 0, error.strerror)
-        raise TactileError(f"address {host}:{port}: {advice}") from error
+        why = WHY_NOT_BOUND.get(error.errno or 0, error.strerror)
+        raise TactileError(f"address {host}:{port}: {why}") from error
     return listener
 
 
-def _server(app: FastAPI, at: Server) -> uvicorn.Server:
-    sys.setswitchinterval(SWITCH_S)
-    app.state.places = places = Places(limit(at.streams))
-    protocol = partial(Connection, places=places, tls=tls.context(at))
+def _server(app: FastAPI, config: Server) -> uvicorn.Server:
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    app.state.places = places = Places(limit(config.streams))
     server = uvicorn.Server(
         uvicorn.Config(
             app,
-            loop="asyncio" if at.tls_certificate else "auto",  # uvloop reads before `start_tls` can
-            http=cast(Any, protocol),
+            loop="asyncio" if config.tls_certificate else "auto",  # uvloop reads before `start_tls` can
+            http=cast(Any, partial(Connection, places=places, tls=tls.context(config))),
             ws=WebSocket,
             h11_max_incomplete_event_size=bounds.MAX_HEAD,
             timeout_keep_alive=3600,  # State.IDLE has the bound
@@ -88,70 +85,64 @@ def _server(app: FastAPI, at: Server) -> uvicorn.Server:
     return server
 
 
-def _url(listener: socket.socket, at: Server) -> str:
+def _url(listener: socket.socket, config: Server) -> str:
     host, port = listener.getsockname()[:2]
-    shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
-    return f"{'https' if at.tls_certificate else 'http'}://{shown}:{port}"
+    if host in ("0.0.0.0", "::"):
+        host = "localhost"
+    return f"{'https' if config.tls_certificate else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def ready(service: Service, at: Server) -> uvicorn.Server:
-    """The server of a service, which listens nowhere yet; TactileError where it cannot be made."""
-    if at.foxglove is not None:
-        foxglove.need("server.foxglove")
-    return _server(create(service, at), at)
-
-
-def serve(service: Service, at: Server) -> None:
+def serve(service: Service, config: Server) -> None:
     """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
-    listener = _listen(at)
+    listener = _listen(config)
     try:
-        server = ready(service, at)
-        with bridge(service, at.foxglove) as port, xelas(service, at) as address:
+        if config.foxglove is not None:
+            foxglove.need("server.foxglove")
+        server = _server(create(service, config), config)
+        with bridge(service, config.foxglove) as port, xela_clients(service, config) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
-            print(
-                f"tactiled: {', '.join(service.sensors)} live at {_url(listener, at)}/{also} (stop: Ctrl-C)",
-                flush=True,
-            )
+            names = ", ".join(service.sensors)
+            print(f"tactiled: {names} live at {_url(listener, config)}/{also} (stop: Ctrl-C)", flush=True)
             server.run(sockets=[listener])
     finally:
         listener.close()
 
 
 @contextmanager
-def running(service: Service, at: Server | None = None) -> Iterator[str]:
+def running(service: Service, config: Server | None = None) -> Iterator[str]:
     """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
-    at = at or Server(port=0)
-    with _beside(create(service, at), at) as url:
+    config = config or Server(port=0)
+    with _on_thread(create(service, config), config) as url:
         yield url
 
 
 @contextmanager
-def xelas(service: Service, at: Server) -> Iterator[str | None]:
+def xela_clients(service: Service, config: Server) -> Iterator[str | None]:
     """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address."""
-    if at.xela is None:
+    if config.xela is None:
         yield None
         return
-    open_ = {"host": at.xela_host, "port": at.xela, "read_token": None, "control_token": None}
-    plain = at.model_copy(update=open_ | {"tls_certificate": None, "tls_key": None})
-    with _beside(xela.alone(service, plain), plain) as url:
+    secrets = dict.fromkeys(("read_token", "control_token", "tls_certificate", "tls_key"))
+    config = config.model_copy(update=secrets | {"host": config.xela_host, "port": config.xela})
+    with _on_thread(xela.alone(service, config), config) as url:
         yield url.replace("http", "ws", 1)
 
 
 @contextmanager
-def _beside(app: FastAPI, at: Server) -> Iterator[str]:
+def _on_thread(app: FastAPI, config: Server) -> Iterator[str]:
     """Serve an application on a thread meanwhile; gives its URL."""
-    listener = _listen(at)
-    server = _server(app, at)
+    listener = _listen(config)
+    server = _server(app, config)
     thread = threading.Thread(target=server.run, args=([listener],), name="server", daemon=True)
     thread.start()
-    end = time.monotonic() + START_S
+    end = time.monotonic() + MAX_START_S
     while not server.started:
         if not thread.is_alive() or time.monotonic() > end:
-            raise TactileError(f"server at {_url(listener, at)} did not start")
+            raise TactileError(f"server at {_url(listener, config)} did not start")
         time.sleep(0.005)
     try:
-        yield _url(listener, at)
+        yield _url(listener, config)
     finally:
         server.should_exit = True
         thread.join()

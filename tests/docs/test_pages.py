@@ -10,10 +10,10 @@ import pytest
 from tactiled.bus.error_frames import KINDS
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import TEXTS, warning
+from tactiled.frames import Loss
 from tactiled.restore import auto, points
 from tactiled.restore import methods as method_table
 from tactiled.runtime.events import Kind
-from tactiled.web.schemas import Loss
 from tests.docs.blocks import BLOCK, BLOCKS, GUIDE, ROOT, pages, printed
 from tests.docs.markdown import code
 
@@ -40,7 +40,7 @@ def reasons():
 
 
 NAMES = {
-    ("bus.md", "Count"): {*map(code, Loss.model_fields)},
+    ("bus.md", "Count"): {*map(code, Loss.__dataclass_fields__)},
     ("bus.md", "Kind"): {*map(code, KINDS)},
     ("api.md", "`kind`"): {*map(code, get_args(Kind))},
     ("restoration.md", "`method`"): {*map(code, method_table.METHODS)},

@@ -8,8 +8,6 @@ import pytest
 
 from tactiled.config import Server
 from tactiled.web import answers
-from tactiled.web.rest import sensors
-from tactiled.web.rest.constant import Constant
 from tactiled.web.server import running
 from tactiled.web.ws.feed import Feed
 from tests.conftest import NO_LOAD, SIDE, ask, meanwhile, pressed, until
@@ -107,11 +105,7 @@ def test_a_tile_whose_sensor_has_another_shape_than_before_asks_again(pair, open
         other = "palm" if sensor.name == "thumb" else "thumb"
         return geometry(rig.service.sensor(other) if asked.count(sensor.name) == 1 else sensor)
 
-    async def anew(request, make):  # as after a restart
-        return Constant(make()).answer(request)
-
     monkeypatch.setattr(answers, "geometry", before)
-    monkeypatch.setattr(sensors, "constant", anew)
     page = open_page(f"{url}/#/wall", ready=f"{TILES}.length === 2")
     keep_showing(rig, page, f"{FORCES}[0] > 0 && {FORCES}[1] > 0")
     assert sorted(asked) == ["palm", "palm", "thumb", "thumb"]

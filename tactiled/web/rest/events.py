@@ -2,21 +2,23 @@
 
 import asyncio
 from contextlib import suppress
-from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
-from pydantic import Field
+from pydantic import BaseModel, Field
 
-from tactiled.runtime.events import Events, Kind
+from tactiled.runtime.events import Events as EventLog
+from tactiled.runtime.events import Kind
 from tactiled.web import schemas
 from tactiled.web.http.limits import ConcurrencyLimit
-from tactiled.web.rest.common import WAIT, Responses, Served, problem
+from tactiled.web.rest.dependencies import CurrentService
+from tactiled.web.rest.responses import problems
 
+MAX_WAITING, MAX_WAITING_PER_CLIENT = 64, 16  # requests that wait for the next event
 router = APIRouter(prefix="/api/v1", tags=["service"])
 
 
-class EventForm(schemas.Form):
+class Event(schemas.Schema):
     """One thing that happened."""
 
     id: int = Field(description="1, 2, 3, ... since the service was started", examples=[17])
@@ -25,81 +27,58 @@ class EventForm(schemas.Form):
     sensor: str | None = Field(examples=["palm"])
     bus: str | None = Field(examples=[None])
     text: str = Field(description="one line for people", examples=["no frame for 0.6 s"])
-    warning: schemas.WarningForm | None = Field(
-        None, description="that was raised or cleared; null in other events", examples=[None]
-    )
+    warning: schemas.FrameWarning | None = Field(description="that was raised or cleared", examples=[None])
 
 
-class EventsForm(schemas.Form):
+class Events(schemas.Schema):
     """What happened after an event, in order."""
 
-    events: tuple[EventForm, ...]
+    events: tuple[Event, ...]
     newest: int = Field(
-        description="id of the newest there is; 0: none yet, and the service was started anew where it falls",
-        examples=[17],
+        description="id of the newest event, 0: none yet; if it falls, the service was restarted", examples=[17]
     )
     missed: int = Field(description="events after `after` that are no longer kept", examples=[0])
 
 
-WAITING, WAITING_PER_CLIENT = 64, 16  # requests that wait for the next event
-TOO_MANY_WAIT: Responses = {
-    429: problem(
-        "as many requests of this client wait already",
-        f"events_waiting_per_client = {WAITING_PER_CLIENT}: 127.0.0.1 has as many open: close one",
-        Retry_After=WAIT,
-    ),
-    503: problem(
-        "as many requests of all clients wait already",
-        f"events_waiting = {WAITING}: as many are open: come again later",
-        Retry_After=WAIT,
-    ),
-}
+class EventsQuery(BaseModel):
+    """Which events, and how long to wait for one."""
 
-After = Annotated[int, Query(ge=0, le=2**53, description="id of the last event that the client has")]
-Limit = Annotated[int, Query(ge=1, le=1000, description="events in one answer")]
-Wait = Annotated[
-    float,
-    Query(ge=0, le=30, allow_inf_nan=False, description="seconds to wait for the next event if there is none"),
-]
+    after: int = Field(0, ge=0, le=2**53, description="id of the last event that the client has")
+    limit: int = Field(100, ge=1, le=1000, description="events in one answer")
+    wait: float = Field(
+        0.0, ge=0, le=30, allow_inf_nan=False, description="seconds to wait for the next event if there is none"
+    )
 
 
-@router.get("/events", responses=TOO_MANY_WAIT)
-async def events(
-    request: Request, service: Served, after: After = 0, limit: Limit = 100, wait: Wait = 0.0
-) -> EventsForm:
+@router.get("/events", responses=problems(429, 503))
+async def events(request: Request, service: CurrentService, query: Annotated[EventsQuery, Query()]) -> Events:
     """Events after a given one; the service keeps the last 1000.
 
     An `after` above the newest id, from before a restart of the service, counts as 0.
     """
-    kept = service.events
-    if after == kept.newest and wait:
+    log = service.events
+    if query.after == log.newest and query.wait:
         waiting: ConcurrencyLimit = request.app.state.waiting
         with waiting.one(request.scope):
-            await _next(kept, after, wait)
-    after = after if after <= kept.newest else 0
-    found = kept.after(after)
-    return EventsForm(
-        events=tuple(EventForm(**asdict(each)) for each in found[:limit]),
-        newest=kept.newest,
-        missed=found[0].id - after - 1 if found else 0,
-    )
+            await _next(log, query.after, query.wait)
+    after = query.after if query.after <= log.newest else 0
+    events = log.after(after)
+    missed = events[0].id - after - 1 if events else 0
+    return Events(events=events[: query.limit], newest=log.newest, missed=missed)
 
 
-async def _next(kept: Events, after: int, wait: float) -> None:
-    """Wait for an event after `after`, at most `wait` s."""
-    loop, come = asyncio.get_running_loop(), asyncio.Event()
-    stop = kept.subscribe(lambda _: _wake(loop, come))
+async def _next(log: EventLog, after: int, wait_s: float) -> None:
+    """Wait for an event after `after`, at most `wait_s`."""
+    loop, happened = asyncio.get_running_loop(), asyncio.Event()
+
+    def wake(_: object) -> None:  # on any thread
+        with suppress(RuntimeError):  # a loop that has ended has nobody who waits
+            loop.call_soon_threadsafe(happened.set)
+
+    unsubscribe = log.subscribe(wake)
     try:
-        if kept.newest == after:
-            async with asyncio.timeout(wait):
-                await come.wait()
-    except TimeoutError:
-        return
+        if log.newest == after:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(happened.wait(), wait_s)
     finally:
-        stop()
-
-
-def _wake(loop: asyncio.AbstractEventLoop, come: asyncio.Event) -> None:
-    """Tell a loop from another thread; one that has ended has nobody left who waits."""
-    with suppress(RuntimeError):
-        loop.call_soon_threadsafe(come.set)
+        unsubscribe()

@@ -1,211 +1,266 @@
-"""`GET /api/v1/sensors/{name}/frames`: the images of the last seconds."""
+"""`/api/v1/sensors/{name}/frames`: the newest image, and the images of the last seconds."""
 
 from collections.abc import Iterator
+from functools import partial
 from io import BytesIO
 from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
 
+from tactiled.frames import Image
 from tactiled.runtime.history import Page
-from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.sensor import Sensor, Status
 from tactiled.web import answers, schemas
-from tactiled.web.rest.common import (
-    NO_SHEAR,
-    TOO_MANY,
-    Found,
-    Responses,
-    accepted,
-    documented,
-    in_turn,
-    not_accepted,
-)
+from tactiled.web.http.negotiation import named
+from tactiled.web.rest import picture
+from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
+from tactiled.web.rest.responses import MEDIA, problems, success
+from tactiled.web.schemas import PressureKind
 from tactiled.wire import UNITS, Kind, Unit
 
-Format = Literal["json", "npy", "npz"]
-MEDIA: dict[Format, str] = {"json": "application/json", "npy": "application/x-npy", "npz": "application/x-npz"}
-MOST = 1000  # images an answer
-MOST_VALUES: dict[Format, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
-BINARY = {"schema": {"type": "string", "format": "binary"}}
+NewestFormat = Literal["json", "npy", "png"]
+PageFormat = Literal["json", "npy", "npz"]
+MAX_IMAGES = 1000  # an answer
+MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
+
+IMAGE_HEADERS = {
+    "X-Tactiled-Sequence": "number of the image; of several as ranges: 5-9,12 where 10 and 11 were lost",
+    "X-Tactiled-Timestamp": "s, of the frame's first CAN message; of several images, of the first and the last",
+    "X-Tactiled-State": "live, stale, silent or down",
+    "X-Tactiled-Age": "s since the last frame came in",
+    "X-Tactiled-Unit": "kPa; of shear counts",
+}
+TAGGED = {"ETag": "for If-None-Match: the image in its present state"} | IMAGE_HEADERS
+NEWEST = success("the newest image", "npy", "png", headers=TAGGED) | success(
+    "If-None-Match names the newest image in its present state", status=304, headers=TAGGED
+)
+PAGE = success(
+    "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
+    ".npz with sequence, time, method, flags and values",
+    "npy",
+    "npz",
+    headers=IMAGE_HEADERS
+    | {
+        "X-Tactiled-Before": "`before` of the next page; absent: there is none",
+        "X-Tactiled-Cut": "true: images of the window's beginning may have been discarded; else absent",
+    },
+)
+
+router = APIRouter(prefix="/api/v1/sensors/{name}/frames", tags=["frames"])
 
 
-Flags = Annotated[
-    list[list[int]] | list[int] | None,
-    Field(
-        description="a raw taxel's 1 missing + 2 bad + 4 dead + 8 saturated; null where all are 0", examples=[None]
-    ),
-]
+class PastFrame(schemas.FrameId):
+    """An image of the last seconds."""
+
+    flags: schemas.Flags | None = Field(description="null where all are 0", examples=[None])
 
 
-class KeptFrame(schemas.Form):
-    """One image of the last seconds."""
+class KeptFrame(PastFrame):
+    """One pressure image of the last seconds."""
 
-    sequence: int = Field(description="lost frames leave gaps", examples=[5123])
-    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
-    method: str = Field(description="that restored it", examples=["nnls"])
+    method: str = Field(description="method used", examples=["nnls"])
     values: schemas.Values
-    flags: Flags
 
 
-class KeptShear(schemas.Form):
-    """What was felt along the surface in one frame of the last seconds, counts."""
+class KeptShear(PastFrame):
+    """Shear of one frame of the last seconds, counts."""
 
-    sequence: int = Field(description="lost frames leave gaps", examples=[5123])
-    timestamp: float = Field(description="s, of the frame's first CAN message", examples=[1763712000.25])
     x: schemas.Values
     y: schemas.Values
-    flags: Flags
 
 
-class Frames(schemas.Form):
+class Frames(schemas.Schema):
     """Images of the last seconds, oldest first."""
 
     type: Literal["frames"] = "frames"
-    sensor: schemas.Name
+    sensor: schemas.SensorName
     kind: Kind = Field(examples=["restored"])
     unit: Unit = Field(description="counts of shear", examples=["kPa"])
     before: str | None = Field(
-        description="ask for these next: older images of the same window, NUMBER@SINCE; null: there are none",
+        description="`before` of the next page, older images of the same window; null: there are none",
         examples=["5073@1763711998.250000"],
     )
     cut: bool = Field(
-        description="whether images of the window's beginning may be kept no longer", examples=[False]
+        description="whether images of the window's beginning may have been discarded", examples=[False]
     )
     frames: list[KeptFrame] | list[KeptShear]
 
 
-HEADERS = {
-    "X-Tactiled-Unit": "kPa; of shear counts",
-    "X-Tactiled-Sequence": "numbers of the images, as ranges: 5-9,12 where 10 and 11 were lost",
-    "X-Tactiled-Timestamp": "s, of the first image and of the last",
-    "X-Tactiled-Before": "ask for these next; absent: there are none",
-    "X-Tactiled-Cut": "true: images of the window's beginning may be kept no longer; else absent",
-}
-RESPONSES: Responses = {
-    200: {
-        "description": "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
-        ".npz with sequence, time, method, flags and values",
-        "content": {MEDIA["npy"]: BINARY, MEDIA["npz"]: BINARY},
-        "headers": documented(HEADERS),
-    }
-}
-Last = Annotated[
-    str,
-    Query(
+class PageQuery(BaseModel):
+    """Which images of the last seconds."""
+
+    kind: Kind = Field("restored", description="which images")
+    last: str = Field(
+        "1s",
         pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$",
         description="length of the window, back from the newest image",
         examples=["2s"],
-    ),
-]
-Before = Annotated[
-    str | None,
-    Query(
+    )
+    before: str | None = Field(
+        None,
         pattern=r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$",
         description="continue with older images: `before` of the previous answer, or a sequence number",
         examples=["5073@1763711998.250000"],
-    ),
-]
-Limit = Annotated[int, Query(ge=1, le=MOST, description="images in one answer; fewer if they are large")]
-
-router = APIRouter(prefix="/api/v1", tags=["frames"])
+    )
+    limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
 
 
 @router.get(
-    "/sensors/{name}/frames",
+    "",
     response_model=Frames,
-    responses=NO_SHEAR | not_accepted(MEDIA) | TOO_MANY | RESPONSES,
+    responses=problems(404, 406, 429) | PAGE,
 )
-async def frames(
-    sensor: Found,
+async def page(
+    sensor: NamedSensor,
     request: Request,
-    kind: Annotated[Kind, Query(description="which images")] = "restored",
-    last: Last = "1s",
-    before: Before = None,
-    limit: Limit = 100,
-    form: Annotated[
-        Format | None, Query(alias="format", description="format of the answer; left out: by the Accept header")
-    ] = None,
+    query: Annotated[PageQuery, Query()],
+    form: Annotated[PageFormat, format_of(PageFormat)],
 ) -> Response:
     """The images of the last seconds in kPa, or their shear in counts, for up to `history_s` seconds.
 
     The first page has the newest images, each page is in order, and `before` leads to the next page of the same
     window; `cut` reports that images at the window's start may have been discarded.
     """
-    form = form or accepted(request, MEDIA)
-    if kind == "shear":
+    if query.kind == "shear":
         sensor.need_shear()
-
-    number, since = _place(before)
-    seconds, most = float(last[:-1]), MOST_VALUES[form]
+    number, _, since = (query.before or "").partition("@")
 
     def answer() -> Response:
-        return _answer(sensor, kind, form, sensor.history.page(kind, seconds, number, limit, most, since))
+        images = sensor.history.page(
+            query.kind,
+            float(query.last.removesuffix("s")),
+            int(number) if number else None,
+            query.limit,
+            MAX_VALUES[form],
+            float(since) if since else None,
+        )
+        return _page(sensor, query.kind, form, images)
 
     return await in_turn(request, answer)
 
 
-def _before(kept: Page) -> str | None:
-    """Where the next page begins: the number that it stays below, and the beginning of the window."""
-    return f"{kept.sequence[0]}@{kept.since:.6f}" if kept.older else None
-
-
-def _place(before: str | None) -> tuple[int | None, float | None]:
-    """What `_before` says."""
-    number, _, since = (before or "").partition("@")
-    return int(number) if number else None, float(since) if since else None
-
-
-def _answer(sensor: Sensor, kind: Kind, form: Format, kept: Page) -> Response:
-    headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(kept.sequence), "Vary": "Accept"}
-    if len(kept.time):
-        headers["X-Tactiled-Timestamp"] = f"{kept.time[0]:.6f},{kept.time[-1]:.6f}"
-    if before := _before(kept):
+def _page(sensor: Sensor, kind: Kind, form: PageFormat, images: Page) -> Response:
+    headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(images.sequence), "Vary": "Accept"}
+    if len(images.time):
+        headers["X-Tactiled-Timestamp"] = f"{images.time[0]:.6f},{images.time[-1]:.6f}"
+    if before := _before(images):
         headers["X-Tactiled-Before"] = before
-    if kept.cut:
+    if images.cut:
         headers["X-Tactiled-Cut"] = "true"
-    return Response(_content(sensor, kind, kept, form), media_type=MEDIA[form], headers=headers)
-
-
-def _content(sensor: Sensor, kind: Kind, kept: Page, form: Format) -> bytes:
     if form == "json":
-        return b"".join(_json(sensor, kind, kept))
-    if form == "npy":
-        return answers.npy(kept.values)
-    out = BytesIO()
-    method = np.array(kept.method, str)
-    np.savez(out, sequence=kept.sequence, time=kept.time, method=method, flags=kept.flags, values=kept.values)
-    return out.getvalue()
+        content = b"".join(_json(sensor, kind, images))
+    elif form == "npy":
+        content = answers.npy(images.values)
+    else:
+        out = BytesIO()
+        arrays = {name: getattr(images, name) for name in ("sequence", "time", "flags", "values")}
+        np.savez(out, **arrays, method=np.array(images.method, str))
+        content = out.getvalue()
+    return Response(content, media_type=MEDIA[form], headers=headers)
 
 
-def _json(sensor: Sensor, kind: Kind, kept: Page) -> Iterator[bytes]:
+def _before(images: Page) -> str | None:
+    """Where the next page begins: the number that it stays below, and the beginning of the window."""
+    return f"{images.sequence[0]}@{images.since:.6f}" if images.older else None
+
+
+def _json(sensor: Sensor, kind: Kind, images: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
-    head = Frames(sensor=sensor.name, kind=kind, unit=UNITS[kind], before=_before(kept), cut=kept.cut, frames=[])
+    head = Frames(
+        sensor=sensor.name, kind=kind, unit=UNITS[kind], before=_before(images), cut=images.cut, frames=[]
+    )
     yield head.model_dump_json().encode().removesuffix(b"]}")
-    for n in range(len(kept.time)):
-        yield (b"," if n else b"") + _one(kind, kept, n).model_dump_json().encode()
+    for n in range(len(images.time)):
+        yield (b"," if n else b"") + _past_frame(kind, images, n).model_dump_json().encode()
     yield b"]}"
 
 
-def _one(kind: Kind, kept: Page, n: int) -> KeptFrame | KeptShear:
-    """Fill in the form of image `n`."""
-    sequence, timestamp = int(kept.sequence[n]), float(kept.time[n])
-    flags = kept.flags[n].tolist() if kept.flags[n].any() else None
+def _past_frame(kind: Kind, images: Page, n: int) -> PastFrame:
+    flags, values = images.flags[n], images.values[n]
+    fields = {
+        "sequence": int(images.sequence[n]),
+        "timestamp": float(images.time[n]),
+        "flags": flags.tolist() if flags.any() else None,
+    }
     if kind == "shear":
-        x, y = (answers.numbers(each) for each in kept.values[n])
-        return KeptShear(sequence=sequence, timestamp=timestamp, x=x, y=y, flags=flags)
-    return KeptFrame(
-        sequence=sequence,
-        timestamp=timestamp,
-        method=kept.method[n],
-        values=answers.numbers(kept.values[n]),
-        flags=flags,
-    )
+        return KeptShear(**fields, x=answers.numbers(values[0]), y=answers.numbers(values[1]))
+    return KeptFrame(**fields, method=images.method[n], values=answers.numbers(values))
 
 
 def _ranges(numbers: NDArray[np.int64]) -> str:
     """Ascending numbers, those in a row written as first-last."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else []
-    told = [f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
-    return ",".join(told)
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+@router.get(
+    "/{kind}",
+    response_model=schemas.Frame,
+    responses=problems(404, 406, 429, 503) | NEWEST,
+)
+async def newest(
+    sensor: NamedSensor,
+    kind: PressureKind,
+    request: Request,
+    form: Annotated[NewestFormat, format_of(NewestFormat)],
+    top_kpa: Annotated[
+        float | None,
+        Query(
+            ge=1e-6,
+            le=1e9,
+            allow_inf_nan=False,
+            description="kPa at the end of the colour scale of a PNG; left out: from the image",
+        ),
+    ] = None,
+) -> Response:
+    """The newest image in kPa: raw, restored, or the standard deviation of the restored one.
+
+    The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
+    """
+    _, headers = _newest(sensor, kind, form, top_kpa)
+    if named(headers["ETag"], request.headers.get("if-none-match", "")):
+        return Response(status_code=304, headers=headers)  # polling an unchanged image costs nothing
+    answer = partial(_newest_image, sensor, kind, form, top_kpa)
+    if form == "png" or kind == "deviation":
+        return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
+    return await run_in_threadpool(answer)
+
+
+def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
+    """The headers of a newest image: no client can take an old one for a new one, in any format."""
+    return {
+        "Cache-Control": "no-cache",
+        "Vary": "Accept",
+        "X-Tactiled-Sequence": str(image.sequence),
+        "X-Tactiled-Timestamp": f"{image.time:.6f}",
+        "X-Tactiled-State": status.state,
+        "X-Tactiled-Age": "" if status.age_s is None else f"{status.age_s:.3f}",
+        "X-Tactiled-Unit": unit,
+    }
+
+
+def _newest(
+    sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None
+) -> tuple[Image, dict[str, str]]:
+    """The newest image and its headers."""
+    image = sensor.hub.latest()
+    if image is None:
+        raise no_frame(sensor)
+    status = sensor.status()
+    tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ''}"
+    return image, image_headers(image, status, "kPa") | {"ETag": f'W/"{tag}"'}
+
+
+def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None) -> Response:
+    image, headers = _newest(sensor, kind, form, top_kpa)
+    if form == "png":
+        content = picture.png(sensor, image, kind, top_kpa)
+    elif form == "npy":
+        content = answers.npy(answers.pressures(sensor, image, kind))
+    else:
+        content = answers.frame(sensor, image, kind).model_dump_json().encode()
+    return Response(content, media_type=MEDIA[form], headers=headers)

@@ -3,15 +3,13 @@
 from functools import cache
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Request
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import schemas
-from tactiled.web.rest.constant import Constant, text
-from tactiled.web.rest.openapi import example
-from tactiled.web.rest.shear import Shear
 from tactiled.web.ws import session, xela
 from tactiled.web.ws.query import SensorsQuery, StreamQuery
 from tactiled.wire import LAYOUT
@@ -26,7 +24,10 @@ MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
     "status": (schemas.StreamStatus, "A sensor's state, at least once a second and on every change"),
     "contacts": (schemas.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
     "frame": (schemas.Frame, "With format=json: one image"),
-    "shear": (Shear, "With format=json and shear among the kinds: what a 3-axis skin feels along its surface"),
+    "shear": (
+        schemas.Shear,
+        "With format=json and shear among the kinds: what a 3-axis skin feels along its surface",
+    ),
 }
 XELA_MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
     "welcome": (xela.Welcome, "The first message"),
@@ -51,10 +52,9 @@ def make() -> APIRouter:
     router = APIRouter(prefix="/api/v1")
 
     @router.get("/asyncapi.json", include_in_schema=False)  # a description is no resource
-    def asyncapi(request: Request) -> Response:
+    def asyncapi(request: Request) -> JSONResponse:
         """The WebSockets of this service in AsyncAPI 3.0."""
-        made = document(request.url.netloc, secure=request.url.scheme == "https")
-        return Constant(text(made)).answer(request)
+        return JSONResponse(document(request.url.netloc, secure=request.url.scheme == "https"))
 
     return router
 
@@ -85,7 +85,7 @@ def _anywhere() -> Json:
         "defaultContentType": "application/json",
         "channels": {"sensor": one | {"parameters": {"name": name}}, "sensors": several, "xela": _xela()},
         "operations": operations,
-        "components": {"schemas": defined["$defs"], "messages": _messages(defined["$defs"])},
+        "components": {"schemas": defined["$defs"], "messages": _messages()},
     }
 
 
@@ -120,7 +120,7 @@ def _operation(action: str, channel: str, messages: list[str]) -> Json:
     }
 
 
-def _messages(defined: Json) -> Json:
+def _messages() -> Json:
     models = MESSAGES | XELA_MESSAGES | {"next": (schemas.Next, "With flow=credit: requests the next image")}
     image = {
         "title": "image",
@@ -134,7 +134,6 @@ def _messages(defined: Json) -> Json:
             "title": name,
             "summary": about,
             "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
-            "examples": [{"payload": example(defined[model.__name__], defined)}],
         }
         for name, (model, about) in models.items()
     }

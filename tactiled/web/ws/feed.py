@@ -10,7 +10,6 @@ from tactiled.frames import Image
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers, schemas
 from tactiled.web.http.protocols import frame
-from tactiled.web.rest import shear
 from tactiled.wire import Kind, pack
 
 TICK_S = 0.5  # how often streams check a sensor's state when no frame comes
@@ -85,7 +84,7 @@ class Feed:
 
     def _text(self, image: Image, kind: Kind) -> str:
         if kind == "shear":
-            return shear.told(self.sensor, image, self.sensor.status().state).model_dump_json()
+            return answers.shear(self.sensor, image).model_dump_json()
         return answers.frame(self.sensor, image, kind).model_dump_json()
 
     def status(self) -> schemas.StreamStatus:

@@ -23,7 +23,7 @@ from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.protocols import protocol
-from tactiled.web.schemas import Form
+from tactiled.web.schemas import Schema
 from tactiled.web.ws.feed import Feed, ticking
 from tactiled.web.ws.session import NOT_FOUND, receive, serve
 from tactiled.web.ws.stream import no_stream
@@ -33,7 +33,7 @@ DECIMALS = 5  # of a force in N, as that server gives them
 SPECIAL_TAIL = (0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0)  # a public note has that server send these
 
 
-class Module(Form):
+class Module(Schema):
     """One module: the newest frame, taxel by taxel, row by row from the top left."""
 
     sensor: str = Field(description="its number, which is also its key")
@@ -54,7 +54,7 @@ class Module(Form):
     )
 
 
-class Routine(Form):
+class Routine(Schema):
     """One message of XELA's server: every live module under its number, from 1 in the configuration's order."""
 
     model_config = ConfigDict(
@@ -93,7 +93,7 @@ class Routine(Form):
     sendtime: float = Field(description="s, when it was sent")
 
 
-class Welcome(Form):
+class Welcome(Schema):
     """The first message."""
 
     message: Literal["Welcome"] = "Welcome"

@@ -14,9 +14,8 @@ from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.web.http.auth import Tokens
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed
+from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, problem
 from tests.web.http.raw import send_raw, websocket_url
-from tests.web.rest.test_sensors import problem
 
 METHOD = "/api/v1/sensors/palm/method"
 RAW = {"method": "raw"}

@@ -15,9 +15,8 @@ from tactiled.config import Server
 from tactiled.web.http import body, bounds
 from tactiled.web.http.bounds import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, HTTP, ask, pressed, until
+from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
 from tests.web.http.raw import bound, plug, read_all, send_raw
-from tests.web.rest.test_sensors import problem
 
 EXECUTED = Path("/tmp/was-here-by-an-upload")
 METHOD, TARE = "/api/v1/sensors/palm/method", "/api/v1/sensors/palm/tare"

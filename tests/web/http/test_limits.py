@@ -21,9 +21,8 @@ from tactiled.web.http.log_limit import MAX_A_MINUTE, LogLimit
 from tactiled.web.http.places import Place, Places
 from tactiled.web.http.problems import Problem
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, until
+from tests.conftest import BUSY_S, ask, pressed, problem, until
 from tests.web.http.raw import websocket_url
-from tests.web.rest.test_sensors import problem
 
 METHOD = "/api/v1/sensors/palm/method"
 

@@ -11,9 +11,8 @@ from tactiled.config import Server, parse
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
-from tests.conftest import CONFIG, ask, pressed, until
+from tests.conftest import CONFIG, ask, pressed, problem, until
 from tests.web.http.raw import websocket_url
-from tests.web.rest.test_sensors import problem
 
 METHOD = "/api/v1/sensors/palm/method"
 

@@ -1,174 +1,330 @@
 import io
-import json
+import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
-import httpx
+import matplotlib.image
 import numpy as np
 import pytest
 
-from tactiled.web.rest import frames
+from tactiled.config import Server
+from tactiled.web import app
+from tactiled.web.http import limits
+from tactiled.web.rest import frames, picture
 from tactiled.web.server import running
-from tests.conftest import HTTP, Rig, ask, meanwhile, pressed, until
-from tests.web.rest.test_sensors import problem
+from tests.conftest import GAIN, NO_LOAD, Rig, ask, meanwhile, pressed, problem, until
 
-PATH = "/api/v1/sensors/palm/frames"
+PAST = "/api/v1/sensors/palm/frames"
+NEWEST = "/sensors/palm/frames/raw"
+PNG = f"{PAST}/raw?format=png"
 
 
 @pytest.fixture
 def images(rig):
     """Twelve images; two frames before the fourth are lost."""
-    shown = []
+    images = []
     for n in range(12):
         if n == 3:
             rig.sequence += 2
-        shown.append(rig.show(pressed(n % 6)))
-    return shown
+        images.append(rig.show(pressed(n % 6)))
+    return images
 
 
 def get(url, **query):
-    return ask("GET", url + PATH, params=query)
+    return ask("GET", url + PAST, params=query)
 
 
-@pytest.mark.parametrize("kind", ["raw", "restored"])
-def test_the_last_seconds_are_the_same_in_every_format(url, images, kind):
-    expected = np.stack([getattr(image, kind) for image in images])
-    told = get(url, kind=kind, last="60s").json()
-    assert (told["type"], told["sensor"], told["kind"], told["unit"]) == ("frames", "palm", kind, "kPa")
-    assert [each["sequence"] for each in told["frames"]] == [image.sequence for image in images]
-    assert [each["timestamp"] for each in told["frames"]] == [image.time for image in images]
-    assert {each["method"] for each in told["frames"]} == {"wiener"}
-    assert [each["flags"] for each in told["frames"]] == [None] * 12
-    assert (told["before"], told["cut"]) == (None, False)
-    np.testing.assert_allclose([each["values"] for each in told["frames"]], expected, atol=6e-5)
-    frames.Frames.model_validate(told)
-    npy = get(url, kind=kind, last="60s", format="npy")
-    np.testing.assert_array_equal(np.load(io.BytesIO(npy.content)), expected)
-    assert npy.headers["x-tactiled-sequence"] == "0-2,5-13"
-    first, last = map(float, npy.headers["x-tactiled-timestamp"].split(","))
-    assert (first, last) == pytest.approx((images[0].time, images[-1].time), abs=1e-6)
-    npz = np.load(io.BytesIO(get(url, kind=kind, last="60s", format="npz").content))
-    np.testing.assert_array_equal(npz["values"], expected)
-    np.testing.assert_array_equal(npz["time"], [image.time for image in images])
-    assert npz["method"].tolist() == ["wiener"] * 12
-    np.testing.assert_array_equal(npz["sequence"], [image.sequence for image in images])
-    assert npz["flags"].shape == (12, 8, 8)
+def load(answer):
+    return np.load(io.BytesIO(answer.content))
 
 
-def test_pages_lead_back_in_every_format(url, images):
-    seen, before = [], {}
-    while True:
-        told = get(url, last="60s", limit=5, **before).json()
-        npy = get(url, last="60s", limit=5, format="npy", **before)
-        assert len(np.load(io.BytesIO(npy.content))) == len(told["frames"])
-        assert npy.headers.get("x-tactiled-before") == told["before"]
-        seen = [each["sequence"] for each in told["frames"]] + seen
-        if told["before"] is None:
-            break
-        before = {"before": told["before"]}
-    assert seen == [image.sequence for image in images]
+def sequences(page):
+    return [each["sequence"] for each in page["frames"]]
 
 
-@pytest.mark.parametrize("form", ["json", "npy"])
-def test_pages_cover_the_window_that_was_asked_for_though_images_come_meanwhile(rig, url, images, form):
-    wanted = [image.sequence for image in images[4:]]
-    last = f"{images[-1].arrived - images[4].arrived + 1e-5:.6f}s"
-    seen, before = [], {}
-    while before is not None:
-        answer = get(url, last=last, limit=3, format=form, **before)
-        if form == "json":
-            seen = [each["sequence"] for each in answer.json()["frames"]] + seen
-            told = answer.json()["before"]
-        else:
-            first, _, newest = answer.headers["x-tactiled-sequence"].partition("-")
-            seen = [*range(int(first), int(newest or first) + 1), *seen]
-            told = answer.headers.get("x-tactiled-before")
-        before = told and {"before": told}
-        for _ in range(5):
-            rig.show(pressed())
-    assert seen == wanted
-
-
-def test_a_window_of_which_images_are_kept_no_longer_says_so(request):
-    with meanwhile(Rig(request.node.name, "[server]\nhistory_s = 0.05")) as rig, running(rig.service) as url:
-        keeps = rig.sensor.history.capacity
-        for _ in range(keeps):
-            oldest = rig.show(pressed())
-        assert not get(url, last="60s").json()["cut"]
-        page = get(url, last="60s", limit=5).json()
-        assert not page["cut"]
-        rig.show(pressed())
-        rest = get(url, last="60s", limit=5, before=page["before"])
-        assert [each["sequence"] for each in rest.json()["frames"]] == [1, 2, 3]
-        assert (rest.json()["before"], rest.json()["cut"]) == (None, True)
-        assert get(url, last="60s", format="npy").headers["x-tactiled-cut"] == "true"
-        kept = get(url, last=f"{rig.sensor.hub.latest().arrived - oldest.arrived:.6f}s", format="npy")
-        assert "x-tactiled-cut" not in kept.headers
-        for _ in range(keeps):
-            rig.show(pressed())
-        gone = get(url, before=page["before"]).json()
-        assert (gone["frames"], gone["before"], gone["cut"]) == ([], None, True)
-
-
-def test_a_page_is_cut_where_its_images_are_large(rig, url, monkeypatch):
-    for _ in range(5):
-        rig.show(pressed())
-    monkeypatch.setitem(frames.MOST_VALUES, "json", 3 * 64)
-    told = get(url, last="60s").json()
-    assert (len(told["frames"]), told["before"].split("@")[0]) == (3, str(told["frames"][0]["sequence"]))
-
-
-def test_only_what_is_asked_for_comes_back_in_time(url, images):
-    last = images[-1].arrived - images[-3].arrived + 1e-4
-    assert len(get(url, last=f"{last:.6f}s").json()["frames"]) == 3
-    assert len(get(url, last="0s").json()["frames"]) == 1
-
-
-def test_taxels_that_did_not_come_are_null_and_flagged(rig, url):
-    rig.show(pressed())
-    rig.send(pressed(), drop=[0])
-    until(lambda: rig.sensor.hub.latest().sequence == 1)
-    marked = get(url, kind="raw", last="60s").json()["frames"][1]
-    taxels = rig.sensor.codec.taxels
-    assert np.ravel(marked["flags"])[:taxels].tolist() == [1] * taxels
-    assert {*np.ravel(np.array(marked["values"], object))[:taxels]} == {None}
-
-
-def test_before_the_first_frame_there_are_none(url):
+def test_before_the_first_frame_there_is_no_image(url, client):
+    answer = client.get(NEWEST)
+    assert problem(answer, 503) == "sensor 'palm': no frame yet on can0"
+    assert answer.headers["retry-after"] == "1"
     assert get(url).json()["frames"] == []
     empty = get(url, format="npy")
-    assert np.load(io.BytesIO(empty.content)).shape == (0, 8, 8)
+    assert load(empty).shape == (0, 8, 8)
     assert empty.headers["x-tactiled-sequence"] == ""
 
 
+def test_the_newest_image_is_the_same_in_every_format(rig, client):
+    rig.stale_after(600)
+    image = rig.show(pressed())
+    frame = client.get(NEWEST).json()
+    assert (frame["unit"], frame["sequence"], frame["kind"], frame["state"]) == ("kPa", 0, "raw", "live")
+    assert (frame["type"], frame["sensor"], frame["method"]) == ("frame", "palm", "wiener")
+    np.testing.assert_allclose(frame["values"], (pressed() - NO_LOAD) * GAIN)
+    made = ("why", "iterations", "microseconds", "noise_kpa", "noise_gain", "resolution_mm")
+    assert [frame[each] for each in made] == [getattr(image, each) for each in made]
+    assert (frame["timestamp"], frame["loss"]["lost"], frame["warnings"]) == (image.time, 0, [])
+    npy = client.get("/sensors/palm/frames/restored", headers={"Accept": "application/x-npy"})
+    np.testing.assert_array_equal(load(npy), image.restored)
+    names = ("sequence", "state", "unit", "timestamp")
+    expected = ["0", "live", "kPa", f"{image.time:.6f}"]
+    assert [npy.headers[f"x-tactiled-{name}"] for name in names] == expected
+    assert 0 <= float(npy.headers["x-tactiled-age"]) < 600
+    png = client.get("/sensors/palm/frames/restored", params={"format": "png", "top_kpa": 300})
+    assert png.headers["content-type"] == "image/png"
+    assert matplotlib.image.imread(io.BytesIO(png.content)).shape[2] == 4
+
+
+def test_the_deviation_of_a_restored_image(rig, client):
+    counts = np.full((8, 8), NO_LOAD)
+    counts[1:6, 1:6] += 400  # 200 kPa, on more than a few spots, which might be elsewhere
+    rig.show(counts)
+    deviation = np.array(client.get("/sensors/palm/frames/deviation").json()["values"])
+    assert deviation.shape == (8, 8)
+    assert deviation.min() > 0.5  # kPa, the noise of a taxel, which undoing the blur amplifies
+    assert deviation.max() < 20  # kPa, a tenth of the load: finer details may be in a block so sharp
+
+
+def test_a_missing_taxel_is_null_and_flagged_never_zero(rig, client):
+    rig.show(pressed())
+    rig.send(pressed(), drop=[0])
+    rig.send(pressed())  # closes the one before, marked
+    rig.send(pressed(), drop=[0])
+    until(lambda: rig.sensor.status().loss.incomplete == 1)
+    until(lambda: rig.sensor.status().loss.lost == 2)  # the last one is given up on when it is too old
+    until(lambda: rig.sensor.hub.latest().sequence == 3)
+    taxels = rig.sensor.codec.taxels
+    newest = client.get(NEWEST).json()
+    past = client.get("/sensors/palm/frames?kind=raw&last=60s").json()["frames"][-1]
+    for frame in (newest, past):
+        values, flags = np.ravel(np.array(frame["values"], object)), np.ravel(frame["flags"])
+        assert [value is None for value in values] == [n < taxels for n in range(64)]
+        assert (flags[:taxels] == 1).all()
+    text = f"{taxels} taxels did not arrive: restored from their neighbours"
+    warning = {"code": "missing", "taxels": taxels, "text": text}
+    assert newest["warnings"] == [warning]
+    until(lambda: warning in [each["warning"] for each in client.get("/events").json()["events"]])
+    assert None not in np.ravel(client.get("/sensors/palm/frames/restored").json()["values"])
+
+
+def test_polling_gives_304_until_there_is_a_newer_image_or_another_state(rig, client):
+    rig.stale_after(600)
+    rig.show(pressed())
+    headers = {"Accept": "application/x-npy"}
+    headers["If-None-Match"] = client.get(NEWEST, headers=headers).headers["etag"]
+    unchanged = client.get(NEWEST, headers=headers)
+    assert (unchanged.status_code, unchanged.content) == (304, b"")
+    assert client.get(NEWEST, headers=headers | {"Accept": "*/*"}).status_code == 200
+    rig.stale_after(0.01)
+    until(lambda: client.get(NEWEST).json()["state"] == "stale")
+    stale = client.get(NEWEST, headers=headers)
+    assert (stale.status_code, stale.headers["x-tactiled-state"]) == (200, "stale")
+    headers["If-None-Match"] = f'"x", {stale.headers["etag"]}'
+    assert client.get(NEWEST, headers=headers).status_code == 304
+    rig.show(pressed())
+    assert client.get(NEWEST, headers=headers).status_code == 200
+
+
+def test_the_accept_header_selects_the_format(rig, client):
+    rig.show(pressed())
+    for accept, expected in (
+        ("*/*", "application/json"),
+        ("image/*, application/json;q=0.5", "image/png"),
+        ("application/json;q=0.5, image/png", "image/png"),
+        ("text/html, application/x-npy;q=0.1", "application/x-npy"),
+        ("application/json;q=0, application/x-npy;q=0.1", "application/x-npy"),
+    ):
+        assert client.get(NEWEST, headers={"Accept": accept}).headers["content-type"] == expected
+    for accept in ("text/html", "application/json;q=0, image/png;q=x"):
+        assert accept in problem(client.get(NEWEST, headers={"Accept": accept}), 406)
+
+
+@pytest.mark.parametrize("kind", ["raw", "restored"])
+def test_past_images_are_the_same_in_every_format(url, images, kind):
+    expected = np.stack([getattr(image, kind) for image in images])
+    page = get(url, kind=kind, last="60s").json()
+    assert (page["type"], page["sensor"], page["kind"], page["unit"]) == ("frames", "palm", kind, "kPa")
+    assert sequences(page) == [image.sequence for image in images]
+    assert [each["timestamp"] for each in page["frames"]] == [image.time for image in images]
+    assert {(each["method"], each["flags"]) for each in page["frames"]} == {("wiener", None)}
+    assert (page["before"], page["cut"]) == (None, False)
+    np.testing.assert_allclose([each["values"] for each in page["frames"]], expected, atol=6e-5)
+    frames.Frames.model_validate(page)
+    npy = get(url, kind=kind, last="60s", format="npy")
+    np.testing.assert_array_equal(load(npy), expected)
+    assert npy.headers["x-tactiled-sequence"] == "0-2,5-13"
+    first, last = map(float, npy.headers["x-tactiled-timestamp"].split(","))
+    assert (first, last) == pytest.approx((images[0].time, images[-1].time), abs=1e-6)
+    npz = load(get(url, kind=kind, last="60s", format="npz"))
+    np.testing.assert_array_equal(npz["values"], expected)
+    np.testing.assert_array_equal(npz["time"], [image.time for image in images])
+    np.testing.assert_array_equal(npz["sequence"], [image.sequence for image in images])
+    assert npz["method"].tolist() == ["wiener"] * 12
+    assert npz["flags"].shape == (12, 8, 8)
+
+
+@pytest.mark.parametrize("form", ["json", "npy"])
+def test_pages_cover_their_window_though_images_come_meanwhile(rig, url, images, form):
+    expected = [image.sequence for image in images[4:]]
+    last = f"{images[-1].arrived - images[4].arrived + 1e-5:.6f}s"
+    received, query = [], {}
+    while query is not None:
+        answer = get(url, last=last, limit=3, format=form, **query)
+        if form == "json":
+            page, before = sequences(answer.json()), answer.json()["before"]
+        else:
+            first, _, newest = answer.headers["x-tactiled-sequence"].partition("-")
+            page, before = range(int(first), int(newest or first) + 1), answer.headers.get("x-tactiled-before")
+            assert len(load(answer)) == len(page)
+        received = [*page, *received]
+        query = before and {"before": before}
+        for _ in range(5):
+            rig.show(pressed())
+    assert received == expected
+
+
+def test_a_window_whose_beginning_was_discarded_is_marked_as_cut(request):
+    with meanwhile(Rig(request.node.name, "[server]\nhistory_s = 0.05")) as rig, running(rig.service) as url:
+        capacity = rig.sensor.history.capacity
+        for _ in range(capacity):
+            oldest = rig.show(pressed())
+        page = get(url, last="60s", limit=5).json()
+        assert [page["cut"], get(url, last="60s").json()["cut"]] == [False, False]
+        rig.show(pressed())
+        rest = get(url, last="60s", limit=5, before=page["before"]).json()
+        assert (sequences(rest), rest["before"], rest["cut"]) == ([1, 2, 3], None, True)
+        assert get(url, last="60s", format="npy").headers["x-tactiled-cut"] == "true"
+        inside = get(url, last=f"{rig.sensor.hub.latest().arrived - oldest.arrived:.6f}s", format="npy")
+        assert "x-tactiled-cut" not in inside.headers
+        for _ in range(capacity):
+            rig.show(pressed())
+        discarded = get(url, before=page["before"]).json()
+        assert (discarded["frames"], discarded["before"], discarded["cut"]) == ([], None, True)
+
+
+def test_the_window_and_the_size_of_images_bound_a_page(url, images, monkeypatch):
+    last = images[-1].arrived - images[-3].arrived + 1e-4
+    assert len(get(url, last=f"{last:.6f}s").json()["frames"]) == 3
+    assert len(get(url, last="0s").json()["frames"]) == 1
+    monkeypatch.setitem(frames.MAX_VALUES, "json", 3 * 64)
+    page = get(url, last="60s").json()
+    assert (len(page["frames"]), page["before"].split("@")[0]) == (3, str(page["frames"][0]["sequence"]))
+
+
+def test_wrong_parameters_are_named(url):
+    for name, value in (
+        ("last", "2"),
+        ("last", "2min"),
+        ("last", "٢s"),
+        ("kind", "deviation"),
+        ("limit", "0"),
+        ("limit", "1001"),
+        ("before", "-1"),
+        ("before", "5@"),
+        ("before", "5@nan"),
+        ("format", "png"),
+    ):
+        assert f"{name} = '{value}'" in problem(get(url, **{name: value}), 422)
+
+
+def test_large_text_is_compressed_and_arrays_are_not(url, client, images):
+    gzip = {"Accept-Encoding": "gzip"}
+    answer = client.get("/sensors/palm/frames?last=60s", headers=gzip)
+    assert answer.headers["content-encoding"] == "gzip"
+    assert int(answer.headers["content-length"]) < len(answer.content) / 3
+    assert len(answer.json()["frames"]) == len(images)
+    for path in ("frames?format=npy&last=60s", "frames/raw?format=png", "contacts"):
+        assert "content-encoding" not in client.get(f"/sensors/palm/{path}", headers=gzip).headers
+    for coding in ("identity", "br", "*"):
+        headers = ask("GET", f"{url}{PAST}?last=60s", headers={"Accept-Encoding": coding}).headers
+        assert (headers.get("content-encoding"), headers["vary"]) == (None, "Accept, Accept-Encoding")
+
+
+@pytest.fixture
+def drawing(monkeypatch):
+    """An event that pictures wait for, and of each that began whether it was the only one."""
+    go_on, busy, began = threading.Event(), threading.Lock(), []
+
+    def png(*_):
+        alone = busy.acquire(blocking=False)
+        began.append(alone)
+        assert go_on.wait(60)
+        if alone:
+            busy.release()
+        return b"a picture"
+
+    monkeypatch.setattr(picture, "png", png)
+    yield go_on, began
+    go_on.set()
+
+
+def draw(url, client_number, **headers):
+    """Request a picture as one of several clients."""
+    return ask("GET", url + PNG, headers={"X-Forwarded-For": f"10.0.0.{client_number}"} | headers)
+
+
+def test_pictures_are_made_one_at_a_time_and_other_answers_do_not_wait(rig, url, client, drawing):
+    """More pictures than the service has threads, of which the first is not done before other answers are."""
+    rig.show(pressed())
+    go_on, began = drawing
+    with ThreadPoolExecutor(50) as clients:
+        answers = [clients.submit(draw, url, number % 5) for number in range(50)]
+        until(lambda: began)
+        for path in ("", "/frames/deviation", "/frames"):
+            assert client.get(f"/sensors/palm{path}").status_code == 200
+        go_on.set()
+        assert [each.result().status_code for each in answers] == [200] * 50
+    assert began == [True] * 50
+
+
 @pytest.mark.parametrize(
-    ("query", "says"),
+    ("bound", "clients", "detail"),
     [
-        ({"last": "2"}, "last = '2'"),
-        ({"last": "2min"}, "last = '2min'"),
-        ({"last": "٢s"}, "last = '٢s'"),
-        ({"kind": "deviation"}, "kind = 'deviation'"),
-        ({"limit": 0}, "limit = '0'"),
-        ({"limit": 1001}, "limit = '1001'"),
-        ({"before": -1}, "before = '-1'"),
-        ({"before": "5@"}, "before = '5@'"),
-        ({"before": "5@nan"}, "before = '5@nan'"),
-        ({"format": "png"}, "format = 'png'"),
+        ("MAX_WAITING", 20, "3 such answers are waited for already: wait"),
+        ("MAX_WAITING_PER_CLIENT", 1, "3 such answers are waited for by 10.0.0.0 already: wait"),
     ],
 )
-def test_what_is_wrong_is_named(url, query, says):
-    assert says in problem(get(url, **query), 422)
+def test_waiting_pictures_are_bounded(rig, url, client, drawing, monkeypatch, bound, clients, detail):
+    monkeypatch.setattr(limits, bound, 3)
+    rig.show(pressed())
+    go_on, _ = drawing
+    with ThreadPoolExecutor(21) as threads:
+        answers = [threads.submit(draw, url, number % clients) for number in range(20)]
+        until(lambda: sum(each.done() for each in answers) == 16)
+        assert client.get("/sensors/palm/frames").status_code == 200  # another kind
+        go_on.set()
+        refused = [answer for each in answers if (answer := each.result()).status_code != 200]
+    assert len(refused) == 16
+    for each in refused:
+        assert problem(each, 429) == detail
+        assert int(each.headers["retry-after"]) >= 1
 
 
-def test_large_text_is_compressed_for_who_takes_it_and_numbers_are_not(rig, url):
-    for _ in range(12):
-        rig.show(pressed())
-    headers = {"Accept-Encoding": "gzip"}
-    with httpx.Client(**HTTP, base_url=url, headers=headers) as client:
-        packed = client.get(PATH, params={"last": "60s"})
-        assert packed.headers["content-encoding"] == "gzip"
-        assert int(packed.headers["content-length"]) < len(packed.content) / 3
-        json.loads(packed.content)
-        for path, query in ((PATH, "format=npy&last=60s"), (PATH + "/raw", "format=png"), ("/api/v1/events", "")):
-            assert "content-encoding" not in client.get(path, params=query).headers
-    for coding in ("identity", "br", "*"):
-        plain = ask("GET", url + PATH, params={"last": "60s"}, headers={"Accept-Encoding": coding})
-        assert (plain.headers.get("content-encoding"), plain.headers["vary"]) == (None, "Accept, Accept-Encoding")
+def test_a_known_image_or_a_full_queue_uses_up_no_turn(rig, monkeypatch):
+    """Six costly answers a minute are one at a time."""
+    monkeypatch.setattr(picture, "png", lambda *_: b"a picture")
+    rig.show(pressed())
+    until(lambda: rig.sensor.status().state == "stale")  # and stays so: its tag does not change
+    with running(rig.service, Server(port=0, control_per_minute=6)) as url:
+        with monkeypatch.context() as full:
+            full.setattr(limits, "MAX_WAITING", 0)
+            for _ in range(3):
+                assert problem(draw(url, 1), 429) == "0 such answers are waited for already: wait"
+        etag = draw(url, 1).headers["etag"]
+        known = [draw(url, 1, **{"If-None-Match": etag}).status_code for _ in range(5)]
+        assert known == [304] * 5
+        assert problem(draw(url, 1), 429) == "more than 6 a minute: wait"
+
+
+def test_nothing_is_drawn_for_a_client_that_left(rig, drawing, monkeypatch):
+    go_on, began = drawing
+    made = []
+    monkeypatch.setattr(app, "Turns", lambda rates: made.append(limits.Turns(rates)) or made[-1])
+    rig.show(pressed())
+    with running(rig.service) as url, ThreadPoolExecutor(1) as other:
+        first = other.submit(draw, url, 1)
+        until(lambda: began)
+        with socket.create_connection(url[7:].split(":")) as leaves:
+            leaves.sendall(f"GET {PNG} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
+            until(lambda: sum(turns._waiting.total() for turns in made) == 1)
+        go_on.set()
+        assert [first.result().status_code, draw(url, 1).status_code] == [200, 200]
+    assert began == [True, True]

@@ -24,23 +24,20 @@ def scale(figure):
     return figure.axes[0].images[0].get_clim()
 
 
-def test_noise_alone_is_dark_and_what_presses_fills_the_scale(rig):
+def test_noise_alone_is_dark_and_a_load_fills_the_scale(rig):
     idle = rig.show(np.full((SIDE, SIDE), NO_LOAD) + np.arange(SIDE) % 2)  # up to 0.5 kPa, the noise
     assert scale(picture.draw(rig.sensor, idle, "raw", None)) == (0, 15 * 0.5)
     assert scale(picture.draw(rig.sensor, idle, "raw", 3.0)) == (0, 3.0)
     strong = rig.show(pressed())
-    assert scale(picture.draw(rig.sensor, strong, "raw", None)) == (0, 200)
+    unknown = dataclasses.replace(strong, noise_gain=float("nan"))
+    for image in (strong, unknown):
+        assert scale(picture.draw(rig.sensor, image, "raw", None)) == (0, 200)
     assert scale(picture.draw(rig.sensor, strong, "restored", None)) == (0, strong.restored.max())
-    known = rig.sensor.pipeline.deviation(strong)
-    assert scale(picture.draw(rig.sensor, strong, "deviation", None)) == (0, known.max())
+    deviation = rig.sensor.pipeline.deviation(strong)
+    assert scale(picture.draw(rig.sensor, strong, "deviation", None)) == (0, deviation.max())
 
 
-def test_an_image_whose_noise_nobody_knows_has_a_scale(rig):
-    image = dataclasses.replace(rig.show(pressed()), noise_gain=float("nan"))
-    assert scale(picture.draw(rig.sensor, image, "raw", None)) == (0, 200)
-
-
-def test_a_picture_of_what_is_past_says_so(rig):
+def test_the_title_gives_the_age_of_a_stale_image(rig):
     image = rig.show(pressed())
     assert picture.draw(rig.sensor, image, "raw", None).axes[0].get_title() == "palm, raw, frame 0"
     until(lambda: rig.sensor.status().state == "stale")
@@ -52,11 +49,11 @@ def test_the_legend_is_as_high_as_the_map_and_the_map_true_to_scale(pair):
     for sensor, image in zip(("palm", "thumb"), pair.both(), strict=True):
         figure = picture.draw(pair.service.sensor(sensor), image, "raw", None)
         figure.draw_without_rendering()
-        shown, legend = (axes.get_window_extent() for axes in figure.axes)
-        assert (legend.y0, legend.y1) == pytest.approx((shown.y0, shown.y1), abs=1.5)  # pixels
+        drawn_map, legend = (axes.get_window_extent() for axes in figure.axes)
+        assert (legend.y0, legend.y1) == pytest.approx((drawn_map.y0, drawn_map.y1), abs=1.5)  # pixels
         axes = figure.axes[0]
         across, down = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
-        assert shown.width / shown.height == pytest.approx(across / down, rel=0.01)
+        assert drawn_map.width / drawn_map.height == pytest.approx(across / down, rel=0.01)
 
 
 def test_taxels_of_no_grid_are_as_large_as_they_are(pair):

@@ -1,6 +1,6 @@
+import os
 import socket
 import threading
-import time
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -14,26 +14,57 @@ from tactiled.bus import recorder, recording
 from tactiled.runtime.events import Events
 from tactiled.web.http import problems
 from tactiled.web.rest import recordings
-from tactiled.web.rest.recordings import Recordings, make
-from tests.conftest import HTTP, until
+from tests.conftest import HTTP, problem, until
 
 ROOT = "/api/v1/recordings"
 
 
-@contextmanager
-def serving(app):
-    """A client of an application that runs, its start and its end with it."""
-    listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", access_log=False))
-    thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
-    thread.start()
-    while not server.started:
-        time.sleep(0.005)
-    with httpx.Client(**HTTP, base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", trust_env=False) as client:
-        yield client
-    server.should_exit = True
-    thread.join()
-    listener.close()
+class Api:
+    """Recordings over REST."""
+
+    def __init__(self, folder, channel):
+        self.folder, self.events = folder, Events()
+        buses = {
+            "can0": {"interface": "virtual", "channel": channel},
+            "can1": {"interface": "virtual", "channel": f"{channel} 1"},
+            "missing": {"interface": "slcan", "channel": "/dev/missing", "sleep_after_open": 0},
+        }
+        self.app = FastAPI()
+        problems.install(self.app)
+        self.app.include_router(recordings.make(folder, buses, self.events, 500))
+
+    @contextmanager
+    def serving(self):
+        """Serve it, its start and its end with it."""
+        listener = socket.create_server(("127.0.0.1", 0))
+        server = uvicorn.Server(uvicorn.Config(self.app, log_level="warning", access_log=False))
+        thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+        thread.start()
+        until(lambda: server.started)
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        with httpx.Client(**HTTP, base_url=url, trust_env=False) as self.client:
+            yield self
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+    def start(self, name=None, bus="can0"):
+        return self.client.post(ROOT, json={"bus": bus} | ({"name": name} if name else {}))
+
+    def stop(self, name):
+        return self.client.post(f"{ROOT}/{name}/stop")
+
+    def read_and_delete(self, name):
+        """The answers to reading and to deleting one."""
+        return self.client.get(f"{ROOT}/{name}"), self.client.delete(f"{ROOT}/{name}")
+
+    def all(self):
+        return self.client.get(ROOT).json()["recordings"]
+
+    def only(self):
+        """The one recording that there is."""
+        (recorded,) = self.all()
+        return recorded
 
 
 @pytest.fixture
@@ -43,73 +74,80 @@ def folder(tmp_path):
 
 
 @pytest.fixture
-def api(folder, request):
-    app = FastAPI()
-    problems.install(app)
-    buses = {
-        "can0": {"interface": "virtual", "channel": request.node.name},
-        "gone": {"interface": "slcan", "channel": "/dev/gone", "sleep_after_open": 0},
-    }
-    app.include_router(make(folder, buses, Events()))
-    with serving(app) as client:
-        yield client
+def free_mb(monkeypatch):
+    """How much room the disk has."""
+    free = [600]
+    monkeypatch.setattr(recorder, "disk_usage", lambda _: SimpleNamespace(free=free[0] * 1e6))
+    return free
 
 
 @pytest.fixture
-def bus(request):
-    with can.Bus(interface="virtual", channel=request.node.name) as end:
-        yield end
+def api(folder, request, free_mb):  # noqa: ARG001
+    with Api(folder, request.node.name).serving() as api:
+        yield api
 
 
-def send(bus, count):
-    for number in range(count):
-        bus.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big")))
+@pytest.fixture
+def send(api, request):
+    """Sends messages and waits until as many are recorded."""
+    with can.Bus(interface="virtual", channel=request.node.name) as bus:
+
+        def send(count, recorded):
+            for number in range(count):
+                data = number.to_bytes(8, "big")
+                bus.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=data))
+            until(lambda: api.all()[0]["messages"] == recorded)
+
+        yield send
 
 
-def only(api):
-    """What is told of the one recording there is."""
-    (told,) = api.get(ROOT).json()["recordings"]
-    return told
-
-
-def test_one_recording_from_its_start_to_its_end(api, bus, folder):
-    assert api.get(ROOT).json() == {"recordings": [], "after": None}
-    began = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    assert began.status_code == 201
-    assert began.json()["running"] is True
-    send(bus, 100)
-    until(lambda: only(api)["messages"] == 100)
-    seen = only(api)
-    assert (seen["name"], seen["running"], seen["bus"], seen["messages"]) == ("a.log", True, "can0", 100)
-    for act in (api.get, api.delete):
-        assert act(f"{ROOT}/a.log").status_code == 409
-    send(bus, 20)
-    until(lambda: only(api)["messages"] == 120)
-    ended = api.post(f"{ROOT}/a.log/stop").json()
-    assert (ended["running"], ended["messages"], ended["error"]) == (False, 120, None)
-    assert api.post(f"{ROOT}/a.log/stop").status_code == 200
-    got = api.get(f"{ROOT}/a.log")
-    assert got.headers["content-disposition"] == 'attachment; filename="a.log"'
-    assert got.content == (folder / "a.log").read_bytes()
-    assert [int.from_bytes(each.data, "big") for each in recording.read(folder / "a.log")] == [
-        *range(100),
-        *range(20),
-    ]
-    assert api.delete(f"{ROOT}/a.log").status_code == 204
-    assert api.get(ROOT).json() == {"recordings": [], "after": None}
-    assert api.get(f"{ROOT}/a.log").status_code == 404
+def test_a_recording_from_its_start_to_its_end(api, send, folder):
+    assert api.client.get(ROOT).json() == {"recordings": [], "after": None}
+    began = api.start("a.log")
+    assert (began.status_code, began.json()["running"]) == (201, True)
+    send(100, 100)
+    assert [api.only()[key] for key in ("name", "running", "bus")] == ["a.log", True, "can0"]
+    for refused in api.read_and_delete("a.log"):
+        assert problem(refused, 409) == "recording a.log: runs: stop it first"
+    send(20, 120)
+    ended = api.stop("a.log").json()
+    assert [ended[key] for key in ("running", "messages", "error")] == [False, 120, None]
+    assert api.stop("a.log").json() == ended
+    assert [each.text for each in api.events.after(0)] == ["a.log", "a.log: 120 messages"]
+    file = api.client.get(f"{ROOT}/a.log")
+    assert file.headers["content-disposition"] == 'attachment; filename="a.log"'
+    assert file.content == (folder / "a.log").read_bytes()
+    part = api.client.get(f"{ROOT}/a.log", headers={"Range": "bytes=2-9"})
+    assert (part.status_code, part.content) == (206, file.content[2:10])
+    numbers = [int.from_bytes(each.data, "big") for each in recording.read(folder / "a.log")]
+    assert numbers == [*range(100), *range(20)]
+    assert api.client.delete(f"{ROOT}/a.log").status_code == 204
+    assert api.all() == []
+    for refused in (*api.read_and_delete("a.log"), api.stop("a.log")):
+        assert problem(refused, 404) == "recording a.log: no such recording"
 
 
 def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):
-    name = api.post(ROOT, json={"bus": "can0"}).json()["name"]
+    name = api.start().json()["name"]
     assert name.startswith("can0-")
     assert name.endswith(".log")
-    again = api.post(ROOT, json={"bus": "can0"})
-    assert (again.status_code, again.json()["detail"]) == (409, "bus can0: is being recorded already")
-    api.post(f"{ROOT}/{name}/stop")
-    taken = api.post(ROOT, json={"bus": "can0", "name": name})
-    assert (taken.status_code, taken.json()["detail"]) == (409, f"recording {name}: is there already")
-    assert api.post(ROOT, json={"bus": "can0"}).status_code == 201
+    assert problem(api.start(), 409) == "bus can0: is being recorded already"
+    api.stop(name)
+    assert problem(api.start(name), 409) == f"recording {name}: is there already"
+    assert api.start().status_code == 201
+    assert problem(api.start(bus="can9"), 404) == "bus can9: no such bus: there are can0, can1, missing"
+    assert "No such file" in problem(api.start(bus="missing"), 503)
+    assert len(api.all()) == 2
+
+
+def test_pages_of_recordings_by_name(api, folder):
+    folder.mkdir()
+    for name in ("c.log", "a.log", "b.blf", "notes.txt", ".hidden.log"):
+        (folder / name).write_bytes(b"12")
+    first = api.client.get(ROOT, params={"limit": 2}).json()
+    assert [(each["name"], each["bytes"]) for each in first["recordings"]] == [("a.log", 2), ("b.blf", 2)]
+    second = api.client.get(ROOT, params={"limit": 2, "after": first["after"]}).json()
+    assert ([each["name"] for each in second["recordings"]], second["after"]) == (["c.log"], None)
 
 
 BAD = (
@@ -124,201 +162,136 @@ BAD = (
     "a.toml",
     "a.log\n",
     "a.log\0",
-    "",
     "a" * 200 + ".log",
     "a.b.log",
 )
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_no_name_leaves_the_folder(api, folder, name):
-    refused = api.post(ROOT, json={"bus": "can0", "name": name})
-    assert refused.status_code == 422
-    assert refused.headers["content-type"] == "application/problem+json"
-    for path in (name, name.replace("/", "%2f").replace("\n", "%0a").replace("\0", "%00").replace("\\", "%5c")):
-        if path.strip("./\n\0"):
-            for act in (api.get, api.delete):
-                try:
-                    status = act(f"{ROOT}/{path}").status_code
-                except Exception as error:  # the client itself refuses such an address
-                    assert "URL" in type(error).__name__, error  # noqa: PT017
-                    continue
-                assert status in (404, 405, 422)
+def test_no_name_leaves_the_folder(api, folder):
+    problem(api.client.post(ROOT, json={"bus": "can0", "name": ""}), 422)
+    for name in BAD:
+        problem(api.start(name), 422)
+        for path in (
+            name,
+            name.replace("/", "%2f").replace("\n", "%0a").replace("\0", "%00").replace("\\", "%5c"),
+        ):
+            if not path.strip("./\n\0"):
+                continue
+            try:
+                statuses = {each.status_code for each in api.read_and_delete(path)}
+            except httpx.InvalidURL:
+                continue
+            assert statuses <= {404, 405, 422}
     assert (folder.parent / "secret.log").read_text() == "(0.0) can0 123#00 R\n"
     assert not folder.exists()
 
 
-def test_a_link_out_of_the_folder_is_no_recording(api, folder):
+def test_links_and_folders_are_no_recordings(api, folder):
     folder.mkdir()
     (folder / "link.log").symlink_to(folder.parent / "secret.log")
     (folder / "dangling.log").symlink_to(folder.parent / "new.log")
-    assert api.get(ROOT).json() == {"recordings": [], "after": None}
-    assert api.get(f"{ROOT}/link.log").status_code == 404
-    assert api.delete(f"{ROOT}/link.log").status_code == 404
     (folder / "folder.log").mkdir()
+    assert api.all() == []
+    for refused in api.read_and_delete("link.log"):
+        assert refused.status_code == 404
     for name in ("link.log", "dangling.log", "folder.log"):
-        refused = api.post(ROOT, json={"bus": "can0", "name": name})
-        says = f"recording {name}: something else of that name is in the folder"
-        assert (refused.status_code, refused.json()["detail"]) == (409, says)
+        detail = f"recording {name}: something else of that name is there already"
+        assert problem(api.start(name), 409) == detail
     assert not (folder.parent / "new.log").exists()
 
 
-def test_a_bus_that_is_not_there(api):
-    none = api.post(ROOT, json={"bus": "can9"})
-    assert (none.status_code, none.json()["detail"]) == (404, "bus can9: no such bus: there are can0, gone")
-    gone = api.post(ROOT, json={"bus": "gone"})
-    assert gone.status_code == 503
-    assert "No such file" in gone.json()["detail"]
-    assert api.get(ROOT).json() == {"recordings": [], "after": None}
-
-
-def test_a_folder_that_cannot_be_made_is_told(api, folder):
+def test_a_folder_that_cannot_be_made(api, folder):
     folder.write_text("a file is in the way")
-    refused = api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    assert (refused.status_code, refused.json()["detail"]) == (503, "recording a.log: File exists")
+    assert problem(api.start("a.log"), 503) == "recording a.log: File exists"
 
 
-def test_a_full_disk_ends_it_and_says_so(api, bus, monkeypatch):
-    import os
-
-    name = api.post(ROOT, json={"bus": "can0"}).json()["name"]
-    time.sleep(0.1)
+def test_a_full_disk_ends_a_recording(api, send, monkeypatch):
+    name = api.start().json()["name"]
+    send(10, 10)
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "pwrite", full)
-    send(bus, 10)
-    until(lambda: not only(api)["running"])
-    seen = only(api)
-    assert "No space left on device: the recording ends early, after 0 messages" in seen["error"]
-    assert api.post(f"{ROOT}/{name}/stop").status_code == 200
+    send(10, 10)
+    until(lambda: not api.only()["running"])
+    assert api.only()["error"] == "No space left on device: the recording ends early, after 10 messages"
+    assert api.stop(name).status_code == 200
 
 
-def test_the_end_of_the_service_ends_a_recording_whole(folder, request):
-    app = FastAPI()
-    app.include_router(make(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}, Events()))
-    with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
-        client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
-        send(bus, 50)
-        until(lambda: only(client)["messages"] == 50)
+def test_a_recording_ends_before_the_disk_is_full(api, send, folder, free_mb):
+    api.start("a.blf")
+    send(50, 50)
+    free_mb[0] = 499
+    until(lambda: not api.only()["running"])
+    why = "less than 500 MB of its disk are free (recordings_leave_mb)"
+    error = f"{why}: the recording ends early, after 50 messages"
+    assert api.only()["error"] == error
+    assert [each.text for each in api.events.after(0)] == ["a.blf", f"a.blf: {error}"]
+    assert problem(api.start("b.blf"), 503) == f"recording b.blf: {why}"
+    assert not (folder / "b.blf").exists()
+    free_mb[0] = 501
+    assert api.start("b.blf").status_code == 201
     assert len(list(recording.read(folder / "a.blf"))) == 50
 
 
-def test_a_recording_ends_before_the_disk_is_full_and_says_why(folder, request, monkeypatch):
-    room, events = [600e6], Events()
-    monkeypatch.setattr(recorder, "disk_usage", lambda _: SimpleNamespace(free=room[0]))
-    app = FastAPI()
-    problems.install(app)
-    buses = {"can0": {"interface": "virtual", "channel": request.node.name}}
-    app.include_router(make(folder, buses, events, 500))
-    with serving(app) as client, can.Bus(interface="virtual", channel=request.node.name) as bus:
-        client.post(ROOT, json={"bus": "can0", "name": "a.blf"})
-        send(bus, 50)
-        until(lambda: only(client)["messages"] == 50)
-        assert only(client)["running"]
-        room[0] = 499e6
-        until(lambda: not only(client)["running"])
-        why = "less than 500 MB of its disk are free (recordings_leave_mb)"
-        assert only(client)["error"].startswith(f"{why}: the recording ends early, after 50 messages")
-        (ended,) = (each.text for each in events.after(0) if each.kind == "recording_ended")
-        assert ended == f"a.blf: {only(client)['error']}"
-        refused = client.post(ROOT, json={"bus": "can0", "name": "b.blf"})
-        assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
-        assert refused.json()["detail"] == f"recording b.blf: {why}"
-        assert not (folder / "b.blf").exists()
-        room[0] = 501e6
-        assert client.post(ROOT, json={"bus": "can0", "name": "b.blf"}).status_code == 201
-    assert len(list(recording.read(folder / "a.blf"))) == 50
+def test_the_end_of_the_service_completes_a_recording(folder, request):
+    channel = request.node.name
+    with Api(folder, channel).serving() as api, can.Bus(interface="virtual", channel=channel) as bus:
+        api.start("a.blf")
+        bus.send(can.Message(arbitration_id=0x500))
+        until(lambda: api.only()["messages"] == 1)
+    assert len(list(recording.read(folder / "a.blf"))) == 1
 
 
-def test_a_recording_whose_file_is_removed_ends_and_its_bus_is_free_again(api, bus, folder):
-    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    send(bus, 10)
-    until(lambda: only(api)["messages"] == 10)
+def test_a_recording_whose_file_is_removed_ends_and_its_bus_is_free_again(api, send, folder):
+    api.start("a.log")
+    send(10, 10)
     (folder / "a.log").unlink()
-    until(lambda: api.post(ROOT, json={"bus": "can0", "name": "b.log"}).status_code == 201)
-    assert [each["name"] for each in api.get(ROOT).json()["recordings"]] == ["b.log"]
+    until(lambda: not api.all())
+    ended = api.stop("a.log").json()
+    assert [ended[key] for key in ("running", "bytes", "messages")] == [False, None, 10]
+    assert ended["error"] == "was removed: the recording ends early, after 10 messages"
+    assert api.start("b.log").status_code == 201
 
 
-def test_a_recording_whose_file_is_renamed_is_listed_until_it_is_stopped_and_says_that_it_was(api, bus, folder):
-    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    send(bus, 10)
-    until(lambda: only(api)["messages"] == 10)
+def test_a_recording_whose_file_is_renamed_keeps_its_name_until_it_is_stopped(api, send, folder):
+    api.start("a.log")
+    send(10, 10)
     (folder / "a.log").rename(folder / "b.log")
-    runs, file = api.get(ROOT).json()["recordings"]
-    assert (runs["name"], runs["running"], runs["bytes"]) == ("a.log", True, None)
+    running, file = api.all()
+    assert [running[key] for key in ("name", "running", "bytes")] == ["a.log", True, None]
     assert (file["name"], file["running"]) == ("b.log", False)
-    for act in (api.get, api.delete):
-        assert act(f"{ROOT}/a.log").json()["detail"] == "recording a.log: runs: stop it first"
-    ended = {
-        "name": "a.log",
-        "bytes": None,
-        "running": False,
-        "bus": "can0",
-        "messages": 10,
-        "unreadable": 0,
-        "error": None,
-    }
+    for refused in (*api.read_and_delete("a.log"), api.start("a.log", "can1")):
+        assert problem(refused, 409) == "recording a.log: runs: stop it first"
+    ended = {"name": "a.log", "bytes": None, "running": False, "bus": "can0", "messages": 10, "unreadable": 0}
     for _ in range(2):
-        stopped = api.post(f"{ROOT}/a.log/stop")
-        assert (stopped.status_code, stopped.json()) == (200, ended)
-    assert only(api)["name"] == "b.log"
-    for act in (api.get, api.delete):
-        assert act(f"{ROOT}/a.log").status_code == 404
-    assert api.post(ROOT, json={"bus": "can0", "name": "c.log"}).status_code == 201
+        assert api.stop("a.log").json() == ended | {"error": None}
+    assert api.only()["name"] == "b.log"
+    for refused in api.read_and_delete("a.log"):
+        assert refused.status_code == 404
+    assert api.start("a.log", "can1").status_code == 201
+    (folder / "a.log").rename(folder.parent / "a.log")
+    (folder / "a.log").symlink_to(folder.parent / "secret.log")  # which is not its file
+    assert api.stop("a.log").json()["bytes"] is None
     assert len(list(recording.read(folder / "b.log"))) == 10
 
 
-def test_what_is_told_as_ended_is_told_whole(folder, request, monkeypatch):
-    """It may end while its size is looked at: an end that is written last is missing then."""
-    of = Recordings(folder, {"can0": {"interface": "virtual", "channel": request.node.name}}, Events(), 0.0)
-    of.start("can0", "a.log.gz")
-    size_of = recordings._bytes
+def test_the_size_of_an_ended_recording_is_that_of_its_whole_file(folder, request, monkeypatch):
+    """It may end while its size is read; what the end writes would be missing."""
+    buses = {"can0": {"interface": "virtual", "channel": request.node.name}}
+    files = recordings.Recordings(folder, buses, Events(), 0.0)
+    files.start("can0", "a.log.gz")
+    size_of = recordings._size
 
     def slowly(path):
         size = size_of(path)
-        of._runs["a.log.gz"].stop()
+        files._runs["a.log.gz"].stop()
         return size
 
     with monkeypatch.context() as patched:
-        patched.setattr(recordings, "_bytes", slowly)
-        told = of._told(folder / "a.log.gz")
-    whole = of.listed(None, 1).recordings[0]
-    assert not whole.running
-    assert told.running or told.bytes == whole.bytes
-
-
-def test_a_link_in_the_place_of_a_recordings_file_is_not_its_file(api, folder):
-    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    (folder / "a.log").rename(folder.parent / "a.log")
-    (folder / "a.log").symlink_to(folder.parent / "secret.log")
-    assert only(api)["bytes"] is None
-    assert api.post(f"{ROOT}/a.log/stop").json()["bytes"] is None
-    assert api.get(ROOT).json()["recordings"] == []
-
-
-def test_a_recording_that_ended_because_its_file_was_removed_says_so_when_it_is_stopped(api, bus, folder):
-    api.post(ROOT, json={"bus": "can0", "name": "a.log"})
-    send(bus, 10)
-    until(lambda: only(api)["messages"] == 10)
-    (folder / "a.log").unlink()
-    until(lambda: not api.get(ROOT).json()["recordings"])
-    told = api.post(f"{ROOT}/a.log/stop").json()
-    assert (told["running"], told["bytes"], told["messages"]) == (False, None, 10)
-    assert "was removed: the recording ends early, after 10 messages" in told["error"]
-
-
-def test_the_name_of_a_recording_whose_file_is_renamed_stays_its_own_while_it_runs(folder, request):
-    names = [f"{request.node.name} {each}" for each in (0, 1)]
-    app = FastAPI()
-    problems.install(app)
-    buses = {f"can{at}": {"interface": "virtual", "channel": each} for at, each in enumerate(names)}
-    app.include_router(make(folder, buses, Events()))
-    with serving(app) as client:
-        client.post(ROOT, json={"bus": "can0", "name": "a.log"})
-        (folder / "a.log").rename(folder / "b.log")
-        taken = client.post(ROOT, json={"bus": "can1", "name": "a.log"})
-        assert (taken.status_code, taken.json()["detail"]) == (409, "recording a.log: runs: stop it first")
-        client.post(f"{ROOT}/a.log/stop")
-        assert client.post(ROOT, json={"bus": "can1", "name": "a.log"}).status_code == 201
+        patched.setattr(recordings, "_size", slowly)
+        during = files._recording("a.log.gz")
+    (after,) = files.page(recordings.PageQuery()).recordings
+    assert not after.running
+    assert during.running or during.bytes == after.bytes

@@ -11,7 +11,6 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
-from tactiled.web.schemas import Next
 from tactiled.web.server import running
 from tactiled.web.ws.asyncapi import MESSAGES, XELA_MESSAGES
 from tactiled.web.ws.feed import Feed
@@ -66,18 +65,9 @@ def test_every_reference_leads_somewhere(document):
         assert found(document, ref)
 
 
-def test_every_example_is_what_it_is_an_example_of(document):
-    models = {name: model for name, (model, _) in MESSAGES.items()} | {"next": Next}
-    messages = document["components"]["messages"]
-    assert (
-        set(models)
-        == {*messages} - {"image"} - {*XELA_MESSAGES}
-        == {"status", "contacts", "frame", "shear", "next"}
-    )
-    for name, model in models.items():
-        (one,) = messages[name]["examples"]
-        payload(document, name).validate(one["payload"])
-        assert model.model_validate(one["payload"]).model_dump(mode="json") == one["payload"]
+def test_every_message_of_a_stream_is_described(document):
+    described = {*document["components"]["messages"]} - {*XELA_MESSAGES}
+    assert described == {*MESSAGES, "image", "next"} == {"status", "contacts", "frame", "shear", "image", "next"}
 
 
 @pytest.mark.parametrize("path", ["/api/v1/sensors/palm/stream", "/api/v1/stream"])

@@ -1,0 +1,94 @@
+"""What routes take from a request: the service, a sensor, the format; and the checks of every request."""
+
+from collections.abc import Callable
+from fnmatch import fnmatch
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal, get_args
+
+from fastapi import Depends, Path, Query, Request, Response, params
+from fastapi.dependencies.utils import get_flat_params
+from starlette.requests import HTTPConnection
+
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
+from tactiled.web.http.limits import Turns
+from tactiled.web.http.negotiation import like
+from tactiled.web.http.problems import Problem
+from tactiled.web.rest.responses import MEDIA
+from tactiled.web.ws.query import no_such, once
+
+Costly = Literal["pictures", "numbers"]  # answers of which one of a kind is made at a time
+
+
+async def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+CurrentService = Annotated[Service, Depends(_service)]
+
+
+async def _sensor(
+    name: Annotated[str, Path(description="a sensor, as in the configuration", examples=["palm"])],
+    service: CurrentService,
+) -> Sensor:
+    return service.sensor(name)
+
+
+NamedSensor = Annotated[Sensor, Depends(_sensor)]
+
+
+async def check_parameters(request: HTTPConnection) -> None:
+    """Problem 422 for a query parameter that is unknown or given twice; FastAPI ignores both."""
+    route = request.scope["route"]
+    if request.scope["type"] != "http" or not request.query_params or not route.path.startswith("/api/"):
+        return
+    fields = get_flat_params(route.dependant)
+    declared = [each.alias for each in fields if not isinstance(each.field_info, params.Path)]
+    try:
+        unknown = set(once(request.query_params)) - {*declared, "token"}
+    except ValueError as error:
+        raise Problem(422, str(error)) from error
+    if unknown:
+        raise Problem(422, no_such(min(unknown), declared))
+
+
+def format_of(formats: Any) -> Any:
+    """The dependency that gives one of `formats`: the parameter `format`, else by the Accept header."""
+
+    async def chosen(
+        request: Request,
+        form: Annotated[
+            formats | None,
+            Query(alias="format", description="format of the answer; left out: by the Accept header"),
+        ] = None,
+    ) -> str:
+        return form or _accepted(request, get_args(formats))
+
+    return Depends(chosen)
+
+
+def _accepted(request: Request, offered: tuple[str, ...]) -> str:
+    """The format that a request's Accept header prefers; Problem 406 where it accepts none."""
+    header = request.headers.get("accept", "*/*")
+    for weight, media_range in sorted(map(like, header.split(",")), key=lambda each: -each[0]):
+        for form in offered:
+            if weight > 0 and fnmatch(MEDIA[form], media_range):
+                return form
+    raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
+
+
+def no_frame(sensor: Sensor) -> Problem:
+    """Why there is no image yet."""
+    return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
+
+
+def without_path(error: Exception, path: FilePath) -> str:
+    """An error's text without a path: clients do not see where the service keeps its files."""
+    return str(error).replace(f" {path}", "").replace(str(path), "").lstrip(": ")
+
+
+async def in_turn(request: Request, make: Callable[[], Response], kind: Costly = "numbers") -> Response:
+    """Make a costly answer, one of its kind at a time: many would keep every other answer waiting."""
+    turns: dict[Costly, Turns] = request.app.state.turns
+    return await turns[kind].one(request, make)
