@@ -15,5 +15,5 @@ with threadpool_limits(1):
     frontier_chart.draw(FOLDER / "frontier.svg", panels)
     faults.SWEEPS = tuple(sweep for sweep in faults.SWEEPS if sweep.name in SWEEPS)
     stability_chart.draw(
-        FOLDER / "stability.svg", list(stability.measure(*stability.setting(quick=False, seed=1)))
+        FOLDER / "stability.svg", list(stability.measure(*stability.setting(False, 1)))
     )

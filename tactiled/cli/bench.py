@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, track
+from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -15,28 +15,28 @@ from tactiled.errors import ConfigError
 from tactiled.study.results import machine
 
 if TYPE_CHECKING:
+    from tactiled.study.frontier import Panel
+    from tactiled.study.picard import Picard
     from tactiled.study.skin import Skin
+    from tactiled.study.stability import Results
 
 # Every verb imports its own part of `study`: matplotlib and scikit-image take a second.
 Config = Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")]
 Sensor = Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")]
 Out = Annotated[Path, typer.Option(help="Folder for charts and tables.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Fewer covers, faults, scenes and frames.")]
+Reduced = Annotated[bool, typer.Option("--quick", help="Fewer covers, faults, scenes and frames.")]
 Seed = Annotated[int, typer.Option(help="Random seed.", min=0)]
 OUT = Path("bench")
 
 
 def frontier(
-    config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
+    config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Chart error against time for every method of ours and for others', in one run on one thread."""
     from tactiled.study import frontier as study
 
-    effort = study.QUICK_EFFORT if quick else study.Effort()
-    with _measuring(out):
-        skins = _skins(config, sensor, effort.covers, effort.size)
-        count = len(skins) * len(effort.noises)
-        panels = list(track(study.measure(skins, effort, seed), "Frontier", count, transient=True))
+    with _measuring(out, config, sensor) as skins:
+        panels = _panels(skins, reduced, seed)
     study.write(out, panels, seed)
     print_table("NRMSE, and median time of a frame", study.HEADINGS, study.lines(panels))
     print_lines(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}")
@@ -44,17 +44,13 @@ def frontier(
 
 
 def stability(
-    config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
+    config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
     from tactiled.study import stability as study
-    from tactiled.study.faults import sweeps
 
-    with _measuring(out):
-        skins = _skins(config, sensor)
-        setting, values = study.setting(quick, seed, *skins)
-        steps = study.measure(setting, values)
-        results = list(track(steps, "Stability", len(sweeps(setting)), transient=True))
+    with _measuring(out, config, sensor) as skins:
+        results = _sweeps(skins, reduced, seed)
     study.write(out, results, seed)
     title = f"Methods whose mean error is over {study.WORSE:g} times the raw image's"
     print_table(title, study.HEADINGS, study.lines(results))
@@ -72,24 +68,65 @@ def picard(
     """Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise."""
     from tactiled.study import picard as study
 
-    with _measuring(out):
-        skins = _skins(config, sensor, (0.5, 1.0, 2.0, 3.0))
-        modes = [study.measure(skin, noise / 100, seed) for skin in skins]
+    with _measuring(out, config, sensor) as skins:
+        modes = _modes(skins, noise / 100, seed)
     study.write(out, modes)
-    print_lines(*(study.line(one, noise / 100) for one in modes), f"Seed {seed}. Written: {out}/picard.svg")
+    for one in modes:
+        print_lines(
+            f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
+            f" of {noise:g} % of the peak; the finest has a half-period of {one.resolution_mm:.2f} mm"
+        )
+    print_lines(f"Seed {seed}. Written: {out}/picard.svg")
 
 
 def report(
-    config: Config = None, sensor: Sensor = None, out: Out = OUT, quick: Quick = False, seed: Seed = 1
+    config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables."""
-    from tactiled.study import report as study
+    from tactiled.study.report import write
 
-    with _measuring(out), Progress(transient=True) as progress:
-        plan = study.plan(tuple(_skins(config, sensor)), quick, seed)
-        task = progress.add_task("", total=plan.steps)
-        results = study.measure(plan, lambda done: progress.update(task, advance=1, description=done))
-    print(study.write(out, results, seed))
+    with _measuring(out, config, sensor) as skins:
+        panels, results = _panels(skins, reduced, seed), _sweeps(skins, reduced, seed)
+        modes = _modes(skins, 0.01, seed)
+    print(write(out, panels, results, modes, seed))
+
+
+@contextmanager
+def _measuring(folder: Path, config: Path | None, sensor: str | None) -> "Iterator[list[Skin]]":
+    """Make the folder for the results; on one thread, give the configured skin, or none."""
+    from tactiled.study.skin import configured
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
+    with threadpool_limits(1):
+        yield [configured(config, sensor)] if config else []
+
+
+def _panels(skins: "list[Skin]", reduced: bool, seed: int) -> "list[Panel]":
+    from tactiled.study.frontier import REDUCED, Effort, measure
+    from tactiled.study.skin import rubber
+
+    effort = REDUCED if reduced else Effort()
+    skins = skins or [rubber(thickness, effort.size) for thickness in effort.covers]
+    count = len(skins) * len(effort.noises)
+    return list(track(measure(skins, effort, seed), "Speed and accuracy", count, transient=True))
+
+
+def _sweeps(skins: "list[Skin]", reduced: bool, seed: int) -> "Results":
+    from tactiled.study.faults import sweeps
+    from tactiled.study.stability import measure, setting
+
+    made, values = setting(reduced, seed, *skins)
+    return list(track(measure(made, values), "Faults", len(sweeps(made)), transient=True))
+
+
+def _modes(skins: "list[Skin]", noise: float, seed: int) -> "list[Picard]":
+    from tactiled.study.picard import measure
+    from tactiled.study.skin import rubber
+
+    return [measure(skin, noise, seed) for skin in skins or [rubber(t, 32) for t in (0.5, 1.0, 2.0, 3.0)]]
 
 
 def latency(
@@ -110,24 +147,6 @@ def latency(
         result = measure(service, config, source, rate_hz, seconds, clients)
     print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result, clients))
     print_lines(machine())
-
-
-@contextmanager
-def _measuring(folder: Path) -> Iterator[None]:
-    """Make the folder for the results first, and measure on one thread."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
-    with threadpool_limits(1):
-        yield
-
-
-def _skins(config: Path | None, sensor: str | None, covers: Iterable[float] = (), size: int = 32) -> "list[Skin]":
-    """The configured skin, or rubber covers (t/pitch) over size x size taxels."""
-    from tactiled.study.skin import configured, rubber
-
-    return [configured(config, sensor)] if config else [rubber(thickness, size) for thickness in covers]
 
 
 def print_lines(*lines: str) -> None:

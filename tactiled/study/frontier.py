@@ -33,7 +33,7 @@ class Effort:
     stops: tuple[int, ...] = STOPS
 
 
-QUICK_EFFORT = Effort(covers=(1.0, 3.0), noises=(0.01, 0.05), frames=2, rounds=3, peer_rounds=1, stops=STOPS[:2])
+REDUCED = Effort(covers=(1.0, 3.0), noises=(0.01, 0.05), frames=2, rounds=3, peer_rounds=1, stops=STOPS[:2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,17 +88,6 @@ def better(panel: Panel, method: str = "auto") -> list[Mark]:
     ]
 
 
-def rivals(panel: Panel) -> str:
-    """The methods that beat `auto` in a panel, and by how much."""
-    auto = panel.mark("auto")
-    each = (
-        f"{mark.method}, by {100 * (1 - mark.nrmse / auto.nrmse):.1f} % of the error and"
-        f" {100 * (1 - mark.median / auto.median):.0f} % of the time"
-        for mark in better(panel)
-    )
-    return "; ".join(each) or "nothing"
-
-
 def verdict(panels: Sequence[Panel]) -> Iterator[str]:
     """In how many panels `auto` is on the Pareto front, and which libraries are not compared."""
     count = sum(not better(panel) for panel in panels)
@@ -121,7 +110,8 @@ def lines(panels: Sequence[Panel]) -> list[tuple[str, ...]]:
     for panel in panels:
         cells = [cell(panel.mark(name)) for name in COLUMNS]
         peer = panel.best_peer
-        cells += [f"{cell(peer)}, {peer.method}" if peer else "–", f"{panel.floor:.3f}", rivals(panel)]
+        cells += [f"{cell(peer)}, {peer.method}" if peer else "–", f"{panel.floor:.3f}"]
+        cells.append(", ".join(mark.method for mark in better(panel)) or "nothing")
         table.append((panel.skin.replace(" ", "\u00a0"), f"{100 * panel.noise:g} %", *cells))
     return table
 
@@ -190,7 +180,7 @@ def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, 
 
 def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Run]:
     runs = {name: _method(skin, clip, name) for name in METHODS}
-    runs |= {f"rl {count}": _richardson_lucy(skin, clip, count) for count in RL_ITERATIONS}
+    runs |= {f"rl {count}": _limited_rl(skin, clip, count) for count in RL_ITERATIONS}
     if skin.psf is not None:
         others = peers(skin.psf, clip.frames.shape[1:], noise, stops)
         runs |= {name: (run, lambda: None) for name, run in others.items()}
@@ -202,7 +192,7 @@ def _method(skin: Skin, clip: Clip, name: str) -> Run:
     return lambda frame: restorer(frame).image, restorer.reset
 
 
-def _richardson_lucy(skin: Skin, clip: Clip, iterations: int) -> Run:
+def _limited_rl(skin: Skin, clip: Clip, iterations: int) -> Run:
     """Our Richardson-Lucy with another limit of iterations."""
     scene = Scene(skin.blur, clip.sigma)
     method = RichardsonLucy(scene, iterations)

@@ -95,20 +95,24 @@ def measure(
             listeners.join()
         service.stop()
     bus.close()
-    first = int(WARM_UP_S * rate_hz)
-    ages = [
-        np.array([(at[n] - send_times[n]) * 1e3 for n in range(first, len(send_times)) if n in at])
-        for at in arrivals
-    ]
+    return _latency(send_times, arrivals, int(WARM_UP_S * rate_hz), (cores, client_cores), client_core is not None)
+
+
+def _latency(
+    send_times: list[float], arrivals: list[Arrivals], first: int, cores: tuple[float, float], pinned: bool
+) -> Latency:
+    """Ages of all frames from the `first` on."""
+    numbers = range(first, len(send_times))
+    ages = [np.array([(at[n] - send_times[n]) * 1e3 for n in numbers if n in at]) for at in arrivals]
     return Latency(
-        frames=len(send_times) - first,
+        frames=len(numbers),
         received=min(len(each) for each in ages),
         median=float(np.median(np.concatenate(ages))),
         p99=max(float(np.percentile(each, 99)) for each in ages),
         worst=max(float(each.max()) for each in ages),
-        cores=cores,
-        client_cores=client_cores,
-        pinned=client_core is not None,
+        cores=cores[0],
+        client_cores=cores[1],
+        pinned=pinned,
     )
 
 

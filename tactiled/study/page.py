@@ -17,15 +17,13 @@ def page(title: str, parts: Iterable[str]) -> str:
     )
 
 
-def svg(path: Path, caption: str) -> str:
+def svg(path: Path) -> str:
     """Give an SVG file as part of the page, as wide as the text."""
     drawing = path.read_text(encoding="utf-8")
-    drawing = drawing[drawing.index("<svg") :]
-    first = drawing.index(">")
-    tag = re.sub(r'\s(width|height)="[^"]*"', "", drawing[:first])
-    label = f' role="img" aria-label="{escape(caption, quote=True)}"'
-    body = re.sub(r"<metadata>.*?</metadata>", "", drawing[first:], flags=re.DOTALL)
-    return f"<figure>{tag}{label}{body}<figcaption>{escape(caption)}</figcaption></figure>"
+    start = drawing.index("<svg")
+    end = drawing.index(">", start)
+    tag = re.sub(r'\s(width|height)="[^"]*"', "", drawing[start:end])
+    return tag + re.sub(r"<metadata>.*?</metadata>", "", drawing[end:], flags=re.DOTALL)
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], good: str = "", bad: str = "") -> str:

@@ -17,7 +17,7 @@ Restore = Callable[[Frames], Any]
 
 # scikit-image has no types.
 wiener: Callable[..., Any] = restoration.wiener
-richardson_lucy: Callable[..., Any] = restoration.richardson_lucy
+skimage_rl: Callable[..., Any] = restoration.richardson_lucy
 unsupervised_wiener: Callable[..., tuple[Any, Any]] = restoration.unsupervised_wiener
 
 BALANCES = (0.1, 0.3, 1.0)  # of Wiener filters, times the noise over the peak: 0.3 suits most scenes
@@ -56,7 +56,7 @@ def skimage_restorations(psf: Floats, balances: Sequence[float], stops: Sequence
         return lambda frame: wiener(frame, single, balance, clip=False)
 
     def iterated(count: int) -> Restore:
-        return lambda frame: richardson_lucy(
+        return lambda frame: skimage_rl(
             np.maximum(frame, 0), single, count, clip=False, filter_epsilon=1e-6 * float(frame.max())
         )
 

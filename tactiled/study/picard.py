@@ -61,14 +61,6 @@ def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Pica
     )
 
 
-def line(one: Picard, noise: float) -> str:
-    """The result in words."""
-    return (
-        f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
-        f" of {100 * noise:g} % of the peak; the finest has a half-period of {one.resolution_mm:.2f} mm"
-    )
-
-
 def _into(bases: tuple[Floats, ...], image: Floats) -> Floats:
     first = bases[0].T @ image
     return np.asarray(first if len(bases) == 1 else first @ bases[1])

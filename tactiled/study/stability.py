@@ -55,9 +55,9 @@ class Row:
 Results = Sequence[tuple[Sweep, list[Row]]]
 
 
-def setting(few: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
+def setting(reduced: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
     """What to run, on rubber if no skin is given, and which of each sweep's values."""
-    if few:
+    if reduced:
         return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
     return Setting(skin or rubber(COVER, 32), seed, tuple(TEST_SCENES)), slice(None)
 

@@ -71,11 +71,11 @@ def _sweep(axes: Axes, sweep: Sweep, rows: list[Row]) -> None:
 def calibration(path: Path, results: Results) -> None:
     """Draw the deviation that auto states against its true error, a mark an image, filled if it has a warning."""
     with figure(path, 10, 5.6) as chart:
-        left, right = chart.subplots(1, 2, sharey=True, sharex=True)
-        _deviations(left, "Restoration has the right settings", [one for one in results if one[0].configured])
-        _deviations(right, "It does not know of the fault", [one for one in results if not one[0].configured])
-        left.set_ylabel("true error (kPa, root mean square)")
-        left.text(0.13, 60, f"more than {1 / HONEST:g} times as wrong as stated", fontsize=9, color="#7d3600")
+        right, wrong = chart.subplots(1, 2, sharey=True, sharex=True)
+        _deviations(right, "Restoration has the right settings", [one for one in results if one[0].configured])
+        _deviations(wrong, "It does not know of the fault", [one for one in results if not one[0].configured])
+        right.set_ylabel("true error (kPa, root mean square)")
+        right.text(0.13, 60, f"more than {1 / HONEST:g} times as wrong as stated", fontsize=9, color="#7d3600")
 
 
 def _deviations(axes: Axes, title: str, results: Results) -> None:

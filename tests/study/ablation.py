@@ -127,4 +127,4 @@ def ablation(frames: int = 40, size: int = 32, seed: int = 1) -> None:
         for name, each in measure(COVERS, size, NOISES, frames, seed).items()
     ]  # fmt: skip
     print_table("Rules of auto, one off at a time", HEADINGS, rows)
-    print_lines(*(f"{rule}: {meaning}." for rule, (meaning, *_) in RULES.items()), machine())
+    print_lines(*(f"{rule}: {words}." for rule, (words, *_) in RULES.items()), machine())

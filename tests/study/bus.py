@@ -63,7 +63,7 @@ def _calls_per_s(work, seconds):
 class Live(NamedTuple):
     """Result of one or several buses."""
 
-    sent: int  # messages
+    messages: int  # sent
     received: int
     lost: int  # by the frames' own counters
     rate: float  # messages a second that came in
@@ -171,7 +171,7 @@ def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seco
         result = live(buses, rate, seconds)
         busy = "unknown: the clock of processor time is coarse" if result.cores is None else f"{result.cores:.2f}"
         print_lines(
-            f"{buses[0]['interface']} {', '.join(each['channel'] for each in buses)}: {result.sent:,} messages"
+            f"{buses[0]['interface']} {', '.join(each['channel'] for each in buses)}: {result.messages:,} messages"
             f" sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s, {result.lost:,} lost;"
             f" cores busy reading: {busy} (aim: 16,000/s, none lost, under 0.6)"
         )

@@ -3,7 +3,7 @@
 from itertools import combinations, product
 from typing import NamedTuple
 
-from tactiled.cli.bench import print_lines, print_table
+from tactiled.cli.bench import Reduced, print_lines, print_table
 from tactiled.study.faults import cases
 from tactiled.study.results import machine
 from tactiled.study.stability import WORSE, curve, restore, setting
@@ -40,9 +40,9 @@ def measure(setting, bad_only):
             yield Pair(name, ratios, [row.noticed for row in auto if row.failed], len(auto))
 
 
-def fault_pairs(quick: bool = False, seed: int = 1) -> None:
+def fault_pairs(reduced: Reduced = False, seed: int = 1) -> None:
     """Restore frames with every pair of faults; print the ten that hurt auto most."""
-    pairs = sorted(measure(setting(quick, seed)[0], quick), key=lambda pair: -pair.over_raw["auto"])
+    pairs = sorted(measure(setting(reduced, seed)[0], reduced), key=lambda pair: -pair.over_raw["auto"])
     table = [
         (pair.name, *(f"{pair.over_raw[name]:.2f}" for name in METHODS), f"{len(pair.noticed)} of {pair.scenes}",
          str(sum(pair.noticed)))

@@ -8,10 +8,10 @@ from time import perf_counter
 import numpy as np
 from scipy import fft
 
-from tactiled.cli.bench import print_lines, print_table
+from tactiled.cli.bench import Reduced, print_lines, print_table
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.peers import richardson_lucy, wiener
+from tactiled.study.peers import skimage_rl, wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import nrmse, rubber
@@ -54,7 +54,7 @@ def speed(size, seconds):
     positive = np.maximum(frame, 0)
     runs = {
         "skimage wiener": lambda: wiener(frame, psf, 0.01, clip=False),
-        "skimage rl": lambda: richardson_lucy(positive, psf, RL_ITERATIONS, clip=False),
+        "skimage rl": lambda: skimage_rl(positive, psf, RL_ITERATIONS, clip=False),
         "FFT pair": fft_pair(size),
     }
     runs |= {method: partial(make(method, press.blur, press.sigma), press.frame) for method in OURS}
@@ -109,10 +109,10 @@ def moving_clips(skin, frames):
     """A taxel's noise (kPa) and the frames of every moving scene."""
     surface, random = skin.surface, np.random.default_rng(0)
     for name in MOVING:
-        drawn = (
+        pressures = (
             SCENES[name](surface.x, surface.y, n / RATE_HZ, surface.size, surface.grain) for n in range(frames)
         )
-        clean = np.array([surface.sense(each).reshape(skin.array.frame_shape) for each in drawn])
+        clean = np.array([surface.sense(each).reshape(skin.array.frame_shape) for each in pressures])
         sigma = SPEED_NOISE * clean.max()
         yield sigma, (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
 
@@ -147,13 +147,13 @@ def errors(press):
     scale = float(press.frame.max())
     frame = press.frame.astype(float) / scale
     positive = np.maximum(frame, 0)
-    images["sk. rl, 30"] = scale * richardson_lucy(positive, press.psf, RL_ITERATIONS, clip=False)
+    images["sk. rl, 30"] = scale * skimage_rl(positive, press.psf, RL_ITERATIONS, clip=False)
     linear = (wiener(frame, press.psf, balance, clip=False) for balance in BALANCES)
-    iterated = (richardson_lucy(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
-    found = {name: nrmse(image, press.truth) for name, image in images.items()}
-    found["sk. wiener, tuned"] = min(nrmse(scale * image, press.truth) for image in linear)
-    found["sk. rl, tuned"] = min(nrmse(scale * image, press.truth) for image in iterated)
-    return found | {"better of these": min(found["sk. wiener, tuned"], found["sk. rl, tuned"])}
+    iterated = (skimage_rl(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
+    error = {name: nrmse(image, press.truth) for name, image in images.items()}
+    error["sk. wiener, tuned"] = min(nrmse(scale * image, press.truth) for image in linear)
+    error["sk. rl, tuned"] = min(nrmse(scale * image, press.truth) for image in iterated)
+    return error | {"better of these": min(error["sk. wiener, tuned"], error["sk. rl, tuned"])}
 
 
 def mean(results, method, scene=None):
@@ -166,10 +166,10 @@ def worse_than_raw(results, method):
     return max(ratios), sum(ratio > WORSE for ratio in ratios)
 
 
-def restore(quick: bool = False, repeats: int = 3, seed: int = 1) -> None:
+def restore(reduced: Reduced = False, repeats: int = 3, seed: int = 1) -> None:
     """Time our methods and scikit-image's at 16, 32 and 64 squared, and compare their errors."""
     sizes = [f"{size} x {size}" for size in SIZES]
-    medians, jitters = zip(*(speed(size, 0.1 if quick else 1.0) for size in SIZES), strict=True)
+    medians, jitters = zip(*(speed(size, 0.1 if reduced else 1.0) for size in SIZES), strict=True)
     rows = [(name, *(f"{each[name]:.1f}" for each in medians)) for name in medians[0]]
     for name, slow, aim in (
         ("wiener", "skimage wiener", "8 at 32, 4 at 64"),
@@ -179,7 +179,7 @@ def restore(quick: bool = False, repeats: int = 3, seed: int = 1) -> None:
         ratios = (f"{each[slow] / each[name]:.1f} x" for each in medians)
         rows.append((f"{name}: times as fast as {slow} (aim: {aim})", *ratios))
     print_table("Median µs a frame that stands still, one thread", ("method", *sizes), rows)
-    figures, used, moved = zip(*(moving(size, 60 if quick else 400) for size in SIZES), strict=True)
+    figures, used, moved = zip(*(moving(size, 60 if reduced else 400) for size in SIZES), strict=True)
     rows = [(name, *(f"{each[name]:.1f}" for each in figures)) for name in figures[0]]
     rows.append(("used", *(", ".join(f"{name} {n}" for name, n in sorted(each.items())) for each in used)))
     print_table(f"auto on scenes moving at {RATE_HZ:g} Hz, µs, least of three passes", ("", *sizes), rows)
@@ -193,9 +193,9 @@ def restore(quick: bool = False, repeats: int = 3, seed: int = 1) -> None:
         for name in ("FFT pair", *FIXED)
     ]
     print_table("Jitter: worst moving scene but its first frame (aim: under 5); one frame repeated", heads, rows)
-    for size in (32,) if quick else SIZES:
-        covers = (1.0, 3.0) if quick else THICKNESSES
-        results = accuracy(presses(size, covers, NOISES, 1 if quick else repeats, seed))
+    for size in (32,) if reduced else SIZES:
+        covers = (1.0, 3.0) if reduced else THICKNESSES
+        results = accuracy(presses(size, covers, NOISES, 1 if reduced else repeats, seed))
         rows = []
         for name in results[0][1]:
             each = [f"{mean(results, name, scene):.3f}" for scene in (*TEST_SCENES, None)]

@@ -3,11 +3,11 @@ import pytest
 from tests.study import bus
 
 
-@pytest.mark.parametrize(("count", "sent"), [(1, 2000), (3, 2001)])
-def test_every_message_that_is_sent_is_received_and_counted(request, count, sent):
-    buses = [{"interface": "virtual", "channel": f"{request.node.name}{n}"} for n in range(count)]
-    result = bus.live(buses, rate=20_000, seconds=0.1)
-    assert (result.sent, result.received, result.lost) == (sent, sent, 0)
+@pytest.mark.parametrize(("buses", "messages"), [(1, 2000), (3, 2001)])
+def test_every_message_that_is_sent_is_received_and_counted(request, buses, messages):
+    channels = [{"interface": "virtual", "channel": f"{request.node.name}{n}"} for n in range(buses)]
+    result = bus.live(channels, rate=20_000, seconds=0.1)
+    assert (result.messages, result.received, result.lost) == (messages, messages, 0)
     assert result.rate > 0
 
 

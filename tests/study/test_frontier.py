@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from tactiled.cli.app import app
 from tactiled.study import peers
-from tactiled.study.frontier import Effort, Mark, Panel, better, floor, front, panel, rivals, verdict
+from tactiled.study.frontier import Effort, Mark, Panel, better, floor, front, lines, panel, verdict
 from tactiled.study.skin import clips, nrmse, rubber
 
 TINY = Effort(covers=(1.0,), noises=(0.02,), size=12, frames=2, rounds=1, peer_rounds=1, stops=(3,))
@@ -30,7 +30,8 @@ def test_front_agrees_with_its_definition():
 
 
 def marks(*others):
-    return Panel("a", 1.0, 0.01, 0.1, (Mark("auto", True, 0.2, 50, 60), *others))
+    rivals = [Mark(name, True, 0.3, 60, 60) for name in ("raw", "wiener", "rl-fast")]
+    return Panel("a", 1.0, 0.01, 0.1, (Mark("auto", True, 0.2, 50, 60), *rivals, *others))
 
 
 def test_better_methods_are_no_worse_in_time_and_error():
@@ -42,7 +43,7 @@ def test_the_table_and_the_verdict_show_where_auto_is_beaten():
     same, best = Mark("nnls", True, 0.2, 40, 60), Mark("tv", True, 0.1, 40, 60)
     panels = [marks(), marks(same), marks(same, best)]
     assert next(verdict(panels)) == "auto is on the Pareto front in 1 of 3 panels."
-    assert [rivals(one) for one in panels[:2]] == ["nothing", "nnls, by 0.0 % of the error and 20 % of the time"]
+    assert [line[-1] for line in lines(panels)] == ["nothing", "nnls", "nnls, tv"]
 
 
 def test_a_panel_has_every_method_and_the_same_errors_in_every_run(skin):
@@ -87,7 +88,7 @@ def test_the_bound_of_linear_filters_falls_with_the_noise(skin):
 
 
 def test_command_writes_chart_table_and_summary(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactiled.study.frontier.QUICK_EFFORT", TINY)
+    monkeypatch.setattr("tactiled.study.frontier.REDUCED", TINY)
     done = CliRunner().invoke(app, ["bench", "frontier", "--quick", "--out", str(tmp_path / "new")])
     assert done.exit_code == 0, done.output
     assert "Seed 1" in done.output

@@ -1,10 +1,9 @@
 import re
-from dataclasses import replace
 
 from typer.testing import CliRunner
 
 from tactiled.cli.app import app
-from tactiled.study import page, report
+from tactiled.study import page
 from tactiled.study.faults import SWEEPS, Setting
 from tactiled.study.frontier import Effort
 from tactiled.study.skin import rubber
@@ -13,21 +12,13 @@ from tactiled.study.skin import rubber
 def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tmp_path, monkeypatch):
     some = tuple(sweep for sweep in SWEEPS if sweep.name in ("cover", "white noise", "offset"))
     monkeypatch.setattr("tactiled.study.faults.SWEEPS", some)
-    tiny = replace(
-        report.plan((rubber(1.0, 12),), True, 1),
-        effort=Effort(noises=(0.02,), frames=1, rounds=1, peer_rounds=1, stops=(3,)),
-        setting=Setting(rubber(1.5, 12), 1, ("punches",)),
-        values=slice(0, 1),
-    )
-    monkeypatch.setattr(report, "plan", lambda *_: tiny)
-    done, measure = [], report.measure
-    monkeypatch.setattr(
-        report, "measure", lambda plan, step: measure(plan, lambda name: done.append(name) or step(name))
-    )
-    result = CliRunner().invoke(app, ["bench", "report", "--quick", "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
-    assert result.output.strip().endswith("index.html")
-    assert len(done) == tiny.steps
+    tiny = Effort(covers=(1.0,), noises=(0.02,), size=12, frames=1, rounds=1, peer_rounds=1, stops=(3,))
+    monkeypatch.setattr("tactiled.study.frontier.REDUCED", tiny)
+    setting = Setting(rubber(1.5, 12), 1, ("punches",))
+    monkeypatch.setattr("tactiled.study.stability.setting", lambda *_: (setting, slice(0, 1)))
+    done = CliRunner().invoke(app, ["bench", "report", "--quick", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert done.output.strip().endswith("index.html")
     html = (tmp_path / "index.html").read_text()
     assert html.count("<svg") == html.count("</svg>") == 4
     assert not re.search(r'(?:src|href)="(?!#)(?!http://www\.w3\.org)[^"]*//', html)

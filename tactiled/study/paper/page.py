@@ -56,5 +56,5 @@ def _parts(compared: list[Statement]) -> Iterator[str]:
 
 def number(cell: str) -> str:
     """A cell with true minus signs and powers of ten."""
-    powers = re.sub(r"(\d)e-0*(\d+)", lambda found: f"{found[1]} × 10⁻{found[2].translate(SUPERSCRIPTS)}", cell)
+    powers = re.sub(r"(\d)e-0*(\d+)", lambda power: f"{power[1]} × 10⁻{power[2].translate(SUPERSCRIPTS)}", cell)
     return re.sub(r"(^|\s)-(?=\d)", r"\1−", powers)
