@@ -14,7 +14,7 @@ from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning
 from tactiled.restore.blur import Blur
 
-# `tactiled bench stability` counts how often these bounds raise a warning on sound frames.
+# `python -m tests.study false-warnings` counts how often these bounds raise a warning on sound frames.
 CHECK_EVERY_FRAMES = 16
 CHECKS_IN_A_ROW = 3  # that must agree before a warning is raised
 FALSE_ALARM = 1e-4  # chance that white noise, as configured, raises one of the warnings about noise
@@ -84,7 +84,7 @@ class FrameChecks:
             "offset": offset,
             "noise_low": self._noise_low(completed, noise * float(np.sqrt(sound.mean()))),
         }
-        codes = [code for code, shown in tests.items() if shown]
+        codes = [code for code, failed in tests.items() if failed]
         pressure = raw[sound]
         peak = float(pressure.max())
         if peak < PRESSED * noise:

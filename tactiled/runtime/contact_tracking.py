@@ -4,7 +4,7 @@ import threading
 import time
 from contextlib import suppress
 
-from tactiled.contacts.detection import CLEAR, Contact, Finder, Tracker
+from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder, Tracker
 from tactiled.frames import Image
 from tactiled.geometry import Array, Cells
 from tactiled.runtime.hub import Hub
@@ -51,8 +51,8 @@ class ContactTracking:
             image = self._hub.latest()
             if image is not None and image is not self._image:
                 noise = image.noise_kpa * max(image.noise_gain, 1.0)
-                found = self._finder(image.restored, noise, faint=self._tracker.holds)
-                self._contacts = tuple(self._tracker(found, image.arrived, CLEAR * noise))
+                contacts = self._finder(image.restored, noise, faint=self._tracker.holds)
+                self._contacts = tuple(self._tracker(contacts, image.arrived, BEGIN_SIGMAS * noise))
                 self._image = image
             return image, self._contacts
 

@@ -123,7 +123,7 @@ class Pipeline:
         if self._made_for != (self.method, self._noise.kpa):
             self._restorer = self._make_restorer()
         done = self._restorer(raw, flags)
-        shown = self._checks(raw, flags, done.image, self._noise.kpa, done.method)
+        check_warnings = self._checks(raw, flags, done.image, self._noise.kpa, done.method)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,
@@ -139,7 +139,7 @@ class Pipeline:
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._plan.warnings + self._noise.warning + _flag_warnings(flags) + shown,
+            warnings=self._plan.warnings + self._noise.warning + _flag_warnings(flags) + check_warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
         )
