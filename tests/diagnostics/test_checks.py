@@ -123,7 +123,7 @@ def test_an_image_of_points_is_not_compared_with_its_frame(blur):
 
 
 def test_a_raw_image_is_not_compared_with_its_frame():
-    """Points that nothing tells from pairs are raw images of auto: eight of these once had the warning outliers."""
+    """Points that nothing tells from pairs are raw images of auto: eight of these once had a warning."""
     raw = 0
     for press in presses(16, (0.5,), (0.002,), 12, seed=31):
         if press.scene == "points":
