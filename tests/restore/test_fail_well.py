@@ -1,4 +1,4 @@
-"""Frames and arrays that no one wants: never a NaN, never an explosion, never a warning (they are errors here)."""
+"""Damaged frames and odd arrays: never a NaN, never an explosion, never a warning (they are errors here)."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,11 @@ from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.methods import METHODS, make
 
 SIGMA = 0.5
-BOUND = 300.0  # times the largest pressure that could be meant: no image may exceed it
+BOUND = 300.0  # times the largest pressure that a sensor could mean: no image may exceed it
 
 
-def noise(shape, seed=0):
-    return np.random.default_rng(seed).normal(0, SIGMA, shape).astype(np.float32)
+def noise(shape):
+    return np.random.default_rng(0).normal(0, SIGMA, shape).astype(np.float32)
 
 
 def single(shape):
@@ -26,22 +26,27 @@ def spoiled(shape, value):
     return frame
 
 
+def full(shape, value, flag=None):
+    flags = None if flag is None else np.full(shape, flag, np.uint8)
+    return np.full(shape, value, np.float32), flags
+
+
 FRAMES = {
-    "all zero": lambda shape: (np.zeros(shape, np.float32), None),
+    "all zero": lambda shape: full(shape, 0),
     "noise": lambda shape: (noise(shape), None),
-    "uniform": lambda shape: (np.full(shape, 100, np.float32), None),
+    "uniform": lambda shape: full(shape, 100),
     "single taxel": lambda shape: (single(shape), None),
     "NaN": lambda shape: (spoiled(shape, np.nan), None),
     "Inf": lambda shape: (spoiled(shape, np.inf), None),
     "-Inf": lambda shape: (spoiled(shape, -np.inf), None),
-    "nothing but NaN": lambda shape: (np.full(shape, np.nan, np.float32), None),
-    "nothing but Inf": lambda shape: (np.full(shape, np.inf, np.float32), None),
+    "nothing but NaN": lambda shape: full(shape, np.nan),
+    "nothing but Inf": lambda shape: full(shape, np.inf),
     "absurd": lambda shape: (spoiled(shape, 1e30), None),
     "absurd both ways": lambda shape: (spoiled(shape, 3e38) * np.resize([1, -1], shape), None),
     "huge": lambda shape: (spoiled(shape, 1e9), None),
-    "denormal": lambda shape: (np.full(shape, 1e-42, np.float32), None),
-    "all saturated": lambda shape: (np.full(shape, 200, np.float32), np.full(shape, SATURATED, np.uint8)),
-    "all dead": lambda shape: (noise(shape) + 100, np.full(shape, DEAD, np.uint8)),
+    "denormal": lambda shape: full(shape, 1e-42),
+    "all saturated": lambda shape: full(shape, 200, SATURATED),
+    "all dead": lambda shape: full(shape, 100, DEAD),
     "negative drift": lambda shape: (noise(shape) - 30, None),
     "half negative": lambda shape: ((100 * np.sign(noise(shape))).astype(np.float32), None),
     "chequered": lambda shape: (np.resize([100.0, 0.0, 0.0], shape).astype(np.float32), None),
@@ -63,10 +68,9 @@ ARRAYS = {
 }
 
 
-def meant(frame):
+def largest(frame):
     """The largest pressure of a frame that a sensor could mean."""
-    known = np.abs(frame[np.isfinite(frame)])
-    return max(float(known.max(initial=0.0)), 4 * SIGMA)
+    return max(float(np.abs(frame[np.isfinite(frame)]).max(initial=0.0)), 4 * SIGMA)
 
 
 @pytest.mark.parametrize("array", ARRAYS)
@@ -80,9 +84,10 @@ def test_never_nan_never_an_explosion(covered, method, array):
             done = restorer(frame, flags)
             assert done.image.shape == blur.surface_shape, case
             assert np.isfinite(done.image).all(), case
-            assert float(np.abs(done.image).max()) <= BOUND * meant(frame), case
+            assert float(np.abs(done.image).max()) <= BOUND * largest(frame), case
             assert np.isfinite([done.noise_gain, done.resolution_mm]).all(), case
             assert np.isfinite(restorer.deviation()).all(), case
+        assert case != "all dead" or method in ("raw", "rl", "rl-fast", "points") or not done.image.any()
 
 
 @pytest.mark.parametrize("case", FRAMES)
@@ -109,15 +114,8 @@ def test_any_noise_will_do(covered, pressed, method, sigma):
     assert float(np.abs(image).max()) <= BOUND * max(float(frame.max()), 4 * sigma)
 
 
-@pytest.mark.parametrize("method", ["wiener", "nnls", "tv", "auto"])
-def test_nothing_but_dead_taxels_is_nothing(covered, method):
-    blur = covered((12, 12))
-    image = make(method, blur, SIGMA)(np.full((12, 12), 100, np.float32), np.full((12, 12), DEAD, np.uint8)).image
-    assert not image.any()
-
-
 @pytest.mark.parametrize("method", ["nnls", "tv"])
-def test_ten_thousand_iterations_stay_where_they_are(covered, pressed, method):
+def test_thousands_of_iterations_stay_where_they_are(covered, pressed, method):
     blur = covered((12, 12))
     frame, _ = pressed(blur, SIGMA)
     restorer = make(method, blur, SIGMA)

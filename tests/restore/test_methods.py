@@ -8,7 +8,7 @@ from tactiled.study.skin import clips, rubber
 from tests.study.presses import presses
 
 SIGMA = 0.5
-SHARP = [name for name in METHODS if name != "raw"]
+RESTORING = [name for name in METHODS if name != "raw"]
 LAYOUTS = [pytest.param(False, id="grid"), pytest.param(True, id="layout")]
 
 
@@ -17,7 +17,7 @@ def error(image, truth):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("method", SHARP)
+@pytest.mark.parametrize("method", RESTORING)
 def test_a_restored_image_is_nearer_the_truth_than_the_raw_one(covered, pressed, method, layout):
     blur = covered(layout=layout)
     frame, truth = pressed(blur, SIGMA)
@@ -26,6 +26,7 @@ def test_a_restored_image_is_nearer_the_truth_than_the_raw_one(covered, pressed,
     assert error(done.image, truth) < (0.75 if method != "rl-fast" else 0.95) * error(frame, truth)
     assert done.why
     assert (done.iterations > 0) == (done.method not in ("raw", "wiener", "idle"))
+    assert method in ("wiener", "auto", "points") or done.image.min() >= 0
 
 
 @pytest.mark.parametrize("method", ["wiener", "nnls", "tv", "auto"])
@@ -39,15 +40,14 @@ def test_a_finer_surface_is_restored_too(covered, pressed, method, refine):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("method", SHARP)
+@pytest.mark.parametrize("method", RESTORING)
 @pytest.mark.parametrize("sigma", [0.05, 0.5, 5.0])
 def test_total_force_stays_within_the_noise(covered, pressed, method, layout, sigma):
     blur = covered((16, 16), layout=layout)
     for seed in range(5):
         frame, _ = pressed(blur, sigma, seed)
         image = make(method, blur, sigma)(frame).image
-        predicted = float((blur.reach * image).sum())
-        assert abs(predicted - frame.sum()) <= 4 * sigma * np.sqrt(frame.size)
+        assert abs(float((blur.reach * image).sum()) - frame.sum()) <= 4 * sigma * np.sqrt(frame.size)
 
 
 @pytest.mark.parametrize("method", ["wiener", "nnls", "tv", "rl"])
@@ -62,38 +62,22 @@ def test_total_force_at_the_border_is_the_blurs_own(covered, method, thickness):
     assert abs(float((blur.reach * image).sum()) - frame.sum()) <= 0.05 * np.sqrt(frame.size)
 
 
-def test_images_of_least_squares_lucy_and_auto_do_not_pull(covered, pressed):
-    blur = covered()
-    for method in ("rl", "rl-fast", "nnls", "tv"):
-        assert make(method, blur, SIGMA)(pressed(blur, SIGMA)[0]).image.min() >= 0
-
-
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("method", ["wiener", "rl", "nnls", "tv", "auto"])
 @pytest.mark.parametrize("flag", [MISSING, BAD, DEAD])
-def test_unknown_taxels_are_inferred_whatever_they_say(covered, pressed, method, flag, layout):
+def test_unknown_taxels_are_inferred_whatever_their_values(covered, pressed, method, flag, layout):
     blur = covered((16, 16), layout=layout)
     frame, truth = pressed(blur, SIGMA)
-    whole = error(make(method, blur, SIGMA)(frame).image, truth)
-    gone = np.random.default_rng(1).random(frame.shape) < 0.05
-    gone |= (frame >= np.sort(frame, axis=None)[-30]) & (np.arange(frame.size).reshape(frame.shape) % 7 == 0)
-    flags = np.where(gone, flag, 0).astype(np.uint8)
-    broken = [np.where(gone, value, frame).astype(np.float32) for value in (0.0, 1e4, np.nan, -np.inf)]
+    unknown = np.random.default_rng(1).random(frame.shape) < 0.05
+    unknown |= (frame >= np.sort(frame, axis=None)[-30]) & (np.arange(frame.size).reshape(frame.shape) % 7 == 0)
+    flags = np.where(unknown, flag, 0).astype(np.uint8)
+    broken = [np.where(unknown, value, frame).astype(np.float32) for value in (0.0, 1e4, np.nan, -np.inf)]
     images = [make(method, blur, SIGMA)(each, flags).image.copy() for each in broken]
+    images.append(make(method, blur, SIGMA)(broken[2]).image)  # NaN is unknown without a flag
     for image in images:
         np.testing.assert_array_equal(image, images[0])
-    assert error(images[0], truth) < whole + 0.15
-    assert error(make(method, blur, SIGMA)(broken[0]).image, truth) > error(images[0], truth)
-
-
-def test_not_finite_is_unknown_without_a_flag(covered, pressed):
-    blur = covered()
-    frame, _ = pressed(blur, SIGMA)
-    flags = np.zeros(frame.shape, np.uint8)
-    flags[4, 4] = DEAD
-    expected = make("nnls", blur, SIGMA)(frame, flags).image.copy()
-    frame[4, 4] = np.nan
-    np.testing.assert_array_equal(make("nnls", blur, SIGMA)(frame).image, expected)
+    assert error(images[0], truth) < error(make(method, blur, SIGMA)(frame).image, truth) + 0.15
+    assert error(images[0], truth) < error(make(method, blur, SIGMA)(broken[0]).image, truth)
 
 
 def test_a_saturated_taxel_is_a_lower_bound(covered):
@@ -108,42 +92,23 @@ def test_a_saturated_taxel_is_a_lower_bound(covered):
     assert error(make("nnls", blur, SIGMA)(cut, flags).image, truth) < 0.7 * naive
 
 
-def test_frames_and_images_of_the_caller_are_not_touched(covered, pressed):
-    blur = covered()
-    for method in METHODS:
-        frame, _ = pressed(blur, SIGMA)
-        frame[0, 0] = np.nan
-        before = frame.copy()
-        make(method, blur, SIGMA)(frame)
-        np.testing.assert_array_equal(frame, before)
-
-
-def test_the_same_frames_after_a_reset_give_the_same_images(covered, pressed):
+@pytest.mark.parametrize("method", METHODS)
+def test_a_reset_forgets_the_frames_before_and_frames_of_the_caller_are_not_touched(covered, pressed, method):
     blur = covered()
     frames = [pressed(blur, SIGMA, seed)[0] for seed in range(4)]
-    for method in METHODS:
-        restorer = make(method, blur, SIGMA)
-        first = [restorer(frame).image.copy() for frame in frames]
-        restorer.reset()
-        for frame, image in zip(frames, first, strict=True):
-            np.testing.assert_array_equal(restorer(frame).image, image)
+    frames[1][0, 0] = np.nan
+    before = [frame.copy() for frame in frames]
+    restorer = make(method, blur, SIGMA)
+    first = [restorer(frame).image.copy() for frame in frames]
+    restorer.reset()
+    for frame, image in zip(frames, first, strict=True):
+        np.testing.assert_array_equal(restorer(frame).image, image)
+    np.testing.assert_array_equal(frames, before)
 
 
-def test_warm_iterations_are_fewer_and_no_worse(covered, pressed):
-    blur = covered((24, 24))
-    restorer = make("nnls", blur, SIGMA)
-    cold = restorer(pressed(blur, SIGMA, 0)[0]).iterations
-    for seed in range(1, 6):
-        frame, truth = pressed(blur, SIGMA, seed)
-        warm = restorer(frame)
-    fresh = make("nnls", blur, SIGMA)(frame)
-    assert warm.iterations < cold / 2
-    assert error(warm.image, truth) < 1.05 * error(fresh.image, truth)
-
-
-@pytest.mark.parametrize(("method", "most"), [("nnls", 1.4), ("tv", 1.7), ("auto", 1.4)])
+@pytest.mark.parametrize(("method", "limit"), [("nnls", 1.4), ("tv", 1.7), ("auto", 1.4)])
 @pytest.mark.parametrize("thickness", [1.0, 2.0])
-def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, method, most, thickness):
+def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, method, limit, thickness):
     """Discs and Braille move by 0.4 pitches a frame; the image before as it was made up to six times the error."""
     monkeypatch.setattr("tactiled.study.skin.STEP", 0.4)
     skin = rubber(thickness, 24)
@@ -152,59 +117,30 @@ def test_a_moving_press_is_hardly_the_worse_for_the_image_before(monkeypatch, me
         following = make(method, skin.blur, clip.sigma)
         for frame, truth in zip(clip.frames, clip.truths, strict=True):
             image, fresh = following(frame).image, make(method, skin.blur, clip.sigma)(frame).image
-            assert error(image, truth) < most * error(fresh, truth)
+            assert error(image, truth) < limit * error(fresh, truth)
 
 
 @pytest.mark.parametrize("method", ["nnls", "tv", "points", "auto"])
-def test_a_frame_that_has_nothing_to_do_with_the_one_before_is_restored_as_the_first(method):
+def test_a_frame_unrelated_to_the_one_before_is_restored_as_the_first(method):
     for thickness in (0.5, 2.0):
-        found = list(presses(16, (thickness,), (0.01,), seed=11))
-        following = make(method, found[0].blur, 1.0)
-        for press in found:
+        cases = list(presses(16, (thickness,), (0.01,), seed=11))
+        following = make(method, cases[0].blur, 1.0)
+        for press in cases:
             frame = (press.frame / press.sigma).astype(np.float32)
             done, fresh = following(frame), make(method, press.blur, 1.0)(frame)
             assert (done.method, done.iterations) == (fresh.method, fresh.iterations)
             np.testing.assert_array_equal(done.image, fresh.image)
 
 
-def test_noise_gain_is_what_noise_becomes(covered, pressed):
-    blur = covered((16, 16))
-    frame, truth = pressed(blur, SIGMA)
-    clean = blur.forward(truth).astype(np.float32)
-    restorer = make("wiener", blur, SIGMA)
-    told = restorer(frame).noise_gain
-    random = np.random.default_rng(2)
-    images = []
-    for _ in range(200):
-        images.append(restorer(clean + random.normal(0, SIGMA, clean.shape).astype(np.float32)).image.copy())
-    assert np.std(images, axis=0).mean() / SIGMA == pytest.approx(told, rel=0.15)
-
-
 def test_resolution_is_finer_with_less_noise_and_never_beyond_the_cells(covered, pressed):
     blur = covered((24, 24))
     frame, _ = pressed(blur, 0.01)
-    told = [make("wiener", blur, sigma)(frame).resolution_mm for sigma in (0.01, 0.1, 1.0, 10.0)]
-    assert told == sorted(told)
-    assert told[0] >= blur.cell_mm / np.sqrt(2)
-    assert told[-1] > 1.5 * told[0]
-
-
-def test_resolution_of_nothing_is_the_whole_array(covered):
-    blur = covered()
-    for method in METHODS:
-        assert make(method, blur, SIGMA)(np.zeros((12, 12), np.float32)).resolution_mm == 12
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_deviation_holds_the_error(covered, pressed, layout):
-    blur = covered((16, 16), layout=layout)
-    frame, truth = pressed(blur, SIGMA)
-    restorer = make("wiener", blur, SIGMA)
-    image, spread = restorer(frame).image, restorer.deviation()
-    assert spread.shape == blur.surface_shape
-    assert np.isfinite(spread).all()
-    assert (spread > 0).all()
-    assert 0.3 < np.sqrt(np.mean((image - truth) ** 2) / np.mean(spread**2)) < 3
+    resolutions = [make("wiener", blur, sigma)(frame).resolution_mm for sigma in (0.01, 0.1, 1.0, 10.0)]
+    assert resolutions == sorted(resolutions)
+    assert resolutions[0] >= blur.cell_mm / np.sqrt(2)
+    assert resolutions[-1] > 1.5 * resolutions[0]
+    for method in METHODS:  # of no contact: the array's width
+        assert make(method, blur, SIGMA)(np.zeros((24, 24), np.float32)).resolution_mm == 24
 
 
 @pytest.mark.parametrize("noise", [0.0, -1.0, np.nan, np.inf])
@@ -213,6 +149,6 @@ def test_a_noise_that_is_none_is_refused(covered, noise):
         make("auto", covered(), noise)
 
 
-def test_a_method_that_is_none_is_refused(covered):
+def test_an_unknown_method_is_refused(covered):
     with pytest.raises(ConfigError, match="method = 'sharpen': no such method: choose one of auto"):
         make("sharpen", covered(), SIGMA)
