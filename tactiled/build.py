@@ -1,4 +1,4 @@
-"""From checked settings to what the rooms are made with: arrays, stacks, codecs, plans."""
+"""The composition root: from a checked configuration to arrays, stacks, codecs and plans."""
 
 import logging
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
 
 LOG = logging.getLogger(__name__)
-CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
-SIDE = 1024  # of them in a row: as many as an array may have taxels in one
-THICK = 2.0  # pitches: a smallest gap above this is the cover's doing
+MAX_CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
+MAX_CELLS_IN_A_ROW = 1024  # as many as an array may have taxels in a row
+THICK_FROM_PITCHES = 2.0  # a smallest gap above this comes from the cover
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,28 +102,28 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
 def _check_cells(array: Array, refine: int) -> None:
     """ConfigError where a surface has too many cells to be restored in time."""
     cells, side = array.size * refine**2, max(array.frame_shape) * refine
-    if cells > CELLS or side > SIDE:
+    if cells > MAX_CELLS or side > MAX_CELLS_IN_A_ROW:
         raise ConfigError(
             f"refine = {refine}: {array.size} taxels then have {cells} cells, up to {side} in a row: "
-            f"give at most {CELLS}, and {SIDE} in a row"
+            f"give at most {MAX_CELLS}, and {MAX_CELLS_IN_A_ROW} in a row"
         )
 
 
 def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
-    """ConfigError where shear is to be newtons, and there is none or pressure is not kPa."""
+    """ConfigError where shear is to be in newtons, but the skin measures none or pressure is not in kPa."""
     if calibration.shear_n_per_count is None:
         return
-    given = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
+    setting = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
     if not isinstance(codec, ShearCodec):
-        raise ConfigError(f"{given}: the codec carries no shear: leave it out")
+        raise ConfigError(f"{setting}: the codec carries no shear: leave it out")
     if calibration.kpa_per_count is None:
-        raise ConfigError(f"{given}: forces need kpa_per_count, too: give both")
+        raise ConfigError(f"{setting}: forces need kpa_per_count, too: give both")
 
 
 def _constant_warnings(sensor: schema.Sensor, summary: CoverSummary, array: Array) -> tuple[FrameWarning, ...]:
     """Warnings of every image of a sensor."""
     warnings = [] if sensor.calibration.kpa_per_count else [warning("uncalibrated")]
-    if summary.smallest_gap > THICK * array.pitch:
+    if summary.smallest_gap > THICK_FROM_PITCHES * array.pitch:
         gap = f"finer than {summary.smallest_gap:.2g} mm" if np.isfinite(summary.smallest_gap) else "at all"
         warnings.append(warning("thick_cover", pitch_mm=array.pitch, gap=gap))
     return tuple(warnings)
@@ -142,23 +142,17 @@ def make_stack(sensor: schema.Sensor) -> Stack:
 def make_array(sensor: schema.Sensor) -> Array:
     """The array as configured, or as its codec knows it; ConfigError where neither says enough."""
     array = sensor.array
-    if array.positions_mm is not None:
-        _refuse(array, "rows", "columns", "pitch_mm")
-        return layout(np.array(array.positions_mm, float), array.aperture_mm, array.aperture or "round")
-    if (positions := sensor.codec.settings.positions) is not None:
-        _refuse(array, "rows", "columns", "pitch_mm")
+    positions = (
+        sensor.codec.settings.positions if array.positions_mm is None else np.array(array.positions_mm, float)
+    )
+    if positions is not None:
+        for key in ("rows", "columns", "pitch_mm"):
+            if (value := getattr(array, key)) is not None:
+                raise ConfigError(f"array.{key} = {value}: belongs to a grid, and this array has positions")
         return layout(positions, array.aperture_mm, array.aperture or "round")
     if array.rows is None or array.columns is None or array.pitch_mm is None:
         raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
     return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
-
-
-def _refuse(array: schema.Array, *keys: str) -> None:
-    for key in keys:
-        if getattr(array, key) is not None:
-            raise ConfigError(
-                f"array.{key} = {getattr(array, key)}: belongs to a grid, and this array has positions"
-            )
 
 
 def make_codec(sensor: schema.Sensor) -> Codec:
@@ -178,7 +172,6 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
 
 def make_calibration(sensor: schema.Sensor) -> Calibration:
     """Calibration as configured, over what the codec knows of its skin."""
-    given = sensor.calibration.model_dump(exclude_none=True)
-    skin = sensor.codec.settings
-    known = {"kpa_per_count": skin.kpa_per_count, "no_load": skin.no_load}
-    return Calibration(**({key: value for key, value in known.items() if value is not None} | given))
+    skin, configured = sensor.codec.settings, sensor.calibration.model_dump(exclude_none=True)
+    defaults = {"kpa_per_count": skin.kpa_per_count, "no_load": skin.no_load}
+    return Calibration(**({key: value for key, value in defaults.items() if value is not None} | configured))

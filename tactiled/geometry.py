@@ -41,10 +41,6 @@ class Array:
             raise ConfigError(
                 f"array width is {self.width} mm: apertures overlap past the pitch of {self.pitch} mm"
             )
-        if self.positions.ndim != 2 or self.positions.shape[1] != 2 or not len(self.positions):
-            raise ConfigError(f"array positions have shape {self.positions.shape}: give a list of (x, y) in mm")
-        if not np.isfinite(self.positions).all():
-            raise ConfigError("array positions hold a number that is not finite")
 
     @property
     def size(self) -> int:
@@ -61,8 +57,6 @@ def grid(
     rows: int, columns: int, pitch: float, width: float | None = None, aperture: Aperture = "square"
 ) -> Array:
     """Lay out rows x columns taxels at `pitch` (mm), the first at (0, 0); `width` (mm) defaults to the pitch."""
-    if rows < 1 or columns < 1:
-        raise ConfigError(f"array of {rows} x {columns} taxels: give at least one row and one column")
     y, x = np.mgrid[:rows, :columns] * pitch
     return Array(np.column_stack([x.ravel(), y.ravel()]), pitch, width or pitch, aperture, (rows, columns))
 
@@ -70,10 +64,10 @@ def grid(
 def layout(positions: NDArray[np.float64], width: float | None = None, aperture: Aperture = "round") -> Array:
     """Lay out taxels at `positions` (N, 2) in mm; the pitch is the least distance between two of them."""
     positions = np.asarray(positions, float)
-    if len(positions) == 1 and width is None:
-        raise ConfigError("array has one position and no aperture: give aperture_mm, the size of its taxel")
-    if positions.ndim != 2 or len(positions) < 2 or not np.isfinite(positions).all():
-        return Array(positions, width or 1.0, width or 1.0, aperture)
+    if len(positions) == 1:
+        if width is None:
+            raise ConfigError("array has one position and no aperture: give aperture_mm, the size of its taxel")
+        return Array(positions, width, width, aperture)
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     np.fill_diagonal(distances, np.inf)
     pitch = float(distances.min())

@@ -135,15 +135,15 @@ def latency(
     clients: Annotated[int, typer.Option(help="WebSocket clients.", min=1, max=500)] = 1,
 ) -> None:
     """Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback."""
-    from tactiled.cli.demo import demo_config, simulated
+    from tactiled.cli.demo import NOISE_KPA, demo_config
+    from tactiled.cli.simulate import simulated
     from tactiled.runtime.service import Service
     from tactiled.study.latency import HEADINGS, lines, measure
 
     config = demo_config()
     with threadpool_limits(1):
         service = Service(config)
-        (sensor,) = service.sensors.values()
-        source = simulated(config, sensor, "tour").messages
+        source = simulated(config.sensor["palm"], "tour", NOISE_KPA).messages
         result = measure(service, config, source, rate_hz, seconds, clients)
     print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result, clients))
     print_lines(machine())

@@ -14,6 +14,8 @@ from tactiled.config import tls
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.interop.foxglove import need
 
+NO_GAP_MM = 1e3  # wider than any array
+
 
 def check(config: options.Config) -> None:
     """Check a configuration, and print the effect of each cover on its array."""
@@ -40,18 +42,24 @@ def _table(plan: SensorPlan, summary: CoverSummary) -> Table:
     table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
     array = plan.array
     shape = " x ".join(map(str, array.frame_shape))
-    gap = f"{summary.smallest_gap:.2f} mm (the {summary.limit} sets it)"
-    if summary.smallest_gap >= 1e3:
-        gap = "none is resolvable"
     rows = {
         "array": f"{shape} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm",
         "messages a frame": f"{plan.codec.segments}",
         "cover": f"solved by {plan.kernel.model}, gain right to {plan.kernel.error_estimate:.1g}",
+    }
+    for row in (rows | summary_rows(summary)).items():
+        table.add_row(*row)
+    return table
+
+
+def summary_rows(summary: CoverSummary, noise: float = 0.01) -> dict[str, str]:
+    """What a cover does to an array, in words; `noise` over the indenters' pressure."""
+    gap = f"{summary.smallest_gap:.2f} mm (the {summary.limit} sets it)"
+    if summary.smallest_gap >= NO_GAP_MM:
+        gap = "none is resolvable"
+    return {
         "gain 0.5 / 0.1 at": f"{summary.half_gain:.3f} / {summary.tenth_gain:.3f} cycles/mm",
         "gain at the taxel Nyquist": f"{summary.nyquist_gain:.4f} at {summary.nyquist:.3f} cycles/mm",
         "noise amplification of full restoration": f"{summary.noise_gain:.1f} times",
-        "smallest resolvable gap": f"{gap}, at a noise of 1 % of the pressure",
+        "smallest resolvable gap": f"{gap}, at a noise of {100 * noise:g} % of the pressure",
     }
-    for row in rows.items():
-        table.add_row(*row)
-    return table

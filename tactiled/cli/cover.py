@@ -14,6 +14,7 @@ from rich.table import Table
 
 from tactiled.build import make_array, make_stack
 from tactiled.cli import options
+from tactiled.cli.check import summary_rows
 from tactiled.config import load
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
@@ -158,17 +159,11 @@ def _show(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary, nois
         half = f"{1 / (2 * frequency):.3g}" if frequency else "∞"
         table.add_row(f"{frequency:g}", half, f"{gain:.4f}")
     Console(highlight=False).print(table)
-    reason = "finer is lost in the cover" if summary.limit == "cover" else "the taxels stand no closer"
-    gap = f"{summary.smallest_gap:.3g} mm ({reason})" if np.isfinite(summary.smallest_gap) else "none"
+    for row in summary_rows(summary, noise).items():
+        typer.echo(": ".join(row))
     columns, rows = kernel.mesh
     how = f"{columns} x {rows} elements, {kernel.unknowns} unknowns" if kernel.model == "fem" else "exact"
-    typer.echo(
-        f"Gain 0.5 at {summary.half_gain:.3g}/mm and 0.1 at {summary.tenth_gain:.3g}/mm.\n"
-        f"Taxel Nyquist frequency {summary.nyquist:.3g}/mm: gain {summary.nyquist_gain:.3g}; "
-        f"undoing cover and aperture there amplifies noise {summary.noise_gain:.3g} times.\n"
-        f"Smallest resolvable gap between two indenters, at a noise of {noise:g} of their pressure: {gap}.\n"
-        f"Error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms)."
-    )
+    typer.echo(f"error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms)")
 
 
 def _show_press(radius: float | None, press: Press | None) -> None:

@@ -1,4 +1,4 @@
-"""`tactiled demo`: the whole belt with no hardware, over python-can's virtual bus."""
+"""`tactiled demo`: the whole service without hardware, over python-can's virtual bus."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,19 +10,17 @@ import typer
 from pydantic import SecretStr
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_stack
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
+from tactiled.cli.simulate import simulated
 from tactiled.config import Config, Server, parse
 from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
-from tactiled.cover.kernel import solve
 from tactiled.errors import ConfigError
-from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.simulate import Player, play, player
+from tactiled.simulate import play
 from tactiled.web.server import serve
 
 NOISE_KPA = 0.2  # of a simulated taxel
@@ -51,10 +49,20 @@ def demo(
     config = demo_config(record, shear)
     with threadpool_limits(1):
         service = Service(config)
-        (sensor,) = service.sensors.values()
-        source = _recorded(record) if record else _played(simulated(config, sensor, scene), rate_hz)
+        source = _recorded(record) if record else _simulated(config, scene, rate_hz)
         with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove))
+
+
+def _recorded(record: str) -> Source:
+    path = recording.path(record)
+    return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
+
+
+def _simulated(config: Config, scene: str, rate_hz: float) -> Source:
+    (sensor,) = config.sensor.values()
+    source = simulated(sensor, scene, NOISE_KPA)
+    return lambda sender, stop: play(source.messages, sender.send, rate_hz, stop)
 
 
 def _server(host: str, port: int, foxglove: int | None) -> Server:
@@ -91,18 +99,3 @@ def running(service: Service, config: Config, source: Source) -> Iterator[None]:
                 thread.join()
     finally:
         sender.close()
-
-
-def _recorded(record: str) -> Source:
-    path = recording.path(record)
-    return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
-
-
-def _played(one: Player, rate_hz: float) -> Source:
-    return lambda sender, stop: play(one.messages, sender.send, rate_hz, stop)
-
-
-def simulated(config: Config, sensor: Sensor, scene: str) -> Player:
-    """A scene under the cover as the exact solution has it, which is not the kernel that restores."""
-    exact = solve(make_stack(next(iter(config.sensor.values()))), "layered")
-    return player(sensor.array, exact, sensor.codec, sensor.plan.calibration, scene, NOISE_KPA)

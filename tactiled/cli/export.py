@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -28,6 +29,7 @@ from tactiled.runtime.pipeline import Pipeline
 
 Export = NpzExport | Hdf5Export | McapExport
 FORMATS: dict[str, type[Export]] = {".npz": NpzExport, ".h5": Hdf5Export, ".mcap": McapExport}
+EXTRAS = {".h5": ("hdf5", ["h5py"]), ".mcap": ("foxglove", ["mcap", "foxglove"])}  # and their packages
 SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
 UNITS = {
     "raw": "kPa",
@@ -55,7 +57,12 @@ def export(
     name = options.choose("sensor", sensor, settings.sensor)
     if out.suffix not in FORMATS:
         raise ConfigError(f"{out}: unsupported format; use {', '.join(FORMATS)}")
-    FORMATS[out.suffix].check()
+    extra, packages = EXTRAS.get(out.suffix, ("", []))
+    for package in packages:
+        if not find_spec(package):
+            raise ConfigError(
+                f"--out: {out.suffix} needs {package}: pip install 'tactiled[{extra}]', or export to .npz"
+            )
     began, recording = time.perf_counter(), Recording(file)
     with (
         threadpool_limits(1),

@@ -5,7 +5,6 @@ import json
 import zipfile
 from contextlib import ExitStack
 from dataclasses import astuple, fields
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.errors import ConfigError
 from tactiled.frames import Image, Loss, Message
 
 Arrays = dict[str, NDArray[Any]]
@@ -60,10 +58,6 @@ class NpzExport:
         self._places = {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions}
         self.close = self._columns.close
 
-    @classmethod
-    def check(cls) -> None:
-        """Raise ConfigError where what it needs is not installed."""
-
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
@@ -88,12 +82,6 @@ class NpzExport:
 
 class Hdf5Export(NpzExport):
     """HDF5, with the unit of each array beside it."""
-
-    @classmethod
-    def check(cls) -> None:
-        """Raise ConfigError where h5py is not installed."""
-        if not find_spec("h5py"):
-            raise ConfigError("--out: .h5 needs h5py: pip install 'tactiled[hdf5]', or export to .npz")
 
     @staticmethod
     def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:

@@ -1,26 +1,17 @@
 """Exports as MCAP: images and status in Foxglove's schemas, and the bus's data frames."""
 
 import json
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from tactiled import __version__
 from tactiled.build import SensorPlan
-from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
 from tactiled.interop import foxglove
 
 
 class McapExport:
     """One MCAP file, written as messages and images come."""
-
-    @classmethod
-    def check(cls) -> None:
-        """Raise ConfigError where mcap or Foxglove's SDK is not installed."""
-        if not find_spec("mcap"):
-            raise ConfigError("--out: .mcap needs mcap: pip install 'tactiled[foxglove]', or export to .npz")
-        foxglove.need("--out: .mcap")
 
     def __init__(self, path: Path, _: Path, plan: SensorPlan) -> None:
         from mcap.writer import Writer

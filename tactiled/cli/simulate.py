@@ -42,7 +42,7 @@ def simulate(
     settings = load(config) if config else parse(EXAMPLE, "example")
     name = options.choose("sensor", sensor, settings.sensor)
     one = _with_fd(settings.sensor[name], name, fd)
-    source = _player(one, scene, noise_kpa)
+    source = simulated(one, scene, noise_kpa)
     keys = options.present(channel=channel, bitrate=bitrate)
     sender = open_bus(**_bus(settings, one, interface) | keys)
     polled = bool(source.codec.polling.polls)
@@ -77,8 +77,8 @@ def _bus(settings: Config, sensor: Sensor, interface: str | None) -> dict[str, A
     return bus | {"fd": True} if isinstance(sensor.codec.settings, Packed) and sensor.codec.settings.fd else bus
 
 
-def _player(sensor: Sensor, scene: str, noise_kpa: float) -> Player:
-    """The cover solved exactly, which is not the kernel that restores."""
+def simulated(sensor: Sensor, scene: str, noise_kpa: float) -> Player:
+    """A scene under the cover as the exact solution has it, which is not the kernel that restores."""
     exact = solve(make_stack(sensor), "layered")
     calibration = make_calibration(sensor)
     return player(make_array(sensor), exact, make_codec(sensor), calibration, scene, noise_kpa)

@@ -187,7 +187,7 @@ class Array(Section):
     """Columns of a grid."""
     pitch_mm: Pitch | None = None
     """Distance between neighbouring taxels of a grid."""
-    positions_mm: Annotated[tuple[tuple[Place, Place], ...], Field(max_length=1024)] | None = None
+    positions_mm: Annotated[tuple[tuple[Place, Place], ...], Field(min_length=1, max_length=1024)] | None = None
     """Centre `[x, y]` of every taxel of any other layout: x to the right, y down."""
     aperture_mm: Annotated[float, Bounds(0.001, 1000.0, "mm")] | None = None
     """Side, or diameter, of the area that a taxel senses; left out: the smallest distance between two taxels."""

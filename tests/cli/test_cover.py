@@ -56,7 +56,11 @@ def test_a_footprint_keeps_its_pressure_in_the_middle():
 
 def test_the_table_is_followed_by_its_meaning():
     output = succeed("cover", "--pitch", 0.25, "--model", "layered")
-    for text in ("Gain 0.5 at 1.76/mm and 0.1 at 3.53/mm.", "gain 0.417", "0.25 mm (the taxels stand no closer)"):
+    for text in (
+        "gain 0.5 / 0.1 at: 1.759 / 3.527 cycles/mm",
+        "gain at the taxel Nyquist: 0.4173 at 2.000",
+        "smallest resolvable gap: 0.25 mm (the pitch sets it), at a noise of 1 % of the pressure",
+    ):
         assert text in output
 
 

@@ -9,7 +9,8 @@ import pytest
 from tactiled.build import make_codec
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
-from tactiled.cli.demo import demo_config, running, simulated
+from tactiled.cli.demo import demo_config, running
+from tactiled.cli.simulate import simulated
 from tactiled.config import parse
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.frames import Message
@@ -162,7 +163,7 @@ def test_the_demo_with_shear_shows_a_skin_with_shear():
     config = demo_config(shear=True)
     service = Service(config)
     (sensor,) = service.sensors.values()
-    source = simulated(config, sensor, "sphere")
+    source = simulated(config.sensor["skin"], "sphere", 0.2)
     with running(service, config, lambda sender, stop: play(source.messages, sender.send, 100.0, stop)):
         until(lambda: (image := sensor.hub.latest()) and image.sequence > 20)
     image = sensor.hub.latest()
