@@ -10,7 +10,7 @@ from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import schemas
-from tactiled.web.ws import session, xela
+from tactiled.web.ws import session
 from tactiled.web.ws.query import SensorsQuery, StreamQuery
 from tactiled.wire import LAYOUT
 
@@ -20,6 +20,7 @@ ABOUT = """Live images of covered tactile arrays, and how their sensors are doin
 
 Newest wins: nothing queues for a client that does not read. Where tokens are configured, a client shows one as
 `Authorization: Bearer TOKEN` or `?token=TOKEN`. REST is described in `openapi.json`."""
+XELA = "A welcome, then the newest frame of every live module with the codec xela, in the JSON of XELA's server"
 MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
     "status": (schemas.StreamStatus, "A sensor's state, at least once a second and on every change"),
     "contacts": (schemas.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
@@ -28,10 +29,6 @@ MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
         schemas.Shear,
         "With format=json and shear among the kinds: what a 3-axis skin feels along its surface",
     ),
-}
-XELA_MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
-    "welcome": (xela.Welcome, "The first message"),
-    "routine": (xela.Routine, "The newest frame of every live module with the codec xela, under its number"),
 }
 
 
@@ -67,7 +64,7 @@ def document(host: str, secure: bool = False) -> Json:
 @cache
 def _anywhere() -> Json:
     """The description of the service, wherever it is."""
-    models: list[type[BaseModel]] = [*(model for model, _ in (MESSAGES | XELA_MESSAGES).values()), schemas.Next]
+    models: list[type[BaseModel]] = [*(model for model, _ in MESSAGES.values()), schemas.Next]
     _, defined = models_json_schema(
         [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
     )
@@ -75,7 +72,7 @@ def _anywhere() -> Json:
     one = _channel("/api/v1/sensors/{name}/stream", "Images of one sensor", parameters(StreamQuery))
     about = "Images of several sensors; every message names its own"
     several = _channel("/api/v1/stream", about, parameters(SensorsQuery))
-    operations = {"showXela": _operation("send", "xela", [*XELA_MESSAGES])}
+    operations = {"showXela": _operation("send", "xela", ["xela"])}
     for channel in ("sensor", "sensors"):
         operations[f"show{channel.capitalize()}"] = _operation("send", channel, ["image", *MESSAGES])
         operations[f"ask{channel.capitalize()}"] = _operation("receive", channel, ["next"])
@@ -93,7 +90,7 @@ def _xela() -> Json:
     """The WebSocket of XELA's clients, whose messages are ignored."""
     about = "The JSON of XELA's own server, at / as well; messages of a client are ignored"
     token = {"token": parameters(StreamQuery)["token"]}
-    channel = _channel("/xela", about, token, (*XELA_MESSAGES,))
+    channel = _channel("/xela", about, token, ("xela",))
     codes = [each for each in channel["x-close-codes"] if each["code"] != session.BAD_REQUEST]
     return channel | {"x-close-codes": codes}
 
@@ -121,7 +118,7 @@ def _operation(action: str, channel: str, messages: list[str]) -> Json:
 
 
 def _messages() -> Json:
-    models = MESSAGES | XELA_MESSAGES | {"next": (schemas.Next, "With flow=credit: requests the next image")}
+    models = MESSAGES | {"next": (schemas.Next, "With flow=credit: requests the next image")}
     image = {
         "title": "image",
         "summary": "One image, little-endian; with together=1 all images of a frame, one behind the other",
@@ -129,7 +126,8 @@ def _messages() -> Json:
         "payload": {"type": "string", "format": "binary"},
         "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],
     }
-    return {"image": image} | {
+    xelas = {"title": "xela", "summary": XELA, "payload": {"type": "object"}}
+    return {"image": image, "xela": xelas} | {
         name: {
             "title": name,
             "summary": about,

@@ -1,119 +1,327 @@
+"""XELA's modules, as the public clients of XELA's server read them, with the library that they use."""
+
 import json
 import re
+import socket
+import threading
 import time
+from contextlib import ExitStack
+from dataclasses import replace
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+import websocket
+from pydantic import SecretStr
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from tactiled.frames import Message
-from tests.conftest import BUSY_S, Rig, meanwhile, pressed, until
+from tactiled.config import Server
+from tactiled.errors import TactileError
+from tactiled.frames import MISSING, Message
+from tactiled.runtime.pipeline import TARE_FRAMES
+from tactiled.web import server
+from tactiled.web.server import running, serve, xela_clients
+from tests.conftest import BUSY_S, Rig, ask, meanwhile, problem, until
+from tests.web.http.raw import websocket_url
 
-SKIN = """
-[sensor.skin]
+MODULE = """
+[sensor.{name}]
 bus = "can0"
 method = "raw"
 stale_after_s = {stale_after_s}
-codec = {{ name = "xela" }}
-array = {{ rows = 4, columns = 6, pitch_mm = 4.7 }}
+codec = {{ name = "xela", controller = {controller}, rows = [4, 3, 2, 1], columns = {columns} {codec} }}
+array = {{ rows = 4, columns = {width}, pitch_mm = 5.0 }}
 cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
 kernel = {{ model = "layered" }}
-calibration = {{ no_load = 36000, noise_kpa = 5 }}
+calibration = {{ {calibration} }}
 """
+RAW = "no_load = 36000, noise_kpa = 5"
+UNSHEARED = "kpa_per_count = 0.02, no_load = 36000, noise_kpa = 5"
+SCALED = UNSHEARED + ", shear_n_per_count = 0.0006"
+NEWTON = np.array([0.0006, 0.0006, 0.02 * 5.0**2 * 1e-3])  # N a count of X, Y and Z
+ONE = {"skin": (1, 6)}
 
 
-@pytest.fixture
+class Modules(Rig):
+    """A service with XELA's modules, {name: (controller, width)}, and the other end of their bus."""
+
+    def __init__(self, channel, modules, calibration, codec, stale_after_s):
+        texts = [
+            MODULE.format(
+                name=name, controller=controller, width=width, columns=[*reversed(range(width))],
+                calibration=calibration, codec=codec, stale_after_s=stale_after_s,
+            )
+            for name, (controller, width) in modules.items()
+        ]  # fmt: skip
+        super().__init__(channel, "".join(texts))
+        self.modules, self.skins = modules, [self.service.sensor(name) for name in modules]
+
+    def send(self, step=0, drop=()):
+        """One frame of every module: ids SDA << 8 | taxel << 4 | controller, SDAs and taxels downwards."""
+        for controller, width in self.modules.values():
+            ids = [
+                sda << 8 | taxel << 4 | controller for sda in (4, 3, 2, 1) for taxel in range(width - 1, -1, -1)
+            ]
+            for at, (id_, xyz) in enumerate(zip(ids, axes(width, step), strict=True)):
+                if at not in drop:
+                    data = bytes((0x93, *np.asarray(xyz, ">u2").tobytes(), 0x0C))
+                    self.bus.send(Message(time.time(), id_, data))
+
+    def rest(self):
+        """As many frames of step 0 as a tare takes, each restored before the next."""
+        for _ in range(TARE_FRAMES):
+            images = [each.hub.latest() for each in self.skins]
+            self.send()
+            until(lambda old=images: all(a.hub.latest() is not b for a, b in zip(self.skins, old, strict=True)))
+
+    def tare(self):
+        """Take the counts of step 0 as no load."""
+        self.send()
+        until(lambda: all(each.hub.latest() for each in self.skins))
+        for each in self.skins:
+            each.tare()
+        self.rest()
+
+
+def axes(width=6, step=0):
+    """(taxels, 3) counts; no two taxels rest at the same, and each is pressed and sheared by its own amount."""
+    each = np.arange(4 * width)
+    rest = np.column_stack([0x8000 + 3 * each, 0x8010 - 2 * each, 36000 + 7 * each])
+    return rest + step * np.column_stack([20 - each, each, 30 + 10 * each])
+
+
+def newtons(step):
+    """(taxels, 3): the load of a 4 x 6 module, from the counts that it rests at."""
+    return (axes(6, step) - axes()) * NEWTON
+
+
+def started(request, modules=ONE, calibration=RAW, codec="", stale_after_s=600):
+    channel = re.sub(r"\W", "-", f"{request.node.name}{calibration}")
+    return meanwhile(Modules(channel, modules, calibration, codec, stale_after_s))
+
+
+@pytest.fixture(scope="module")
 def rig(request):
-    skin = SKIN.format(stale_after_s=0.4 if "silent" in request.node.name else 600)
-    made = Rig(re.sub(r"\W", "-", request.node.name), skin if "without" not in request.node.name else "")
-    with meanwhile(made):
-        yield made
+    """One 4 x 6 module, its forces known: scaled, and tared."""
+    with started(request, calibration=SCALED) as modules:
+        modules.tare()
+        yield modules
 
 
-def counts(step):
-    """X, Y and Z of 24 taxels, row by row; some are bytes that a module has sent."""
-    axes = np.arange(72).reshape(24, 3) + np.array([0x3F00, 0x40E0, 0x8E00 + 0x100 * step])
-    axes[1] = 0x4098, 0x3F0C, 0x9151  # SDA 4, taxel 4
-    return axes
+@pytest.fixture(scope="module")
+def url(rig):
+    with running(rig.service) as address:
+        yield address
 
 
-def send(rig, axes, drop=()):
-    """One frame of a 4 x 6 module: ids SDA << 8 | taxel << 4 | 1, SDAs from 4 down, taxels from 5 down."""
-    ids = [sda << 8 | taxel << 4 | 1 for sda in (4, 3, 2, 1) for taxel in (5, 4, 3, 2, 1, 0)]
-    for place, (id_, xyz) in enumerate(zip(ids, axes, strict=True)):
-        if place not in drop:
-            data = bytes((0x93, *np.asarray(xyz, ">u2").tobytes(), 0x0C))
-            rig.bus.send(Message(time.time(), id_, data))
+class Client:
+    """Connects to ws://IP:PORT without a path, and needs each field that some public client reads, by its type."""
+
+    def __init__(self, url, path=""):
+        parts = urlsplit(url)
+        self.app = websocket.create_connection(f"ws://{parts.hostname}:{parts.port}{path}", timeout=BUSY_S)
+        assert json.loads(self.app.recv()) == {"message": "Welcome"}
+        self.number = 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.app.close()
+
+    def read(self):
+        """The counts and forces, or None, of each module in the next message."""
+        message = json.loads(self.app.recv())
+        modules = {key: message[key] for key in message if key.isdigit()}
+        assert set(message) == {"message", "time", "sensors", "type", "sendtime", *modules}
+        assert (message["type"], message["sensors"]) == ("routine", len(modules))
+        assert type(message["message"]) is int
+        assert message["message"] == self.number + 1
+        self.number, self.models = message["message"], [each["model"] for each in modules.values()]
+        assert (
+            message["time"] == max(each["time"] for each in modules.values()) <= message["sendtime"] <= time.time()
+        )
+        return {key: _parse(key, module) for key, module in modules.items()}
+
+    def until(self, step, modules=ONE):
+        """The first message with the counts of a step of all modules."""
+        while True:
+            parts = self.read()
+            if [*parts] == [str(n + 1) for n in range(len(modules))] and all(
+                np.array_equal(counts, axes(width, step))
+                for (counts, _), (_, width) in zip(parts.values(), modules.values(), strict=True)
+            ):
+                return [forces for _, forces in parts.values()]
 
 
-def websocket(url, path):
-    return connect(url.replace("http", "ws", 1) + path, compression=None)
+def _parse(key, module):
+    counts = np.reshape([int(each, 16) for each in module["data"].split(",")], (-1, 3))
+    assert module["data"] == ",".join(f"{each:04X}" for each in counts.ravel())
+    assert module["integer"] == counts.ravel().tolist()
+    assert all(type(each) is int for each in module["integer"])
+    taxels = len(counts)
+    assert (module["sensor"], module["taxels"], module["temp"]) == (key, taxels, [0.0] * taxels)
+    assert [type(module[each]) for each in ("time", "model")] == [float, str]
+    assert module["ups"] == [module["ups"][0]] * taxels
+    assert module["special"] == [[*each, *[0.0, 0, 0, 0] * 2, 0.0] for each in counts.tolist()]
+    if "calibrated" not in module:
+        return counts, None
+    assert all(type(each) is float for each in module["calibrated"])
+    return counts, np.reshape(module["calibrated"], (taxels, 3))
 
 
-def parsed(module):
-    """(taxels, 3), as XELA's own client reads a module's part of a message."""
-    values = [int(each, 16) for each in module["data"].split(",")]
-    assert len(values) == 3 * module["taxels"]
-    return np.reshape(values, (-1, 3))
+def forces_of(rig, url, step=5):
+    """The forces that a client reads with the frame of a step."""
+    with Client(url) as client:
+        rig.send(step)
+        return client.until(step, rig.modules)[0]
 
 
 @pytest.mark.parametrize("path", ["/xela", "/", ""])
-def test_a_client_of_xelas_server_reads_what_the_module_sent(rig, url, path):
-    with websocket(url, path) as client:
-        assert json.loads(client.recv(timeout=BUSY_S)) == {"message": "Welcome"}
-        for number in (1, 2):
-            began = time.time()
-            send(rig, counts(number))
-            told = json.loads(client.recv(timeout=BUSY_S))
-            at, rates = told.pop("time"), told["1"].pop("ups")
-            assert began <= at <= told.pop("sendtime") <= time.time()
-            assert len(rates) == 24
-            assert set(rates) == {rates[0]}
-            assert told == {
-                "message": number,
-                "type": "routine",
-                "sensors": 1,
-                "1": {
-                    "sensor": "1",
-                    "time": at,
-                    "model": "uSPa46",
-                    "taxels": 24,
-                    "data": ",".join(f"{each:04X}" for each in counts(number).ravel()),
-                    "integer": counts(number).ravel().tolist(),
-                    "temp": [0.0] * 24,
-                    "special": [[*each, *[0.0, 0, 0, 0] * 2, 0.0] for each in counts(number).tolist()],
-                },
-            }
-            np.testing.assert_array_equal(parsed(told["1"]), counts(number))
-            assert told["1"]["data"].split(",")[3:6] == ["4098", "3F0C", "9151"]
+def test_counts_and_forces_of_every_frame_in_order(rig, url, path):
+    with Client(url, path) as client:
+        for step in (4, 5, 6):
+            rig.send(step)
+            (forces,) = client.until(step)
+            np.testing.assert_allclose(forces, newtons(step), atol=1e-5)
+        assert client.models == ["uSPa46"]
 
 
-def test_a_frame_with_taxels_missing_is_not_passed_off_as_whole(rig, url):
-    with websocket(url, "/xela") as client:
+@pytest.mark.parametrize(
+    ("codec", "model"),
+    [('model = "XR1946"', "XR1946"), ('profile = "current"', "uSPa46"), ('model = "x-1"', "x-1")],
+)
+def test_the_model_is_the_configured_one(request, codec, model):
+    with started(request, codec=", " + codec) as modules, running(modules.service) as url, Client(url) as client:
+        modules.send(5)
+        assert client.until(5) == [None]
+        assert client.models == [model]
+
+
+def test_two_modules_are_in_every_message(request):
+    pads = {"left": (1, 4), "right": (2, 4)}
+    with started(request, pads) as modules, running(modules.service) as url, Client(url) as client:
+        modules.send(5)
+        assert client.until(5, pads) == [None, None]
+
+
+def test_a_frame_with_taxels_missing_and_a_silent_module_are_not_sent(request):
+    with started(request, stale_after_s=0.4) as modules, running(modules.service) as url:
+        (skin,) = modules.skins
+        with Client(url) as client:
+            modules.send(2, drop=(7,))
+            until(lambda: skin.newest and (skin.newest.flags > 0).any())
+            modules.send(3)
+            assert np.array_equal(client.read()["1"][0], axes(6, 3))
+        until(lambda: skin.status().state == "stale")
+        with Client(url) as client:
+            client.app.settimeout(1)
+            with pytest.raises(websocket.WebSocketTimeoutException):
+                client.read()
+
+
+def closed(address, **options):
+    """Code and reason with which a WebSocket is closed."""
+    with connect(address, **options) as client, pytest.raises(ConnectionClosed) as caught:
         client.recv(timeout=BUSY_S)
-        send(rig, counts(1))
-        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=BUSY_S))["1"]), counts(1))
-        send(rig, counts(2), drop=(7,))
-        until(lambda: (rig.service.sensor("skin").newest.flags > 0).any())
-        with pytest.raises(TimeoutError):
-            client.recv(timeout=0.3)
-        send(rig, counts(3))
-        np.testing.assert_array_equal(parsed(json.loads(client.recv(timeout=BUSY_S))["1"]), counts(3))
+    return caught.value.rcvd.code, caught.value.rcvd.reason
 
 
-def test_a_module_that_has_fallen_silent_is_shown_no_longer(rig, url):
-    send(rig, counts(1))
-    until(lambda: rig.service.sensor("skin").status().state == "stale")
-    with websocket(url, "/xela") as client:
-        client.recv(timeout=BUSY_S)
-        with pytest.raises(TimeoutError):
-            client.recv(timeout=1)
+def test_a_service_without_modules_says_so(request):
+    with started(request, {}) as modules, running(modules.service) as url:
+        assert closed(websocket_url(url, "/xela")) == (4404, "no sensor here has the codec xela")
 
 
-def test_a_service_without_xelas_modules_says_so(rig, url):
-    rig.show(pressed())
-    with websocket(url, "/xela") as client:
-        with pytest.raises(ConnectionClosed) as caught:
-            client.recv(timeout=BUSY_S)
-        assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (4404, "no sensor here has the codec xela")
+def test_a_frame_is_made_into_a_message_once_for_all_clients(rig, url, monkeypatch):
+    pipeline, made = rig.skins[0].pipeline, []
+    monkeypatch.setattr(pipeline, "forces", lambda frame: made.append(frame) or np.ones((24, 3)))
+    with ExitStack() as stack:
+        clients = [stack.enter_context(Client(url)) for _ in range(5)]
+        for step in (31, 32):
+            rig.send(step)
+            for client in clients:
+                client.until(step)
+            assert sum(frame is rig.skins[0].newest for frame in made) == 1
+
+
+def test_messages_of_a_client_are_ignored(rig, url):
+    with Client(url) as client:
+        for message in ({"command": "calibrate"}, {}, ["reset"], "stop", None):
+            client.app.send(json.dumps(message))
+        rig.send(5)
+        client.until(5)
+        rig.rest()  # as many frames as a tare would take
+    assert rig.skins[0].pipeline.tared == 1
+
+
+@pytest.mark.parametrize(
+    ("calibration", "tared"), [(UNSHEARED, True), (SCALED, False), (SCALED + ", dead = [7]", True)]
+)
+def test_forces_are_left_out_unless_all_are_known(request, calibration, tared):
+    with started(request, calibration=calibration) as modules, running(modules.service) as url:
+        if tared:
+            modules.tare()
+        assert forces_of(modules, url) is None
+
+
+def test_a_taxel_that_no_frame_of_the_tare_had_has_no_known_force(request):
+    with started(request, calibration=SCALED) as modules:
+        (skin,) = modules.skins
+        modules.send()
+        until(lambda: skin.hub.latest() is not None)
+        skin.tare()
+        flags = skin.newest.flags.copy()
+        flags[7] = MISSING
+        for number in range(TARE_FRAMES + 1):
+            skin.restore(replace(skin.newest, flags=flags, sequence=100 + number))
+        assert skin.pipeline.tared
+        assert skin.pipeline.forces(replace(skin.newest, flags=np.zeros_like(flags))) is None
+
+
+GUARDED = Server(port=0, xela=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
+
+
+def test_the_extra_port_needs_no_token_and_has_nothing_else(rig):
+    with running(rig.service, GUARDED) as url, xela_clients(rig.service, GUARDED) as address:
+        np.testing.assert_allclose(forces_of(rig, address), newtons(5), atol=1e-5)
+        assert closed(websocket_url(url, "/"))[0] == 4401
+        assert closed(address, origin="http://x")[0] == 4403
+        base = address.replace("ws", "http", 1)
+        for path in ("/", "/xela", "/api/v1/health", "/api/v1/openapi.json", "/metrics", "/static/app.js"):
+            assert problem(ask("GET", base + path), 404) == f"GET {path}: not found"
+        problem(ask("PUT", base + "/api/v1/sensors/skin/method", json={"method": "raw"}), 404)
+        for path in ("/api/v1/stream", "/api/v1/sensors/skin/stream"):
+            assert closed(address + path) == (4404, f"{path}: no stream: see /xela")
+    with xela_clients(rig.service, Server()) as none:
+        assert none is None
+
+
+def test_the_extra_port_may_be_open_to_other_machines(rig):
+    with xela_clients(rig.service, GUARDED.model_copy(update={"xela_host": "0.0.0.0"})) as address:
+        for host in {"127.0.0.1", socket.gethostbyname(socket.gethostname())}:
+            assert forces_of(rig, f"ws://{host}:{urlsplit(address).port}") is not None
+
+
+def test_a_port_in_use_is_named(rig):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        extra = xela_clients(rig.service, Server(xela=port))
+        with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use"), extra:
+            pass
+
+
+def test_the_service_prints_the_extra_port_and_ends_with_it(rig, capsys, monkeypatch):
+    servers, make = [], server._server
+    monkeypatch.setattr(server, "_server", lambda app, at: servers.append(make(app, at)) or servers[-1])
+    thread = threading.Thread(target=serve, args=(rig.service, GUARDED), daemon=True)
+    thread.start()
+    until(lambda: len(servers) == 2 and all(each.started for each in servers))
+    pattern = r", for XELA's clients at (ws://127\.0\.0\.1:[0-9]+) \(stop: Ctrl-C\)"
+    (address,) = re.findall(pattern, capsys.readouterr().out)
+    assert forces_of(rig, address) is not None
+    servers[0].should_exit = True
+    thread.join(BUSY_S)
+    assert not thread.is_alive()
+    with pytest.raises(ConnectionRefusedError):
+        Client(address)
