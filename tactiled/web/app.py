@@ -23,7 +23,7 @@ from tactiled.web.ws import asyncapi, stream, xela
 from tactiled.web.ws.feed import Feed, ticking
 
 STATIC = Path(__file__).parent / "static"
-SWAGGER_UI = ("fastapi_offline", "static")  # package and folder
+API_PAGE_FILES = ("fastapi_offline", "static")  # package and folder
 MIN_GZIP_BYTES = 2048
 INCOMPRESSIBLE = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures
 DESCRIPTION = """Raw and restored pressure images of covered tactile arrays.
@@ -91,5 +91,5 @@ def _add_pages(app: FastAPI) -> None:
     def docs() -> FileResponse:
         return FileResponse(STATIC / "docs.html", headers={"Cache-Control": "no-cache"})
 
-    app.mount("/static/swagger", StaticFiles(packages=[SWAGGER_UI]), name="swagger")
+    app.mount("/static/swagger", StaticFiles(packages=[API_PAGE_FILES]), name="swagger")
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

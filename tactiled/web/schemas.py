@@ -1,6 +1,6 @@
 """The JSON objects of the API, field by field: the models behind OpenAPI and AsyncAPI."""
 
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Optional
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
@@ -11,19 +11,13 @@ from tactiled.restore.methods import METHODS
 from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.runtime.sensor import State
 
-T = TypeVar("T")
-Pair = Annotated[list[T], Field(min_length=2, max_length=2)]  # OpenAPI tools refuse the schema of a tuple
 PressureKind = Literal["raw", "restored", "deviation"]
 SensorName = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
 MethodName = Annotated[str, Field(json_schema_extra={"enum": list(METHODS)})]
 Values = Annotated[
     list[list[float | None]] | list[float | None],
-    Field(
-        description="rows of a grid, or one list; null where nothing is known",
-        examples=[[[0.0, 12.5], [3.25, 0.0]]],
-    ),
+    Field(description="rows of a grid, or one list; null: no data", examples=[[[0.0, 12.5], [3.25, None]]]),
 ]
-
 Flags = Annotated[
     list[list[int]] | list[int],
     Field(description="of the raw image: 1 missing + 2 bad + 4 dead + 8 saturated", examples=[[[0, 0], [0, 8]]]),
@@ -50,10 +44,10 @@ class RequestBody(Schema):
 
 def _or_null(schema: type[Schema]) -> Any:
     """The same fields, each null where there is no image yet."""
-    fields: dict[str, Any] = {
-        name: (each.annotation | None, Field(None, description=each.description, examples=each.examples))  # type: ignore[operator]
-        for name, each in schema.model_fields.items()
-    }
+    fields: dict[str, Any] = {}
+    for name, each in schema.model_fields.items():
+        field = Field(None, description=each.description, examples=each.examples)
+        fields[name] = (Optional[each.annotation], field)  # noqa: UP045, of a variable
     return create_model(f"{schema.__name__}OrNull", __base__=Schema, **fields)
 
 
@@ -208,8 +202,8 @@ class ImageShape(Schema):
 class Geometry(Schema):
     """Where the taxels are: x to the right, y down, mm."""
 
-    shape: Pair[int] | None = Field(description="null where the layout is no grid", examples=[[32, 32]])
-    positions_mm: list[Pair[float]] = Field(examples=[[[0.0, 0.0], [1.0, 0.0]]])
+    shape: list[int] | None = Field(description="null where the layout is no grid", examples=[[32, 32]])
+    positions_mm: list[list[float]] = Field(examples=[[[0.0, 0.0], [1.0, 0.0]]])
     pitch_mm: float = Field(examples=[1.0])
     aperture: Literal["square", "round"]
     aperture_mm: float = Field(description="side, or diameter", examples=[0.8])

@@ -8,15 +8,15 @@ from tactiled.errors import TactileError
 from tactiled.web.server import running
 
 
-def test_a_port_in_use_is_told_in_one_line(rig):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use: choose another port"):
-            running(rig.service, Server(port=port)).__enter__()
+def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
+    def error(**address):
+        with pytest.raises(TactileError) as caught:
+            running(rig.service, Server(control_token=SecretStr("a" * 16), **address)).__enter__()
+        return str(caught.value)
 
-
-@pytest.mark.parametrize("host", ["nowhere.invalid", "203.0.113.7", "a" * 64])
-def test_a_host_that_is_not_this_machine_is_told_in_one_line(rig, host):
-    with pytest.raises(TactileError, match=host) as caught:
-        running(rig.service, Server(host=host, control_token=SecretStr("a" * 16))).__enter__()
-    assert "\n" not in str(caught.value)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert error(port=port).startswith(f"address 127.0.0.1:{port}: in use: choose another port")
+    for host in ("nowhere.invalid", "203.0.113.7", "a" * 64):
+        assert host in error(host=host)
+        assert "\n" not in error(host=host)

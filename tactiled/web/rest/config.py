@@ -62,13 +62,13 @@ def _server(server: Server, service: Service) -> dict[str, Any]:
 
 
 def _overrides(service: Service) -> list[Override]:
-    kept = service.state.methods if service.state else {}
+    kept_methods = service.state.methods if service.state else {}
     return [
         Override(
             sensor=name,
             configured=sensor.plan.method,
             value=sensor.method,
-            kept=kept.get(name) == sensor.method,
+            kept=kept_methods.get(name) == sensor.method,
         )
         for name, sensor in service.sensors.items()
         if sensor.method != sensor.plan.method

@@ -56,16 +56,16 @@ async def check_parameters(request: HTTPConnection) -> None:
 def format_of(formats: Any) -> Any:
     """The dependency that gives one of `formats`: the parameter `format`, else by the Accept header."""
 
-    async def chosen(
+    async def form(
         request: Request,
-        form: Annotated[
+        requested: Annotated[
             formats | None,
             Query(alias="format", description="format of the answer; left out: by the Accept header"),
         ] = None,
     ) -> str:
-        return form or _accepted(request, get_args(formats))
+        return requested or _accepted(request, get_args(formats))
 
-    return Depends(chosen)
+    return Depends(form)
 
 
 def _accepted(request: Request, offered: tuple[str, ...]) -> str:

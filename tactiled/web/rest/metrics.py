@@ -14,7 +14,7 @@ from tactiled.web.http.places import Places
 from tactiled.web.rest.dependencies import CurrentService
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-GAUGES = (  # name, meaning, field of a sensor's status
+GAUGES = (  # name, help text, field of a sensor's status
     ("age_seconds", "time since the last frame", "age_s"),
     ("rate_hertz", "frames per second", "rate_hz"),
     ("jitter_seconds", "standard deviation of the last 100 frame periods", "jitter_s"),
@@ -46,9 +46,9 @@ def _sensors(service: Service) -> Iterator[Iterator[str]]:
         for state in get_args(State)
     ]
     yield _family("state", "gauge", "1 for the present state of the sensor, else 0", states)
-    for gauge, meaning, field in GAUGES:
+    for gauge, help_text, field in GAUGES:
         values = [({"sensor": name}, getattr(status, field)) for name, status in statuses.items()]
-        yield _family(gauge, "gauge", meaning, values)
+        yield _family(gauge, "gauge", help_text, values)
     losses = [
         ({"sensor": name, "kind": kind}, count)
         for name, status in statuses.items()
@@ -69,8 +69,8 @@ def _clients(streams: ConcurrencyLimit, places: Places) -> Iterator[Iterator[str
     yield _family("connections_dropped_total", "counter", "connections above the bound, by what was done", dropped)
 
 
-def _family(name: str, kind: str, meaning: str, samples: Iterable[Sample]) -> Iterator[str]:
-    yield f"# HELP tactiled_{name} {meaning}"
+def _family(name: str, kind: str, help_text: str, samples: Iterable[Sample]) -> Iterator[str]:
+    yield f"# HELP tactiled_{name} {help_text}"
     yield f"# TYPE tactiled_{name} {kind}"
     for labels, value in samples:
         if value is not None:

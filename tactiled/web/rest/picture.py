@@ -46,14 +46,14 @@ def draw(sensor: Sensor, image: Image, kind: PressureKind, top_kpa: float | None
 
     values = answers.pressures(sensor, image, kind)
     positions, pitch = sensor.array.positions, sensor.array.pitch
-    (left, top), (right, bottom) = positions.min(axis=0) - pitch / 2, positions.max(axis=0) + pitch / 2
-    aspect = float((bottom - top) / (right - left))
+    (west, north), (east, south) = positions.min(axis=0) - pitch / 2, positions.max(axis=0) + pitch / 2
+    aspect = float((south - north) / (east - west))
     wide = aspect < WIDE_BELOW
     figure = Figure(figsize=(6.0, min(max(5.0 * aspect, 0.8), 8.0) + (1.6 if wide else 0.5)), dpi=110)
     figure.set_layout_engine("compressed")  # a legend as long as the map
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(facecolor=UNKNOWN_COLOR)
-    colored = _map(axes, sensor, values, (left, right, bottom, top))
+    colored = _map(axes, sensor, values, (west, east, south, north))
     colored.set_clim(0, top_kpa or _peak_kpa(image, kind, values))
     status = sensor.status()
     age = "" if status.state == "live" else f"\n{status.state.upper()}: {status.age_s or 0.0:.1f} s old"

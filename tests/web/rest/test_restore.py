@@ -128,20 +128,20 @@ def refusal(url, client):
 
 
 def test_slow_transfers_delay_only_their_own_clients(rig, transfers, caplog):
-    most = restore.MAX_TRANSFERS
+    bound = restore.MAX_TRANSFERS
     with running(rig.service) as url:
         with ExitStack() as stack:
-            for n in range(1, most):
+            for n in range(1, bound):
                 stack.enter_context(begin(url, f"10.0.0.{n}", b"\x93NUMPY"))
-            until(lambda: len(transfers.clients) == most - 1)
+            until(lambda: len(transfers.clients) == bound - 1)
             assert refusal(url, "10.0.0.1") == "frames of 10.0.0.1 are in transfer: wait"
             for _ in range(3):
                 assert post(url, ONE_FRAME).status_code == 200
             last = stack.enter_context(begin(url, "10.0.0.9"))
-            until(lambda: len(transfers.clients) == most)
+            until(lambda: len(transfers.clients) == bound)
             assert refusal(url, "10.0.0.10") == "frames of 4 clients are in transfer: wait"
             last.close()
-            until(lambda: len(transfers.clients) == most - 1)
+            until(lambda: len(transfers.clients) == bound - 1)
             assert post(url, ONE_FRAME).status_code == 200
         until(lambda: not transfers.clients)
     assert not caplog.records  # a client that leaves is no failure of the service
