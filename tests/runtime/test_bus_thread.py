@@ -136,15 +136,6 @@ def test_half_a_frame_before_a_silence_is_shown_whatever_the_clock_of_the_bus(li
     assert line.sensor.hub.latest().loss.incomplete == 1
 
 
-def test_a_sender_that_restarts_after_its_clock_stepped_back_is_followed_at_once(line):
-    for n, when in ((100, 1e9), (0, 1e9 - 3600), (1, 1e9 - 3599.99)):
-        line.send(n, when, counts=100 + n)
-        until(lambda n=n: (image := line.sensor.hub.latest()) and image.raw[0, 0] == n / 2)
-        time.sleep(0.4 if n == 100 else 0.0)  # a silence, by which a restart is recognised
-    loss = line.sensor.status().loss
-    assert (loss.late, loss.lost) == (0, 0)
-
-
 def test_counts_of_a_bus_add_up_when_it_is_opened_again(line):
     bus, sensor = line.bus, line.sensor
     bus.counted = {"dropped": 3, "errors": 2, "bus_off": 1}

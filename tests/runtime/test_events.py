@@ -1,4 +1,3 @@
-import threading
 from dataclasses import replace
 
 import pytest
@@ -21,18 +20,6 @@ def test_events_are_numbered_and_the_oldest_are_dropped():
     assert [each.id for each in events.after(4)] == [5]
     assert events.after(5) == ()
     assert (events.newest, events.after(0)[0].time) == (5, 7.0)
-
-
-def test_event_ids_are_unique_across_threads():
-    events = Events()
-    threads = [
-        threading.Thread(target=lambda: [events.add("tare_asked", "") for _ in range(100)]) for _ in range(4)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert [each.id for each in events.after(0)] == list(range(1, 401))
 
 
 def test_hub_keeps_the_newest_and_calls_listeners_until_they_unsubscribe():

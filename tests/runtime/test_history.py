@@ -72,19 +72,6 @@ def test_the_last_images_come_in_order_with_all_that_is_known_of_them():
     assert numbers(history, kind="shear", max_values=3 * 32) == [47, 48, 49]  # of 32 numbers each
 
 
-def test_pages_lead_back_through_a_window():
-    history = ring(40, (image(n, sequence=2 * n) for n in range(100)))
-    pages, before = [], None
-    while not pages or pages[-1].older:
-        pages.append(page(history, seconds=0.245, before=before, max_frames=10))
-        before = int(pages[-1].sequence[0])
-    assert [len(each.sequence) for each in pages] == [10, 10, 5]
-    assert [n for each in reversed(pages) for n in each.sequence] == list(range(150, 200, 2))
-    assert numbers(history, before=5) == []
-    assert numbers(history, max_values=16 * 3) == [194, 196, 198]  # three images of 16 numbers
-    assert numbers(history, max_values=1) == [198]
-
-
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
 def test_a_step_of_the_clock_of_the_bus_neither_widens_nor_narrows_a_window(step):
     history = ring(400, (image(n, time=n / 100 + (step if n >= 250 else 0.0)) for n in range(300)))

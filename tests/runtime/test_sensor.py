@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -77,12 +75,3 @@ def test_jitter_and_skew_are_by_the_clock_of_the_bus(plan, monkeypatch):
         assert sensor.status().jitter_s == pytest.approx(np.sqrt(14.75 / 3) / 1000)  # of 10, 11, 13 and 15 ms
     timed.now += 10.0
     assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, 0.003)
-
-
-def test_a_silence_gives_up_a_tare_under_way(plan):
-    timed = Timed(replace(plan, method="raw"))
-    timed.sensor.restore(frame())
-    timed.sensor.tare(force=True)
-    timed.now += 0.4
-    timed.sensor.restore(frame(1))
-    assert timed.sensor.pipeline.lapsed == 1

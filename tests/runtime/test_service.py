@@ -6,7 +6,7 @@ import pytest
 
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
-from tactiled.errors import BusError, ConfigError, UnknownSensorError
+from tactiled.errors import BusError, UnknownSensorError
 from tactiled.runtime.service import Service
 from tests.conftest import CONFIG, NO_LOAD, until
 
@@ -33,12 +33,6 @@ def test_several_sensors_on_several_buses(request):
     assert service.sensor("palm").hub.latest().loss.foreign == 0
     with pytest.raises(UnknownSensorError, match="sensor 'toe': no such sensor: there are palm, thumb, index"):
         service.sensor("toe")
-
-
-def test_two_sensors_that_listen_to_the_same_messages_are_refused():
-    text = CONFIG.format(channel="none") + CONFIG.split("[sensor.palm]")[1].join(["[sensor.twin]", ""]).format()
-    with pytest.raises(ConfigError, match="sensors palm and twin both listen to id 0x500"):
-        Service(parse(text))
 
 
 def test_a_bus_that_cannot_be_opened_leaves_no_thread_running():
