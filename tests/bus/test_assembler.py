@@ -20,7 +20,7 @@ def counts_of(sequence):
     return np.full(10, sequence % 256 + 1, np.uint16) + np.arange(10, dtype=np.uint16)
 
 
-def sent(sequence):
+def frame_of(sequence):
     return CODEC.encode(counts_of(sequence), sequence, float(sequence))
 
 
@@ -30,18 +30,18 @@ def run(messages, codec=CODEC):
     return frames, assembler.loss
 
 
-A, B, C = sent(0), sent(1), sent(2)
+A, B, C = frame_of(0), frame_of(1), frame_of(2)
 
 
 @pytest.mark.parametrize(
     ("messages", "sequences", "loss"),
     [
         ([*A, *B, *C], [0, 1, 2], Loss()),
-        ([*A, *sent(4)], [0, 4], Loss(lost=9)),  # lost frames count every message they had
+        ([*A, *frame_of(4)], [0, 4], Loss(lost=9)),  # lost frames count every message they had
         ([A[0], A[0], A[1], A[2], A[2], *B], [0, 1], Loss(repeated=2)),
         ([A[0], A[2], A[1], *B], [0, 1], Loss(late=1)),
-        ([*(each for n in range(250, 260) for each in sent(n))], [*range(10)], Loss()),  # the counter wraps
-        ([*(each._replace(time=0.0) for n in (5, 6, 0, 1) for each in sent(n))], [0, 1], Loss(late=6)),
+        ([*(each for n in range(250, 260) for each in frame_of(n))], [*range(10)], Loss()),  # the counter wraps
+        ([*(each._replace(time=0.0) for n in (5, 6, 0, 1) for each in frame_of(n))], [0, 1], Loss(late=6)),
     ],
 )
 def test_frames_of_which_no_message_is_lost(messages, sequences, loss):
@@ -75,14 +75,14 @@ def test_a_frame_of_one_segment_closes_the_one_before_and_itself():
 
 
 def test_time_is_the_first_messages_and_skew_reaches_to_the_last():
-    messages = [each._replace(time=10.0 + n / 8) for n, each in enumerate(sent(0))]
+    messages = [each._replace(time=10.0 + n / 8) for n, each in enumerate(frame_of(0))]
     (frame,), _ = run(messages)
     assert (frame.time, frame.skew) == (10.0, 0.25)
 
 
 def test_a_half_received_frame_is_closed_when_its_sender_falls_silent():
     assembler = Assembler(CODEC)
-    assembler.push(CODEC.decode(sent(5)[0]))
+    assembler.push(CODEC.decode(frame_of(5)[0]))
     assert assembler.flush(before=5.0) == ()
     (frame,) = assembler.flush(before=5.1)
     assert np.count_nonzero(frame.flags & MISSING) == 6
@@ -91,8 +91,8 @@ def test_a_half_received_frame_is_closed_when_its_sender_falls_silent():
 
 @pytest.mark.parametrize("again", [0, 7, 8])  # 7: its last message was the very frame that it begins with
 def test_a_sender_that_begins_anew_after_a_silence_is_followed_at_once(again):
-    before = [each._replace(time=each.time / 100) for n in range(8) for each in sent(n)]
-    after = [each._replace(time=1.0 + each.time / 100) for n in range(again, again + 3) for each in sent(n)]
+    before = [each._replace(time=each.time / 100) for n in range(8) for each in frame_of(n)]
+    after = [each._replace(time=1.0 + each.time / 100) for n in range(again, again + 3) for each in frame_of(n)]
     frames, loss = run([*before, *after])
     assert [frame.sequence for frame in frames] == list(range(11))
     assert loss == Loss()
@@ -102,9 +102,9 @@ def test_a_sender_that_begins_anew_after_a_silence_is_followed_at_once(again):
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
 def test_ages_are_of_the_arrival_and_not_of_the_buss_clock(step):
     assembler = Assembler(CODEC)
-    for each in (*sent(100), *sent(101)):
+    for each in (*frame_of(100), *frame_of(101)):
         assembler.push(CODEC.decode(each._replace(time=1e9)), 10.0)
-    a, b = ([CODEC.decode(each._replace(time=1e9 + step)) for each in sent(n)] for n in (0, 1))
+    a, b = ([CODEC.decode(each._replace(time=1e9 + step)) for each in frame_of(n)] for n in (0, 1))
     ((frame,),) = [got for each in a if (got := assembler.push(each, 10.5))]
     assert (frame.sequence, frame.time, frame.arrived) == (2, 1e9 + step, 10.5)
     assembler.push(b[0], 10.51)
@@ -118,7 +118,7 @@ def test_ages_are_of_the_arrival_and_not_of_the_buss_clock(step):
 def test_a_step_of_the_clock_without_a_silence_is_no_restart(step):
     assembler = Assembler(CODEC)
     for at, n in enumerate((5, 6, 4, 7)):
-        for each in sent(n):
+        for each in frame_of(n):
             assembler.push(CODEC.decode(each._replace(time=1e9 + at * step)), 10.0 + at / 100)
     assert assembler.loss == Loss(late=3)
 
@@ -238,7 +238,7 @@ def test_diagnostics_reach_the_frame_for_head_and_tail():
 
 def test_foreign_and_malformed_messages_are_counted():
     router = Router({"palm": CODEC})
-    good = sent(0)
+    good = frame_of(0)
     for stray in (Message(0, 0x123, b"abc"), good[0]._replace(extended=True), good[0]._replace(data=b"\0\7")):
         assert router.push(stray) == ()
     frames = [frame for each in good for _, frame in router.push(each)]
@@ -253,7 +253,7 @@ def test_two_sensors_of_one_id_on_one_bus_are_refused():
 @settings(max_examples=300)
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=60))
 def test_in_any_order_no_frame_is_wrong_and_unmarked(order):
-    frames, loss = run([sent(sequence)[segment] for sequence, segment in order])
+    frames, loss = run([frame_of(sequence)[segment] for sequence, segment in order])
     first = order[0][0] if order else 0
     for frame in frames:
         good = frame.flags & MISSING == 0

@@ -113,7 +113,7 @@ def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "says"),
+    ("name", "settings", "reason"),
     [
         ("xela", {"rows": (1, 1)}, r"rows = \[1, 1\]: names a number twice"),
         ("xela", {"columns": (3, 3)}, r"columns = \[3, 3\]: names a number twice"),
@@ -122,6 +122,6 @@ def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
         ("icub", {"board": 0, "triangles": (1, 1)}, r"triangles = \[1, 1\]: names a number twice"),
     ],
 )
-def test_contradicting_settings_are_refused(name, settings, says):
-    with pytest.raises(ConfigError, match=says):
+def test_contradicting_settings_are_refused(name, settings, reason):
+    with pytest.raises(ConfigError, match=reason):
         skins.load(name)(**settings)

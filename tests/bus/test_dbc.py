@@ -21,7 +21,7 @@ FLOATS = Dbc(DBC, ("Floats.F1", "Floats.Offset", "Floats.F0"))
 
 
 @pytest.mark.parametrize(
-    ("codec", "sent", "counts"),
+    ("codec", "message", "counts"),
     [
         (  # little-endian signals are the bits of one integer
             CODECS["dbc"],
@@ -39,12 +39,12 @@ FLOATS = Dbc(DBC, ("Floats.F1", "Floats.Offset", "Floats.F0"))
         (FLOATS, Message(0.0, 0x303, struct.pack("<ffh2x", 1.5, -2.25, -7), fd=True), [-2.25, -7.0, 1.5]),
     ],
 )
-def test_counts_of_golden_messages(codec, sent, counts):
-    assert codec.unpack(payloads_of(codec, [sent])).tolist() == counts
+def test_counts_of_golden_messages(codec, message, counts):
+    assert codec.unpack(payloads_of(codec, [message])).tolist() == counts
 
 
 @pytest.mark.parametrize(
-    ("codec", "sent"),
+    ("codec", "message"),
     [
         ("dbc", Message(0.0, 0x300, bytes(7))),
         ("dbc", Message(0.0, 0x300, bytes(8), extended=True)),
@@ -53,9 +53,9 @@ def test_counts_of_golden_messages(codec, sent, counts):
         ("dbc-pages", Message(0.0, PAGE, bytes.fromhex("0900000000"), True)),  # unknown
     ],
 )
-def test_a_message_outside_the_map_is_refused(codec, sent):
+def test_a_message_outside_the_map_is_refused(codec, message):
     with pytest.raises(CodecError):
-        CODECS[codec].decode(sent)
+        CODECS[codec].decode(message)
 
 
 def test_signs_and_floats_are_counted_as_floats_and_small_integers_as_integers():
@@ -65,8 +65,8 @@ def test_signs_and_floats_are_counted_as_floats_and_small_integers_as_integers()
 
 @pytest.mark.parametrize("worst", [float("nan"), float("inf"), -float("inf")])
 def test_a_float_that_is_not_finite_makes_only_its_own_taxel_bad(worst):
-    sent = Message(0.0, 0x303, struct.pack("<ffh2x", worst, -2.25, -7), fd=True)
-    (frame,) = Assembler(FLOATS).push(FLOATS.decode(sent))
+    message = Message(0.0, 0x303, struct.pack("<ffh2x", worst, -2.25, -7), fd=True)
+    (frame,) = Assembler(FLOATS).push(FLOATS.decode(message))
     assert frame.flags.tolist() == [0, 0, BAD]
     assert frame.counts.tolist() == [-2.25, -7.0, 0.0]
 
@@ -84,14 +84,14 @@ def test_signed_and_float_counts_come_back(first, signed, second):
 
 
 @pytest.mark.parametrize(
-    ("codec", "counts", "says"),
+    ("codec", "counts", "reason"),
     [
         (CODECS["dbc"], [0, 4096, 0, 0, 0, 0], "count 4096 of taxel 1: T0_1 carries 0 to 4095"),
         (FLOATS, [0, -32769, 0], "count -32769 of taxel 1: Offset carries -32768 to 32767"),
     ],
 )
-def test_a_count_that_does_not_fit_is_refused(codec, counts, says):
-    with pytest.raises(CodecError, match=says):
+def test_a_count_that_does_not_fit_is_refused(codec, counts, reason):
+    with pytest.raises(CodecError, match=reason):
         codec.encode(np.array(counts, np.float32), 0, 0.0)
 
 
@@ -136,7 +136,7 @@ def test_a_template_may_count_from_1_and_pad():
 
 
 @pytest.mark.parametrize(
-    ("settings", "says"),
+    ("settings", "reason"),
     [
         (f'file = "nope.dbc", {TEMPLATE}', r"codec.file = '.*nope.dbc': No such file"),
         ('taxels = "Row{row}.T{row}_{col}"',
@@ -151,9 +151,9 @@ def test_a_template_may_count_from_1_and_pad():
         (f"taxels = {list(GRID[:5])}", "the codec carries 5 taxels and the array has 6"),
     ],
 )  # fmt: skip
-def test_every_fault_of_the_map_is_named(tmp_path, settings, says):
+def test_every_fault_of_the_map_is_named(tmp_path, settings, reason):
     settings = settings if "file" in settings else f'file = "skins/skin.dbc", {settings}'
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=reason):
         sensor_plan("skin", sensor(tmp_path, settings))
 
 

@@ -66,14 +66,14 @@ def test_a_message_of_another_layout_is_refused(message):
 
 
 @pytest.mark.parametrize(
-    ("size", "settings", "says"),
+    ("size", "settings", "reason"),
     [
         (1025, {}, r"1025 taxels of 12 bits need 257 messages .* at most 256: use fewer bits, or CAN FD"),
         (4, {"base_id": 0x7FF, "array_id": 1}, r"0x800 \(base_id \+ array_id\) is past 0x7ff: lower base_id"),
         (4, {"base_id": 0x1FFFFFFF, "array_id": 1, "extended": True}, "is past 0x1fffffff"),
     ],
 )
-def test_an_array_or_id_that_does_not_fit_is_refused(size, settings, says):
-    with pytest.raises(ConfigError, match=says):
+def test_an_array_or_id_that_does_not_fit_is_refused(size, settings, reason):
+    with pytest.raises(ConfigError, match=reason):
         Packed(size, **settings)
     Packed(1024, **settings | {"array_id": 0})

@@ -158,7 +158,7 @@ def one_line(error):
 
 
 @pytest.mark.parametrize(
-    ("settings", "says"),
+    ("settings", "reason"),
     [
         (
             {"interface": "sockecan", "channel": "can0"},
@@ -172,8 +172,8 @@ def one_line(error):
         ({"interface": "socketcan", "channel": "gone0"}, "no such interface|has no SocketCAN"),
     ],
 )
-def test_a_bus_that_cannot_be_opened_is_refused_in_one_line(settings, says):
-    with pytest.raises(BusError, match=says) as caught:
+def test_a_bus_that_cannot_be_opened_is_refused_in_one_line(settings, reason):
+    with pytest.raises(BusError, match=reason) as caught:
         open_bus(**settings)
     one_line(caught.value)
 

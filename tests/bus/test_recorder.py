@@ -56,9 +56,9 @@ def numbered(number):
 def numbers(path):
     """The numbers in a recording, of a compressed one up to the end that it lacks."""
     messages = Recording(path)
-    found = [int.from_bytes(each.data, "big") for each in messages]
+    counts = [int.from_bytes(each.data, "big") for each in messages]
     assert not messages.torn or path.name.endswith(".gz")
-    return found
+    return counts
 
 
 def fill(recorder):
@@ -92,7 +92,7 @@ def test_an_empty_recording_can_be_read(tmp_path, ending):
 
 
 @pytest.mark.parametrize(
-    ("name", "says"),
+    ("name", "reason"),
     [
         *((name, r"unsupported format; use one of \.log, \.asc") for name in ("a.mf4", "a.blf.gz", "log")),
         ("here.log", "is there already"),
@@ -100,9 +100,9 @@ def test_an_empty_recording_can_be_read(tmp_path, ending):
         ("at.7.30.log.gz", r"leave out dots before \.log\.gz"),
     ],
 )  # fmt: skip
-def test_a_name_that_cannot_be_recorded_to_is_refused(tmp_path, name, says):
+def test_a_name_that_cannot_be_recorded_to_is_refused(tmp_path, name, reason):
     (tmp_path / "here.log").write_text("mine")
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=reason):
         Recorder(tmp_path / name)
     assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [("here.log", "mine")]
 
@@ -177,15 +177,15 @@ CHANGES = {
 @pytest.mark.parametrize("ending", [".log", ".blf", ".log.gz"])
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_file_that_another_program_changes_ends_the_recording_with_an_error(tmp_path, ending, change):
-    path, (act, says) = tmp_path / f"a{ending}", CHANGES[change]
+    path, (act, reason) = tmp_path / f"a{ending}", CHANGES[change]
     recorder = Recorder(path)
     recorder.put(numbered(1))
     until(lambda: recorder.written == 1)
     act(path)
-    with pytest.raises(TactileError, match=rf"a{ending}: {says}.*: the recording ends early"):
+    with pytest.raises(TactileError, match=rf"a{ending}: {reason}.*: the recording ends early"):
         fill(recorder)
     after = path.read_bytes() if path.exists() else None
-    with pytest.raises(TactileError, match=rf"{says}.*: the recording ends early, after 1 messages"):
+    with pytest.raises(TactileError, match=rf"{reason}.*: the recording ends early, after 1 messages"):
         recorder.close()
     assert after == (path.read_bytes() if path.exists() else None)  # nothing more is written into it
 
@@ -308,9 +308,9 @@ def test_kill_9_leaves_a_file_with_all_that_was_written(tmp_path, ending):
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
-    found = numbers(path)
-    assert found == list(range(len(found)))
-    assert len(found) >= written
+    counts = numbers(path)
+    assert counts == list(range(len(counts)))
+    assert len(counts) >= written
 
 
 def test_the_systems_own_limit_on_a_file_ends_the_recording_with_an_error(tmp_path):

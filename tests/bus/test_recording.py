@@ -83,19 +83,19 @@ def test_a_recording_is_played_at_its_own_pace_and_its_messages_bear_the_time_of
 
 
 def test_a_loop_ends_by_its_stop_and_keeps_frames_whole(plan):
-    stop, sent = Event(), []
+    stop, played = Event(), []
 
     def send(message):
-        sent.append(message)
-        if len(sent) == 325:
+        played.append(message)
+        if len(played) == 325:
             stop.set()
 
     assert recording.play(recording.path("book_1"), send, stop, loop=True) == 325
     router = Router({"hand": plan.codec})
-    frames = [frame for each in sent for _, frame in router.push(each)]
+    frames = [frame for each in played for _, frame in router.push(each)]
     assert len(frames) == 32
     assert not any(frame.flags.any() for frame in frames)
-    assert sent[150].time - sent[149].time > 0.017  # a lap follows after the longest pause
+    assert played[150].time - played[149].time > 0.017  # a lap follows after the longest pause
 
 
 def paced(times):

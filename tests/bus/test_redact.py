@@ -25,8 +25,7 @@ SETTINGS = {
 
 
 def test_numbers_booleans_and_what_is_declared_harmless_are_shown_and_nothing_else():
-    told = show(seal(SETTINGS, HARMLESS))
-    assert told == {
+    assert show(seal(SETTINGS, HARMLESS)) == {
         "interface": "slcan",
         "channel": "socket://adapter:1/port",
         "tty_baudrate": 115200,
@@ -50,7 +49,7 @@ def test_a_sealed_setting_is_printed_without_its_secret_however_it_is_printed():
 
 
 @pytest.mark.parametrize(
-    ("address", "shown"),
+    ("address", "printed"),
     [
         ("can0", "can0"),
         ("/dev/ttyUSB0@115200", "/dev/ttyUSB0@115200"),
@@ -66,12 +65,12 @@ def test_a_sealed_setting_is_printed_without_its_secret_however_it_is_printed():
         ("adapter:80?token=hush", "hidden"),
     ],
 )
-def test_of_an_address_scheme_host_port_and_path_are_shown(address, shown):
-    assert show(seal({"channel": address}, HARMLESS)) == {"channel": shown}
+def test_of_an_address_scheme_host_port_and_path_are_shown(address, printed):
+    assert show(seal({"channel": address}, HARMLESS)) == {"channel": printed}
 
 
 @pytest.mark.parametrize(
-    "says",
+    "text",
     [
         "could not open {channel!r}: no answer",
         "login palm:hush-login was refused",
@@ -81,8 +80,8 @@ def test_of_an_address_scheme_host_port_and_path_are_shown(address, shown):
         "code 123456 or 987654",
     ],
 )
-def test_what_python_can_says_of_a_secret_is_replaced(monkeypatch, says):
-    text = says.format(**SETTINGS)
+def test_what_python_can_says_of_a_secret_is_replaced(monkeypatch, text):
+    text = text.format(**SETTINGS)
 
     def fail(**settings):
         assert settings == SETTINGS
@@ -112,7 +111,7 @@ def test_a_short_secret_is_replaced_only_as_a_word():
         'server = { host = { read_token = "hush" } }',
     ],
 )
-def test_a_fault_of_the_file_is_told_without_secrets(spoilt):
+def test_a_fault_of_the_file_is_reported_without_secrets(spoilt):
     with pytest.raises(ConfigError) as caught:
         parse(spoilt)
     assert "hush" not in str(caught.value)

@@ -68,25 +68,25 @@ def test_sniff_finds_the_guides_example(install):
     install()
     codec = make_codec(sensor('name = "my-skin", base_id = 0x200'))
     frames = (codec.encode(np.arange(8, dtype=np.uint16), 0, n / 50) for n in range(20))
-    (found,) = survey(each for frame in frames for each in frame).senders
-    assert (found.name, found.match.settings, found.frames) == ("my-skin", {"base_id": 0x200}, 20)
+    (sender,) = survey(each for frame in frames for each in frame).senders
+    assert (sender.name, sender.match.settings, sender.frames) == ("my-skin", {"base_id": 0x200}, 20)
 
 
 @pytest.mark.parametrize(
-    ("settings", "says"),
+    ("settings", "reason"),
     [
         ("base_id = 0x7FF", "base_id: give 0 to 2046"),
         ("base_ib = 1", "base_ib: Unexpected keyword argument"),
     ],
 )
-def test_a_packages_settings_are_checked(install, settings, says):
+def test_a_packages_settings_are_checked(install, settings, reason):
     install()
-    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {says}"):
+    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {reason}"):
         sensor(f'name = "my-skin", {settings}')
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "reason"),
     [
         ("import numpy as np", "import nympy as np", "import: ModuleNotFoundError: No module named 'nympy'"),
         ("class MySkin", "class Skin", "fails to import: AttributeError: "),
@@ -99,10 +99,10 @@ def test_a_packages_settings_are_checked(install, settings, says):
         (", full_scale = 8, 4, 255", " = 8, 4", "NotImplementedError"),
     ],
 )  # fmt: skip
-def test_a_faulty_package_is_refused_by_its_name(install, old, new, says):
+def test_a_faulty_package_is_refused_by_its_name(install, old, new, reason):
     assert CODE.count(old) == 1
     install(CODE.replace(old, new))
-    with pytest.raises(ConfigError, match=f"{PACKAGE}.*{says}"):
+    with pytest.raises(ConfigError, match=f"{PACKAGE}.*{reason}"):
         make_codec(sensor())
 
 
@@ -118,7 +118,7 @@ def test_a_broken_package_is_imported_only_if_it_is_named(install, caplog):
 
 
 @pytest.mark.parametrize(
-    ("installed", "name", "says"),
+    ("installed", "name", "reason"),
     [
         ((("barrett", "my_skin"),), "barrett", "'barrett': built in, and my_skin 1.2 offers"),
         ((("my-skin", "a"), ("my-skin", "b")), "my-skin", r"'my-skin': offered by (a|b) 1.2 and (a|b) 1.2"),
@@ -129,10 +129,10 @@ def test_a_broken_package_is_imported_only_if_it_is_named(install, caplog):
         ),
     ],
 )
-def test_an_unknown_or_ambiguous_name_is_refused(install, installed, name, says):
+def test_an_unknown_or_ambiguous_name_is_refused(install, installed, name, reason):
     for offered, package in installed:
         install(name=offered, package=package)
-    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {says}"):
+    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {reason}"):
         sensor(f'name = "{name}"')
 
 
@@ -181,8 +181,8 @@ def test_a_packages_texts_are_secrets_that_it_alone_gets(install, error, where):
     table = 'name = "my-skin", api_key = "hush-key", url = "https://palm:hush-login@elsewhere?x=hush", rate = '
     one = sensor(table + "5")
     assert make_codec(one).size == 8
-    shown = {"name": "my-skin", "base_id": 0x120, "api_key": "hidden", "url": "hidden", "rate": 5}
-    assert one.model_dump(mode="json")["codec"] == shown
+    printed = {"name": "my-skin", "base_id": 0x120, "api_key": "hidden", "url": "hidden", "rate": 5}
+    assert one.model_dump(mode="json")["codec"] == printed
     assert "hush" not in repr(one) + one.model_dump_json() + str(one.model_dump())
     with pytest.raises(ConfigError, match="wrong key hidden"):
         make_codec(sensor(table + "6"))
@@ -222,14 +222,14 @@ def test_every_fault_of_a_skins_settings_is_named():
 
 
 @pytest.mark.parametrize(
-    ("codec", "array", "calibration", "says"),
+    ("codec", "array", "calibration", "reason"),
     [
         ('name = "poweron"', (6, 6), "kpa_per_count = 1.0, ", "the codec carries no shear: leave it out"),
         ('name = "xela"', (4, 6), "", "forces need kpa_per_count, too: give both"),
     ],
 )
-def test_a_scale_of_shear_without_shear_or_pressure_is_refused(codec, array, calibration, says):
+def test_a_scale_of_shear_without_shear_or_pressure_is_refused(codec, array, calibration, reason):
     text = CONFIG.format(codec=codec, array=f"rows = {array[0]}, columns = {array[1]}, pitch_mm = 4.0")
     text += f"calibration = {{ {calibration}shear_n_per_count = 0.0006 }}"
-    with pytest.raises(ConfigError, match=f"sensor.skin: calibration.shear_n_per_count = 0.0006: {says}"):
+    with pytest.raises(ConfigError, match=f"sensor.skin: calibration.shear_n_per_count = 0.0006: {reason}"):
         sensor_plan("skin", parse(text).sensor["skin"])

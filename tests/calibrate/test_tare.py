@@ -20,18 +20,18 @@ def blur(request):
 
 
 @pytest.fixture
-def seen(blur):
-    """What is seen in noisy frames of a still load (kPa on the surface), or of one each, over an offset (kPa)."""
+def observe(blur):
+    """Describe the load in noisy frames of a still load (kPa on the surface), or of one each, over an offset."""
     random = np.random.default_rng(7)
 
-    def seen(load=0.0, offset=0.0, frames=FRAMES):
+    def observe(load=0.0, offset=0.0, frames=FRAMES):
         loads = [load(n) if callable(load) else load for n in range(frames)]
         felt = [blur.forward(np.full(blur.surface_shape, 1.0, np.float32) * each) for each in loads]
         return load_seen(
             [each + offset + random.normal(0, NOISE, blur.frame_shape).astype(np.float32) for each in felt], NOISE
         )
 
-    return seen
+    return observe
 
 
 @pytest.fixture
@@ -47,59 +47,59 @@ def disc(blur):
 
 @pytest.mark.parametrize("frames", [0, 1, FRAMES])
 @pytest.mark.parametrize("offset", OFFSETS)
-def test_an_offset_of_the_whole_array_is_no_load(seen, offset, frames):
+def test_an_offset_of_the_whole_array_is_no_load(observe, offset, frames):
     for _ in range(20):
-        assert seen(offset=offset, frames=frames) == ""
+        assert observe(offset=offset, frames=frames) == ""
 
 
 @pytest.mark.parametrize("common", [0.0, 1.0, 2.0, 20.0, -20.0])
 @pytest.mark.parametrize("scatter", [1.0, 2.0, 10.0, 100.0])
-def test_an_array_that_drifted_or_was_never_tared_shows_no_load(blur, seen, common, scatter):
+def test_an_array_that_drifted_or_was_never_tared_shows_no_load(blur, observe, common, scatter):
     """Every taxel has its own offset; kPa."""
     random = np.random.default_rng(1)
     for _ in range(20):
-        assert seen(offset=common + random.uniform(-scatter, scatter, blur.frame_shape)) == ""
+        assert observe(offset=common + random.uniform(-scatter, scatter, blur.frame_shape)) == ""
 
 
-def test_offsets_of_which_a_tenth_read_zero_by_chance_hardly_ever_pass_for_a_load(blur, seen):
+def test_offsets_of_which_a_tenth_read_zero_by_chance_hardly_ever_pass_for_a_load(blur, observe):
     """Others read less than zero, which none does under a load."""
     random = np.random.default_rng(3)
-    asked = [seen(offset=random.normal(100, 100, blur.frame_shape)) for _ in range(40)]
-    assert sum(map(bool, asked)) <= 2
+    descriptions = [observe(offset=random.normal(100, 100, blur.frame_shape)) for _ in range(40)]
+    assert sum(map(bool, descriptions)) <= 2
 
 
-def test_an_offset_that_tilts_over_the_array_is_no_load(blur, seen):
+def test_an_offset_that_tilts_over_the_array_is_no_load(blur, observe):
     for common in OFFSETS:
-        assert seen(offset=common + np.linspace(-20, 20, blur.frame_shape[1])) == ""
+        assert observe(offset=common + np.linspace(-20, 20, blur.frame_shape[1])) == ""
 
 
-def test_what_a_tare_under_load_left_below_zero_is_no_load(blur, seen, disc):
-    assert seen(offset=-blur.forward(disc(50.0, 0.3).astype(np.float32))) == ""
+def test_what_a_tare_under_load_left_below_zero_is_no_load(blur, observe, disc):
+    assert observe(offset=-blur.forward(disc(50.0, 0.3).astype(np.float32))) == ""
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
 @pytest.mark.parametrize(("kpa", "radius"), [(20.0, 0.1), (20.0, 0.3), (200.0, 0.1), (200.0, 0.3)])
-def test_a_press_is_a_load_over_any_offset(seen, disc, kpa, radius, offset):
-    assert seen(disc(kpa, radius), offset).startswith("contact of ")
+def test_a_press_is_a_load_over_any_offset(observe, disc, kpa, radius, offset):
+    assert observe(disc(kpa, radius), offset).startswith("contact of ")
 
 
-def test_a_press_is_a_load_among_offsets_of_the_taxels(blur, seen, disc):
+def test_a_press_is_a_load_among_offsets_of_the_taxels(blur, observe, disc):
     offset = np.random.default_rng(2).normal(10, 3, blur.frame_shape)
-    assert seen(disc(200.0, 0.1), offset).startswith("contact of ")
+    assert observe(disc(200.0, 0.1), offset).startswith("contact of ")
 
 
-def test_a_press_on_most_of_a_tared_array_is_a_load(seen, disc):
+def test_a_press_on_most_of_a_tared_array_is_a_load(observe, disc):
     load = disc(50.0, 0.45, (0.5, 0.4))
     assert np.mean(load > 0) > 0.55
-    assert seen(load).startswith("contact of ")
+    assert observe(load).startswith("contact of ")
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
-def test_what_moves_on_the_whole_array_is_a_load(seen, offset):
-    assert seen(lambda n: 10.0 + 0.5 * n, offset).startswith("readings that move by ")
+def test_what_moves_on_the_whole_array_is_a_load(observe, offset):
+    assert observe(lambda n: 10.0 + 0.5 * n, offset).startswith("readings that move by ")
 
 
-def test_what_was_seen_is_told_in_kpa_and_taxels():
+def test_a_load_is_described_in_kpa_and_taxels():
     frame = np.zeros((4, 4), np.float32)
     assert load_seen([frame], NOISE) == ""
     frame[1, 1] = 12

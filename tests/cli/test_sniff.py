@@ -110,7 +110,7 @@ VIRTUAL = ("--interface", "virtual", "--channel", "sniffed", "--seconds", 0.1)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "says"),
+    ("arguments", "error", "reason"),
     [
         ((*VIRTUAL, "--write", "a.toml"), ConfigError, "a.toml is there already"),
         ((*VIRTUAL, "--write", "b.toml"), ConfigError, "no known skin sends on this bus: nothing to write"),
@@ -118,12 +118,12 @@ VIRTUAL = ("--interface", "virtual", "--channel", "sniffed", "--seconds", 0.1)
         (("--channel", "gone7"), BusError, "bus socketcan gone7: "),
     ],
 )
-def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, monkeypatch, arguments, error, says):
+def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, monkeypatch, arguments, error, reason):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("mine")
     fault = run(*arguments).exception
     assert isinstance(fault, error)
-    assert says in str(fault)
+    assert reason in str(fault)
     assert "\n" not in str(fault)
     assert [each.read_text() for each in tmp_path.iterdir()] == ["mine"]
 

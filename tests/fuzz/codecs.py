@@ -20,12 +20,12 @@ with atheris.instrument_imports(include=["tactiled.bus"]):
 
 def fuzz(name, folder, arguments):
     """Fuzz one skin with a folder for what is found; ends the process without a way back."""
-    found, seeds = Path(folder, "found"), Path(folder, "seeds")
-    found.mkdir()
+    findings, seeds = Path(folder, "findings"), Path(folder, "seeds")
+    findings.mkdir()
     seeds.mkdir()
     for at, each in enumerate(harness.corpus(name)):
         (seeds / str(at)).write_bytes(each)
-    folders = [] if any(not each.startswith("-") for each in arguments) else [str(found)]
+    folders = [] if any(not each.startswith("-") for each in arguments) else [str(findings)]
     atheris.Setup(
         [sys.argv[0], "-max_len=24", *arguments, *folders, str(seeds)],
         lambda data: harness.check(name, data),

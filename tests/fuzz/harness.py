@@ -16,9 +16,9 @@ from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Message
+from tests.bus.skins import DBC
 
-HERE = Path(__file__).parent
-DBC = HERE.parent / "bus" / "skin.dbc"
+CORPUS = Path(__file__).parent / "corpus"
 DBC_TAXELS = ("Row0.T0_0", "Row1.T1_2", "Pages.P0", "Pages.P2", "Floats.F0", "Doubles.D0")
 SKINS = {
     "packed": Packed(10, 12),
@@ -31,12 +31,12 @@ SKINS = {
     "linker": Linker("left", (2,)),
     "dbc": Dbc(DBC, DBC_TAXELS),
 }
-SENT = 24  # frames of a good sender, after which it begins again
+GOOD_FRAMES = 24  # frames of a good sender, after which it begins again
 
 
 def _good(codec):
     """Messages of a sender without fault, every frame with values of its own."""
-    rows = (np.arange(codec.size) * 3 + n * 7 for n in range(SENT))
+    rows = (np.arange(codec.size) * 3 + n * 7 for n in range(GOOD_FRAMES))
     counts = ((row % (min(codec.full_scale, 255) + 1)).astype(np.uint16) for row in rows)
     return [each for n, row in enumerate(counts) for each in codec.encode(row, n, 0.0)]
 
@@ -78,7 +78,7 @@ def bus(name, data):
 
 def corpus(name):
     """Inputs worth keeping, as coverage found them."""
-    return [bytes.fromhex(line) for line in (HERE / "corpus" / f"{name}.hex").read_text().splitlines()]
+    return [bytes.fromhex(line) for line in (CORPUS / f"{name}.hex").read_text().splitlines()]
 
 
 class WrongError(AssertionError):
@@ -88,7 +88,7 @@ class WrongError(AssertionError):
 def check(name, data):
     """Put `data`'s bus through codec and assembler; WrongError where a frame is not what its messages said."""
     codec = SKINS[name]
-    assembler, taken, frames, time = Assembler(codec), [], [], 0.0
+    assembler, readings, frames, time = Assembler(codec), [], [], 0.0
     for message in bus(name, data):
         time += 1.0 if message is None else 0.01
         if message is None:
@@ -98,13 +98,13 @@ def check(name, data):
             reading = codec.decode(message._replace(time=time))
         except CodecError:
             continue
-        taken.append(reading)
+        readings.append(reading)
         frames += assembler.push(reading)
     frames += assembler.flush(float("inf"))
     ends = [frame.time + frame.skew for frame in frames]
     for frame, end in zip(frames, ends, strict=True):
-        _judge(name, frame, [each for each in taken if frame.time <= each.time <= end + 1e-9])
-    _judge_all(codec, assembler, frames, ends, taken)
+        _judge(name, frame, [each for each in readings if frame.time <= each.time <= end + 1e-9])
+    _judge_all(codec, assembler, frames, ends, readings)
     return frames, assembler.loss
 
 
@@ -131,16 +131,16 @@ def _judge(name, frame, within):
         raise WrongError(f"counts {counts.tolist()} of {codec.full_scale}")
 
 
-def _judge_all(codec, assembler, frames, ends, taken):
+def _judge_all(codec, assembler, frames, ends, readings):
     """Hold what frames have in common: order, no message in two of them, every message counted."""
     if any(after.time <= end for (_, after), end in zip(pairwise(frames), ends, strict=False)):
         raise WrongError("two frames were open at once")
     if any(after.sequence <= before.sequence for before, after in pairwise(frames)):
         raise WrongError("sequence numbers do not rise")
-    gaps = sum(any(flag & MISSING for flag in frame.flags.tobytes()) for frame in frames)
-    if assembler.loss.incomplete != gaps:
-        raise WrongError(f"incomplete = {assembler.loss.incomplete}, and {gaps} frames have gaps")
+    marked = sum(any(flag & MISSING for flag in frame.flags.tobytes()) for frame in frames)
+    if assembler.loss.incomplete != marked:
+        raise WrongError(f"incomplete = {assembler.loss.incomplete}, and {marked} frames have gaps")
     if codec.modulus is None:
-        held = len(frames) * codec.segments - assembler.loss.lost
-        if held != len(taken) or assembler.loss.repeated or assembler.loss.late:
-            raise WrongError(f"{held} messages are in frames, and {len(taken)} came")
+        used = len(frames) * codec.segments - assembler.loss.lost
+        if used != len(readings) or assembler.loss.repeated or assembler.loss.late:
+            raise WrongError(f"{used} messages are in frames, and {len(readings)} came")

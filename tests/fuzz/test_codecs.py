@@ -11,7 +11,7 @@ from tests.fuzz import harness
 
 
 @pytest.mark.parametrize("name", harness.SKINS)
-def test_every_input_of_the_corpus_gives_only_what_its_messages_said(name):
+def test_every_input_of_the_corpus_gives_only_what_its_messages_carry(name):
     judged = [harness.check(name, each) for each in harness.corpus(name)]
     assert any(frames and not frames[0].flags.any() for frames, _ in judged)
     assert any((frame.flags & MISSING).any() for frames, _ in judged for frame in frames)
@@ -21,12 +21,12 @@ def test_every_input_of_the_corpus_gives_only_what_its_messages_said(name):
 @pytest.mark.parametrize("name", harness.SKINS)
 @settings(max_examples=200)
 @given(data=st.binary(max_size=80))
-def test_any_bytes_give_only_what_their_messages_said(name, data):
+def test_any_bytes_give_only_what_their_messages_carry(name, data):
     harness.check(name, data)
 
 
 def test_the_corpus_is_small():
-    assert sum(each.stat().st_size for each in (harness.HERE / "corpus").iterdir()) < 50_000
+    assert sum(each.stat().st_size for each in (harness.CORPUS).iterdir()) < 50_000
 
 
 FAULTS = {
