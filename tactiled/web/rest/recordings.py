@@ -70,25 +70,21 @@ class PageQuery(BaseModel):
     limit: int = Field(100, ge=1, le=1000, description="recordings in one answer")
 
 
-class _Run:
-    """One recording and the thread that reads its bus."""
+class _Run(Thread):
+    """One recording, which reads its bus."""
 
     def __init__(self, bus: str, settings: Mapping[str, Any], path: Path, events: Events, leave_mb: float) -> None:
+        super().__init__(name=f"record {bus}", daemon=True)
         self.bus, self._events = bus, events
         self.error: str | None = None
-        self._stop = Event()
+        self._stopping = Event()
         self._reader = open_bus(**settings)
         try:
             self._recorder = Recorder(path, leave_mb=leave_mb)
         except TactileError:
             self._reader.close()
             raise
-        self._thread = Thread(target=self._work, name=f"record {bus}", daemon=True)
-        self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        return self._thread.is_alive()
+        self.start()
 
     @property
     def messages(self) -> int:
@@ -99,13 +95,13 @@ class _Run:
         return self._reader.unreadable
 
     def stop(self) -> None:
-        self._stop.set()
-        self._thread.join()
+        self._stopping.set()
+        self.join()
 
-    def _work(self) -> None:
+    def run(self) -> None:
         path = self._recorder.path
         try:
-            record(self._reader, self._recorder, self._stop)
+            record(self._reader, self._recorder, self._stopping)
         except TactileError as error:
             self.error = without_path(error, path)
         finally:
@@ -128,7 +124,7 @@ class Recordings:
     def page(self, query: PageQuery) -> RecordingPage:
         """Recordings by name, a running one whatever became of its file; links and other files are none."""
         with self._lock:
-            running = {name for name, run in self._runs.items() if run.running}
+            running = {name for name, run in self._runs.items() if run.is_alive()}
             names = running | {path.name for path in self._folder.glob("*") if _is_recording(path)}
             after = [name for name in sorted(names) if query.after is None or name > query.after]
             page = tuple(map(self._recording, after[: query.limit]))
@@ -143,7 +139,7 @@ class Recordings:
         name = name or f"{bus}-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.log"
         path = self._folder / name
         with self._lock:
-            if any(run.bus == bus and run.running for run in self._runs.values()):
+            if any(run.bus == bus and run.is_alive() for run in self._runs.values()):
                 raise Problem(409, f"bus {bus}: is being recorded already")
             self._need_ended(name)
             if path.exists() or path.is_symlink():
@@ -192,14 +188,14 @@ class Recordings:
         return path
 
     def _need_ended(self, name: str) -> None:
-        if (run := self._runs.get(name)) and run.running:
+        if (run := self._runs.get(name)) and run.is_alive():
             raise Problem(409, f"recording {name}: runs: stop it first")
 
     def _recording(self, name: str) -> Recording:
         path, run = self._folder / name, self._runs.get(name)
-        running = run is not None and run.running  # before its size: it grows until it has ended
+        running = run is not None and run.is_alive()  # before its size: it grows until it has ended
         file = {"name": name, "running": running, "bytes": _size(path)}
-        return Recording(**Recording.shared(run) | file)
+        return Recording(**Recording.shared(run) | file)  # a thread has a name of its own
 
 
 def _is_recording(path: Path) -> bool:
