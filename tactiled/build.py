@@ -140,7 +140,7 @@ def make_stack(sensor: schema.Sensor) -> Stack:
 
 
 def make_array(sensor: schema.Sensor) -> Array:
-    """The array as configured, or as its codec knows it; ConfigError where neither says enough."""
+    """The array as configured, or as its skin has it; ConfigError where both are incomplete."""
     array = sensor.array
     positions = (
         sensor.codec.settings.positions if array.positions_mm is None else np.array(array.positions_mm, float)

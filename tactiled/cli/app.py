@@ -1,4 +1,4 @@
-"""The command line's entry point: one line and exit code 2 for every error that the user can mend."""
+"""The command line's entry point: one line and exit code 2 for every error that a user can fix."""
 
 import gc
 import signal

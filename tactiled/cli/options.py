@@ -27,13 +27,13 @@ Foxglove = Annotated[
 ]
 
 
-def choose(option: str, name: str | None, known: Collection[str]) -> str:
-    """The one of `known` that --`option` names, or the only one there is; ConfigError otherwise."""
-    if name is None and len(known) > 1:
-        raise ConfigError(f"--{option} is missing: choose one of {', '.join(known)}")
-    if name is not None and name not in known:
-        raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(known)}")
-    return name or next(iter(known))
+def choose(option: str, name: str | None, available: Collection[str]) -> str:
+    """The one of `available` that --`option` names, or the only one there is; ConfigError otherwise."""
+    if name is None and len(available) > 1:
+        raise ConfigError(f"--{option} is missing: choose one of {', '.join(available)}")
+    if name is not None and name not in available:
+        raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(available)}")
+    return name or next(iter(available))
 
 
 def present(**options: Any) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def restore(
     noise: Annotated[float | None, typer.Option(help="A taxel's standard deviation (kPa); else measured.")] = None,
     stats: Annotated[Path | None, typer.Option(help="File for method and time of each frame (JSON).")] = None,
 ) -> None:
-    """Restore a film of any length in a .npy file, with bounded memory."""
+    """Restore the frames of a .npy file, however many, with bounded memory."""
     _refuse_same(out, "--out", {"--config": config})
     if stats is not None:
         _refuse_same(stats, "--stats", {"--config": config, "FRAMES": frames, "--out": out})

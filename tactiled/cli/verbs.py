@@ -17,7 +17,7 @@ export   Restore every frame of a recording into a file of arrays, or into one f
 init     Write a commented configuration.
 paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
 record   Record all messages of a bus to a file, also of other devices, and error frames.
-restore  Restore a film of any length in a .npy file, with bounded memory.
+restore  Restore the frames of a .npy file, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
 sniff    Listen to a bus and list the known skins on it; sends nothing.
 """

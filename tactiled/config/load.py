@@ -79,7 +79,7 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: missing"
     if not place:
         return message
-    if fault["type"] == "value_error" or place.endswith("_token"):  # of a whole table, whose values may be secrets
+    if fault["type"] == "value_error" or place.endswith("_token"):  # of a table whose values may be secrets
         return f"{place}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
         (value,) = show([*seal({"": value}).values()])

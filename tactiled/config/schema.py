@@ -234,7 +234,7 @@ class Sensor(Section):
 
 
 class Config(Section):
-    """A whole file."""
+    """A complete file."""
 
     server: Server = Server()
     bus: dict[Name, Bus] = Field(min_length=1)

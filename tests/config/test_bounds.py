@@ -15,7 +15,6 @@ from tactiled.restore.methods import METHODS
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.runtime.service import Service
 
-WILD = [0, -1, 0.5, 1e-320, 1e-300, 1e-9, 1e9, 1e300, 1e308, float("inf"), float("nan"), 10**30, -1e308]
 TEXT = """
 [bus.can0]
 interface = "virtual"
@@ -42,7 +41,7 @@ USUAL = {
     "kpa_per_count": 0.05, "no_load": 80, "noise_kpa": 0.1, "saturation": 4095,
 }  # fmt: skip
 NUMBERS = sorted({*USUAL} - {"model"})
-WILD = [0, -1, 0.5, 1e-320, 1e-300, 1e-20, 1e9, 1e300, 1e308, -1e308, float("inf"), float("nan"), 10**30]
+EXTREMES = [0, -1, 0.5, 1e-320, 1e-300, 1e-20, 1e9, 1e300, 1e308, -1e308, float("inf"), float("nan"), 10**30]
 
 
 def sizes(low, high):
@@ -73,7 +72,7 @@ def _cache(tmp_path_factory, monkeypatch):
 
 
 def runs(numbers, seed):
-    """Restore frames by every method: finite and of the right shape, whatever was told of the noise."""
+    """Restore frames by every method: finite and of the right shape, whatever the noise is configured to be."""
     (plan,) = sensor_plans(parse(text(numbers)))
     counts = np.random.default_rng(seed).integers(0, 2**BITS, (2, plan.array.size)).astype(np.uint16)
     for method in METHODS:
@@ -99,43 +98,38 @@ def outcome(numbers, seed):
 @pytest.mark.timeout(1200)
 @settings(derandomize=True, max_examples=25)
 @given(LEGAL, st.integers(0, 9))
-def test_what_is_within_the_bounds_runs_or_is_refused_by_name(numbers, seed):
-    said = outcome(numbers, seed)
+def test_numbers_within_the_bounds_run_or_are_refused_by_name(numbers, seed):
+    message = outcome(numbers, seed)
     contrast = abs(np.log10(numbers["young_mpa"] / numbers["young"]))
-    assert said == "" or (said.startswith("sensor.palm: ") and (numbers["model"] == "fem" or contrast > 6))
+    assert message == "" or (message.startswith("sensor.palm: ") and (numbers["model"] == "fem" or contrast > 6))
 
 
 @pytest.mark.parametrize("key", NUMBERS)
-def test_a_number_that_is_wild_is_refused_with_its_key_or_runs(key):
-    for value in WILD:
-        said = outcome(USUAL | {key: value}, 0)
-        assert said == "" or (key in said and repr(value)[:4] in said)
+def test_extreme_numbers_are_refused_with_their_key_or_run(key):
+    for value in EXTREMES:
+        message = outcome(USUAL | {key: value}, 0)
+        assert message == "" or (key in message and repr(value)[:4] in message)
 
 
 @pytest.mark.parametrize("value", ["1e-300", "-1.0", "0.0", "nan", "inf", "1e308"])
-def test_the_error_says_what_may_be_given(value):
+def test_the_error_has_the_bounds(value):
     with pytest.raises(ConfigError) as caught:
         parse(text(USUAL | {"thickness_mm": value}))
-    shown = {"1e308": "1e+308"}.get(value, value)
-    assert str(caught.value) == f"config: sensor.palm.cover[0].thickness_mm = {shown}: give 0.001 to 100 mm"
+    written = {"1e308": "1e+308"}.get(value, value)
+    assert str(caught.value) == f"config: sensor.palm.cover[0].thickness_mm = {written}: give 0.001 to 100 mm"
 
 
 @pytest.mark.parametrize(
-    ("numbers", "model"),
-    [
-        ({"thickness_mm": 0.01, "young_mpa": 2500.0, "poisson": 0.4}, "fem"),
-        ({"thickness_mm": 20.0, "young_mpa": 0.01, "poisson": 0.0}, "fem"),
-        ({"thickness_mm": 0.2, "young_mpa": 1e6, "poisson": 0.2}, "fem"),
-        ({"thickness_mm": 2.0, "young_mpa": 0.5, "poisson": 0.4999}, "fem"),
-        ({"thickness_mm": 0.01, "young_mpa": 0.6, "poisson": 0.4999, "thickness": 20.0, "young": 0.01}, "layered"),
-    ],
+    ("thickness_mm", "young_mpa", "poisson"),
+    [(0.01, 2500.0, 0.4), (20.0, 0.01, 0.0), (0.2, 1e6, 0.2), (2.0, 0.5, 0.4999)],
 )
-def test_skins_that_there_are_run(numbers, model):
-    runs(USUAL | numbers | {"model": model}, 0)
+def test_covers_of_real_skins_are_solved(thickness_mm, young_mpa, poisson):
+    cover = {"thickness_mm": thickness_mm, "young_mpa": young_mpa, "poisson": poisson}
+    runs(USUAL | cover | {"model": "fem"}, 0)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("rows = 5", "rows = [" + "[" * 5000, "config: tables or lists are nested too deep"),
         ("refine = 1", "refine = " + "[" * 200 + "]" * 200, "config: tables or lists are nested too deep"),
@@ -143,24 +137,28 @@ def test_skins_that_there_are_run(numbers, model):
         ("rows = 5", "rows = " + "5" * 5000, "config: not TOML: Exceeds the limit (4300 digits)"),
         ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [1e300, 1.0]]",
          "sensor.palm.array.positions_mm[1][0] = 1e+300: give -10000 to 10000 mm"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = []", "at least 1 item"),
         ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0]]", "array has one position"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "rows = 5, positions_mm = [[0.0, 0.0], [1.0, 0.0]]",
+         "array.rows = 5: belongs to a grid, and this array has positions"),
+        ("rows = 5, columns = 6, pitch_mm = 1.0", "rows = 5, columns = 6",
+         "array is incomplete: give rows, columns and pitch_mm"),
         ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [0.02, 0.0], [9e3, 9e3]]",
          "array positions spread over 9000 x 9000 mm, and two are 0.02 mm apart"),
-        ("cover = {", f"cover = [{200 * LAYER}]\nfoam = {{",
-         "at most 8 items"),
+        ("cover = {", f"cover = [{9 * LAYER}]\nfoam = {{", "at most 8 items"),
         ("rows = 5, columns = 6", "rows = 100, columns = 100", "refine = 8: 10000 taxels then have 640000 cells"),
         ("rows = 5, columns = 6", "rows = 1, columns = 1024", "up to 8192 in a row: give at most 65536, and 1024"),
     ],
 )  # fmt: skip
-def test_what_is_too_much_is_refused_at_once(old, new, says):
-    usual = text(USUAL | ({"refine": 8} if "in a row" in says or "cells" in says else {}))
+def test_too_much_of_anything_is_refused(old, new, message):
+    usual = text(USUAL | ({"refine": 8} if "in a row" in message or "cells" in message else {}))
     assert old in usual
     with pytest.raises(ConfigError) as caught:
         sensor_plans(parse(usual.replace(old, new)))
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_a_machine_with_less_memory_than_is_to_be_kept(monkeypatch):
+def test_history_larger_than_memory_is_refused(monkeypatch):
     def full(*_, **__):
         raise MemoryError
 
@@ -169,8 +167,14 @@ def test_a_machine_with_less_memory_than_is_to_be_kept(monkeypatch):
         Service(parse(text(USUAL)))
 
 
-def test_a_cover_that_elements_would_take_minutes_for_is_refused():
-    far = USUAL | {"model": "fem", "thickness_mm": 0.001, "young_mpa": 1.0, "thickness": 20.0, "young": 0.001}
+def test_a_cover_that_needs_too_many_elements_is_refused():
+    thin_on_soft = USUAL | {
+        "model": "fem",
+        "thickness_mm": 0.001,
+        "young_mpa": 1.0,
+        "thickness": 20.0,
+        "young": 0.001,
+    }
     with pytest.raises(PhysicsError, match=r"sensor\.palm: far field reaches past .* mm, .*use model 'layered'"):
-        sensor_plans(parse(text(far)))
-    runs(far | {"model": "layered"}, 0)
+        sensor_plans(parse(text(thin_on_soft)))
+    runs(thin_on_soft | {"model": "layered"}, 0)

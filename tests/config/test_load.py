@@ -36,6 +36,8 @@ def test_the_example_is_valid():
         ("port = 8000", "thickness_mm = 8", "server.thickness_mm: unknown key: did you mean cover.thickness_mm?"),
         ("accuracy = ", 'method = "auto"\naccuracy = ',
          "sensor.palm.kernel.method: unknown key: did you mean sensor.method?"),
+        ("fd = true\n\n", "\n", "sensor.palm.codec.fd = true: bus can0 is not CAN FD: set bus.can0.fd = true"),
+        ('host = "127.0.0.1"', 'host = "0.0.0.0"', "server: other machines could reach it: give control_token"),
         ('"socketcan"', '"soketcan"',
          "bus.can0.interface = 'soketcan': python-can has no interface of that name: choose one of canalystii, "),
     ],
@@ -47,17 +49,21 @@ def test_a_fault_is_named_with_its_place_and_its_value(old, new, line):
     assert f"a.toml: {line}" in str(caught.value)
 
 
-def test_every_fault_is_told_at_once():
+def test_all_faults_are_reported_at_once():
     text = EXAMPLE.replace("port = 8000", "prt = 8000").replace("poisson = 0.48", "poisson = 0.7")
+    with pytest.raises(ConfigError) as caught:
+        parse(text)
+    assert len(str(caught.value).splitlines()) == 2
+    text = EXAMPLE.replace('"socketcan"', '"soketcan"').replace('bus = "can0"', 'bus = "can1"')
     with pytest.raises(ConfigError) as caught:
         parse(text)
     assert len(str(caught.value).splitlines()) == 2
 
 
 def test_a_cover_may_be_a_list_of_layers():
-    film = "[[sensor.palm.cover]]\nthickness_mm = 0.1\nyoung_mpa = 2500.0\npoisson = 0.4\n"
+    foil = "[[sensor.palm.cover]]\nthickness_mm = 0.1\nyoung_mpa = 2500.0\npoisson = 0.4\n"
     text = EXAMPLE.replace("\n[sensor.palm.cover]", "\n[[sensor.palm.cover]]").replace(
-        "# What carries", f"{film}\n# What carries"
+        "# What carries", f"{foil}\n# What carries"
     )
     assert [layer.thickness_mm for layer in parse(text).sensor["palm"].cover] == [1.2, 0.1]
 
@@ -70,13 +76,13 @@ def test_a_cover_of_no_layer_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "message"),
     [(None, "No such file"), (b"port = ", "not TOML"), (b"\xff", "not UTF-8 text at byte 0")],
 )
-def test_a_file_that_cannot_be_read_is_named(tmp_path, content, says):
+def test_an_unreadable_file_is_named(tmp_path, content, message):
     path = tmp_path / "skin.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ConfigError, match=says) as caught:
+    with pytest.raises(ConfigError, match=message) as caught:
         load(path)
     assert str(path) in str(caught.value)

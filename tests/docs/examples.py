@@ -52,8 +52,8 @@ def stream_example():
         rows.append((HEADER.size + 4 * n, HEADER.size + 4 * n + 4, f"{pressure:g}", f"taxel {n}, kPa"))
     rows += [(80, 84, str(list(data[80:84])), "flags of the four taxels")]
     rows += [(84, len(data), repr(data[84:].decode()), "name of the sensor")]
-    for at, end, value, meaning in rows:
-        yield f"{at:3d}  {data[at:end].hex(' '):<24} {value:<18} {meaning}"
+    for at, end, value, text in rows:
+        yield f"{at:3d}  {data[at:end].hex(' '):<24} {value:<18} {text}"
 
 
 @fenced

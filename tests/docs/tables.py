@@ -11,7 +11,8 @@ from pydantic import SecretStr, TypeAdapter
 from tactiled.bus import skins
 from tactiled.cli.app import app as cli
 from tactiled.cli.demo import demo_config
-from tactiled.config import Server, schema
+from tactiled.config import Server
+from tactiled.config import schema as config
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.service import Service
 from tactiled.web.app import create
@@ -25,19 +26,19 @@ from tests.docs.markdown import code, codes, is_block, is_table, sentence, table
 
 KEYS = ("Key", "Value", "Default", "Meaning")
 MODELS = {
-    "[server]": schema.Server,
-    "[bus.NAME]": schema.Bus,
-    "[sensor.NAME]": schema.Sensor,
-    "[sensor.NAME.array]": schema.Array,
-    "[sensor.NAME.cover]` and `[sensor.NAME.substrate]": schema.Layer,
-    "[sensor.NAME.kernel]": schema.Kernel,
-    "[sensor.NAME.calibration]": schema.Calibration,
+    "[server]": config.Server,
+    "[bus.NAME]": config.Bus,
+    "[sensor.NAME]": config.Sensor,
+    "[sensor.NAME.array]": config.Array,
+    "[sensor.NAME.cover]` and `[sensor.NAME.substrate]": config.Layer,
+    "[sensor.NAME.kernel]": config.Kernel,
+    "[sensor.NAME.calibration]": config.Calibration,
 }
 SUBTABLES = ("codec", "array", "cover", "substrate", "kernel", "calibration")
 KINDS = {"kinds": "some of `raw`, `restored`, `shear`, each once, with commas between"}
 
 
-def plain(value):
+def unquoted(value):
     return json.dumps(value).strip('"')
 
 
@@ -45,7 +46,7 @@ def decimal(value):
     return np.format_float_positional(value, trim="-")
 
 
-def form(each, text=plain, number=decimal):
+def form(each, text=unquoted, number=decimal):
     """What a value may be, in words, from its JSON schema; `text` and `number` write one."""
     if "anyOf" in each:
         return " or ".join(form(one, text, number) for one in each["anyOf"] if one.get("type") != "null")
@@ -73,7 +74,7 @@ def rows(model):
             yield code(key), value, default(each, hex if number is hex else json.dumps), each["description"]
 
 
-def default(each, write=plain):
+def default(each, write=unquoted):
     if each.get("default") is None:
         return "–" if "default" in each else "required"
     return code(write(each["default"]))
@@ -127,9 +128,9 @@ def parameters():
     for request, operation in operations():
         for each in operation.get("parameters", ()):
             if each["in"] == "query":
-                given = {"default": None} | each["schema"] if not each["required"] else each["schema"]
-                value = form(given) + (f" such as {code(given['examples'][0])}" if "examples" in given else "")
-                cells = code(each["name"]), value, default(given), sentence(each["description"])
+                schema = {"default": None} | each["schema"] if not each["required"] else each["schema"]
+                value = form(schema) + (f" such as {code(schema['examples'][0])}" if "examples" in schema else "")
+                cells = code(each["name"]), value, default(schema), sentence(each["description"])
                 yield request, *cells
 
 

@@ -16,13 +16,13 @@ from tests.conftest import turn
 
 HAS_VCAN = all(Path("/sys/class/net", name).exists() for name in ("vcan0", "vcan1"))
 OWN_KERNEL = "User Mode Linux" in Path("/proc/cpuinfo").read_text()
-HERE = Path(__file__).parent
-COMMAND = f"{sys.executable} {HERE / 'kernel.py'} {sys.executable} -m pytest {HERE}"
+FOLDER = Path(__file__).parent
+COMMAND = f"{sys.executable} {FOLDER / 'kernel.py'} {sys.executable} -m pytest {FOLDER}"
 COUNT = pytest.StashKey[int]()
 
 
 def pytest_collection_modifyitems(config, items):
-    mine = [item for item in items if HERE in item.path.parents]
+    mine = [item for item in items if FOLDER in item.path.parents]
     for item in mine:
         item.add_marker(pytest.mark.timeout(300))
         if not HAS_VCAN:

@@ -24,8 +24,13 @@ import tempfile
 import time
 from pathlib import Path
 
-MODULES = ("can/can", "can/can-raw", "can/can-gw")
-DRIVERS = ("dev/can-dev", "vcan")
+MODULES = (
+    "net/can/can",
+    "net/can/can-raw",
+    "net/can/can-gw",
+    "drivers/net/can/dev/can-dev",
+    "drivers/net/can/vcan",
+)
 LINKS = """\
 link set lo up
 link add vcan0 type vcan
@@ -34,46 +39,49 @@ link add vcan1 type vcan
 link set vcan1 mtu 72 up
 """
 MOUNTS = (
-    ("proc", "/proc", ""),
-    ("sysfs", "/sys", ""),
+    ("proc", "/proc", "rw"),
+    ("sysfs", "/sys", "rw"),
     ("tmpfs", "/run", "mode=755"),
     ("tmpfs", "/dev/shm", "mode=1777"),
     ("devpts", "/dev/pts", "ptmxmode=666"),
 )
+BOOT = ("rootfstype=hostfs", "rw", "quiet", "con=null", "ssl=null", "con0=null,fd:1", "pty.legacy_count=0")
+BOOT += ("initcall_blacklist=raid6_select_algo",)  # 0.5 s of benchmarks
 FINIT_MODULE = {"x86_64": 313}  # system call
 POWER_OFF = 0x4321FEDC
-BUFFER = 4 << 20  # bytes that a socket may hold, so that a burst is not lost to the buffer's default
-MEMORY = 2 << 30  # bytes
-TRIES = 3
+SOCKET_BYTES = 4 << 20  # that a socket may hold, so that a burst is not lost to the buffer's default
+MEMORY_BYTES = 2 << 30
+ATTEMPTS = 3
 TICK_S = 0.05
+TIMED_OUT, NOT_STARTED = 124, 125
 
 
 def main(command: list[str]) -> int:
     """Boot, run, print, return the command's exit status."""
     if not command:
         sys.exit(__doc__)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that nothing is left running
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the kernel, too
     with tempfile.TemporaryDirectory(prefix="vcan-", dir="/tmp") as folder:
         home = Path(folder)
         job = {"command": command, "folder": str(Path.cwd()), "environment": dict(os.environ)}
         (home / "job.json").write_text(json.dumps(job))
-        start = home / "init"
-        start.write_text(f"#!/bin/sh\nexec {shlex.join([sys.executable, __file__, '--inside', folder])}\n")
-        start.chmod(0o755)
-        for _ in range(TRIES):
-            late = _boot(home)
-            if late:
-                return 124
+        (home / "init").write_text(
+            f"#!/bin/sh\nexec {shlex.join([sys.executable, __file__, '--inside', folder])}\n"
+        )
+        (home / "init").chmod(0o755)
+        for _ in range(ATTEMPTS):
+            if _boot(home):
+                return TIMED_OUT
             if (home / "status").exists():
                 return int((home / "status").read_text())
             if (home / "began").exists():
                 break
         sys.stderr.write((home / "boot").read_text(errors="replace")[-4000:])
-        return 125
+        return NOT_STARTED
 
 
 def _registers(home: Path) -> dict[str, str]:
-    """What the kernel needs on processors with AMX, whose registers are more than it knows: see ptrace.c."""
+    """What the kernel needs on processors with AMX, whose registers are more than it expects: see ptrace.c."""
     if " amx_tile" not in Path("/proc/cpuinfo").read_text():
         return {}
     library = home / "ptrace.so"
@@ -84,69 +92,44 @@ def _registers(home: Path) -> dict[str, str]:
 
 
 def _boot(home: Path) -> bool:
-    """Run the kernel to its end, printing what the command writes; true if it had to be ended."""
-    cpu = random.choice(sorted(os.sched_getaffinity(0)))  # one CPU is all it uses, and roaming costs
-    kernel = [
-        "linux.uml",
-        f"mem={MEMORY}",
-        "rootfstype=hostfs",
-        "rw",
-        f"init={home}/init",
-        f"uml_dir={home}/",
-        "quiet",
-    ]
-    kernel += [
-        "con=null",
-        "ssl=null",
-        "con0=null,fd:1",
-        "pty.legacy_count=0",
-        "initcall_blacklist=raid6_select_algo",
-    ]
-    output = home / "output"
-    output.touch()
-    with (home / "boot").open("wb") as log, output.open("rb") as shown:
+    """Run the kernel to its end, printing what the command writes; true if it took too long."""
+    kernel = ["linux.uml", f"mem={MEMORY_BYTES}", f"init={home}/init", f"uml_dir={home}/", *BOOT]
+    memory = "/dev/shm" if shutil.disk_usage("/dev/shm").free > MEMORY_BYTES else "/tmp"
+    environment = os.environ | {"TMPDIR": memory} | _registers(home)
+    end = time.monotonic() + float(os.environ.get("VCAN_TIMEOUT", "600"))
+    (home / "output").touch()
+    with (home / "boot").open("wb") as log, (home / "output").open("rb") as output:
         running = subprocess.Popen(
             kernel,
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=os.environ | {"TMPDIR": _memory()} | _registers(home),
+            env=environment,
             start_new_session=True,
         )
-        os.sched_setaffinity(running.pid, {cpu})
+        os.sched_setaffinity(running.pid, {random.choice(sorted(os.sched_getaffinity(0)))})  # it uses one CPU only
         try:
-            return _follow(running, shown)
+            while running.poll() is None and time.monotonic() < end:
+                time.sleep(TICK_S)
+                _print(output)
+            if late := running.poll() is None:
+                print("kernel: took too long: VCAN_TIMEOUT sets how long it may", file=sys.stderr)
+            return late
         finally:
             _end(running)
-            _show(shown)
+            _print(output)
 
 
-def _memory() -> str:
-    """The folder for the file that is the kernel's memory; a container's /dev/shm may be too small."""
-    return "/dev/shm" if shutil.disk_usage("/dev/shm").free > MEMORY else "/tmp"
-
-
-def _follow(running, shown) -> bool:
-    end = time.monotonic() + float(os.environ.get("VCAN_TIMEOUT", "600"))
-    while running.poll() is None:
-        if time.monotonic() > end:
-            print("kernel: took too long: VCAN_TIMEOUT sets how long it may", file=sys.stderr)
-            return True
-        time.sleep(TICK_S)
-        _show(shown)
-    return False
-
-
-def _show(shown) -> None:
-    sys.stdout.buffer.write(shown.read())
+def _print(output) -> None:
+    sys.stdout.buffer.write(output.read())
     sys.stdout.flush()
 
 
 def _end(running) -> None:
-    """End the kernel and all that it is made of."""
-    for how in (signal.SIGTERM, signal.SIGKILL):
+    """End the kernel and all its processes."""
+    for kind in (signal.SIGTERM, signal.SIGKILL):
         if running.poll() is None:
-            os.killpg(running.pid, how)
+            os.killpg(running.pid, kind)
             try:
                 running.wait(5)
             except subprocess.TimeoutExpired:
@@ -154,21 +137,16 @@ def _end(running) -> None:
 
 
 def inside(home: Path) -> None:
-    """The first process in there: make the machine, run the command, power off."""
+    """The first process of the kernel: set up the machine, run the command, power off."""
     output = os.open(home / "output", os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
     try:
-        _prepare()
+        _set_up()
         job = json.loads((home / "job.json").read_text())
         (home / "began").touch()
-        done = subprocess.run(
-            job["command"],
-            cwd=job["folder"],
-            env=job["environment"] | {"TMPDIR": "/run/tmp"},
-            stdin=subprocess.DEVNULL,
-            check=False,
-        )
+        environment = job["environment"] | {"TMPDIR": "/run/tmp"}
+        done = subprocess.run(job["command"], cwd=job["folder"], env=environment, stdin=subprocess.DEVNULL)
         (home / "status").write_text(str(done.returncode % 256))
     except Exception as error:
         print(f"kernel: {error}", flush=True)
@@ -177,28 +155,24 @@ def inside(home: Path) -> None:
         ctypes.CDLL(None).reboot(POWER_OFF)
 
 
-def _prepare() -> None:
+def _set_up() -> None:
     os.environ["PATH"] = "/usr/sbin:/usr/bin:/sbin:/bin"
     for kind, place, options in MOUNTS:
         Path(place).mkdir(exist_ok=True)
-        subprocess.run(["mount", "-t", kind, *(["-o", options] if options else []), kind, place], check=True)
+        subprocess.run(["mount", "-t", kind, "-o", options, kind, place], check=True)
     Path("/run/tmp").mkdir(mode=0o1777)
     for name, target in (("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")):
         Path("/dev", name).symlink_to(f"/proc/self/fd{target}")
     for name in ("rmem", "wmem"):
-        Path(f"/proc/sys/net/core/{name}_max").write_text(str(2 * BUFFER))
-        Path(f"/proc/sys/net/core/{name}_default").write_text(str(BUFFER))
-    modules = Path("/usr/lib/uml/modules", platform.release(), "kernel")
-    for name in (*(f"net/{each}" for each in MODULES), *(f"drivers/net/can/{each}" for each in DRIVERS)):
-        _load(modules / f"{name}.ko")
-    subprocess.run(["ip", "-batch", "-"], input=LINKS.encode(), check=True)
-
-
-def _load(module: Path) -> None:
+        Path(f"/proc/sys/net/core/{name}_max").write_text(str(2 * SOCKET_BYTES))
+        Path(f"/proc/sys/net/core/{name}_default").write_text(str(SOCKET_BYTES))
     libc = ctypes.CDLL(None, use_errno=True)
-    with module.open("rb") as file:
-        if libc.syscall(FINIT_MODULE[platform.machine()], file.fileno(), b"", 0):
-            raise OSError(ctypes.get_errno(), f"{module}: {os.strerror(ctypes.get_errno())}")
+    for name in MODULES:
+        module = Path("/usr/lib/uml/modules", platform.release(), "kernel", f"{name}.ko")
+        with module.open("rb") as file:
+            if libc.syscall(FINIT_MODULE[platform.machine()], file.fileno(), b"", 0):
+                raise OSError(ctypes.get_errno(), f"{module}: {os.strerror(ctypes.get_errno())}")
+    subprocess.run(["ip", "-batch", "-"], input=LINKS.encode(), check=True)
 
 
 if __name__ == "__main__":

@@ -65,7 +65,7 @@ def service(adapter):
 def show(service, until):
     """Sends a frame of one count on a sensor's bus and waits for its image."""
 
-    def shown(name, count, sequence=0):
+    def send_and_wait(name, count, sequence=0):
         sensor = service.sensor(name)
         before = sensor.hub.latest()
         bus = open_bus(interface="socketcan", channel=CHANNELS[sensor.plan.bus])
@@ -76,7 +76,7 @@ def show(service, until):
         np.testing.assert_allclose(image.raw, count / 2)
         return image
 
-    return shown
+    return send_and_wait
 
 
 def send_error_frame(id_, *data):
