@@ -24,7 +24,7 @@ def test_one_taxel_is_a_layout_too():
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "text"),
     [
         (lambda: grid(4, 4, float("nan")), "pitch is nan mm"),
         (lambda: grid(4, 4, 1.0, -0.5), "width is -0.5 mm"),
@@ -32,8 +32,8 @@ def test_one_taxel_is_a_layout_too():
         (lambda: layout(np.array([[1.0, 2.0], [1.0, 2.0]])), "pitch is 0.0 mm"),
     ],
 )
-def test_an_array_that_cannot_be_is_refused_by_name(make, says):
-    with pytest.raises(ConfigError, match=says):
+def test_an_array_that_cannot_be_is_refused_by_name(make, text):
+    with pytest.raises(ConfigError, match=text):
         make()
 
 

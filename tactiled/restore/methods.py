@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,25 +26,6 @@ FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five t
 BY_HAND = "selected by hand"
 NO_POINTS = "not a few point loads; used NNLS"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
-
-
-class Method(Protocol):
-    """What a name in METHODS makes of a scene."""
-
-    def __call__(self, y: Image) -> Restored:
-        """Restore a frame without gaps."""
-
-    def reset(self) -> None:
-        """Forget the frames so far."""
-
-    def prepare(self) -> None:
-        """Make now what any frame may need, so that none has to wait for it."""
-
-    def is_idle(self, y: Image) -> bool:
-        """Whether a frame is noise and nothing else, so that its gaps need not be filled."""
-
-    def deviation(self) -> Floats:
-        """Standard deviation (kPa) of every cell of the image last restored."""
 
 
 class Restorer:
@@ -86,7 +66,7 @@ def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
     return Restorer(name, blur, float(noise_kpa))
 
 
-class _Linear:
+class Linear:
     """Wiener's filter, and what other methods share with it."""
 
     def __init__(self, scene: Scene) -> None:
@@ -94,6 +74,7 @@ class _Linear:
         self._image: Image | None = None  # the last
 
     def __call__(self, y: Image) -> Restored:
+        """Restore a frame without gaps."""
         self._scene.look(y)
         return self._done(self._wiener(), "wiener", 0, self._wiener.filter().noise_gain)
 
@@ -105,17 +86,20 @@ class _Linear:
         """Forget nothing: each frame stands alone."""
 
     def prepare(self) -> None:
+        """Make now what any frame may need, so that none has to wait for it."""
         self._scene.prepare(self._wiener.filter)
 
     def is_idle(self, y: Image) -> bool:
+        """Whether a frame is noise and nothing else, so that its gaps need not be filled."""
         del y
         return False
 
     def deviation(self) -> Floats:
+        """Standard deviation (kPa) of every cell of the image last restored."""
         return deviation(self._scene, self._image)
 
 
-class _Raw(_Linear):
+class _Raw(Linear):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         taxels, cells = scene.blur.frame_shape, scene.blur.surface_shape
@@ -136,7 +120,7 @@ class _Raw(_Linear):
         return raw_deviation(self._scene, self._wiener)
 
 
-class _RichardsonLucy(_Linear):
+class _RichardsonLucy(Linear):
     def __init__(self, scene: Scene, name: str) -> None:
         super().__init__(scene)
         self._name, fast = name, name == "rl-fast"
@@ -148,7 +132,7 @@ class _RichardsonLucy(_Linear):
         return self._done(self._solver.image, self._name, done, self._wiener.filter().noise_gain)
 
 
-class _Nonnegative(_Linear):
+class _Nonnegative(Linear):
     def __init__(self, scene: Scene, name: str = "nnls", why: str = BY_HAND) -> None:
         super().__init__(scene)
         self._name, self._why = name, why
@@ -167,7 +151,7 @@ class _Nonnegative(_Linear):
         self._scene.prepare(self._wiener.filter, self._solver.prepare)
 
 
-def _total_variation(scene: Scene) -> Method:
+def _total_variation(scene: Scene) -> Linear:
     return _Nonnegative(scene, "tv") if len(scene.blur.surface_shape) == 2 else _Nonnegative(scene, why=NO_AREA)
 
 
@@ -191,14 +175,14 @@ class _Points(_Nonnegative):
         return self._points.drawing.deviation() if self._points.loads else super().deviation()
 
 
-def _auto(scene: Scene) -> Method:
+def _auto(scene: Scene) -> Auto | Windowed:
     return Windowed(scene) if fits(scene.blur) else Auto(scene)
 
 
-METHODS: dict[str, Callable[[Scene], Method]] = {
+METHODS: dict[str, Callable[[Scene], Linear | Auto | Windowed]] = {
     "auto": _auto,
     "raw": _Raw,
-    "wiener": _Linear,
+    "wiener": Linear,
     "rl": partial(_RichardsonLucy, name="rl"),
     "rl-fast": partial(_RichardsonLucy, name="rl-fast"),
     "nnls": _Nonnegative,

@@ -25,8 +25,8 @@ def test_matrix_and_stencil_agree(paper, rows, columns, refine):
     assert cells.shape == (refine * (2 * rows - 1), refine * (2 * columns - 1))
     for taxel, row in enumerate(dense):
         i, j = divmod(taxel, columns)
-        top, left = refine * (rows - 1 - i), refine * (columns - 1 - j)
-        window = cells[top : top + rows * refine, left : left + columns * refine]
+        top, first = refine * (rows - 1 - i), refine * (columns - 1 - j)
+        window = cells[top : top + rows * refine, first : first + columns * refine]
         np.testing.assert_allclose(row.reshape(window.shape), window, atol=1e-12)
 
 

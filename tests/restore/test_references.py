@@ -40,7 +40,7 @@ def test_for_a_flat_spectrum_the_linear_filter_is_wieners(blur, frame, monkeypat
 
 
 @pytest.mark.parametrize("iterations", [1, 10, 30])
-def test_without_weights_from_a_flat_image_richardson_lucy_is_theirs(frame, iterations):
+def test_iterations_from_a_flat_image_without_weights_are_theirs(frame, iterations):
     sensor = plan((SIDE, SIDE))
     psf = stencil(sensor.kernel, sensor.array)[16:47, 16:47]
     y = np.maximum(frame, 1e-4)

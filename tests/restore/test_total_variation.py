@@ -56,20 +56,20 @@ def weights(scene, x):
 
 def objective(scene, frame, x, smooth=0.0):
     """The problem that is to be solved, the weights being those of `x`; its value and slope at any image."""
-    (gaussian, total, variation), modes = weights(scene, x), scene.modes
-    left, right = modes.surface
+    (gaussian, total, weight), modes = weights(scene, x), scene.modes
+    V, W = modes.surface
     c = modes.taxel[0].T @ frame.astype(float) @ modes.taxel[1]
 
     def at(flat):
         image = flat.reshape(x.shape)
-        z = left.T @ image @ right
+        z = V.T @ image @ W
         across, down = differences(image)
         length = np.sqrt(across**2 + down**2 + smooth**2)
         misfit = modes.gain * z - c
-        value = (misfit**2).sum() / 2 + (gaussian * z**2).sum() / 2 + total * flat.sum() + variation * length.sum()
-        slope = left @ (modes.gain * misfit + gaussian * z) @ right.T + total
+        value = (misfit**2).sum() / 2 + (gaussian * z**2).sum() / 2 + total * flat.sum() + weight * length.sum()
+        slope = V @ (modes.gain * misfit + gaussian * z) @ W.T + total
         for part, axis in ((across, 1), (down, 0)):
-            pull = variation * part / np.maximum(length, 1e-300)
+            pull = weight * part / np.maximum(length, 1e-300)
             slope += np.roll(pull, 1, axis) - pull
         return value, slope.ravel()
 
@@ -88,19 +88,19 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
         solver(wiener)
     ours = solver.image.astype(float)
     exact = objective(scene, frame, ours)
-    least = ours.ravel()
+    best = ours.ravel()
     for smooth in (1.0, 0.1, 0.01, 1e-3):
-        found = minimize(
+        solution = minimize(
             objective(scene, frame, ours, smooth),
-            np.maximum(least, 0) if smooth < 1 else np.full(ours.size, frame.mean(), float),
+            np.maximum(best, 0) if smooth < 1 else np.full(ours.size, frame.mean(), float),
             jac=True,
             method="L-BFGS-B",
             bounds=[(0, None)] * ours.size,
             options={"maxiter": 20_000, "maxfun": 100_000, "ftol": 1e-15, "gtol": 1e-9, "maxcor": 50},
         )
-        least = found.x
-    assert exact(ours.ravel())[0] <= exact(least)[0] * (1 + 1e-5)
-    assert np.linalg.norm(ours.ravel() - least) < 0.01 * np.linalg.norm(least)
+        best = solution.x
+    assert exact(ours.ravel())[0] <= exact(best)[0] * (1 + 1e-5)
+    assert np.linalg.norm(ours.ravel() - best) < 0.01 * np.linalg.norm(best)
 
 
 @pytest.mark.parametrize(("thickness", "sigma"), [(1.0, 0.5), (1.0, 3.0), (2.0, 3.0)])
@@ -145,10 +145,10 @@ def test_warm_iterations_are_fewer_and_the_image_is_still_better(covered, presse
 def test_without_a_grid_it_is_plain_least_squares_and_says_so(covered, pressed):
     blur = covered((8, 8), layout=True)
     frame, _ = pressed(blur, SIGMA)
-    done, plain = make("tv", blur, SIGMA)(frame), make("nnls", blur, SIGMA)(frame)
+    done, nnls = make("tv", blur, SIGMA)(frame), make("nnls", blur, SIGMA)(frame)
     assert done.method == "nnls"
     assert "grid" in done.why
-    np.testing.assert_array_equal(done.image, plain.image)
+    np.testing.assert_array_equal(done.image, nnls.image)
 
 
 def test_a_frame_allocates_next_to_nothing(covered, pressed):

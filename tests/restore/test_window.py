@@ -35,15 +35,15 @@ def sensed(covered):
 
 @pytest.fixture
 def both(covered):
-    """Restores a frame through windows and by the whole alone; gives both and the windows."""
+    """Restores a frame through windows and by the full grid alone; gives both and the windows."""
     blur = covered(SHAPE)
     scene, alone = Scene(blur, SIGMA), Scene(blur, SIGMA)
-    windowed, whole = Windowed(scene), Auto(alone)
+    windowed, full = Windowed(scene), Auto(alone)
 
     def restore(frame):
         for each in (scene, alone):
             each.high, each.low = frame.max().item(), frame.min().item()
-        return windowed(frame), whole(frame), windowed
+        return windowed(frame), full(frame), windowed
 
     return restore
 
@@ -53,94 +53,77 @@ def error(image, truth):
 
 
 def test_windows_are_for_large_grids(covered):
-    assert [fits(covered(shape)) for shape in ((48, 52), (32, 64), (32, 32), (24, 200))] == [
-        True,
-        True,
-        False,
-        False,
-    ]
-    assert not fits(covered((6, 6), layout=True))
+    blurs = [covered(shape) for shape in ((48, 52), (32, 64), (32, 32), (24, 200))]
+    assert [fits(each) for each in (*blurs, covered((6, 6), layout=True))] == [True, True, False, False, False]
 
 
 @pytest.mark.parametrize("place", [(20, 30), (3, 4), (45, 49)], ids=["middle", "corner", "far corner"])
-def test_in_a_window_a_contact_is_what_it_is_on_the_whole(sensed, both, place):
+def test_in_a_window_a_contact_is_what_it_is_on_the_full_grid(sensed, both, place):
     truth = disc(*place)
     both(sensed(truth))
     for _ in range(5):
-        mine, plain, windowed = both(sensed(truth))
+        in_window, full_grid, windowed = both(sensed(truth))
         assert windowed.used
-        assert mine.method == plain.method == "nnls"
-        assert error(mine.image, truth) < 1.1 * error(plain.image, truth)
-        assert np.sqrt(np.mean((mine.image - plain.image) ** 2)) < SIGMA
-        assert mine.image.sum() == pytest.approx(truth.sum(), rel=0.02)
+        assert in_window.method == full_grid.method == "nnls"
+        assert error(in_window.image, truth) < 1.1 * error(full_grid.image, truth)
+        assert np.sqrt(np.mean((in_window.image - full_grid.image) ** 2)) < SIGMA
+        assert in_window.image.sum() == pytest.approx(truth.sum(), rel=0.02)
 
 
 def test_a_contact_that_crosses_is_never_cut(sensed, both):
-    shown, errors = [], []
+    used, errors = [], []
     for step in np.arange(0, 42, 0.25):
         truth = disc(5 + 0.9 * step, 5 + step)
-        mine, plain, windowed = both(sensed(truth))
-        shown.append(windowed.used)
-        errors.append((error(mine.image, truth), error(plain.image, truth)))
-    mine, plain = np.array(errors).T
-    assert np.mean(shown) > 0.9
-    assert sum(a != b for a, b in itertools.pairwise(shown)) <= 3
-    assert mine.mean() < plain.mean()
-    assert (mine < 1.5 * plain).all()
+        in_window, full_grid, windowed = both(sensed(truth))
+        used.append(windowed.used)
+        errors.append((error(in_window.image, truth), error(full_grid.image, truth)))
+    in_window, full_grid = np.array(errors).T
+    assert np.mean(used) > 0.9
+    assert sum(a != b for a, b in itertools.pairwise(used)) <= 3
+    assert in_window.mean() < full_grid.mean()
+    assert (in_window < 1.5 * full_grid).all()
 
 
-def test_a_contact_that_grows_is_left_to_the_whole(sensed, both):
-    shown = []
+def test_a_contact_that_grows_is_left_to_the_full_grid(sensed, both):
+    used = []
     for radius in np.arange(3, 20, 0.25):
-        mine, plain, windowed = both(sensed(disc(24, 26, radius)))
-        shown.append(windowed.used)
-    assert shown[1]
-    assert not shown[-1]
-    assert sum(a != b for a, b in itertools.pairwise(shown)) <= 4
-    assert error(mine.image, disc(24, 26, radius)) < 1.05 * error(plain.image, disc(24, 26, radius))
+        in_window, full_grid, windowed = both(sensed(disc(24, 26, radius)))
+        used.append(windowed.used)
+    assert used[1]
+    assert not used[-1]
+    assert sum(a != b for a, b in itertools.pairwise(used)) <= 4
+    assert error(in_window.image, disc(24, 26, radius)) < 1.05 * error(full_grid.image, disc(24, 26, radius))
 
 
-def test_two_far_apart_are_left_to_the_whole(sensed, both):
-    near, truth = disc(8, 9), disc(8, 9) + disc(40, 44)
-    for _ in range(3):
-        *_, windowed = both(sensed(near))
+LEAVING = {
+    "another contact": lambda contact: contact + disc(40, 44),
+    "wide and faint": lambda contact: contact + 1.0,
+    "fainter": lambda contact: contact + 0.25 * SIGMA,
+    "nothing": lambda contact: 0 * contact,
+}
+
+
+@pytest.mark.parametrize("case", LEAVING)
+def test_a_window_closes_on_what_is_not_one_small_contact(sensed, both, case):
+    for _ in range(REVIEW_FRAMES + 3):
+        *_, windowed = both(sensed(disc(12, 12)))
     assert windowed.used
+    truth = LEAVING[case](disc(12, 12))
     for _ in range(2 * REVIEW_FRAMES):
-        mine, plain, windowed = both(sensed(truth))
+        in_window, full_grid, windowed = both(sensed(truth))
         assert not windowed.used
-        assert error(mine.image, truth) < 1.1 * error(plain.image, truth)
+        assert case != "nothing" or in_window.method == full_grid.method == "idle"
+        assert np.linalg.norm(in_window.image - truth) <= 1.1 * np.linalg.norm(full_grid.image - truth)
+    assert case != "wide and faint" or in_window.image[36:, 36:].mean() > 0.3
 
 
-def test_what_is_faint_but_wide_is_not_lost_around_a_window(sensed, both):
+def test_a_window_closes_on_power_that_no_taxel_and_no_sum_shows(sensed, both):
     for _ in range(3):
         *_, windowed = both(sensed(disc(12, 12)))
     assert windowed.used
-    mine, _, windowed = both(sensed(disc(12, 12) + 1.0))
+    ripple = (-1.0) ** np.add.outer(*map(np.arange, SHAPE))
+    *_, windowed = both(sensed(disc(12, 12)) + (0.6 * SIGMA * ripple).astype(np.float32))
     assert not windowed.used
-    assert mine.image[36:, 36:].mean() > 0.3
-
-
-def test_a_window_closes_on_what_only_the_sum_or_the_power_shows(sensed, both):
-    everywhere = np.full(SHAPE, 0.25 * SIGMA)
-    ripple = 0.6 * SIGMA * (-1.0) ** np.add.outer(np.arange(SHAPE[0]), np.arange(SHAPE[1]))
-    for faint in (everywhere, ripple):
-        for _ in range(REVIEW_FRAMES + 3):
-            *_, windowed = both(sensed(disc(12, 12)))
-        assert windowed.used
-        frame = sensed(disc(12, 12)) + faint.astype(np.float32)
-        assert np.abs(frame[30:]).max() < windowed._peak
-        *_, windowed = both(frame)
-        assert not windowed.used
-
-
-def test_an_empty_window_is_closed(sensed, both):
-    for _ in range(3):
-        *_, windowed = both(sensed(disc(12, 12)))
-    assert windowed.used
-    mine, _, windowed = both(sensed(disc(12, 12, peak=0)))
-    assert not windowed.used
-    assert mine.method == "idle"
-    assert not mine.image.any()
 
 
 def test_points_and_deviation_are_where_the_window_is():
