@@ -132,7 +132,7 @@ class Traffic(dict[Key, list[Message]]):
 
 
 class Skin:
-    """A frozen dataclass whose fields are a skin's settings; a file of `codecs/` registers it as SKIN."""
+    """A frozen dataclass whose fields are a skin's settings: SKIN of a file of `codecs/`, or an entry point."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
     kpa_per_count: float | None = None  # kPa, of a skin whose configuration says nothing of it; so is no_load

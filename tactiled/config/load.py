@@ -110,7 +110,7 @@ def _suggestion(*loc: int | str) -> str:
 
 def _keys() -> dict[str, set[str]]:
     """The keys of every table."""
-    codecs = {key.name for _, skin in skins.skins() for key in fields(skin)}  # type: ignore[arg-type]
+    codecs = {key.name for name in skins.BUILT_IN for key in fields(skins.load(name))}  # type: ignore[arg-type]
     return {name: {*table.model_fields} for name, table in TABLES.items()} | {"codec": {"name", *codecs}}
 
 
