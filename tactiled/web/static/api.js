@@ -1,7 +1,4 @@
-/**
- * The service's JSON interface.
- * @module
- */
+/** The service's JSON interface. @module */
 
 import { npy } from "./npy.js";
 
@@ -125,10 +122,7 @@ async function answer(path, options) {
   }
 }
 
-/**
- * @param {Response} response
- * @returns {Promise<any>} the JSON in it, or null where there is none
- */
+/** @param {Response} response @returns {Promise<any>} the JSON in it, or null where there is none */
 async function json(response) {
   const text = await response.text();
   try {
@@ -157,57 +151,33 @@ async function succeed(path, options = {}) {
  */
 const request = async (path, options) => json(await succeed(path, options));
 
-/**
- * @param {"POST"|"PUT"} method
- * @param {unknown} body
- * @returns {RequestInit}
- */
+/** @param {"POST"|"PUT"} method @param {unknown} body @returns {RequestInit} */
 const sending = (method, body) =>
   ({ method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 
-/**
- * @param {string} name
- * @returns {string} a sensor's path
- */
+/** @param {string} name @returns {string} a sensor's path */
 const at = (name) => `/sensors/${encodeURIComponent(name)}`;
 
 /** @returns {Promise<Sensor[]>} */
 export const sensors = async () => (await request("/sensors")).sensors;
 
-/**
- * @param {string} name
- * @returns {Promise<Sensor>}
- */
+/** @param {string} name @returns {Promise<Sensor>} */
 export const sensor = (name) => request(at(name));
 
-/**
- * @param {string} name
- * @returns {Promise<Geometry>}
- */
+/** @param {string} name @returns {Promise<Geometry>} */
 export const geometry = (name) => request(`${at(name)}/geometry`);
 
-/**
- * @param {string} name
- * @returns {Promise<Kernel>}
- */
+/** @param {string} name @returns {Promise<Kernel>} */
 export const kernel = (name) => request(`${at(name)}/kernel`);
 
 /** @returns {Promise<Colormap>} */
 export const colormap = () => request("/colormap");
 
-/**
- * @param {string} name
- * @param {string} method
- * @returns {Promise<{method: string}>}
- */
+/** @param {string} name @param {string} method @returns {Promise<{method: string}>} */
 export const setMethod = (name, method) =>
   request(`${at(name)}/method`, sending("PUT", { method }));
 
-/**
- * @param {string} name
- * @param {boolean} force even where a load is seen
- * @returns {Promise<unknown>}
- */
+/** @param {string} name @param {boolean} force even where a load is seen @returns {Promise<unknown>} */
 export const tare = (name, force) => request(`${at(name)}/tare${force ? "?force=true" : ""}`, { method: "POST" });
 
 /**
@@ -242,43 +212,25 @@ export async function recordings() {
   return found;
 }
 
-/**
- * @param {string} bus
- * @returns {Promise<Recording>}
- */
+/** @param {string} bus @returns {Promise<Recording>} */
 export const startRecording = (bus) => request("/recordings", sending("POST", { bus }));
 
-/**
- * @param {string} name
- * @returns {Promise<Recording>}
- */
+/** @param {string} name @returns {Promise<Recording>} */
 export const stopRecording = (name) => request(`/recordings/${encodeURIComponent(name)}/stop`, { method: "POST" });
 
-/**
- * @param {string} name
- * @returns {Promise<unknown>}
- */
+/** @param {string} name @returns {Promise<unknown>} */
 export const deleteRecording = (name) => request(`/recordings/${encodeURIComponent(name)}`, { method: "DELETE" });
 
-/**
- * @param {string} name
- * @returns {string} where the file is to be had
- */
+/** @param {string} name @returns {string} where the file is to be had */
 export const recordingUrl = (name) => `${ROOT}/recordings/${encodeURIComponent(name)}`;
 
-/**
- * Show a token; the service keeps it in a cookie that no script reads.
- * @param {string} token
- */
+/** Show a token; the service keeps it in a cookie that no script reads. @param {string} token */
 export async function showToken(token) {
   const response = await answer(`/?token=${encodeURIComponent(token)}`, { cache: "no-store" });
   if (!response.ok) throw new ApiError(response.status, "the service does not know this token");
 }
 
-/**
- * @param {string} path below the API's root
- * @returns {string} the WebSocket address
- */
+/** @param {string} path below the API's root @returns {string} the WebSocket address */
 function socket(path) {
   const url = new URL(ROOT + path, location.href);
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";

@@ -1,7 +1,4 @@
-/**
- * The page: which sensors there are, which is shown, and what the service offers beside them.
- * @module
- */
+/** The page: which sensors there are, which is shown, and what the service offers beside them. @module */
 
 import * as api from "./api.js";
 import { Colormap } from "./colormap.js";
@@ -50,10 +47,7 @@ function hear(status) {
   if (document.activeElement !== picker && picker.value !== status.method) picker.value = status.method;
 }
 
-/**
- * Show a sensor, or all of them.
- * @param {string} name
- */
+/** Show a sensor, or all of them. @param {string} name */
 function choose(name) {
   tabs.choose(name);
   document.body.classList.toggle("all", name === ALL);

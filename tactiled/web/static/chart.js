@@ -1,7 +1,4 @@
-/**
- * A small line chart with its axes.
- * @module
- */
+/** A small line chart with its axes. @module */
 
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { Ticks } from "./ticks.js";
@@ -52,10 +49,7 @@ const FINE = 16; // units of lines in a CSS px: whole, as any other number hande
 const DASHES = [6 * FINE, 4 * FINE]; // of the raw line, where colours are few
 const FAR = 2 ** 24; // of such units, out of sight
 
-/**
- * @param {number} at
- * @returns {number} a whole number near it, out of sight where it is
- */
+/** @param {number} at @returns {number} a whole number near it, out of sight where it is */
 const whole = (at) => (at > FAR ? FAR : at < -FAR ? -FAR : at | 0);
 
 export class Chart {
@@ -118,10 +112,7 @@ export class Chart {
     draw.restore();
   }
 
-  /**
-   * @param {number} x CSS px
-   * @param {string} text
-   */
+  /** @param {number} x CSS px @param {string} text */
   _cursor(x, text) {
     const draw = this._pen;
     draw.font = this._font;
@@ -159,11 +150,7 @@ export class Chart {
     this._grid(axes, this._w, this._h);
   }
 
-  /**
-   * @param {Axes} axes
-   * @param {number} w
-   * @param {number} h
-   */
+  /** @param {Axes} axes @param {number} w @param {number} h */
   _grid(axes, w, h) {
     const draw = this._ground;
     const ink = this._ink;
@@ -197,10 +184,7 @@ export class Chart {
     draw.fillText(axes.y, 0, 0);
   }
 
-  /**
-   * @param {Line} of
-   * @param {Axes} axes
-   */
+  /** @param {Line} of @param {Axes} axes */
   _band(of, axes) {
     const { _pen: draw } = this;
     const sx = FINE * this._sx;
@@ -222,10 +206,7 @@ export class Chart {
     draw.globalAlpha = 1;
   }
 
-  /**
-   * @param {Line} of
-   * @param {Axes} axes
-   */
+  /** @param {Line} of @param {Axes} axes */
   _line(of, axes) {
     const { _pen: draw } = this;
     const sx = FINE * this._sx;
@@ -258,12 +239,7 @@ export class Chart {
     if (of.style === "dots") this._dots(of, axes, sx, sy);
   }
 
-  /**
-   * @param {Line} of
-   * @param {Axes} axes
-   * @param {number} sx fine units a unit of x
-   * @param {number} sy
-   */
+  /** @param {Line} of @param {Axes} axes @param {number} sx fine units a unit of x @param {number} sy */
   _dots(of, axes, sx, sy) {
     const { _pen: draw } = this;
     const floor = FINE * (HEAD + this._h);

@@ -1,7 +1,4 @@
-/**
- * The legend: the shared colour scale with its ticks in kPa.
- * @module
- */
+/** The legend: the shared colour scale with its ticks in kPa. @module */
 
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { endsAndTicks, tickText } from "./ticks.js";

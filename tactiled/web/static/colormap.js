@@ -1,7 +1,4 @@
-/**
- * The colour map of all pressure maps, as the service gives it.
- * @module
- */
+/** The colour map of all pressure maps, as the service gives it. @module */
 
 /** The 256 colours, as pixels and as CSS. */
 export class Colormap {

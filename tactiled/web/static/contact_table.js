@@ -1,7 +1,4 @@
-/**
- * The contacts as a table: what the outlines on the maps say, in numbers.
- * @module
- */
+/** The contacts as a table: what the outlines on the maps say, in numbers. @module */
 
 import { setText } from "./dom.js";
 import { fixed, newtons } from "./format.js";
@@ -58,10 +55,7 @@ function row() {
   return made;
 }
 
-/**
- * @param {HTMLCollectionOf<HTMLTableCellElement>} cells
- * @param {Contact} contact
- */
+/** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact */
 function fill(cells, contact) {
   setText(cells[0], String(contact.id));
   setText(cells[1], newtons(contact.force_n));

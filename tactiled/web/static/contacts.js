@@ -1,7 +1,4 @@
-/**
- * Where something touches, as the stream tells it, kept as long as the frames are.
- * @module
- */
+/** Where something touches, as the stream tells it, kept as long as the frames are. @module */
 
 import { newtons } from "./format.js";
 import { Timeline } from "./timeline.js";
@@ -39,10 +36,7 @@ export class Contacts extends Timeline {
     super(KEPT, HOLDS_S);
   }
 
-  /**
-   * @override
-   * @param {Found} found
-   */
+  /** @override @param {Found} found */
   push(found) {
     for (const each of found.contacts) each.label = `${each.id}: ${newtons(each.force_n)} N`;
     super.push(found);

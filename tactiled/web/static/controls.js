@@ -1,7 +1,4 @@
-/**
- * Buttons, fields and keys.
- * @module
- */
+/** Buttons, fields and keys. @module */
 
 import * as api from "./api.js";
 import { byId, setText } from "./dom.js";
@@ -34,11 +31,7 @@ const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
 
-/**
- * Wire everything that can be pressed.
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** Wire everything that can be pressed. @param {Viewer} viewer @param {Targets} rooms */
 export function controls(viewer, rooms) {
   buttons(viewer, rooms);
   range(viewer, rooms);
@@ -46,10 +39,7 @@ export function controls(viewer, rooms) {
   picker.addEventListener("change", () => chooseMethod(viewer));
 }
 
-/**
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** @param {Viewer} viewer @param {Targets} rooms */
 function buttons(viewer, rooms) {
   const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
   const contacts = /** @type {HTMLInputElement} */ (byId("contacts-on"));
@@ -76,10 +66,7 @@ function showHelp() {
   help.scrollTop = 0;
 }
 
-/**
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** @param {Viewer} viewer @param {Targets} rooms */
 function range(viewer, rooms) {
   const auto = /** @type {HTMLInputElement} */ (byId("range-auto"));
   const low = /** @type {HTMLInputElement} */ (byId("range-low"));
@@ -105,11 +92,7 @@ function fix(low, high, viewer, rooms) {
   viewer.refresh();
 }
 
-/**
- * @param {boolean} auto
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** @param {boolean} auto @param {Viewer} viewer @param {Targets} rooms */
 function setAuto(auto, viewer, rooms) {
   const { scale } = viewer;
   if (auto) scale.release();
@@ -154,11 +137,7 @@ async function sure(name, seen) {
   return loaded.returnValue === "force";
 }
 
-/**
- * @param {"png"|"csv"} kind
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} rooms */
 function save(kind, viewer, rooms) {
   const { session, palette } = viewer;
   if (!session?.frame || !palette) {
@@ -179,12 +158,7 @@ function save(kind, viewer, rooms) {
   }
 }
 
-/**
- * @param {Viewer} viewer
- * @param {number} dx
- * @param {number} dy
- * @param {KeyboardEvent} event
- */
+/** @param {Viewer} viewer @param {number} dx @param {number} dy @param {KeyboardEvent} event */
 function arrow(viewer, dx, dy, event) {
   const plane = viewer.session?.plane;
   if (event.altKey && plane) viewer.probe.nudge(dx * plane.restored.side, dy * plane.restored.side, plane);
@@ -207,10 +181,7 @@ function pin(viewer) {
   viewer.probe.pin(of.contact ? of.x : plane.left + plane.width / 2, of.contact ? of.y : plane.top + plane.height / 2);
 }
 
-/**
- * @param {Viewer} viewer
- * @param {Targets} rooms
- */
+/** @param {Viewer} viewer @param {Targets} rooms */
 function keyboard(viewer, rooms) {
   const contacts = byId("contacts-on");
   const shear = byId("shear-on");

@@ -1,7 +1,4 @@
-/**
- * The cross-section: pressure along a line, raw and restored.
- * @module
- */
+/** The cross-section: pressure along a line, raw and restored. @module */
 
 import { Chart, line } from "./chart.js";
 import { fixed } from "./format.js";
@@ -84,11 +81,7 @@ export class CrossSection {
   }
 }
 
-/**
- * @param {Line} of
- * @param {number} least
- * @returns {boolean} some point is below
- */
+/** @param {Line} of @param {number} least @returns {boolean} some point is below */
 function goesBelow(of, least) {
   for (let i = 0; i < of.length; i += 1) if (of.y[i] < least) return true;
   return false;

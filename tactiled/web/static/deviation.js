@@ -14,10 +14,7 @@ const HOLDS_S = 1.5; // between the frame that a deviation is of and one that it
 const ASK_MS = 500; // it costs the service more than the image itself
 
 export class DeviationCache {
-  /**
-   * @param {string} name of the sensor
-   * @param {Plane} plane
-   */
+  /** @param {string} name of the sensor @param {Plane} plane */
   constructor(name, plane) {
     this._name = name;
     this._count = plane.restored.count;

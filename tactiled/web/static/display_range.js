@@ -1,7 +1,4 @@
-/**
- * The pressure range that both maps share: fixed by hand, or following the data without flicker.
- * @module
- */
+/** The pressure range that both maps share: fixed by hand, or following the data without flicker. @module */
 
 const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
 const DECAY_S = 6; // the range forgets a peak over about this long
@@ -10,10 +7,7 @@ const TIGHT = 0.71; // of a range, above which no smaller one is taken: HYSTERES
 const LEAST_KPA = 1;
 const NARROWEST = 1e-6; // of its larger end, what a range spans at least: ticks and colours are told apart
 
-/**
- * @param {number} value above 0
- * @returns {number} the least round number that is not below it
- */
+/** @param {number} value above 0 @returns {number} the least round number that is not below it */
 export function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   for (let i = 0; i < STEPS.length; i += 1) if (STEPS[i] * power >= value * (1 - 1e-9)) return STEPS[i] * power;
@@ -88,11 +82,7 @@ export class DisplayRange {
   }
 }
 
-/**
- * @param {number} low
- * @param {number} high
- * @returns {string} why that is no range; "" where it is one
- */
+/** @param {number} low @param {number} high @returns {string} why that is no range; "" where it is one */
 function fault(low, high) {
   if (!Number.isFinite(low) || !Number.isFinite(high)) return "a number is missing";
   if (high <= low) return "its end is not above its start";

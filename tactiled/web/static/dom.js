@@ -1,7 +1,4 @@
-/**
- * Small helpers for canvases and text, shared by everything that draws.
- * @module
- */
+/** Small helpers for canvases and text, shared by everything that draws. @module */
 
 /**
  * @template {HTMLElement} T
@@ -23,10 +20,7 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/**
- * @param {HTMLCanvasElement} canvas
- * @returns {CanvasRenderingContext2D}
- */
+/** @param {HTMLCanvasElement} canvas @returns {CanvasRenderingContext2D} */
 export function context2d(canvas) {
   const context = canvas.getContext("2d");
   if (!context) throw new Error("this browser gives no 2D canvas");

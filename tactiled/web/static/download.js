@@ -1,7 +1,4 @@
-/**
- * Files for the browser to save.
- * @module
- */
+/** Files for the browser to save. @module */
 
 /** @import { Frame } from "./frame_history.js" */
 

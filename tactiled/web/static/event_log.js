@@ -1,7 +1,4 @@
-/**
- * What happened to the service, newest first, with times.
- * @module
- */
+/** What happened to the service, newest first, with times. @module */
 
 import * as api from "./api.js";
 import { byId } from "./dom.js";
@@ -35,10 +32,7 @@ export class EventLog {
   }
 }
 
-/**
- * @param {Event} event
- * @returns {HTMLElement}
- */
+/** @param {Event} event @returns {HTMLElement} */
 function line(event) {
   const item = document.createElement("li");
   item.classList.toggle("bad", BAD.has(event.kind));

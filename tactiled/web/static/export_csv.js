@@ -1,19 +1,11 @@
-/**
- * A frame as CSV, one line per cell.
- * @module
- */
+/** A frame as CSV, one line per cell. @module */
 
 import { isoTime } from "./download.js";
 
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
 
-/**
- * @param {string} name of the sensor
- * @param {Plane} plane
- * @param {Frame} frame
- * @returns {string}
- */
+/** @param {string} name of the sensor @param {Plane} plane @param {Frame} frame @returns {string} */
 export function csvText(name, plane, frame) {
   const { sheared, shear } = frame;
   const lines = [

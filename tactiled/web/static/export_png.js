@@ -1,7 +1,4 @@
-/**
- * Both maps with their legend and readings as a PNG file.
- * @module
- */
+/** Both maps with their legend and readings as a PNG file. @module */
 
 import { context2d, themeColors } from "./dom.js";
 import { download, isoTime } from "./download.js";
@@ -62,20 +59,13 @@ export function savePng({ name, plane }, frame, maps, scale, palette, state, she
   canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
 }
 
-/**
- * @param {Measures} of an image
- * @returns {string[]} what stands below its map, line by line
- */
+/** @param {Measures} of an image @returns {string[]} what stands below its map, line by line */
 function told(of) {
   const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
   return [`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa`, centre];
 }
 
-/**
- * @param {string[]} texts
- * @param {number} size px, of their letters
- * @returns {number} px, of the widest
- */
+/** @param {string[]} texts @param {number} size px, of their letters @returns {number} px, of the widest */
 function widest(texts, size) {
   const draw = context2d(document.createElement("canvas"));
   draw.font = `${size}px ${themeColors().font}`;
@@ -84,10 +74,7 @@ function widest(texts, size) {
 
 /** The picture while it is made. */
 class Sheet {
-  /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {number} tall px between head and foot
-   */
+  /** @param {HTMLCanvasElement} canvas @param {number} tall px between head and foot */
   constructor(canvas, tall) {
     this.ink = themeColors();
     this._tall = tall;
@@ -144,11 +131,7 @@ class Sheet {
     this.write(`shear of ${arrows.full} counts`, x + length + 10, y, 15, this.ink.muted);
   }
 
-  /**
-   * @param {number} x
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
-   */
+  /** @param {number} x @param {DisplayRange} scale @param {Colormap} palette */
   legend(x, scale, palette) {
     const h = this._tall;
     this.write("kPa", x, HEAD - 14);

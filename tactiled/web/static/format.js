@@ -1,7 +1,4 @@
-/**
- * Numbers as text.
- * @module
- */
+/** Numbers as text. @module */
 
 /**
  * @param {number} value

@@ -1,7 +1,4 @@
-/**
- * The last seconds of a sensor, in buffers that are allocated once.
- * @module
- */
+/** The last seconds of a sensor, in buffers that are allocated once. @module */
 
 import { measure, measures } from "./measures.js";
 import { RAN } from "./wire.js";
@@ -38,10 +35,7 @@ const NO_FLAGS = new Uint8Array(0);
  */
 
 export class FrameHistory {
-  /**
-   * @param {Plane} plane
-   * @param {boolean} feels shear
-   */
+  /** @param {Plane} plane @param {boolean} feels shear */
   constructor(plane, feels) {
     this._plane = plane;
     const { raw: { count: n }, restored: { count: m } } = plane;
@@ -130,10 +124,7 @@ export class FrameHistory {
     return frame;
   }
 
-  /**
-   * @param {number} back 0 for the newest, 1 for the one before it, ...
-   * @returns {Frame|null}
-   */
+  /** @param {number} back 0 for the newest, 1 for the one before it, ... @returns {Frame|null} */
   at(back) {
     return back < 0 || back >= this.length ? null : this._frames[this.place(back)];
   }

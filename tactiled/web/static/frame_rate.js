@@ -1,7 +1,4 @@
-/**
- * How fast pictures come to the screen, and how old they are there.
- * @module
- */
+/** How fast pictures come to the screen, and how old they are there. @module */
 
 /** @import { Frame } from "./frame_history.js" */
 

@@ -19,10 +19,7 @@ export class Freshness {
     this._rounds = 0; // since then
   }
 
-  /**
-   * An image came.
-   * @param {number} sent Unix s, by the service's clock
-   */
+  /** An image came. @param {number} sent Unix s, by the service's clock */
   hear(sent) {
     const at = Date.now() / 1000;
     const gone = Math.max(0, Math.min(1, at - this._at));

@@ -1,7 +1,4 @@
-/**
- * Where a sensor's cells are, in mm: x to the right, y down.
- * @module
- */
+/** Where a sensor's cells are, in mm: x to the right, y down. @module */
 
 /** @import { Geometry } from "./api.js" */
 
@@ -62,28 +59,17 @@ export class Plane {
     return this.height > TALL * this.width ? "y" : "x";
   }
 
-  /**
-   * @param {Axis} axis
-   * @returns {number} mm, where the plane begins
-   */
+  /** @param {Axis} axis @returns {number} mm, where the plane begins */
   start(axis) {
     return axis === "x" ? this.left : this.top;
   }
 
-  /**
-   * @param {Axis} axis
-   * @returns {number} mm, how far it reaches from there
-   */
+  /** @param {Axis} axis @returns {number} mm, how far it reaches from there */
   extent(axis) {
     return axis === "x" ? this.width : this.height;
   }
 
-  /**
-   * @param {number} rows
-   * @param {number} columns
-   * @param {number} side
-   * @returns {Cells}
-   */
+  /** @param {number} rows @param {number} columns @param {number} side @returns {Cells} */
   _grid(rows, columns, side) {
     const count = rows * columns;
     const x = new Float64Array(count);

@@ -1,7 +1,4 @@
-/**
- * Whether what is on the screen is the present, and the words for it where it is not.
- * @module
- */
+/** Whether what is on the screen is the present, and the words for it where it is not. @module */
 
 import { fixed } from "./format.js";
 
@@ -76,10 +73,7 @@ function ageOf(status, toldAt, now) {
   return status.age_s + (now - toldAt) / 1000;
 }
 
-/**
- * @param {number} seconds
- * @returns {string}
- */
+/** @param {number} seconds @returns {string} */
 function span(seconds) {
   if (seconds < 100) return `${fixed(seconds, 1)} s`;
   if (seconds < 6000) return `${Math.floor(seconds / 60)} min`;

@@ -11,10 +11,7 @@ import { fitCanvas, context2d } from "./dom.js";
 /** @import { Cells, Plane } from "./geometry.js" */
 
 export class Heatmap {
-  /**
-   * @param {HTMLCanvasElement} canvas the cells
-   * @param {HTMLElement} frame what holds it
-   */
+  /** @param {HTMLCanvasElement} canvas the cells @param {HTMLElement} frame what holds it */
   constructor(canvas, frame) {
     this.canvas = canvas;
     this.frame = frame;
@@ -33,11 +30,7 @@ export class Heatmap {
     this._hatch = null;
   }
 
-  /**
-   * Take another sensor's cells.
-   * @param {Plane} plane
-   * @param {Cells} cells
-   */
+  /** Take another sensor's cells. @param {Plane} plane @param {Cells} cells */
   use(plane, cells) {
     this._plane = plane;
     this._cells = cells;
@@ -52,10 +45,7 @@ export class Heatmap {
     }
   }
 
-  /**
-   * Take the size that the map is to be shown at.
-   * @param {number} zoom CSS px per mm
-   */
+  /** Take the size that the map is to be shown at. @param {number} zoom CSS px per mm */
   resize(zoom) {
     if (!this._plane) return;
     this.zoom = zoom;
@@ -71,11 +61,7 @@ export class Heatmap {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  /**
-   * @param {Float32Array} kpa
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
-   */
+  /** @param {Float32Array} kpa @param {DisplayRange} scale @param {Colormap} palette */
   paint(kpa, scale, palette) {
     if (this._image) this._paintGrid(kpa, scale, palette, this._image);
     else this._paintScattered(kpa, scale, palette);
@@ -104,11 +90,7 @@ export class Heatmap {
     this._pen.putImageData(image, 0, 0);
   }
 
-  /**
-   * @param {Float32Array} kpa
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
-   */
+  /** @param {Float32Array} kpa @param {DisplayRange} scale @param {Colormap} palette */
   _paintScattered(kpa, scale, palette) {
     const plane = this._plane;
     const cells = this._cells;
@@ -152,11 +134,7 @@ export class Heatmap {
     return this._hatch ?? "#8d949c";
   }
 
-  /**
-   * Where on the plane a pointer is.
-   * @param {PointerEvent} event
-   * @param {{x: number, y: number}} into mm
-   */
+  /** Where on the plane a pointer is. @param {PointerEvent} event @param {{x: number, y: number}} into mm */
   locate(event, into) {
     if (!this._plane) return;
     const box = this.canvas.getBoundingClientRect();

@@ -1,7 +1,4 @@
-/**
- * The cover as a blur: how much of each detail it lets through.
- * @module
- */
+/** The cover as a blur: how much of each detail it lets through. @module */
 
 import { Chart, line } from "./chart.js";
 import { byId, setText } from "./dom.js";
@@ -56,10 +53,7 @@ export class KernelPanel {
   }
 }
 
-/**
- * @param {number} gain
- * @returns {string}
- */
+/** @param {number} gain @returns {string} */
 function gainText(gain) {
   if (!Number.isFinite(gain)) return "\u2013";
   if (Math.abs(gain) >= 0.001 || gain === 0) return number(gain, 2).length > 5 ? gain.toPrecision(2) : String(Number(gain.toPrecision(2)));

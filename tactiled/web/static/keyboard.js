@@ -1,7 +1,4 @@
-/**
- * Keyboard shortcuts.
- * @module
- */
+/** Keyboard shortcuts. @module */
 
 import { keep, loadSetting } from "./storage.js";
 

@@ -1,7 +1,4 @@
-/**
- * The raw and the restored map side by side, on one colour scale and one scale in mm.
- * @module
- */
+/** The raw and the restored map side by side, on one colour scale and one scale in mm. @module */
 
 import { Colorbar } from "./colorbar.js";
 import { byId, setText } from "./dom.js";
@@ -130,10 +127,7 @@ function crisp(plane, zoom) {
   return whole > CHEAP * zoom ? whole : zoom;
 }
 
-/**
- * @param {number} length
- * @returns {number} a round number not above it
- */
+/** @param {number} length @returns {number} a round number not above it */
 function roundDown(length) {
   const power = 10 ** Math.floor(Math.log10(length));
   return ([5, 2, 1].find((step) => step * power <= length) ?? 1) * power;

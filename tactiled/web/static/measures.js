@@ -1,7 +1,4 @@
-/**
- * What one image amounts to: force, peak, place of contact.
- * @module
- */
+/** What one image amounts to: force, peak, place of contact. @module */
 
 /** @import { Cells } from "./geometry.js" */
 

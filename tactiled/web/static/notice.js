@@ -1,7 +1,4 @@
-/**
- * Something said in passing.
- * @module
- */
+/** Something said in passing. @module */
 
 import { byId, setText } from "./dom.js";
 
@@ -10,10 +7,7 @@ const BAD_STAYS_MS = 8000;
 
 let timer = 0;
 
-/**
- * @param {string} text
- * @param {boolean} [bad]
- */
+/** @param {string} text @param {boolean} [bad] */
 export function notice(text, bad = false) {
   const element = byId("notice");
   setText(element, text);
@@ -23,8 +17,5 @@ export function notice(text, bad = false) {
   timer = setTimeout(() => { element.hidden = true; }, bad ? BAD_STAYS_MS : STAYS_MS);
 }
 
-/**
- * @param {unknown} error
- * @returns {string}
- */
+/** @param {unknown} error @returns {string} */
 export const messageOf = (error) => (error instanceof Error ? error.message : String(error));

@@ -1,7 +1,4 @@
-/**
- * A .npy file, numpy's own, read: what the service sends an array as.
- * @module
- */
+/** A .npy file, numpy's own, read: what the service sends an array as. @module */
 
 /**
  * @param {ArrayBuffer} file

@@ -50,10 +50,7 @@ export class Overlay {
     };
   }
 
-  /**
-   * @param {Plane} plane
-   * @param {number} zoom CSS px per mm
-   */
+  /** @param {Plane} plane @param {number} zoom CSS px per mm */
   resize(plane, zoom) {
     this._plane = plane;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
@@ -117,10 +114,7 @@ export class Overlay {
     return false;
   }
 
-  /**
-   * @param {Contact[]} contacts
-   * @param {Plane} plane
-   */
+  /** @param {Contact[]} contacts @param {Plane} plane */
   _contacts(contacts, plane) {
     const draw = this._pen;
     const least = LEAST * this._ratio;
@@ -206,10 +200,7 @@ export class Overlay {
     return true;
   }
 
-  /**
-   * @param {Uint8Array} flags
-   * @param {Plane} plane
-   */
+  /** @param {Uint8Array} flags @param {Plane} plane */
   _saturated(flags, plane) {
     const taxels = plane.raw;
     const half = Math.max(1.5 * this._ratio, Math.min(5 * this._ratio, 0.3 * taxels.side * this._px));
@@ -227,10 +218,7 @@ export class Overlay {
     this._twoTone(1.5);
   }
 
-  /**
-   * @param {Marks} marks
-   * @param {Plane} plane
-   */
+  /** @param {Marks} marks @param {Plane} plane */
   _line({ along, lineAt }, plane) {
     const draw = this._pen;
     const at = (lineAt - plane.start(ACROSS[along])) * this._px;
@@ -240,11 +228,7 @@ export class Overlay {
     this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
   }
 
-  /**
-   * @param {number} x device px
-   * @param {number} y
-   * @param {number} arm
-   */
+  /** @param {number} x device px @param {number} y @param {number} arm */
   _cross(x, y, arm) {
     const draw = this._pen;
     draw.moveTo(x, y - arm);
@@ -253,11 +237,7 @@ export class Overlay {
     draw.lineTo(x + arm, y);
   }
 
-  /**
-   * @param {number} x device px
-   * @param {number} y
-   * @param {number} radius CSS px
-   */
+  /** @param {number} x device px @param {number} y @param {number} radius CSS px */
   _ring(x, y, radius) {
     this._pen.beginPath();
     this._pen.arc(x, y, radius * this._ratio, 0, 2 * Math.PI);

@@ -1,7 +1,4 @@
-/**
- * What the page says in words: state, probe, range, playback and contacts.
- * @module
- */
+/** What the page says in words: state, probe, range, playback and contacts. @module */
 
 import { ContactTable } from "./contact_table.js";
 import { byId, setText } from "./dom.js";
@@ -45,11 +42,7 @@ export class PageText {
     return this._level;
   }
 
-  /**
-   * Bring everything up to date.
-   * @param {Viewer} viewer
-   * @param {boolean} reachable the service answers
-   */
+  /** Bring everything up to date. @param {Viewer} viewer @param {boolean} reachable the service answers */
   read(viewer, reachable) {
     const { session, pace } = viewer;
     const health = session?.health() ?? (reachable || viewer.name ? CONNECTING : UNREACHABLE);
@@ -73,10 +66,7 @@ export class PageText {
     this._section(viewer, frame);
   }
 
-  /**
-   * @param {Viewer} viewer
-   * @param {Frame|null} frame
-   */
+  /** @param {Viewer} viewer @param {Frame|null} frame */
   _section(viewer, frame) {
     const { along, lineAt } = viewer.marks;
     const known = frame && Number.isFinite(lineAt);
@@ -92,10 +82,7 @@ export class PageText {
     byId("section").setAttribute("aria-label", `Pressure along ${along}, ${way}, ${what}`);
   }
 
-  /**
-   * @param {Session|null} session
-   * @param {Frame|null} frame
-   */
+  /** @param {Session|null} session @param {Frame|null} frame */
   _made(session, frame) {
     const told = session?.told ?? null;
     if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "", false);
@@ -106,12 +93,7 @@ export class PageText {
     }
   }
 
-  /**
-   * @param {Health} health
-   * @param {string} name
-   * @param {boolean} paused
-   * @param {boolean} closed
-   */
+  /** @param {Health} health @param {string} name @param {boolean} paused @param {boolean} closed */
   _health(health, name, paused, closed) {
     if (health.level !== this._level) {
       this._level = health.level;
@@ -129,10 +111,7 @@ export class PageText {
     if (document.title !== title) document.title = title;
   }
 
-  /**
-   * Say what the pinned probe reads to whom cannot see it.
-   * @param {Viewer} viewer
-   */
+  /** Say what the pinned probe reads to whom cannot see it. @param {Viewer} viewer */
   tellProbe(viewer) {
     const read = viewer.probe.pinned ? probed(viewer, viewer.session?.frame ?? null) : "";
     setText(byId("told"), read || "Probe released.");
@@ -148,11 +127,7 @@ export class PageText {
     showNumber(this._high, scale.high, typed);
   }
 
-  /**
-   * @param {Session|null} session
-   * @param {Frame|null} frame
-   * @param {boolean} live
-   */
+  /** @param {Session|null} session @param {Frame|null} frame @param {boolean} live */
   _playback(session, frame, live) {
     const kept = session?.history.length ?? 0;
     const back = session?.back ?? 0;

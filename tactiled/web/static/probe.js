@@ -1,7 +1,4 @@
-/**
- * The point that is asked about: under the pointer, or pinned.
- * @module
- */
+/** The point that is asked about: under the pointer, or pinned. @module */
 
 /** @import { Plane } from "./geometry.js" */
 /** @import { Heatmap } from "./heatmap.js" */
@@ -54,11 +51,7 @@ export class Probe {
     if (Math.hypot(event.clientX - this._touch.x, event.clientY - this._touch.y) > TAP_PX) this._touch.x = NaN;
   }
 
-  /**
-   * Pin here, or release what is pinned here.
-   * @param {Heatmap} map
-   * @param {PointerEvent} event
-   */
+  /** Pin here, or release what is pinned here. @param {Heatmap} map @param {PointerEvent} event */
   _press(map, event) {
     map.locate(event, this._at);
     const near = event.pointerType === "touch" ? 2 * TAP_PX : TAP_PX;
@@ -78,11 +71,7 @@ export class Probe {
     this._onMove(pinned);
   }
 
-  /**
-   * Pin at a place.
-   * @param {number} x mm
-   * @param {number} y mm
-   */
+  /** Pin at a place. @param {number} x mm @param {number} y mm */
   pin(x, y) {
     this.pinned = true;
     this.x = x;
@@ -90,12 +79,7 @@ export class Probe {
     this._onMove(true);
   }
 
-  /**
-   * Move a pinned probe, within the plane.
-   * @param {number} dx mm
-   * @param {number} dy mm
-   * @param {Plane} plane
-   */
+  /** Move a pinned probe, within the plane. @param {number} dx mm @param {number} dy mm @param {Plane} plane */
   nudge(dx, dy, plane) {
     if (!this.pinned) return;
     this.x = Math.max(plane.left, Math.min(plane.left + plane.width, this.x + dx));
@@ -103,11 +87,7 @@ export class Probe {
     this._onMove(true);
   }
 
-  /**
-   * @param {Heatmap} map
-   * @param {PointerEvent} event
-   * @param {boolean} [meant]
-   */
+  /** @param {Heatmap} map @param {PointerEvent} event @param {boolean} [meant] */
   _follow(map, event, meant = false) {
     map.locate(event, this._at);
     this.x = this._at.x;

@@ -1,7 +1,4 @@
-/**
- * The side panel's numbers and words.
- * @module
- */
+/** The side panel's numbers and words. @module */
 
 import { byId, setText } from "./dom.js";
 import { fixed, newtons, number } from "./format.js";
@@ -47,10 +44,7 @@ const HARMLESS = new Set(["foreign", "skipped"]);
 
 const NOTHING = measures();
 
-/**
- * @param {string} name
- * @returns {string}
- */
+/** @param {string} name @returns {string} */
 export const methodTitle = (name) => METHODS[/** @type {keyof METHODS} */ (name)] ?? name;
 
 export class Readings {
@@ -121,10 +115,7 @@ export class Readings {
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }
 
-  /**
-   * @param {Status|null} status
-   * @param {boolean} live what the status says still holds
-   */
+  /** @param {Status|null} status @param {boolean} live what the status says still holds */
   status(status, live) {
     if (status && status === this._told && live === this._live) return;
     this._told = status;
@@ -180,10 +171,7 @@ export class Readings {
 const measured = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
-/**
- * @param {ReturnType<typeof measured>} at where it is told
- * @param {Measures} of an image
- */
+/** @param {ReturnType<typeof measured>} at where it is told @param {Measures} of an image */
 function tell(at, of) {
   setText(at.force, newtons(of.force));
   setText(at.peak, fixed(of.peak, 1));
@@ -191,10 +179,7 @@ function tell(at, of) {
   setText(at.y, fixed(of.y, 1));
 }
 
-/**
- * @param {number} microseconds NaN where it is not known
- * @returns {string}
- */
+/** @param {number} microseconds NaN where it is not known @returns {string} */
 function time(microseconds) {
   if (Number.isNaN(microseconds)) return "\u2013";
   return microseconds < 1000 ? `${fixed(microseconds, 0)} µs` : `${fixed(microseconds / 1000, 2)} ms`;

@@ -1,7 +1,4 @@
-/**
- * Recordings of a bus: begin, end, list, fetch, delete.
- * @module
- */
+/** Recordings of a bus: begin, end, list, fetch, delete. @module */
 
 import * as api from "./api.js";
 import { byId, setText } from "./dom.js";
@@ -107,10 +104,7 @@ export class Recorder {
     /** @type {HTMLElement} */ (heir).focus();
   }
 
-  /**
-   * @param {Recording} recording
-   * @returns {HTMLElement}
-   */
+  /** @param {Recording} recording @returns {HTMLElement} */
   _row(recording) {
     const item = document.createElement("li");
     const name = document.createElement(recording.running ? "b" : "a");
@@ -126,10 +120,7 @@ export class Recorder {
     return item;
   }
 
-  /**
-   * @param {string} name
-   * @returns {HTMLButtonElement}
-   */
+  /** @param {string} name @returns {HTMLButtonElement} */
   _stopper(name) {
     const button = small("Stop", `Stop recording ${name}`);
     button.addEventListener("click", async () => {
@@ -139,10 +130,7 @@ export class Recorder {
     return button;
   }
 
-  /**
-   * @param {string} name
-   * @returns {HTMLButtonElement} to be pressed twice
-   */
+  /** @param {string} name @returns {HTMLButtonElement} to be pressed twice */
   _deleter(name) {
     const button = small("Delete", `Delete ${name}`);
     button.addEventListener("click", async () => {
@@ -162,11 +150,7 @@ export class Recorder {
   }
 }
 
-/**
- * @param {string} text
- * @param {string} label
- * @returns {HTMLButtonElement}
- */
+/** @param {string} text @param {string} label @returns {HTMLButtonElement} */
 function small(text, label) {
   const button = document.createElement("button");
   button.type = "button";
@@ -175,10 +159,7 @@ function small(text, label) {
   return button;
 }
 
-/**
- * @param {Recording} recording
- * @returns {string}
- */
+/** @param {Recording} recording @returns {string} */
 function about(recording) {
   const size = recording.bytes === null ? "file moved or removed" : sized(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
@@ -186,10 +167,7 @@ function about(recording) {
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
 }
 
-/**
- * @param {number} bytes
- * @returns {string}
- */
+/** @param {number} bytes @returns {string} */
 function sized(bytes) {
   if (bytes < 1000) return `${bytes} B`;
   const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(bytes) / 3));

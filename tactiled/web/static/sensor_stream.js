@@ -1,7 +1,4 @@
-/**
- * A sensor's stream: never more frames under way than were asked for.
- * @module
- */
+/** A sensor's stream: never more frames under way than were asked for. @module */
 
 import { ReconnectingSocket } from "./socket.js";
 import { kindOf, packet, parse } from "./wire.js";
@@ -72,20 +69,13 @@ export class SensorStream extends ReconnectingSocket {
     for (; this._asked < count; this._asked += 1) this.send(NEXT);
   }
 
-  /**
-   * Go on with another address.
-   * @param {string} url
-   * @param {number[]} kinds of image that it asks for
-   */
+  /** Go on with another address. @param {string} url @param {number[]} kinds of image that it asks for */
   move(url, kinds) {
     this._kinds = kinds;
     this.moveTo(url);
   }
 
-  /**
-   * @override
-   * @param {ArrayBuffer|string} data
-   */
+  /** @override @param {ArrayBuffer|string} data */
   take(data) {
     if (typeof data === "string") this._tell(JSON.parse(data));
     else this._keep(new Uint8Array(data));

@@ -1,7 +1,4 @@
-/**
- * One sensor as it is watched: its stream, the frames that are kept, and which of them is shown.
- * @module
- */
+/** One sensor as it is watched: its stream, the frames that are kept, and which of them is shown. @module */
 
 import * as api from "./api.js";
 import { Contacts } from "./contacts.js";
@@ -118,10 +115,7 @@ export class Session {
     this._more();
   }
 
-  /**
-   * Show another kept frame; the picture stands still from then on.
-   * @param {number} to how far back
-   */
+  /** Show another kept frame; the picture stands still from then on. @param {number} to how far back */
   show(to) {
     if (!this.history.length) return;
     this.pause(true);

@@ -101,10 +101,7 @@ export class ShearArrows {
     return this._long / this.canvas.width;
   }
 
-  /**
-   * @param {Plane} plane
-   * @param {number} zoom CSS px per mm
-   */
+  /** @param {Plane} plane @param {number} zoom CSS px per mm */
   resize(plane, zoom) {
     this._plane = plane;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);

@@ -1,7 +1,4 @@
-/**
- * A WebSocket to the service that connects again by itself, and notices when nothing is heard.
- * @module
- */
+/** A WebSocket to the service that connects again by itself, and notices when nothing is heard. @module */
 
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8000;
@@ -28,10 +25,7 @@ export class ReconnectingSocket {
     this._socket = null;
   }
 
-  /**
-   * A message came; RangeError where it means nothing.
-   * @param {ArrayBuffer|string} _data
-   */
+  /** A message came; RangeError where it means nothing. @param {ArrayBuffer|string} _data */
   take(_data) {}
 
   /** Another connection begins, whose messages have no past. */
@@ -51,10 +45,7 @@ export class ReconnectingSocket {
     this._socket?.send(text);
   }
 
-  /**
-   * Go on with another address.
-   * @param {string} url
-   */
+  /** Go on with another address. @param {string} url */
   moveTo(url) {
     this._url = url;
     if (this.link === "closed" || this._stopped) return;

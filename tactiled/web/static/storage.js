@@ -1,12 +1,6 @@
-/**
- * What this browser keeps of the page's settings.
- * @module
- */
+/** What this browser keeps of the page's settings. @module */
 
-/**
- * @param {string} key
- * @returns {string|null} null where nothing is kept, or the browser keeps nothing
- */
+/** @param {string} key @returns {string|null} null where nothing is kept, or the browser keeps nothing */
 export function loadSetting(key) {
   try {
     return localStorage.getItem(key);

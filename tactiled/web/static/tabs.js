@@ -1,7 +1,4 @@
-/**
- * One tab a sensor, each with its state.
- * @module
- */
+/** One tab a sensor, each with its state. @module */
 
 import { byId, setText } from "./dom.js";
 
@@ -34,10 +31,7 @@ export class Tabs {
     for (const sensor of sensors) this.mark(sensor.name, sensor.state);
   }
 
-  /**
-   * @param {string} name
-   * @param {string} state
-   */
+  /** @param {string} name @param {string} state */
   mark(name, state) {
     const tab = this._tabs.get(name);
     if (!tab || tab.dataset.state === state) return;
@@ -56,10 +50,7 @@ export class Tabs {
     if (tab && tab !== was) this._reveal(tab);
   }
 
-  /**
-   * Scroll the row of tabs, and nothing else, until one is seen whole.
-   * @param {HTMLElement} tab
-   */
+  /** Scroll the row of tabs, and nothing else, until one is seen whole. @param {HTMLElement} tab */
   _reveal(tab) {
     const all = this._list.getBoundingClientRect();
     const one = tab.getBoundingClientRect();

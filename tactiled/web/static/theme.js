@@ -1,7 +1,4 @@
-/**
- * Light, dark, or as the system has it.
- * @module
- */
+/** Light, dark, or as the system has it. @module */
 
 import { keep, loadSetting } from "./storage.js";
 

@@ -1,14 +1,8 @@
-/**
- * The ticks of a chart's axis, with their texts.
- * @module
- */
+/** The ticks of a chart's axis, with their texts. @module */
 
 const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
 
-/**
- * @param {number} power
- * @returns {string} ten to that power
- */
+/** @param {number} power @returns {string} ten to that power */
 function decade(power) {
   if (power === 0) return "1";
   if (power === -1) return "0.1";
@@ -25,12 +19,7 @@ export class Ticks {
     this._low = this._high = this._most = NaN;
   }
 
-  /**
-   * @param {number} low
-   * @param {number} high
-   * @param {number} most
-   * @returns {boolean} they are as they were
-   */
+  /** @param {number} low @param {number} high @param {number} most @returns {boolean} they are as they were */
   _same(low, high, most) {
     if (low === this._low && high === this._high && most === this._most) return true;
     this._low = low;
@@ -39,12 +28,7 @@ export class Ticks {
     return false;
   }
 
-  /**
-   * @param {number} low
-   * @param {number} high
-   * @param {number} most how many at most, about
-   * @returns {this}
-   */
+  /** @param {number} low @param {number} high @param {number} most how many at most, about @returns {this} */
   even(low, high, most) {
     if (this._same(low, high, most)) return this;
     this.values = ticks(low, high, most);
@@ -52,11 +36,7 @@ export class Ticks {
     return this;
   }
 
-  /**
-   * @param {number} low power of ten
-   * @param {number} high
-   * @returns {this}
-   */
+  /** @param {number} low power of ten @param {number} high @returns {this} */
   decades(low, high) {
     if (this._same(low, high, Infinity)) return this;
     this.values = Array.from({ length: Math.floor(high) - Math.ceil(low) + 1 }, (_, i) => Math.ceil(low) + i);
@@ -94,11 +74,7 @@ export function endsAndTicks(low, high, most) {
   return [low, ...ticks(low, high, most).filter((each) => each - low > near && high - each > near), high];
 }
 
-/**
- * @param {number} value other than 0
- * @param {number} span
- * @returns {string} with a power of ten, as 1.5e6
- */
+/** @param {number} value other than 0 @param {number} span @returns {string} with a power of ten, as 1.5e6 */
 function powered(value, span) {
   const digits = Math.max(2, Math.min(8, 2 + Math.ceil(Math.log10(Math.abs(value) / span))));
   return value.toExponential(digits).replace(/\.?0*e\+?/, "e").replaceAll("-", "\u2212");

@@ -1,7 +1,4 @@
-/**
- * One sensor on the wall.
- * @module
- */
+/** One sensor on the wall. @module */
 
 import * as api from "./api.js";
 import { setText } from "./dom.js";
@@ -24,12 +21,7 @@ import { SHEAR } from "./wire.js";
 
 const AGAIN_MS = 2000; // until a shape is asked for again that could not be had
 
-/**
- * @param {string} tag
- * @param {string} name its class
- * @param {...Node} children
- * @returns {HTMLElement}
- */
+/** @param {string} tag @param {string} name its class @param {...Node} children @returns {HTMLElement} */
 function make(tag, name, ...children) {
   const made = document.createElement(tag);
   made.className = name;
@@ -106,11 +98,7 @@ export class Tile {
     this._stopped = false;
   }
 
-  /**
-   * Lay arrows over the map.
-   * @param {HTMLElement} under where their key is to stand
-   * @returns {ShearArrows}
-   */
+  /** Lay arrows over the map. @param {HTMLElement} under where their key is to stand @returns {ShearArrows} */
   _over(under) {
     const canvas = layer();
     const key = make("span", "shear-key", layer(), document.createElement("span"));
@@ -186,10 +174,7 @@ export class Tile {
     if (!this._late()) this._show();
   }
 
-  /**
-   * @param {Packet} image of pressures
-   * @param {Plane} plane
-   */
+  /** @param {Packet} image of pressures @param {Plane} plane */
   _press(image, plane) {
     this._kpa.set(image.kpa);
     this._sent = image.sent;

@@ -1,7 +1,4 @@
-/**
- * What was told of some frames, found again for the frame nearest in time.
- * @module
- */
+/** What was told of some frames, found again for the frame nearest in time. @module */
 
 /**
  * @template {{timestamp: number}} T

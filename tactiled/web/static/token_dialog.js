@@ -1,7 +1,4 @@
-/**
- * What changes something in the service, and the token that it may want for it.
- * @module
- */
+/** What changes something in the service, and the token that it may want for it. @module */
 
 import { ApiError, showToken } from "./api.js";
 import { byId, setText } from "./dom.js";
@@ -48,10 +45,7 @@ async function ask(why) {
   }
 }
 
-/**
- * @param {string} why
- * @returns {Promise<string>} what was typed; "" where the dialog was left
- */
+/** @param {string} why @returns {Promise<string>} what was typed; "" where the dialog was left */
 function once(why) {
   setText(byId("token-why"), why);
   field.value = "";

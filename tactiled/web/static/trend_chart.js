@@ -1,7 +1,4 @@
-/**
- * Values of the frames that are kept, over the last seconds.
- * @module
- */
+/** Values of the frames that are kept, over the last seconds. @module */
 
 import { Chart, line } from "./chart.js";
 import { hold, roundUp } from "./display_range.js";
@@ -37,10 +34,7 @@ export class TrendChart {
     this._axes.top = 0;
   }
 
-  /**
-   * @param {FrameHistory} history
-   * @param {number} back which frame is shown
-   */
+  /** @param {FrameHistory} history @param {number} back which frame is shown */
   draw(history, back) {
     const { times } = history;
     const count = this._look(history);

@@ -1,7 +1,4 @@
-/**
- * The sensor that is watched, on the screen: maps, charts and the cover.
- * @module
- */
+/** The sensor that is watched, on the screen: maps, charts and the cover. @module */
 
 import * as api from "./api.js";
 import { CrossSection, highest } from "./cross_section.js";
@@ -106,10 +103,7 @@ export class Viewer {
     session.done();
   }
 
-  /**
-   * @param {Frame} frame
-   * @param {Session} session
-   */
+  /** @param {Frame} frame @param {Session} session */
   _mark(frame, session) {
     const { marks, probe } = this;
     const { ofRestored } = frame;
@@ -168,10 +162,7 @@ export class Viewer {
     this.refresh();
   }
 
-  /**
-   * Let the cross-section run along an axis.
-   * @param {Axis} axis
-   */
+  /** Let the cross-section run along an axis. @param {Axis} axis */
   cut(axis) {
     this.marks.along = axis;
     this.marks.lineAt = NaN;
@@ -196,10 +187,7 @@ export class Viewer {
     this.kernel.use(null);
   }
 
-  /**
-   * Watch another sensor.
-   * @param {string} name
-   */
+  /** Watch another sensor. @param {string} name */
   async select(name) {
     if (name === this.name) return;
     this.leave();
@@ -223,20 +211,13 @@ export class Viewer {
     }
   }
 
-  /**
-   * Watch a sensor anew, which is another than it was.
-   * @param {string} name
-   */
+  /** Watch a sensor anew, which is another than it was. @param {string} name */
   again(name) {
     this.leave();
     this.select(name);
   }
 
-  /**
-   * @param {string} name
-   * @param {Plane} plane
-   * @param {boolean} feels shear
-   */
+  /** @param {string} name @param {Plane} plane @param {boolean} feels shear */
   _open(name, plane, feels) {
     this.maps.use(plane);
     this.section.use(plane);
@@ -280,10 +261,7 @@ export class Viewer {
     this._listener.onChange();
   }
 
-  /**
-   * Show another kept frame.
-   * @param {number} steps back where negative
-   */
+  /** Show another kept frame. @param {number} steps back where negative */
   step(steps) {
     const { session } = this;
     if (session && (session.paused || steps < 0)) this.show(session.back - steps); // nothing is newer than live

@@ -1,7 +1,4 @@
-/**
- * All sensors at once: a small restored map of each, with its force and state.
- * @module
- */
+/** All sensors at once: a small restored map of each, with its force and state. @module */
 
 import { wallUrl } from "./api.js";
 import { Colorbar } from "./colorbar.js";
@@ -41,10 +38,7 @@ function arrange(count, width, height, around) {
 }
 
 export class Wall {
-  /**
-   * @param {Viewer} viewer whose scale and palette the wall shares
-   * @param {(name: string) => void} onChoose
-   */
+  /** @param {Viewer} viewer whose scale and palette the wall shares @param {(name: string) => void} onChoose */
   constructor(viewer, onChoose) {
     this._viewer = viewer;
     this._onChoose = onChoose;
@@ -70,10 +64,7 @@ export class Wall {
     return !this._root.hidden;
   }
 
-  /**
-   * Show these sensors; called again, it changes nothing where they are the same.
-   * @param {Sensor[]} sensors
-   */
+  /** Show these sensors; called again, it changes nothing where they are the same. @param {Sensor[]} sensors */
   show(sensors) {
     const names = sensors.map((each) => each.name);
     const sheared = sensors.filter((each) => each.shear && this._viewer.shear).map((each) => each.name);

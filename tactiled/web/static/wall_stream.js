@@ -18,11 +18,7 @@ import { SHEAR, isOf, packet, parse } from "./wire.js";
 
 /** One sensor's part of the socket: a way of its own as far as anyone can tell. */
 export class TileStream {
-  /**
-   * @param {WallStream} all
-   * @param {string} name of the sensor
-   * @param {Listener} listener
-   */
+  /** @param {WallStream} all @param {string} name of the sensor @param {Listener} listener */
   constructor(all, name, listener) {
     this.name = name;
     this.bytes = new TextEncoder().encode(name);
@@ -68,21 +64,14 @@ export class WallStream extends ReconnectingSocket {
     this._image = packet();
   }
 
-  /**
-   * @param {string} name of the sensor
-   * @param {Listener} listener
-   * @returns {TileStream}
-   */
+  /** @param {string} name of the sensor @param {Listener} listener @returns {TileStream} */
   part(name, listener) {
     const part = new TileStream(this, name, listener);
     this._parts.push(part);
     return part;
   }
 
-  /**
-   * @override
-   * @param {ArrayBuffer|string} data
-   */
+  /** @override @param {ArrayBuffer|string} data */
   take(data) {
     if (typeof data === "string") this._tell(JSON.parse(data));
     else this._show(parse(new Uint8Array(data), this._image));

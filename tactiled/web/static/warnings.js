@@ -1,31 +1,27 @@
-/**
- * Warnings, kept on the screen for a while after they were last told, so that nothing jumps where one comes and goes.
- * @module
- */
+/** Warnings stay on the screen for a while, so that nothing jumps where one comes and goes. @module */
 
-/** @typedef {import("./api.js").Warning} Warning */
+/** @import { Warning } from "./api.js" */
 
-const HOLD_MS = 3000;
+const STAYS_MS = 3000; // after it was last reported
 
 export class Warnings {
   constructor() {
     /** @type {Map<string, {text: string, at: number}>} by code */
-    this._held = new Map();
+    this._recent = new Map();
   }
 
-  /** Hold nothing. */
   clear() {
-    this._held.clear();
+    this._recent.clear();
   }
 
   /**
-   * @param {Warning[]} warnings now
-   * @returns {string[]} texts of these and of those a little before, each in its newest numbers
+   * @param {Warning[]} warnings of the newest image
+   * @param {number} now ms
+   * @returns {string[]} texts of these and of those reported shortly before
    */
-  hold(warnings) {
-    const at = performance.now();
-    for (const { code, text } of warnings) this._held.set(code, { text, at });
-    for (const [each, last] of this._held) if (at - last.at > HOLD_MS) this._held.delete(each);
-    return [...this._held.values()].map((each) => each.text);
+  hold(warnings, now) {
+    for (const { code, text } of warnings) this._recent.set(code, { text, at: now });
+    for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
+    return [...this._recent.values()].map((each) => each.text);
   }
 }

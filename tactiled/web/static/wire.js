@@ -1,7 +1,4 @@
-/**
- * The stream's binary messages: one image each, a 64-byte header and then its pressures.
- * @module
- */
+/** The stream's binary messages: one image each, a 64-byte header and then its pressures. @module */
 
 export const RAW = 0;
 export const RESTORED = 1;
@@ -56,10 +53,7 @@ export function packet() {
   };
 }
 
-/**
- * @param {Uint8Array} bytes a message
- * @returns {number} RAW, RESTORED, SHEAR, or what else it says
- */
+/** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR, or what else it says */
 export const kindOf = (bytes) => bytes[5];
 
 /**
