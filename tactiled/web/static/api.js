@@ -203,13 +203,13 @@ export const events = (after) => request(`/events?after=${after}`);
 
 /** @returns {Promise<Recording[]>} all of them, page by page */
 export async function recordings() {
-  const found = [];
+  const all = [];
   for (let after = ""; after !== null;) {
     const page = await request(`/recordings?limit=1000&after=${encodeURIComponent(after)}`);
-    found.push(...page.recordings);
+    all.push(...page.recordings);
     after = page.after;
   }
-  return found;
+  return all;
 }
 
 /** @param {string} bus @returns {Promise<Recording>} */

@@ -26,7 +26,7 @@ const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const screen = new PageText();
 const tabs = new Tabs((name) => choose(name));
 const log = new EventLog();
-const viewer = new Viewer({ onChange: () => read(), onStatus: hear, onProbe: () => screen.tellProbe(viewer) });
+const viewer = new Viewer({ onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer) });
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
 /** @type {Sensor[]} */
@@ -42,7 +42,7 @@ function read() {
 }
 
 /** @param {Status} status */
-function hear(status) {
+function onStatus(status) {
   tabs.mark(status.sensor, status.state);
   if (document.activeElement !== picker && picker.value !== status.method) picker.value = status.method;
 }
@@ -72,7 +72,7 @@ function choose(name) {
 function showSensor() {
   const sensor = sensors.find((each) => each.name === viewer.name);
   if (!sensor) return;
-  if (viewer.session && viewer.session.feels !== sensor.shear) viewer.again(sensor.name);
+  if (viewer.session && viewer.session.hasShear !== sensor.shear) viewer.reopen(sensor.name);
   screen.readings.about(sensor);
   recorder.read();
   const names = sensor.methods.includes(sensor.method) ? sensor.methods : [sensor.method, ...sensor.methods];
@@ -82,15 +82,15 @@ function showSensor() {
 }
 
 /** Learn what does not change while the service runs. */
-async function learn() {
+async function loadOffers() {
   const offered = await api.offered();
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   log.offer(offered.has("/events"));
-  viewer.palette = new Colormap((await api.colormap()).colors);
+  viewer.colormap = new Colormap((await api.colormap()).colors);
 }
 
 /** @returns {string} the sensor that the address names; "" where nobody can say which */
-function named() {
+function sensorInAddress() {
   try {
     return decodeURIComponent(location.hash.slice(1));
   } catch {
@@ -99,10 +99,10 @@ function named() {
 }
 
 /** Take the sensor that the address names, or the first, where none is shown. */
-function settle() {
+function chooseSensor() {
   const all = sensors.length > 1 && (wall.open || (!viewer.name && location.hash === WALL));
-  const asked = named();
-  const known = sensors.find((each) => each.name === (viewer.name || asked)) ?? sensors[0];
+  const requested = sensorInAddress();
+  const known = sensors.find((each) => each.name === (viewer.name || requested)) ?? sensors[0];
   if (all && wall.open) wall.show(sensors);
   else if (all) choose(ALL);
   else if (known && (known.name !== viewer.name || wall.open)) choose(known.name);
@@ -115,8 +115,8 @@ async function poll() {
     sensors = await api.sensors();
     reachable = true;
     tabs.update(sensors);
-    if (!viewer.palette) await learn();
-    settle();
+    if (!viewer.colormap) await loadOffers();
+    chooseSensor();
     tabs.choose(wall.open ? ALL : viewer.name);
     showSensor();
     if (viewer.session?.stream.link === "closed") viewer.session.stream.retry();

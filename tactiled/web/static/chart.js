@@ -41,16 +41,16 @@ export function line(capacity, ink, style = "plain", step = 0) {
  * @property {boolean} [decades] bottom and top are powers of ten, and so are the values
  */
 
-const SIDE = 46;
-const HEAD = 20;
-const FOOT = 34;
-const TAIL = 12;
-const FINE = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
-const DASHES = [6 * FINE, 4 * FINE]; // of the raw line, where colours are few
-const FAR = 2 ** 24; // of such units, out of sight
+const LEFT_PX = 46;
+const TOP_PX = 20;
+const BOTTOM_PX = 34;
+const RIGHT_PX = 12;
+const SUBPIXELS = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
+const DASHES = [6 * SUBPIXELS, 4 * SUBPIXELS]; // of the raw line, where colours are few
+const OFFSCREEN = 2 ** 24; // of such units, out of sight
 
 /** @param {number} at @returns {number} a whole number near it, out of sight where it is */
-const whole = (at) => (at > FAR ? FAR : at < -FAR ? -FAR : at | 0);
+const toInt = (at) => (at > OFFSCREEN ? OFFSCREEN : at < -OFFSCREEN ? -OFFSCREEN : at | 0);
 
 export class Chart {
   /** @param {HTMLCanvasElement} canvas */
@@ -62,9 +62,9 @@ export class Chart {
     this._across = new Ticks();
     this._up = new Ticks();
     /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
-    this._ground = context2d(document.createElement("canvas"));
+    this._axesContext = context2d(document.createElement("canvas"));
     /** What is painted there. */
-    this._shown = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", ratio: NaN, ink: this._ink };
+    this._paintedAxes = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", ratio: NaN, ink: this._ink };
     /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
     this._w = this._h = this._sx = this._sy = 0;
   }
@@ -90,23 +90,23 @@ export class Chart {
     const { canvas } = this;
     const width = canvas.clientWidth;
     const height = canvas.clientHeight;
-    if (width < SIDE + TAIL + 10 || height < HEAD + FOOT + 10) return;
+    if (width < LEFT_PX + RIGHT_PX + 10 || height < TOP_PX + BOTTOM_PX + 10) return;
     const ratio = fitCanvas(canvas, width, height);
-    this._w = width - SIDE - TAIL;
-    this._h = height - HEAD - FOOT;
+    this._w = width - LEFT_PX - RIGHT_PX;
+    this._h = height - TOP_PX - BOTTOM_PX;
     this._sx = this._w / (axes.right - axes.left);
     this._sy = this._h / (axes.top - axes.bottom);
     this._axes(axes, ratio);
     const draw = this._pen;
     this.clear();
-    draw.drawImage(this._ground.canvas, 0, 0);
+    draw.drawImage(this._axesContext.canvas, 0, 0);
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (cursor >= axes.left && cursor <= axes.right) this._cursor(SIDE + (cursor - axes.left) * this._sx, cursorText);
+    if (cursor >= axes.left && cursor <= axes.right) this._cursor(LEFT_PX + (cursor - axes.left) * this._sx, cursorText);
     draw.save();
     draw.beginPath();
-    draw.rect(SIDE, HEAD - 2, this._w, this._h + 4);
+    draw.rect(LEFT_PX, TOP_PX - 2, this._w, this._h + 4);
     draw.clip();
-    draw.scale(1 / FINE, 1 / FINE);
+    draw.scale(1 / SUBPIXELS, 1 / SUBPIXELS);
     for (let k = 0; k < lines.length; k += 1) this._band(lines[k], axes);
     for (let k = 0; k < lines.length; k += 1) this._line(lines[k], axes);
     draw.restore();
@@ -120,15 +120,15 @@ export class Chart {
     draw.strokeStyle = draw.fillStyle = this._ink.text;
     draw.beginPath();
     draw.setLineDash([3, 3]);
-    draw.moveTo(x, HEAD);
-    draw.lineTo(x, HEAD + this._h);
+    draw.moveTo(x, TOP_PX);
+    draw.lineTo(x, TOP_PX + this._h);
     draw.stroke();
     draw.setLineDash([]);
     if (!text) return;
-    const right = x + 6 + draw.measureText(text).width > SIDE + this._w;
+    const right = x + 6 + draw.measureText(text).width > LEFT_PX + this._w;
     draw.textAlign = right ? "right" : "left";
     draw.textBaseline = "top";
-    draw.fillText(text, x + (right ? -6 : 6), HEAD + 2);
+    draw.fillText(text, x + (right ? -6 : 6), TOP_PX + 2);
   }
 
   /**
@@ -138,11 +138,11 @@ export class Chart {
    */
   _axes(axes, ratio) {
     const { left, right, bottom, top, x } = axes;
-    const { _ground: draw, _shown: shown, _ink: ink, canvas } = this;
+    const { _axesContext: draw, _paintedAxes: painted, _ink: ink, canvas } = this;
     const size = draw.canvas.width === canvas.width && draw.canvas.height === canvas.height;
-    if (size && shown.left === left && shown.right === right && shown.bottom === bottom && shown.top === top
-      && shown.x === x && shown.ratio === ratio && shown.ink === ink) return;
-    this._shown = { left, right, bottom, top, x, ratio, ink };
+    if (size && painted.left === left && painted.right === right && painted.bottom === bottom && painted.top === top
+      && painted.x === x && painted.ratio === ratio && painted.ink === ink) return;
+    this._paintedAxes = { left, right, bottom, top, x, ratio, ink };
     draw.canvas.width = canvas.width; // which clears it, too
     draw.canvas.height = canvas.height;
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -152,7 +152,7 @@ export class Chart {
 
   /** @param {Axes} axes @param {number} w @param {number} h */
   _grid(axes, w, h) {
-    const draw = this._ground;
+    const draw = this._axesContext;
     const ink = this._ink;
     draw.strokeStyle = ink.line;
     draw.fillStyle = ink.muted;
@@ -161,24 +161,24 @@ export class Chart {
     const up = axes.decades ? this._up.decades(axes.bottom, axes.top) : this._up.even(axes.bottom, axes.top, h / 28);
     draw.beginPath();
     for (let i = 0; i < up.values.length; i += 1) {
-      const y = Math.round(HEAD + h - (up.values[i] - axes.bottom) * this._sy) + 0.5;
-      draw.moveTo(SIDE, y);
-      draw.lineTo(SIDE + w, y);
-      draw.fillText(up.texts[i], SIDE - 6, y);
+      const y = Math.round(TOP_PX + h - (up.values[i] - axes.bottom) * this._sy) + 0.5;
+      draw.moveTo(LEFT_PX, y);
+      draw.lineTo(LEFT_PX + w, y);
+      draw.fillText(up.texts[i], LEFT_PX - 6, y);
     }
     draw.textBaseline = "top";
     draw.textAlign = "center";
     const across = this._across.even(axes.left, axes.right, w / 60);
     for (let i = 0; i < across.values.length; i += 1) {
-      const x = Math.round(SIDE + (across.values[i] - axes.left) * this._sx) + 0.5;
-      draw.moveTo(x, HEAD + h);
-      draw.lineTo(x, HEAD + h + 4);
-      draw.fillText(across.texts[i], x, HEAD + h + 6);
+      const x = Math.round(LEFT_PX + (across.values[i] - axes.left) * this._sx) + 0.5;
+      draw.moveTo(x, TOP_PX + h);
+      draw.lineTo(x, TOP_PX + h + 4);
+      draw.fillText(across.texts[i], x, TOP_PX + h + 6);
     }
     draw.stroke();
     draw.textAlign = "right";
     draw.textBaseline = "bottom";
-    draw.fillText(axes.x, SIDE + w, HEAD + h + FOOT);
+    draw.fillText(axes.x, LEFT_PX + w, TOP_PX + h + BOTTOM_PX);
     draw.textAlign = "left";
     draw.textBaseline = "top";
     draw.fillText(axes.y, 0, 0);
@@ -187,20 +187,20 @@ export class Chart {
   /** @param {Line} of @param {Axes} axes */
   _band(of, axes) {
     const { _pen: draw } = this;
-    const sx = FINE * this._sx;
-    const sy = FINE * this._sy;
+    const sx = SUBPIXELS * this._sx;
+    const sy = SUBPIXELS * this._sy;
     const { spread } = of;
     if (!spread) return;
-    const floor = FINE * (HEAD + this._h) + axes.bottom * sy;
-    const wide = of.style === "steps" ? Math.ceil((of.step / 2) * sx) : of.style === "dots" ? 2 * FINE : 0;
+    const floor = SUBPIXELS * (TOP_PX + this._h) + axes.bottom * sy;
+    const wide = of.style === "steps" ? Math.ceil((of.step / 2) * sx) : of.style === "dots" ? 2 * SUBPIXELS : 0;
     draw.fillStyle = this._ink[of.ink];
     draw.globalAlpha = 0.28;
     draw.beginPath();
     for (let i = 0; i < of.length; i += 1) {
-      const x = whole(FINE * SIDE + (of.x[i] - axes.left) * sx);
-      const y = whole(floor - (of.y[i] + spread[i]) * sy);
+      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[i] - axes.left) * sx);
+      const y = toInt(floor - (of.y[i] + spread[i]) * sy);
       const tall = 2 * spread[i] * sy;
-      if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, whole(tall));
+      if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, toInt(tall));
     }
     draw.fill();
     draw.globalAlpha = 1;
@@ -209,13 +209,13 @@ export class Chart {
   /** @param {Line} of @param {Axes} axes */
   _line(of, axes) {
     const { _pen: draw } = this;
-    const sx = FINE * this._sx;
-    const sy = FINE * this._sy;
-    const floor = FINE * (HEAD + this._h);
+    const sx = SUBPIXELS * this._sx;
+    const sy = SUBPIXELS * this._sy;
+    const floor = SUBPIXELS * (TOP_PX + this._h);
     const from = of.zero + axes.left;
     const half = ((of.step / 2) * sx) | 0;
     draw.strokeStyle = draw.fillStyle = this._ink[of.ink];
-    draw.lineWidth = 2 * FINE;
+    draw.lineWidth = 2 * SUBPIXELS;
     draw.lineJoin = "round";
     draw.beginPath();
     let down = false;
@@ -225,8 +225,8 @@ export class Chart {
         down = false;
         continue;
       }
-      const x = whole(FINE * SIDE + (of.x[at] - from) * sx);
-      const y = whole(floor - (value - axes.bottom) * sy);
+      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[at] - from) * sx);
+      const y = toInt(floor - (value - axes.bottom) * sy);
       if (down) draw.lineTo(x - half, y);
       else draw.moveTo(x - half, y);
       if (half) draw.lineTo(x + half, y);
@@ -242,12 +242,12 @@ export class Chart {
   /** @param {Line} of @param {Axes} axes @param {number} sx fine units a unit of x @param {number} sy */
   _dots(of, axes, sx, sy) {
     const { _pen: draw } = this;
-    const floor = FINE * (HEAD + this._h);
+    const floor = SUBPIXELS * (TOP_PX + this._h);
     for (let i = 0; i < of.length; i += 1) {
       if (of.y[i] !== of.y[i]) continue;
       draw.beginPath();
-      const x = whole(FINE * SIDE + (of.x[i] - axes.left) * sx);
-      draw.arc(x, whole(floor - (of.y[i] - axes.bottom) * sy), 3 * FINE, 0, 2 * Math.PI);
+      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[i] - axes.left) * sx);
+      draw.arc(x, toInt(floor - (of.y[i] - axes.bottom) * sy), 3 * SUBPIXELS, 0, 2 * Math.PI);
       draw.fill();
     }
   }

@@ -36,24 +36,24 @@ export class Colorbar {
 
   /**
    * Draw, where the range or the size is another than the last time; tall boxes get a standing bar.
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
    */
-  draw(scale, palette) {
+  draw(range, colormap) {
     const width = this.canvas.clientWidth;
     const height = this.canvas.clientHeight;
     if (!width || !height) return;
-    const { low, high } = scale;
+    const { low, high } = range;
     if (low === this._low && high === this._high && width === this._width && height === this._height) return;
     this._low = low;
     this._high = high;
     this._width = width;
     this._height = height;
-    this._draw(palette);
+    this._draw(colormap);
   }
 
-  /** @param {Colormap} palette */
-  _draw(palette) {
+  /** @param {Colormap} colormap */
+  _draw(colormap) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
     this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
     const ratio = fitCanvas(this.canvas, width, height);
@@ -67,7 +67,7 @@ export class Colorbar {
     const length = (standing ? height : width) - 2 * end;
     const ramp = standing
       ? draw.createLinearGradient(0, end + length, 0, end) : draw.createLinearGradient(end, 0, end + length, 0);
-    for (let i = 0; i < 256; i += 5) ramp.addColorStop(i / 255, palette.css[i]);
+    for (let i = 0; i < 256; i += 5) ramp.addColorStop(i / 255, colormap.css[i]);
     draw.fillStyle = ramp;
     if (standing) draw.fillRect(0, end, BAR, length);
     else draw.fillRect(end, 0, length, BAR);

@@ -5,7 +5,7 @@ import { fixed, newtons } from "./format.js";
 
 /** @import { Contact } from "./contacts.js" */
 
-const MOST = 6; // rows, the strongest
+const MAX_ROWS = 6; // rows, the strongest
 const COLUMNS = 6;
 
 export class ContactTable {
@@ -18,19 +18,19 @@ export class ContactTable {
 
   /**
    * @param {Contact[]|null} contacts null where none are known
-   * @param {boolean} asked whether they are asked for
+   * @param {boolean} enabled whether they are asked for
    * @param {number} taxels
    * @param {number} unknown of these, nothing is known
    */
-  show(contacts, asked, taxels, unknown) {
-    const count = Math.min(MOST, contacts?.length ?? 0);
+  show(contacts, enabled, taxels, unknown) {
+    const count = Math.min(MAX_ROWS, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    setText(this._line, count ? `and ${more} weaker` : !asked ? "Contacts are switched off." : contacts ? untouched(taxels, unknown) : "–");
-    while (this._body.rows.length < count) this._body.append(row());
+    setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : "–");
+    while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
-    for (let i = 0; contacts && i < count; i += 1) fill(this._body.rows[i].cells, contacts[i]);
+    for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i]);
   }
 }
 
@@ -39,14 +39,14 @@ export class ContactTable {
  * @param {number} unknown of these, nothing is known
  * @returns {string} what no contact means
  */
-function untouched(taxels, unknown) {
+function noContact(taxels, unknown) {
   if (!unknown) return "No contact";
   if (unknown >= taxels) return "Nothing is known of any taxel.";
   return `Nothing touches the ${taxels - unknown} of ${taxels} taxels that are known.`;
 }
 
 /** @returns {HTMLTableRowElement} an empty one */
-function row() {
+function newRow() {
   const made = document.createElement("tr");
   const head = document.createElement("th");
   head.scope = "row";
@@ -56,7 +56,7 @@ function row() {
 }
 
 /** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact */
-function fill(cells, contact) {
+function fillRow(cells, contact) {
   setText(cells[0], String(contact.id));
   setText(cells[1], newtons(contact.force_n));
   setText(cells[2], fixed(contact.peak_kpa, 0));

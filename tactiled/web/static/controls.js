@@ -31,16 +31,16 @@ const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
 
-/** Wire everything that can be pressed. @param {Viewer} viewer @param {Targets} rooms */
-export function controls(viewer, rooms) {
-  buttons(viewer, rooms);
-  range(viewer, rooms);
-  keyboard(viewer, rooms);
+/** Wire everything that can be pressed. @param {Viewer} viewer @param {Targets} targets */
+export function controls(viewer, targets) {
+  buttons(viewer, targets);
+  range(viewer, targets);
+  keyboard(viewer, targets);
   picker.addEventListener("change", () => chooseMethod(viewer));
 }
 
-/** @param {Viewer} viewer @param {Targets} rooms */
-function buttons(viewer, rooms) {
+/** @param {Viewer} viewer @param {Targets} targets */
+function buttons(viewer, targets) {
   const scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
   const contacts = /** @type {HTMLInputElement} */ (byId("contacts-on"));
   const shear = /** @type {HTMLInputElement} */ (byId("shear-on"));
@@ -50,8 +50,8 @@ function buttons(viewer, rooms) {
   press("forward", () => viewer.step(1));
   press("section-turn", () => turn(viewer));
   press("tare", () => tare(viewer));
-  press("save-png", () => save("png", viewer, rooms));
-  press("save-csv", () => save("csv", viewer, rooms));
+  press("save-png", () => save("png", viewer, targets));
+  press("save-csv", () => save("csv", viewer, targets));
   press("help-open", showHelp);
   press("help-close", () => help.close());
   press("banner-action", () => viewer.session?.stream.retry());
@@ -66,15 +66,15 @@ function showHelp() {
   help.scrollTop = 0;
 }
 
-/** @param {Viewer} viewer @param {Targets} rooms */
-function range(viewer, rooms) {
+/** @param {Viewer} viewer @param {Targets} targets */
+function range(viewer, targets) {
   const auto = /** @type {HTMLInputElement} */ (byId("range-auto"));
   const low = /** @type {HTMLInputElement} */ (byId("range-low"));
   const high = /** @type {HTMLInputElement} */ (byId("range-high"));
   byId("range").addEventListener("submit", (event) => event.preventDefault());
-  auto.addEventListener("change", () => setAuto(auto.checked, viewer, rooms));
-  low.addEventListener("change", () => fix(low.valueAsNumber, viewer.scale.high, viewer, rooms));
-  high.addEventListener("change", () => fix(viewer.scale.low, high.valueAsNumber, viewer, rooms));
+  auto.addEventListener("change", () => setAuto(auto.checked, viewer, targets));
+  low.addEventListener("change", () => fix(low.valueAsNumber, viewer.range.high, viewer, targets));
+  high.addEventListener("change", () => fix(viewer.range.low, high.valueAsNumber, viewer, targets));
 }
 
 /**
@@ -82,22 +82,22 @@ function range(viewer, rooms) {
  * @param {number} low kPa; NaN where no number stands there
  * @param {number} high
  * @param {Viewer} viewer
- * @param {Targets} rooms
+ * @param {Targets} targets
  */
-function fix(low, high, viewer, rooms) {
-  const why = viewer.scale.fix(low, high);
+function fix(low, high, viewer, targets) {
+  const why = viewer.range.fix(low, high);
   const [from, to] = [low, high].map((each) => (Number.isNaN(each) ? "nothing" : String(each)));
   if (why) notice(`From ${from} to ${to} kPa is no range, ${why}: the range stays.`, true);
-  rooms.screen.range(viewer.scale, true);
+  targets.screen.range(viewer.range, true);
   viewer.refresh();
 }
 
-/** @param {boolean} auto @param {Viewer} viewer @param {Targets} rooms */
-function setAuto(auto, viewer, rooms) {
-  const { scale } = viewer;
-  if (auto) scale.release();
-  else scale.fix(scale.low, scale.high);
-  rooms.screen.range(scale);
+/** @param {boolean} auto @param {Viewer} viewer @param {Targets} targets */
+function setAuto(auto, viewer, targets) {
+  const { range } = viewer;
+  if (auto) range.release();
+  else range.fix(range.low, range.high);
+  targets.screen.range(range);
   viewer.refresh();
 }
 
@@ -119,7 +119,7 @@ async function tare(viewer) {
     ({ seen } = error);
   }), "Tare failed");
   let begun = await begin(false);
-  if (seen) begun = await sure(name, seen) && await begin(true);
+  if (seen) begun = await confirmTare(name, seen) && await begin(true);
   if (begun) notice("Tare: the next frames are taken as the unloaded array.");
 }
 
@@ -129,7 +129,7 @@ async function tare(viewer) {
  * @param {string} seen
  * @returns {Promise<boolean>} to tare anyway
  */
-async function sure(name, seen) {
+async function confirmTare(name, seen) {
   setText(byId("loaded-seen"), `${name}: ${seen}.`);
   loaded.returnValue = "";
   loaded.showModal();
@@ -137,10 +137,10 @@ async function sure(name, seen) {
   return loaded.returnValue === "force";
 }
 
-/** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} rooms */
-function save(kind, viewer, rooms) {
-  const { session, palette } = viewer;
-  if (!session?.frame || !palette) {
+/** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} targets */
+function save(kind, viewer, targets) {
+  const { session, colormap } = viewer;
+  if (!session?.frame || !colormap) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
     return;
   }
@@ -149,12 +149,12 @@ function save(kind, viewer, rooms) {
     download(name, frame, "csv", new Blob([csvText(name, plane, frame)], { type: "text/csv" }));
   }
   else {
-    const { found } = viewer;
-    const away = found?.contacts.length ? timeOffset(found, session.frame) : "";
-    const { level } = rooms.screen;
+    const { contactsOfFrame } = viewer;
+    const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, session.frame) : "";
+    const { level } = targets.screen;
     const still = level === "live" ? "paused" : `paused, ${level}`;
-    const state = (session.paused ? still : level) + (away && `, contacts of ${away}`);
-    savePng(session, session.frame, viewer.maps, viewer.scale, palette, state, viewer.shear && session.frame.sheared);
+    const state = (session.paused ? still : level) + (offset && `, contacts of ${offset}`);
+    savePng(session, session.frame, viewer.maps, viewer.range, colormap, state, viewer.shear && session.frame.sheared);
   }
 }
 
@@ -168,7 +168,7 @@ function arrow(viewer, dx, dy, event) {
 /** @param {Viewer} viewer */
 function turn(viewer) {
   if (!viewer.session) return;
-  viewer.cut(ACROSS[viewer.marks.along]);
+  viewer.setSectionAxis(ACROSS[viewer.marks.along]);
   setText(byId("told"), `Cross-section along ${viewer.marks.along}.`);
 }
 
@@ -181,8 +181,8 @@ function pin(viewer) {
   viewer.probe.pin(of.contact ? of.x : plane.left + plane.width / 2, of.contact ? of.y : plane.top + plane.height / 2);
 }
 
-/** @param {Viewer} viewer @param {Targets} rooms */
-function keyboard(viewer, rooms) {
+/** @param {Viewer} viewer @param {Targets} targets */
+function keyboard(viewer, targets) {
   const contacts = byId("contacts-on");
   const shear = byId("shear-on");
   listenForKeys({
@@ -190,23 +190,23 @@ function keyboard(viewer, rooms) {
     ArrowLeft: (event) => arrow(viewer, -1, 0, event),
     ArrowRight: (event) => arrow(viewer, 1, 0, event),
     l: () => viewer.pause(false),
-    a: () => setAuto(!viewer.scale.auto, viewer, rooms),
+    a: () => setAuto(!viewer.range.auto, viewer, targets),
     o: () => contacts.click(),
-    v: () => viewer.session?.feels && shear.click(),
+    v: () => viewer.session?.hasShear && shear.click(),
     t: () => tare(viewer),
-    r: () => rooms.recorder.toggle(),
-    s: () => save("png", viewer, rooms),
-    c: () => save("csv", viewer, rooms),
-    w: rooms.toggleWall,
-    d: rooms.nextTheme,
+    r: () => targets.recorder.toggle(),
+    s: () => save("png", viewer, targets),
+    c: () => save("csv", viewer, targets),
+    w: targets.toggleWall,
+    d: targets.nextTheme,
     m: () => picker.focus(),
     x: () => turn(viewer),
     p: () => pin(viewer),
     "?": showHelp,
     Escape: () => viewer.probe.clear(),
     ...Object.fromEntries(Array.from({ length: 9 }, (_, i) => [String(i + 1), () => {
-      const name = rooms.sensors()[i];
-      if (name) rooms.choose(name);
+      const name = targets.sensors()[i];
+      if (name) targets.choose(name);
     }])),
   }, /** @type {HTMLInputElement} */ (byId("keys-on")));
   document.addEventListener("keydown", (event) => {

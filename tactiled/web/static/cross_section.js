@@ -11,10 +11,10 @@ import { ACROSS } from "./geometry.js";
 /** @import { Marks } from "./overlay.js" */
 
 const UNITS = { x: "x, mm", y: "y, mm" };
-const SPREAD = 2; // standard deviations to either side of the restored line
+const BAND_DEVIATIONS = 2; // standard deviations to either side of the restored line
 const MARGIN = 0.06; // of the range, drawn below it
-const DEEP = 0.4; // of the range, drawn below it while something is there
-const HOLD = 180; // frames for which that stays, so that the axis does not jump
+const DEEP_MARGIN = 0.4; // of the range, drawn below it while something is there
+const DEEP_FRAMES = 180; // frames for which that stays, so that the axis does not jump
 
 export class CrossSection {
   /** @param {HTMLCanvasElement} canvas */
@@ -34,36 +34,36 @@ export class CrossSection {
   /** @param {Plane} plane */
   use(plane) {
     this._plane = plane;
-    this._raw = through(plane, plane.raw, "raw");
-    this._restored = through(plane, plane.restored, "restored");
+    this._raw = emptyLine(plane, plane.raw, "raw");
+    this._restored = emptyLine(plane, plane.restored, "restored");
     this._lines = [this._raw, this._restored];
-    this._deviation = through(plane, plane.restored, "restored");
+    this._deviation = emptyLine(plane, plane.restored, "restored");
   }
 
   /**
    * @param {Frame|null} frame
    * @param {Marks} marks where the line and the probe are
-   * @param {DisplayRange} scale
+   * @param {DisplayRange} range
    * @param {Float32Array|null} deviation kPa, of each restored cell; null where it is not known
    */
-  draw(frame, marks, scale, deviation) {
+  draw(frame, marks, range, deviation) {
     const plane = this._plane;
     if (!plane) return;
     const { along } = marks;
-    const span = scale.high - scale.low;
+    const span = range.high - range.low;
     this._axes.left = plane.start(along);
     this._axes.right = plane.start(along) + plane.extent(along);
     this._axes.x = UNITS[along];
-    this._axes.top = scale.high;
+    this._axes.top = range.high;
     this._raw.length = this._restored.length = 0;
     if (frame) {
-      cut(plane, plane.raw, frame.raw, marks, this._raw);
-      cut(plane, plane.restored, frame.restored, marks, this._restored);
+      sample(plane, plane.raw, frame.raw, marks, this._raw);
+      sample(plane, plane.restored, frame.restored, marks, this._restored);
     }
     this._restored.spread = frame && deviation ? this._spread(plane, deviation, marks) : null;
-    const least = scale.low - MARGIN * span;
-    this._deep = goesBelow(this._raw, least) || goesBelow(this._restored, least) ? HOLD : Math.max(0, this._deep - 1);
-    this._axes.bottom = scale.low - (this._deep ? DEEP : MARGIN) * span;
+    const floor = range.low - MARGIN * span;
+    this._deep = goesBelow(this._raw, floor) || goesBelow(this._restored, floor) ? DEEP_FRAMES : Math.max(0, this._deep - 1);
+    this._axes.bottom = range.low - (this._deep ? DEEP_MARGIN : MARGIN) * span;
     const probe = along === "x" ? marks.probeX : marks.probeY;
     this.chart.draw(this._axes, this._lines, probe, Number.isFinite(probe) ? `${along} ${fixed(probe, 1)} mm` : "");
   }
@@ -75,15 +75,15 @@ export class CrossSection {
    * @returns {Float64Array} kPa, half the height of the band
    */
   _spread(plane, deviation, marks) {
-    cut(plane, plane.restored, deviation, marks, this._deviation);
-    for (let i = 0; i < this._deviation.length; i += 1) this._deviation.y[i] *= SPREAD;
+    sample(plane, plane.restored, deviation, marks, this._deviation);
+    for (let i = 0; i < this._deviation.length; i += 1) this._deviation.y[i] *= BAND_DEVIATIONS;
     return this._deviation.y;
   }
 }
 
-/** @param {Line} of @param {number} least @returns {boolean} some point is below */
-function goesBelow(of, least) {
-  for (let i = 0; i < of.length; i += 1) if (of.y[i] < least) return true;
+/** @param {Line} of @param {number} floor @returns {boolean} some point is below */
+function goesBelow(of, floor) {
+  for (let i = 0; i < of.length; i += 1) if (of.y[i] < floor) return true;
   return false;
 }
 
@@ -93,7 +93,7 @@ function goesBelow(of, least) {
  * @param {"raw"|"restored"} ink
  * @returns {Line} with room for the cells along either axis
  */
-const through = (plane, cells, ink) =>
+const emptyLine = (plane, cells, ink) =>
   line(Math.max(cells.rows, cells.columns), ink, plane.isGrid ? "steps" : "dots", plane.isGrid ? cells.side : 0);
 
 /**
@@ -103,15 +103,15 @@ const through = (plane, cells, ink) =>
  * @param {Float32Array} kpa of the restored image
  * @returns {number} kPa
  */
-export function highest(plane, { along, lineAt }, kpa) {
+export function highestAlong(plane, { along, lineAt }, kpa) {
   const cells = plane.restored;
   const across = cells[ACROSS[along]];
   const reach = (plane.isGrid ? cells.side : plane.pitch) / 2;
-  let most = -Infinity;
+  let top = -Infinity;
   for (let i = 0; i < cells.count; i += 1) {
-    if (kpa[i] > most && Math.abs(across[i] - lineAt) <= reach) most = kpa[i];
+    if (kpa[i] > top && Math.abs(across[i] - lineAt) <= reach) top = kpa[i];
   }
-  return most;
+  return top;
 }
 
 /**
@@ -121,7 +121,7 @@ export function highest(plane, { along, lineAt }, kpa) {
  * @param {Marks} marks
  * @param {Line} into
  */
-function cut(plane, cells, kpa, { along, lineAt }, into) {
+function sample(plane, cells, kpa, { along, lineAt }, into) {
   const places = cells[along];
   const across = cells[ACROSS[along]];
   let n = 0;

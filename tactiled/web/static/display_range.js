@@ -3,9 +3,9 @@
 const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
 const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
-const TIGHT = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
-const LEAST_KPA = 1;
-const NARROWEST = 1e-6; // of its larger end, what a range spans at least: ticks and colours are told apart
+const KEEP_ABOVE = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
+const MIN_TOP_KPA = 1;
+const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours are told apart
 
 /** @param {number} value above 0 @returns {number} the least round number that is not below it */
 export function roundUp(value) {
@@ -17,20 +17,20 @@ export function roundUp(value) {
 /**
  * Hold a range while the data fill it well, so that it does not flicker.
  * @param {number} top of the range, a round number; 0 for none yet
- * @param {number} most that it must hold, above 0
+ * @param {number} needed that it must hold, above 0
  * @returns {number} the top from now on
  */
-export function hold(top, most) {
-  if (most <= top && most > TIGHT * top) return top; // as nearly always: rounding makes garbage
-  const wanted = roundUp(most);
-  return wanted > top || roundUp(most / HYSTERESIS) < top ? wanted : top;
+export function steadyTop(top, needed) {
+  if (needed <= top && needed > KEEP_ABOVE * top) return top; // as nearly always: rounding makes garbage
+  const rounded = roundUp(needed);
+  return rounded > top || roundUp(needed / HYSTERESIS) < top ? rounded : top;
 }
 
 export class DisplayRange {
-  /** @param {number} [least] that the range reaches up to where it follows the data */
-  constructor(least = LEAST_KPA) {
+  /** @param {number} [minTop] that the range reaches up to where it follows the data */
+  constructor(minTop = MIN_TOP_KPA) {
     this.auto = true;
-    this._least = least;
+    this._minTop = minTop;
     /** Bottom and top of the range, kPa, or what else is shown on it. */
     this.low = 0;
     this.high = 10;
@@ -52,11 +52,11 @@ export class DisplayRange {
    * @param {number} time s, of the frame
    */
   follow(peak, noise, time) {
-    const gone = Math.min(1, Math.max(0, time - this._time));
+    const elapsed = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
-    this._peak = Math.max(peak, this._least, 15 * noise, this._peak * Math.exp(-gone / DECAY_S));
+    this._peak = Math.max(peak, this._minTop, 15 * noise, this._peak * Math.exp(-elapsed / DECAY_S));
     if (!this.auto) return;
-    this.high = hold(this.high, this._peak);
+    this.high = steadyTop(this.high, this._peak);
   }
 
   /**
@@ -66,7 +66,7 @@ export class DisplayRange {
    * @returns {string} why that is no range, with nothing changed; "" where it is one
    */
   fix(low, high) {
-    const why = fault(low, high);
+    const why = rangeError(low, high);
     if (why) return why;
     this.auto = false;
     this.low = low;
@@ -78,14 +78,14 @@ export class DisplayRange {
   release() {
     this.auto = true;
     this.low = 0;
-    this.high = roundUp(Math.max(this._peak, this._least));
+    this.high = roundUp(Math.max(this._peak, this._minTop));
   }
 }
 
 /** @param {number} low @param {number} high @returns {string} why that is no range; "" where it is one */
-function fault(low, high) {
+function rangeError(low, high) {
   if (!Number.isFinite(low) || !Number.isFinite(high)) return "a number is missing";
   if (high <= low) return "its end is not above its start";
   if (!Number.isFinite(high - low)) return "it is too wide";
-  return high - low < NARROWEST * Math.max(Math.abs(low), Math.abs(high)) ? "it is too narrow" : "";
+  return high - low < MIN_RELATIVE_SPAN * Math.max(Math.abs(low), Math.abs(high)) ? "it is too narrow" : "";
 }

@@ -6,9 +6,9 @@
  * @returns {T} the element, which the page must have
  */
 export function byId(id) {
-  const found = document.getElementById(id);
-  if (!found) throw new Error(`the page has no element "${id}"`);
-  return /** @type {T} */ (found);
+  const colors = document.getElementById(id);
+  if (!colors) throw new Error(`the page has no element "${id}"`);
+  return /** @type {T} */ (colors);
 }
 
 /**
@@ -67,11 +67,11 @@ export function themeColors() {
     swatch.style.color = `var(--${name})`;
     return style.color;
   };
-  const found = {
+  const colors = {
     text: of("text"), muted: of("muted"), line: of("line"), panel: of("panel"), raw: of("raw"),
     restored: of("restored"), accent: of("accent"), font: getComputedStyle(document.body).fontFamily,
     forced: matchMedia("(forced-colors: active)").matches,
   };
   swatch.remove();
-  return found;
+  return colors;
 }

@@ -5,8 +5,8 @@ import { byId } from "./dom.js";
 
 /** @import { Event } from "./api.js" */
 
-const MOST = 100; // lines
-const BAD = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised"]);
+const MAX_LINES = 100; // lines
+const BAD_KINDS = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised"]);
 
 export class EventLog {
   constructor() {
@@ -28,14 +28,14 @@ export class EventLog {
     if (newest < this._newest) this._list.replaceChildren();
     this._newest = events.length ? events[events.length - 1].id : newest;
     for (const each of events) this._list.prepend(line(each));
-    while (this._list.children.length > MOST) this._list.lastElementChild?.remove();
+    while (this._list.children.length > MAX_LINES) this._list.lastElementChild?.remove();
   }
 }
 
 /** @param {Event} event @returns {HTMLElement} */
 function line(event) {
   const item = document.createElement("li");
-  item.classList.toggle("bad", BAD.has(event.kind));
+  item.classList.toggle("bad", BAD_KINDS.has(event.kind));
   const when = document.createElement("time");
   const date = new Date(event.time * 1000);
   when.dateTime = date.toISOString();

@@ -13,54 +13,54 @@ import { endsAndTicks, tickText } from "./ticks.js";
 /** @import { Session } from "./session.js" */
 /** @import { ShearArrows } from "./shear_arrows.js" */
 
-const MAP = 640; // px, a map's longer side
-const EDGE = 32;
-const HEAD = 108;
-const FOOT = 108;
-const KEY = 28; // more where shear has its key
-const LEGEND = 96;
-const LEAST = 220; // px, that the legend is tall at least
-const APART = 44; // px between two of its ticks
-const [LARGE, SMALL] = [19, 15]; // px, of letters
+const MAP_PX = 640; // px, a map's longer side
+const MARGIN_PX = 32;
+const TOP_PX = 108;
+const BOTTOM_PX = 108;
+const SHEAR_KEY_PX = 28; // more where shear has its key
+const LEGEND_PX = 96;
+const MIN_LEGEND_PX = 220; // px, that the legend is tall at least
+const TICK_GAP_PX = 44; // px between two of its ticks
+const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
 
 /**
  * Save both maps with their legend and readings.
  * @param {Session} session
  * @param {Frame} frame
  * @param {Maps} maps
- * @param {DisplayRange} scale
- * @param {Colormap} palette
+ * @param {DisplayRange} range
+ * @param {Colormap} colormap
  * @param {string} state what the page says of the frame: live, stale, ...
  * @param {boolean} shear whether it is shown
  */
-export function savePng({ name, plane }, frame, maps, scale, palette, state, shear) {
-  const zoom = MAP / Math.max(plane.width, plane.height);
+export function savePng({ name, plane }, frame, maps, range, colormap, state, shear) {
+  const zoom = MAP_PX / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
   const when = `${isoTime(frame.timestamp)}, ${state}`;
   const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
-  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(told);
-  const column = Math.max(w, widest([...ofRaw, ...ofRestored], SMALL));
-  const tall = Math.max(h, LEAST);
+  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(summaryLines);
+  const column = Math.max(w, widest([...ofRaw, ...ofRestored], TEXT_PX));
+  const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const canvas = document.createElement("canvas");
-  const text = Math.max(widest([title], LARGE), widest([when, size], SMALL));
-  canvas.width = 2 * EDGE + Math.max(EDGE + 2 * column + LEGEND, text);
-  canvas.height = HEAD + tall + FOOT + (shear ? KEY : 0);
-  const sheet = new Sheet(canvas, tall);
-  sheet.write(title, EDGE, 32, LARGE);
-  sheet.write(when, EDGE, 58, SMALL, sheet.ink.muted);
+  const text = Math.max(widest([title], TITLE_PX), widest([when, size], TEXT_PX));
+  canvas.width = 2 * MARGIN_PX + Math.max(MARGIN_PX + 2 * column + LEGEND_PX, text);
+  canvas.height = TOP_PX + bodyHeight + BOTTOM_PX + (shear ? SHEAR_KEY_PX : 0);
+  const sheet = new Sheet(canvas, bodyHeight);
+  sheet.write(title, MARGIN_PX, 32, TITLE_PX);
+  sheet.write(when, MARGIN_PX, 58, TEXT_PX, sheet.ink.muted);
   const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
-  sheet.map("Raw", EDGE, w, h, maps.raw.canvas, raw, plane.isGrid, ofRaw);
-  sheet.map("Restored", column + 2 * EDGE, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
-  if (shear) sheet.arrow(maps.arrows, EDGE, HEAD + tall + 84 + KEY, w);
-  sheet.write(size, EDGE, HEAD + tall + 84, SMALL, sheet.ink.muted);
-  sheet.legend(2 * column + 3 * EDGE, scale, palette);
+  sheet.map("Raw", MARGIN_PX, w, h, maps.raw.canvas, raw, plane.isGrid, ofRaw);
+  sheet.map("Restored", column + 2 * MARGIN_PX, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
+  if (shear) sheet.arrow(maps.arrows, MARGIN_PX, TOP_PX + bodyHeight + 84 + SHEAR_KEY_PX, w);
+  sheet.write(size, MARGIN_PX, TOP_PX + bodyHeight + 84, TEXT_PX, sheet.ink.muted);
+  sheet.legend(2 * column + 3 * MARGIN_PX, range, colormap);
   canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
 }
 
 /** @param {Measures} of an image @returns {string[]} what stands below its map, line by line */
-function told(of) {
+function summaryLines(of) {
   const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
   return [`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa`, centre];
 }
@@ -74,10 +74,10 @@ function widest(texts, size) {
 
 /** The picture while it is made. */
 class Sheet {
-  /** @param {HTMLCanvasElement} canvas @param {number} tall px between head and foot */
-  constructor(canvas, tall) {
+  /** @param {HTMLCanvasElement} canvas @param {number} bodyHeight px between head and foot */
+  constructor(canvas, bodyHeight) {
     this.ink = themeColors();
-    this._tall = tall;
+    this._tall = bodyHeight;
     this._pen = context2d(canvas);
     this._pen.fillStyle = this.ink.panel;
     this._pen.fillRect(0, 0, canvas.width, canvas.height);
@@ -90,7 +90,7 @@ class Sheet {
    * @param {number} size px
    * @param {string} color
    */
-  write(text, x, y, size = SMALL, color = this.ink.text) {
+  write(text, x, y, size = TEXT_PX, color = this.ink.text) {
     this._pen.font = `${size}px ${this.ink.font}`;
     this._pen.fillStyle = color;
     this._pen.fillText(text, x, y);
@@ -108,14 +108,14 @@ class Sheet {
    */
   map(title, x, w, h, cells, marks, grid, below) {
     const draw = this._pen;
-    this.write(title, x, HEAD - 14, 16);
+    this.write(title, x, TOP_PX - 14, 16);
     draw.fillStyle = grid ? "#8d949c" : "#333c46";
-    draw.fillRect(x, HEAD, w, h);
+    draw.fillRect(x, TOP_PX, w, h);
     draw.imageSmoothingEnabled = !grid;
-    draw.drawImage(cells, x, HEAD, w, h);
+    draw.drawImage(cells, x, TOP_PX, w, h);
     draw.imageSmoothingEnabled = true;
-    for (const each of marks) draw.drawImage(each, x, HEAD, w, h);
-    below.forEach((each, at) => this.write(each, x, HEAD + h + 28 + 24 * at));
+    for (const each of marks) draw.drawImage(each, x, TOP_PX, w, h);
+    below.forEach((each, at) => this.write(each, x, TOP_PX + h + 28 + 24 * at));
   }
 
   /**
@@ -128,20 +128,20 @@ class Sheet {
   arrow(arrows, x, y, w) {
     const length = arrows.share * w;
     arrows.drawKey(this._pen, x + length / 2, y - 5, length, 1);
-    this.write(`shear of ${arrows.full} counts`, x + length + 10, y, 15, this.ink.muted);
+    this.write(`shear of ${arrows.counts} counts`, x + length + 10, y, 15, this.ink.muted);
   }
 
-  /** @param {number} x @param {DisplayRange} scale @param {Colormap} palette */
-  legend(x, scale, palette) {
+  /** @param {number} x @param {DisplayRange} range @param {Colormap} colormap */
+  legend(x, range, colormap) {
     const h = this._tall;
-    this.write("kPa", x, HEAD - 14);
+    this.write("kPa", x, TOP_PX - 14);
     for (let i = 0; i < 256; i += 1) {
-      this._pen.fillStyle = palette.css[i];
-      this._pen.fillRect(x, HEAD + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
+      this._pen.fillStyle = colormap.css[i];
+      this._pen.fillRect(x, TOP_PX + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
     }
-    const span = scale.high - scale.low;
-    for (const value of endsAndTicks(scale.low, scale.high, h / APART)) {
-      this.write(tickText(value, span), x + 28, HEAD + h * (1 - (value - scale.low) / span) + 5);
+    const span = range.high - range.low;
+    for (const value of endsAndTicks(range.low, range.high, h / TICK_GAP_PX)) {
+      this.write(tickText(value, span), x + 28, TOP_PX + h * (1 - (value - range.low) / span) + 5);
     }
   }
 }

@@ -1,14 +1,14 @@
 /** The last seconds of a sensor, in buffers that are allocated once. @module */
 
 import { measure, measures } from "./measures.js";
-import { RAN } from "./wire.js";
+import { METHODS } from "./wire.js";
 
 /** @import { Plane } from "./geometry.js" */
 /** @import { Measures } from "./measures.js" */
 /** @import { Packet } from "./wire.js" */
 
-const FRAMES = 750; // ten seconds at 75 a second
-const BYTES = 96 * 2 ** 20; // never more memory than this
+const MAX_FRAMES = 750; // ten seconds at 75 a second
+const MAX_BYTES = 96 * 2 ** 20; // never more memory than this
 const NO_FLAGS = new Uint8Array(0);
 
 /**
@@ -35,12 +35,12 @@ const NO_FLAGS = new Uint8Array(0);
  */
 
 export class FrameHistory {
-  /** @param {Plane} plane @param {boolean} feels shear */
-  constructor(plane, feels) {
+  /** @param {Plane} plane @param {boolean} hasShear shear */
+  constructor(plane, hasShear) {
     this._plane = plane;
     const { raw: { count: n }, restored: { count: m } } = plane;
-    const s = feels ? 2 * n : 0;
-    this.capacity = Math.max(2, Math.min(FRAMES, Math.floor(BYTES / (5 * n + 4 * m + 4 * s))));
+    const s = hasShear ? 2 * n : 0;
+    this.capacity = Math.max(2, Math.min(MAX_FRAMES, Math.floor(MAX_BYTES / (5 * n + 4 * m + 4 * s))));
     const raw = new Float32Array(this.capacity * n);
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
@@ -112,7 +112,7 @@ export class FrameHistory {
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
-    frame.ran = RAN[restored.ran] ?? "";
+    frame.ran = METHODS[restored.ran] ?? "";
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);

@@ -2,15 +2,15 @@
 
 /** @import { Frame } from "./frame_history.js" */
 
-const CLOCKS_S = 0.25; // that the browser's and the service's clocks may differ and still be compared
-const KEPT = 128; // paintings, more than a second's
+const MAX_CLOCK_OFFSET_S = 0.25; // that the browser's and the service's clocks may differ and still be compared
+const MAX_TIMES = 128; // paintings, more than a second's
 
 export class FrameRate {
   constructor() {
     this.painted = 0;
     /** Of the newest picture, ms from the frame's first bus message to the screen. */
     this.latency = NaN;
-    this._times = new Float64Array(KEPT);
+    this._times = new Float64Array(MAX_TIMES);
     this._skew = Infinity; // s that this browser's clock is ahead of the service's, and the quickest way
   }
 
@@ -27,7 +27,7 @@ export class FrameRate {
    * @param {number} skew s, the least of (arrival - sent)
    */
   paint(now, frame, skew) {
-    this._times[this.painted % KEPT] = now;
+    this._times[this.painted % MAX_TIMES] = now;
     this.painted += 1;
     const at = Date.now() / 1000;
     this._skew = skew;
@@ -37,7 +37,7 @@ export class FrameRate {
 
   /** @returns {boolean} the two clocks are too far apart to compare, and the way over the network is left out */
   get clocksDiffer() {
-    return Number.isFinite(this._skew) && Math.abs(this._skew) > CLOCKS_S;
+    return Number.isFinite(this._skew) && Math.abs(this._skew) > MAX_CLOCK_OFFSET_S;
   }
 
   /** @returns {number} s that this browser's clock is off the service's; 0 where they agree */
@@ -48,9 +48,9 @@ export class FrameRate {
   /** @returns {number} pictures painted in the last second */
   fps() {
     const since = performance.now() - 1000;
-    const known = Math.min(this.painted, KEPT);
+    const count_kept = Math.min(this.painted, MAX_TIMES);
     let count = 0;
-    for (let i = 0; i < known; i += 1) if (this._times[i] > since) count += 1;
+    for (let i = 0; i < count_kept; i += 1) if (this._times[i] > since) count += 1;
     return count;
   }
 }

@@ -18,7 +18,7 @@
 
 /** The other axis of each: what runs along one crosses it. */
 export const ACROSS = /** @type {const} */ ({ x: "y", y: "x" });
-const TALL = 2; // heights of a plane in its width, from which its cross-section runs along y at first
+const TALL_RATIO = 2; // heights of a plane in its width, from which its cross-section runs along y at first
 
 export class Plane {
   /** @param {Geometry} geometry */
@@ -56,7 +56,7 @@ export class Plane {
 
   /** @returns {Axis} what a cross-section runs along at first */
   get along() {
-    return this.height > TALL * this.width ? "y" : "x";
+    return this.height > TALL_RATIO * this.width ? "y" : "x";
   }
 
   /** @param {Axis} axis @returns {number} mm, where the plane begins */
@@ -94,11 +94,11 @@ export class Plane {
       return column < 0 || row < 0 || column >= cells.columns || row >= cells.rows ? -1 : row * cells.columns + column;
     }
     let best = -1;
-    let least = (0.75 * this.pitch) ** 2;
+    let nearest = (0.75 * this.pitch) ** 2;
     for (let i = 0; i < cells.count; i += 1) {
       const distance = (cells.x[i] - x) ** 2 + (cells.y[i] - y) ** 2;
-      if (distance < least) {
-        least = distance;
+      if (distance < nearest) {
+        nearest = distance;
         best = i;
       }
     }

@@ -12,7 +12,7 @@ import { fixed } from "./format.js";
  * @property {number} retryAt
  * @property {number} attempts
  * @property {number} heardAt
- * @property {number} askedAt when an image was asked for that has not come yet; 0 where none was
+ * @property {number} requestedAt when an image was asked for that has not come yet; 0 where none was
  */
 
 /**
@@ -22,20 +22,20 @@ import { fixed } from "./format.js";
  * @property {string} text
  */
 
-const STALL_S = 2; // no image for so long, though the sensor is said to be live
+const STALLED_AFTER_S = 2; // no image for so long, though the sensor is said to be live
 const OVERDUE_MS = 2500; // of the service's once-a-second word
 
 /**
  * @param {StreamState|null} stream
  * @param {Status|null} status the newest
- * @param {number} toldAt when that came, ms on performance.now's clock
- * @param {number} pairAt when the newest pair came; 0 before the first
+ * @param {number} statusAt when that came, ms on performance.now's clock
+ * @param {number} imageAt when the newest pair came; 0 before the first
  * @returns {Health}
  */
-export function healthOf(stream, status, toldAt, pairAt) {
+export function healthOf(stream, status, statusAt, imageAt) {
   const now = performance.now();
-  const age = ageOf(status, toldAt, now);
-  const seen = age === null ? "No frame yet." : `Last frame ${span(age)} ago.`;
+  const age = ageOf(status, statusAt, now);
+  const lastFrame = age === null ? "No frame yet." : `Last frame ${duration(age)} ago.`;
   if (!stream || (!status && stream.link !== "closed" && !stream.attempts)) {
     return { level: "connecting", title: "CONNECTING", text: "" };
   }
@@ -43,38 +43,38 @@ export function healthOf(stream, status, toldAt, pairAt) {
     const wait = Math.max(0, (stream.retryAt - now) / 1000);
     const then = stream.link === "connecting" ? "Retrying now." : `Retrying in ${Math.ceil(wait)} s.`;
     const why = stream.reason ? ` (${stream.reason})` : "";
-    return { level: "disconnected", title: "DISCONNECTED", text: `${then} ${seen}${why}` };
+    return { level: "disconnected", title: "DISCONNECTED", text: `${then} ${lastFrame}${why}` };
   }
   if (now - stream.heardAt > OVERDUE_MS) {
-    return { level: "disconnected", title: "NO ANSWER", text: `Nothing heard for ${span((now - stream.heardAt) / 1000)}. ${seen}` };
+    return { level: "disconnected", title: "NO ANSWER", text: `Nothing heard for ${duration((now - stream.heardAt) / 1000)}. ${lastFrame}` };
   }
   if (!status) return { level: "connecting", title: "CONNECTING", text: "" };
-  if (status.state === "down") return { level: "down", title: "BUS DOWN", text: `${status.detail}. ${seen}` };
+  if (status.state === "down") return { level: "down", title: "BUS DOWN", text: `${status.detail}. ${lastFrame}` };
   if (status.state === "silent") return { level: "silent", title: "SILENT", text: `${status.detail}.` };
   if (status.state === "stale") {
     const more = status.detail.startsWith("no frame") ? "" : ` ${status.detail}`;
-    return { level: "stale", title: "STALE", text: `last frame ${span(age ?? 0)} ago.${more}` };
+    return { level: "stale", title: "STALE", text: `last frame ${duration(age ?? 0)} ago.${more}` };
   }
-  const stalled = stream.askedAt ? (now - stream.askedAt) / 1000 : 0;
-  if (stalled > Math.max(STALL_S, status.rate_hz > 0 ? 3 / status.rate_hz : 0)) {
-    return { level: "stale", title: "STALE", text: `last image ${span((now - (pairAt || stream.askedAt)) / 1000)} ago, though frames come in.` };
+  const stalled = stream.requestedAt ? (now - stream.requestedAt) / 1000 : 0;
+  if (stalled > Math.max(STALLED_AFTER_S, status.rate_hz > 0 ? 3 / status.rate_hz : 0)) {
+    return { level: "stale", title: "STALE", text: `last image ${duration((now - (imageAt || stream.requestedAt)) / 1000)} ago, though frames come in.` };
   }
   return { level: "live", title: "", text: "" };
 }
 
 /**
  * @param {Status|null} status
- * @param {number} toldAt ms
+ * @param {number} statusAt ms
  * @param {number} now ms
  * @returns {number|null} s since the sensor's last frame; null before the first
  */
-function ageOf(status, toldAt, now) {
+function ageOf(status, statusAt, now) {
   if (!status || status.age_s === null) return null;
-  return status.age_s + (now - toldAt) / 1000;
+  return status.age_s + (now - statusAt) / 1000;
 }
 
 /** @param {number} seconds @returns {string} */
-function span(seconds) {
+function duration(seconds) {
   if (seconds < 100) return `${fixed(seconds, 1)} s`;
   if (seconds < 6000) return `${Math.floor(seconds / 60)} min`;
   return `${Math.floor(seconds / 3600)} h`;

@@ -61,23 +61,23 @@ export class Heatmap {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  /** @param {Float32Array} kpa @param {DisplayRange} scale @param {Colormap} palette */
-  paint(kpa, scale, palette) {
-    if (this._image) this._paintGrid(kpa, scale, palette, this._image);
-    else this._paintScattered(kpa, scale, palette);
+  /** @param {Float32Array} kpa @param {DisplayRange} range @param {Colormap} colormap */
+  paint(kpa, range, colormap) {
+    if (this._image) this._paintGrid(kpa, range, colormap, this._image);
+    else this._paintScattered(kpa, range, colormap);
   }
 
   /**
    * @param {Float32Array} kpa
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
    * @param {ImageData} image
    */
-  _paintGrid(kpa, scale, palette, image) {
-    const { words } = palette;
+  _paintGrid(kpa, range, colormap, image) {
+    const { words } = colormap;
     const out = this._words;
-    const { low } = scale;
-    const slope = 256 / (scale.high - low);
+    const { low } = range;
+    const slope = 256 / (range.high - low);
     for (let i = 0; i < out.length; i += 1) {
       const p = kpa[i];
       if (p !== p) {
@@ -90,8 +90,8 @@ export class Heatmap {
     this._pen.putImageData(image, 0, 0);
   }
 
-  /** @param {Float32Array} kpa @param {DisplayRange} scale @param {Colormap} palette */
-  _paintScattered(kpa, scale, palette) {
+  /** @param {Float32Array} kpa @param {DisplayRange} range @param {Colormap} colormap */
+  _paintScattered(kpa, range, colormap) {
     const plane = this._plane;
     const cells = this._cells;
     if (!plane || !cells) return;
@@ -99,13 +99,13 @@ export class Heatmap {
     draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
     const px = this.zoom * this._ratio;
     const half = (cells.side / 2) * px;
-    const slope = 256 / (scale.high - scale.low);
+    const slope = 256 / (range.high - range.low);
     for (let i = 0; i < cells.count; i += 1) {
       const p = kpa[i];
       const x = (cells.x[i] - plane.left) * px;
       const y = (cells.y[i] - plane.top) * px;
-      const level = (p - scale.low) * slope;
-      draw.fillStyle = p !== p ? this._unknown() : palette.css[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
+      const level = (p - range.low) * slope;
+      draw.fillStyle = p !== p ? this._unknown() : colormap.css[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
       draw.beginPath();
       if (plane.round) draw.arc(x, y, half, 0, 2 * Math.PI);
       else draw.rect(x - half, y - half, 2 * half, 2 * half);

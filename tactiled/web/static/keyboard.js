@@ -1,6 +1,6 @@
 /** Keyboard shortcuts. @module */
 
-import { keep, loadSetting } from "./storage.js";
+import { saveSetting, loadSetting } from "./storage.js";
 
 const KEY = "tactiled.keys";
 const TYPED_IN = "input:not([type=checkbox], [type=range]), select, textarea";
@@ -12,7 +12,7 @@ const TYPED_IN = "input:not([type=checkbox], [type=range]), select, textarea";
  */
 export function listenForKeys(actions, on) {
   on.checked = loadSetting(KEY) !== "off";
-  on.addEventListener("change", () => keep(KEY, on.checked ? "on" : "off"));
+  on.addEventListener("change", () => saveSetting(KEY, on.checked ? "on" : "off"));
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || document.querySelector("dialog[open]")) return;
     const target = event.target instanceof HTMLElement ? event.target : null;

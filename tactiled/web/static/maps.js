@@ -12,9 +12,9 @@ import { ShearArrows } from "./shear_arrows.js";
 /** @import { Plane } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
 
-const DESK = matchMedia("(min-width: 900px)"); // where the maps share the window's height
-const LONG = 1.5; // times the height, from which width a map on a phone has the page's whole width
-const CHEAP = 0.94; // of the size there is, from which a cell is made a whole number of pixels
+const WIDE_WINDOW = matchMedia("(min-width: 900px)"); // where the maps share the window's height
+const LONG_RATIO = 1.5; // times the height, from which width a map on a phone has the page's whole width
+const MIN_SNAP_SHARE = 0.94; // of the size there is, from which a cell is made a whole number of pixels
 
 export class Maps {
   constructor() {
@@ -47,14 +47,14 @@ export class Maps {
 
   /**
    * @param {Frame} frame
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
    * @param {Marks} marks
    * @param {boolean} shear whether it is shown
    */
-  paint(frame, scale, palette, marks, shear) {
-    this.raw.paint(frame.raw, scale, palette);
-    this.restored.paint(frame.restored, scale, palette);
+  paint(frame, range, colormap, marks, shear) {
+    this.raw.paint(frame.raw, range, colormap);
+    this.restored.paint(frame.restored, range, colormap);
     const flags = frame.saturated ? frame.flags : null;
     this.rawMarks.draw(marks, frame.ofRaw, flags);
     this.restoredMarks.draw(marks, frame.ofRestored, flags);
@@ -67,7 +67,7 @@ export class Maps {
    * @param {HTMLElement} box of a map
    * @returns {number} height beyond which the maps would fill no more, CSS px
    */
-  _most(plane, box) {
+  _maxHeight(plane, box) {
     const map = (plane.height * box.clientWidth) / plane.width;
     const around = this._boxes.clientHeight - box.clientHeight; // the words above, and the other map where it is below
     const other = this._boxes.classList.contains("stacked") ? map - box.clientHeight : 0;
@@ -96,10 +96,10 @@ export class Maps {
     const box = /** @type {HTMLElement} */ (this.raw.frame.parentElement);
     const maps = byId("maps");
     maps.style.removeProperty("--most"); // to see what room there is
-    this._boxes.classList.toggle("stacked", DESK.matches ? this._largerStacked(plane, box) : plane.width > LONG * plane.height);
-    maps.style.setProperty("--most", `${this._most(plane, box)}px`);
-    const height = DESK.matches ? box.clientHeight : 0.7 * window.innerHeight;
-    const zoom = crisp(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
+    this._boxes.classList.toggle("stacked", WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height);
+    maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
+    const height = WIDE_WINDOW.matches ? box.clientHeight : 0.7 * window.innerHeight;
+    const zoom = snapZoom(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
     this.raw.resize(zoom);
     this.restored.resize(zoom);
     this.rawMarks.resize(plane, zoom);
@@ -119,12 +119,12 @@ export class Maps {
  * @param {number} zoom CSS px per mm
  * @returns {number} a little less, where that puts the cells of a grid on whole pixels
  */
-function crisp(plane, zoom) {
+function snapZoom(plane, zoom) {
   if (!plane.isGrid) return zoom;
   const cell = Math.min(plane.raw.side, plane.restored.side);
   const ratio = window.devicePixelRatio || 1;
-  const whole = Math.floor(zoom * cell * ratio) / ratio / cell;
-  return whole > CHEAP * zoom ? whole : zoom;
+  const snapped = Math.floor(zoom * cell * ratio) / ratio / cell;
+  return snapped > MIN_SNAP_SHARE * zoom ? snapped : zoom;
 }
 
 /** @param {number} length @returns {number} a round number not above it */

@@ -23,10 +23,10 @@ import { SATURATED } from "./wire.js";
  * @property {Contact[]|null} contacts null where they are not to be shown
  */
 
-const OUTLINE = 2; // standard deviations from a contact's centre to its outline: the rim of an even disc
-const CROSS = 4; // CSS px, half of a centre's cross
-const LEAST = 6; // CSS px, the least half axis of an outline
-const TEXT = 12; // CSS px
+const OUTLINE_DEVIATIONS = 2; // standard deviations from a contact's centre to its outline: the rim of an even disc
+const CROSS_PX = 4; // CSS px, half of a centre's cross
+const MIN_AXIS_PX = 6; // CSS px, the least half axis of an outline
+const TEXT_PX = 12; // CSS px
 
 export class Overlay {
   /** @param {HTMLCanvasElement} canvas */
@@ -41,10 +41,10 @@ export class Overlay {
     this._family = getComputedStyle(document.body).fontFamily;
     this._font = "";
     /** Left, top, right and bottom of the labels that are drawn already, device px. */
-    this._taken = new Float64Array(4 * 64);
+    this._labelBoxes = new Float64Array(4 * 64);
     this._labels = 0;
     /** What is drawn, but for crosses on saturated taxels; `known` is false where that must be drawn anew. */
-    this._drawn = {
+    this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
       contacts: /** @type {Contact[]|null} */ (null),
     };
@@ -55,14 +55,14 @@ export class Overlay {
     this._plane = plane;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
-    this._font = `600 ${TEXT * this._ratio}px ${this._family}`;
-    this._drawn.known = false;
+    this._font = `600 ${TEXT_PX * this._ratio}px ${this._family}`;
+    this._last.known = false;
   }
 
   /** Show nothing. */
   clear() {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this._drawn.known = false;
+    this._last.known = false;
   }
 
   /**
@@ -95,40 +95,40 @@ export class Overlay {
    * @returns {boolean} all that is drawn already; if not, it is taken down as drawn
    */
   _same(marks, measures, crossed) {
-    const drawn = this._drawn;
+    const last = this._last;
     const ringed = !marks.contacts && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
-    if (drawn.known && !crossed && drawn.contacts === marks.contacts && drawn.pinned === marks.pinned
-      && drawn.along === marks.along && Object.is(drawn.lineAt, marks.lineAt) && Object.is(drawn.ringX, ringX) && Object.is(drawn.ringY, ringY)
-      && Object.is(drawn.probeX, marks.probeX) && Object.is(drawn.probeY, marks.probeY)) return true;
-    drawn.known = !crossed;
-    drawn.contacts = marks.contacts;
-    drawn.pinned = marks.pinned;
-    drawn.along = marks.along;
-    drawn.lineAt = marks.lineAt;
-    drawn.ringX = ringX;
-    drawn.ringY = ringY;
-    drawn.probeX = marks.probeX;
-    drawn.probeY = marks.probeY;
+    if (last.known && !crossed && last.contacts === marks.contacts && last.pinned === marks.pinned
+      && last.along === marks.along && Object.is(last.lineAt, marks.lineAt) && Object.is(last.ringX, ringX) && Object.is(last.ringY, ringY)
+      && Object.is(last.probeX, marks.probeX) && Object.is(last.probeY, marks.probeY)) return true;
+    last.known = !crossed;
+    last.contacts = marks.contacts;
+    last.pinned = marks.pinned;
+    last.along = marks.along;
+    last.lineAt = marks.lineAt;
+    last.ringX = ringX;
+    last.ringY = ringY;
+    last.probeX = marks.probeX;
+    last.probeY = marks.probeY;
     return false;
   }
 
   /** @param {Contact[]} contacts @param {Plane} plane */
   _contacts(contacts, plane) {
     const draw = this._pen;
-    const least = LEAST * this._ratio;
+    const minAxis = MIN_AXIS_PX * this._ratio;
     draw.beginPath();
     for (let i = 0; i < contacts.length; i += 1) {
       const each = contacts[i];
       // Whole pixels: any other number that is handed to the browser is an object for the collector.
       const x = Math.round((each.x_mm - plane.left) * this._px);
       const y = Math.round((each.y_mm - plane.top) * this._px);
-      const major = Math.round(Math.max(least, OUTLINE * each.major_mm * this._px));
-      const minor = Math.round(Math.max(least, OUTLINE * each.minor_mm * this._px));
+      const major = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.major_mm * this._px));
+      const minor = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.minor_mm * this._px));
       draw.moveTo(Math.round(x + major * Math.cos(each.angle_rad)), Math.round(y + major * Math.sin(each.angle_rad)));
       draw.ellipse(x, y, major, minor, each.angle_rad, 0, 2 * Math.PI);
-      this._cross(x, y, CROSS * this._ratio);
+      this._cross(x, y, CROSS_PX * this._ratio);
     }
     this._twoTone(1.5);
     this._labels = 0;
@@ -147,14 +147,14 @@ export class Overlay {
    */
   _label(contact, plane) {
     const half = Math.round(this._pen.measureText(contact.label).width / 2 + 3 * this._ratio);
-    const rise = Math.round((TEXT / 2 + 2) * this._ratio);
-    const least = LEAST * this._ratio;
-    const long = OUTLINE * contact.major_mm * this._px;
-    const short = OUTLINE * contact.minor_mm * this._px;
+    const rise = Math.round((TEXT_PX / 2 + 2) * this._ratio);
+    const minAxis = MIN_AXIS_PX * this._ratio;
+    const long = OUTLINE_DEVIATIONS * contact.major_mm * this._px;
+    const short = OUTLINE_DEVIATIONS * contact.minor_mm * this._px;
     const cos = Math.cos(contact.angle_rad);
     const sin = Math.sin(contact.angle_rad);
-    const wide = Math.round(Math.max(least, Math.hypot(long * cos, short * sin)));
-    const tall = Math.round(Math.max(least, Math.hypot(long * sin, short * cos)));
+    const wide = Math.round(Math.max(minAxis, Math.hypot(long * cos, short * sin)));
+    const tall = Math.round(Math.max(minAxis, Math.hypot(long * sin, short * cos)));
     const x = Math.round((contact.x_mm - plane.left) * this._px);
     const y = Math.round((contact.y_mm - plane.top) * this._px);
     const within = Math.max(half, Math.min(this.canvas.width - half, x));
@@ -178,17 +178,17 @@ export class Overlay {
    * @returns {boolean} false, with nothing written, where it would leave the map or cover another label
    */
   _place(text, x, y, half, rise) {
-    const taken = this._taken;
+    const boxes = this._labelBoxes;
     if (x < half || y < rise || x + half > this.canvas.width || y + rise > this.canvas.height) return false;
     for (let i = 0; i < 4 * this._labels; i += 4) {
-      if (x - half < taken[i + 2] && x + half > taken[i] && y - rise < taken[i + 3] && y + rise > taken[i + 1]) return false;
+      if (x - half < boxes[i + 2] && x + half > boxes[i] && y - rise < boxes[i + 3] && y + rise > boxes[i + 1]) return false;
     }
-    if (4 * this._labels < taken.length) {
+    if (4 * this._labels < boxes.length) {
       const at = 4 * this._labels;
-      taken[at] = x - half;
-      taken[at + 1] = y - rise;
-      taken[at + 2] = x + half;
-      taken[at + 3] = y + rise;
+      boxes[at] = x - half;
+      boxes[at + 1] = y - rise;
+      boxes[at + 2] = x + half;
+      boxes[at + 3] = y + rise;
       this._labels += 1;
     }
     const draw = this._pen;

@@ -15,8 +15,8 @@ import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
 /** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
 
-const FLAGS = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
-const PILL = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
+const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
+const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
 /** @type {Health} */
@@ -26,7 +26,7 @@ export class PageText {
   constructor() {
     this.readings = new Readings();
     this.contacts = new ContactTable(byId("contact-list"));
-    this._found = byId("contacts-of");
+    this._contactsOf = byId("contacts-of");
     this._level = "";
     this._along = ""; // as the section's words tell it
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
@@ -49,20 +49,20 @@ export class PageText {
     const paused = session?.paused ?? false;
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
     const frame = session?.frame ?? null;
-    this._shear.hidden = !session?.feels;
+    this._shear.hidden = !session?.hasShear;
     const live = health.level === "live";
     this.readings.frame(frame);
-    this._made(session, frame);
+    this._restoration(session, frame);
     this.readings.status(session?.status ?? null, live);
     this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
-    setText(byId("probe"), probed(viewer, frame) || "Point at a map to read it; click or tap to pin.");
+    setText(byId("probe"), probeText(viewer, frame) || "Point at a map to read it; click or tap to pin.");
     this._playback(session, frame, live);
-    this.range(viewer.scale);
-    const { found } = viewer;
+    this.range(viewer.range);
+    const { contactsOfFrame } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
-    this.contacts.show(found?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
-    const away = paused && found && frame ? timeOffset(found, frame) : "";
-    setText(this._found, away ? `of ${away}` : "in the restored image");
+    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
+    const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
+    setText(this._contactsOf, offset ? `of ${offset}` : "in the restored image");
     this._section(viewer, frame);
   }
 
@@ -83,13 +83,13 @@ export class PageText {
   }
 
   /** @param {Session|null} session @param {Frame|null} frame */
-  _made(session, frame) {
-    const told = session?.told ?? null;
-    if (!session?.paused || !frame) this.readings.made(told?.ran ?? "", told, "", false);
-    else if (!told) this.readings.made(frame.ran, null, "words not told", true);
+  _restoration(session, frame) {
+    const status = session?.statusOfFrame ?? null;
+    if (!session?.paused || !frame) this.readings.restoration(status?.ran ?? "", status, "", false);
+    else if (!status) this.readings.restoration(frame.ran, null, "words not told", true);
     else {
-      const away = timeOffset(told, frame);
-      this.readings.made(frame.ran, told, away && `words of ${away}`, true);
+      const offset = timeOffset(status, frame);
+      this.readings.restoration(frame.ran, status, offset && `words of ${offset}`, true);
     }
   }
 
@@ -106,37 +106,37 @@ export class PageText {
     setText(byId("banner-title"), health.title);
     setText(byId("banner-text"), health.text);
     byId("banner-action").hidden = health.level !== "disconnected" || !closed;
-    setText(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL[health.level]);
+    setText(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL_TEXTS[health.level]);
     const title = name ? `${name}${health.level === "live" ? "" : ` (${health.level})`}, tactiled` : "tactiled";
     if (document.title !== title) document.title = title;
   }
 
   /** Say what the pinned probe reads to whom cannot see it. @param {Viewer} viewer */
-  tellProbe(viewer) {
-    const read = viewer.probe.pinned ? probed(viewer, viewer.session?.frame ?? null) : "";
+  announceProbe(viewer) {
+    const read = viewer.probe.pinned ? probeText(viewer, viewer.session?.frame ?? null) : "";
     setText(byId("told"), read || "Probe released.");
   }
 
   /**
-   * @param {DisplayRange} scale
+   * @param {DisplayRange} range
    * @param {boolean} [typed] what somebody typed into its fields was taken or refused: they show the range too
    */
-  range(scale, typed = false) {
-    this._autoRange.checked = scale.auto;
-    showNumber(this._low, scale.low, typed);
-    showNumber(this._high, scale.high, typed);
+  range(range, typed = false) {
+    this._autoRange.checked = range.auto;
+    showNumber(this._low, range.low, typed);
+    showNumber(this._high, range.high, typed);
   }
 
   /** @param {Session|null} session @param {Frame|null} frame @param {boolean} live */
   _playback(session, frame, live) {
-    const kept = session?.history.length ?? 0;
+    const count = session?.history.length ?? 0;
     const back = session?.back ?? 0;
     const paused = session?.paused ?? false;
     this._pause.setAttribute("aria-pressed", String(paused));
     setText(this._pause, paused ? "Go live" : "Pause");
-    this._scrub.max = String(Math.max(0, kept - 1));
-    this._scrub.value = String(kept - 1 - back);
-    this._scrub.disabled = kept < 2;
+    this._scrub.max = String(Math.max(0, count - 1));
+    this._scrub.value = String(count - 1 - back);
+    this._scrub.disabled = count < 2;
     const newest = session?.history.at(0);
     const when = frame && newest && back ? `${fixed(frame.timestamp - newest.timestamp, 2)} s` : "newest";
     const text = paused ? when : live ? "live" : "last";
@@ -150,7 +150,7 @@ export class PageText {
  * @param {Frame|null} frame
  * @returns {string} what the probe reads; "" where nothing is asked about
  */
-function probed({ session, probe: { x, y } }, frame) {
+function probeText({ session, probe: { x, y } }, frame) {
   return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y) : "";
 }
 
@@ -167,7 +167,7 @@ function reading(plane, frame, x, y) {
   const place = `x ${fixed(x, 1)}, y ${fixed(y, 1)} mm`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
   const raw = Number.isNaN(frame.raw[r]) ? "unknown" : `${fixed(frame.raw[r], 1)} kPa`;
-  const flags = FLAGS.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
+  const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
   const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${fixed(frame.shear[plane.raw.count + r], 0)} counts` : "";

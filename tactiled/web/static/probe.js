@@ -3,7 +3,7 @@
 /** @import { Plane } from "./geometry.js" */
 /** @import { Heatmap } from "./heatmap.js" */
 
-const TAP_PX = 10; // that a tap may slip, and within which a pinned place is the same
+const TAP_SLIP_PX = 10; // that a tap may slip, and within which a pinned place is the same
 
 export class Probe {
   /**
@@ -48,13 +48,13 @@ export class Probe {
 
   /** @param {PointerEvent} event of a finger */
   _moved(event) {
-    if (Math.hypot(event.clientX - this._touch.x, event.clientY - this._touch.y) > TAP_PX) this._touch.x = NaN;
+    if (Math.hypot(event.clientX - this._touch.x, event.clientY - this._touch.y) > TAP_SLIP_PX) this._touch.x = NaN;
   }
 
   /** Pin here, or release what is pinned here. @param {Heatmap} map @param {PointerEvent} event */
   _press(map, event) {
     map.locate(event, this._at);
-    const near = event.pointerType === "touch" ? 2 * TAP_PX : TAP_PX;
+    const near = event.pointerType === "touch" ? 2 * TAP_SLIP_PX : TAP_SLIP_PX;
     const same = this.pinned && Math.hypot(this._at.x - this.x, this._at.y - this.y) * map.zoom < near;
     if (same && event.pointerType === "touch") {
       this.clear();
@@ -87,11 +87,11 @@ export class Probe {
     this._onMove(true);
   }
 
-  /** @param {Heatmap} map @param {PointerEvent} event @param {boolean} [meant] */
-  _follow(map, event, meant = false) {
+  /** @param {Heatmap} map @param {PointerEvent} event @param {boolean} [deliberate] */
+  _follow(map, event, deliberate = false) {
     map.locate(event, this._at);
     this.x = this._at.x;
     this.y = this._at.y;
-    this._onMove(meant);
+    this._onMove(deliberate);
   }
 }

@@ -11,7 +11,7 @@ import { Warnings } from "./warnings.js";
 /** @import { Status } from "./sensor_stream.js" */
 
 /** What each method is called. */
-const METHODS = {
+const METHOD_TITLES = {
   auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
   "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)",
   tv: "Non-negative, total variation", points: "A few points", idle: "idle",
@@ -40,12 +40,12 @@ const LOSSES = /** @type {const} */ ({
 });
 
 /** Counts that belong to a healthy service: a shared bus, a frame overtaken by the next. */
-const HARMLESS = new Set(["foreign", "skipped"]);
+const HARMLESS_LOSSES = new Set(["foreign", "skipped"]);
 
-const NOTHING = measures();
+const NO_MEASURES = measures();
 
 /** @param {string} name @returns {string} */
-export const methodTitle = (name) => METHODS[/** @type {keyof METHODS} */ (name)] ?? name;
+export const methodTitle = (name) => METHOD_TITLES[/** @type {keyof METHOD_TITLES} */ (name)] ?? name;
 
 export class Readings {
   constructor() {
@@ -56,8 +56,8 @@ export class Readings {
     this._kinds.className = "sub";
     this._kinds.title = "What the error frames told";
     byId("loss").append(this._kinds);
-    this._raw = measured("raw");
-    this._restored = measured("restored");
+    this._raw = measureCells("raw");
+    this._restored = measureCells("restored");
     this._at = Object.fromEntries([
       "ran", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
       "fps", "latency", "jitter", "skew",
@@ -67,7 +67,7 @@ export class Readings {
     this._warned = "";
     this._of = byId("made-of");
     /** @type {Status|null} */
-    this._told = null;
+    this._status = null;
     this._live = false;
   }
 
@@ -105,8 +105,8 @@ export class Readings {
   /** @param {Frame|null} frame */
   frame(frame) {
     const at = this._at;
-    tell(this._raw, frame ? frame.ofRaw : NOTHING);
-    tell(this._restored, frame ? frame.ofRestored : NOTHING);
+    showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES);
+    showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES);
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
     setText(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
@@ -117,8 +117,8 @@ export class Readings {
 
   /** @param {Status|null} status @param {boolean} live what the status says still holds */
   status(status, live) {
-    if (status && status === this._told && live === this._live) return;
-    this._told = status;
+    if (status && status === this._status && live === this._live) return;
+    this._status = status;
     this._live = live;
     const at = this._at;
     setText(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
@@ -127,7 +127,7 @@ export class Readings {
     for (const [kind, element] of this._loss) {
       const count = status ? status.loss[/** @type {keyof Loss} */ (kind)] : 0;
       setText(element, status ? String(count) : "\u2013");
-      element.classList.toggle("some", count > 0 && !HARMLESS.has(kind));
+      element.classList.toggle("some", count > 0 && !HARMLESS_LOSSES.has(kind));
     }
   }
 
@@ -138,11 +138,11 @@ export class Readings {
    * @param {string} of which, where that is another
    * @param {boolean} still it does not change: no warning is held that was told of another
    */
-  made(ran, told, of, still) {
+  restoration(ran, told, of, still) {
     setText(this._at.ran, ran ? methodTitle(ran) : "\u2013");
     setText(this._at.why, told && told.ran === ran ? told.why : "");
     setText(this._of, of);
-    if (still || told?.sensor !== this._told?.sensor) this._held.clear();
+    if (still || told?.sensor !== this._status?.sensor) this._held.clear();
     const warnings = this._held.hold(told?.warnings ?? []);
     const joined = warnings.join("\n");
     if (joined === this._warned) return;
@@ -168,11 +168,11 @@ export class Readings {
 }
 
 /** @param {"raw"|"restored"} kind */
-const measured = (kind) =>
+const measureCells = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
-/** @param {ReturnType<typeof measured>} at where it is told @param {Measures} of an image */
-function tell(at, of) {
+/** @param {ReturnType<typeof measureCells>} at where it is told @param {Measures} of an image */
+function showMeasures(at, of) {
   setText(at.force, newtons(of.force));
   setText(at.peak, fixed(of.peak, 1));
   setText(at.x, fixed(of.x, 1));

@@ -8,7 +8,7 @@ import { withToken } from "./token_dialog.js";
 
 /** @import { Recording } from "./api.js" */
 
-const SURE_MS = 4000; // that a delete waits for its second click
+const CONFIRM_MS = 4000; // that a delete waits for its second click
 const UNITS = ["B", "kB", "MB", "GB"];
 
 export class Recorder {
@@ -19,7 +19,7 @@ export class Recorder {
     this._list = byId("recordings");
     /** @type {Recording[]} */
     this._recordings = [];
-    this._shown = "";
+    this._shownKey = "";
     this.offered = false;
     this._records = false;
     this._button.addEventListener("click", () => this.toggle());
@@ -57,19 +57,19 @@ export class Recorder {
     const running = this._running;
     if (running) await this._stop(running.name);
     else if (await withToken(() => api.startRecording(bus), "Not recorded")) notice(`Recording ${bus}.`);
-    await this._look();
+    await this._refresh();
   }
 
   /** @param {string} name */
   async _stop(name) {
     await withToken(async () => {
-      const told = await api.stopRecording(name);
-      const whole = told.bytes !== null && told.error === null;
-      notice(whole ? `Recorded: ${name}.` : `${name}: ${about(told)}.`, !whole);
+      const recording = await api.stopRecording(name);
+      const complete = recording.bytes !== null && recording.error === null;
+      notice(complete ? `Recorded: ${name}.` : `${name}: ${describe(recording)}.`, !complete);
     }, "Recording not ended");
   }
 
-  async _look() {
+  async _refresh() {
     await this.update().catch(() => undefined); // the next look says what is wrong
   }
 
@@ -80,12 +80,12 @@ export class Recorder {
     this._button.disabled = !this._bus();
     setText(this._button, running ? "Stop" : "Record");
     const shown = JSON.stringify(this._recordings.map((each) => [each.name, each.running, each.error]));
-    if (shown !== this._shown) {
-      this._shown = shown;
+    if (shown !== this._shownKey) {
+      this._shownKey = shown;
       this._fill();
     }
     for (const [i, each] of this._recordings.entries()) {
-      setText(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), about(each));
+      setText(/** @type {Element} */ (this._list.children[i].querySelector(".sub")), describe(each));
     }
     byId("recordings-none").hidden = !this.offered || this._recordings.length > 0;
   }
@@ -98,8 +98,8 @@ export class Recorder {
     const name = row?.firstChild?.textContent;
     this._list.replaceChildren(...this._recordings.map((each) => this._row(each)));
     if (!focused || !row) return;
-    const kept = this._recordings.findIndex((each) => each.name === name);
-    const now = this._list.children[kept < 0 ? Math.min(place, this._recordings.length - 1) : kept];
+    const index = this._recordings.findIndex((each) => each.name === name);
+    const now = this._list.children[index < 0 ? Math.min(place, this._recordings.length - 1) : index];
     const heir = now?.querySelector(focused.localName) ?? now?.querySelector("button") ?? this._button;
     /** @type {HTMLElement} */ (heir).focus();
   }
@@ -122,17 +122,17 @@ export class Recorder {
 
   /** @param {string} name @returns {HTMLButtonElement} */
   _stopper(name) {
-    const button = small("Stop", `Stop recording ${name}`);
+    const button = smallButton("Stop", `Stop recording ${name}`);
     button.addEventListener("click", async () => {
       await this._stop(name);
-      await this._look();
+      await this._refresh();
     });
     return button;
   }
 
   /** @param {string} name @returns {HTMLButtonElement} to be pressed twice */
   _deleter(name) {
-    const button = small("Delete", `Delete ${name}`);
+    const button = smallButton("Delete", `Delete ${name}`);
     button.addEventListener("click", async () => {
       if (button.dataset.sure === undefined) {
         button.dataset.sure = "";
@@ -140,18 +140,18 @@ export class Recorder {
         setTimeout(() => {
           delete button.dataset.sure;
           button.textContent = "Delete";
-        }, SURE_MS);
+        }, CONFIRM_MS);
         return;
       }
       if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
-      await this._look();
+      await this._refresh();
     });
     return button;
   }
 }
 
 /** @param {string} text @param {string} label @returns {HTMLButtonElement} */
-function small(text, label) {
+function smallButton(text, label) {
   const button = document.createElement("button");
   button.type = "button";
   button.textContent = text;
@@ -160,15 +160,15 @@ function small(text, label) {
 }
 
 /** @param {Recording} recording @returns {string} */
-function about(recording) {
-  const size = recording.bytes === null ? "file moved or removed" : sized(recording.bytes);
+function describe(recording) {
+  const size = recording.bytes === null ? "file moved or removed" : byteText(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
   const state = recording.running ? `recording ${recording.bus}, ` : "";
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
 }
 
 /** @param {number} bytes @returns {string} */
-function sized(bytes) {
+function byteText(bytes) {
   if (bytes < 1000) return `${bytes} B`;
   const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(bytes) / 3));
   return `${number(bytes / 1000 ** power)} ${UNITS[power]}`;

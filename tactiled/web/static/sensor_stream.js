@@ -51,8 +51,8 @@ export class SensorStream extends ReconnectingSocket {
   constructor(url, kinds, listener) {
     super(url);
     /** Since when a frame has been waited for, ms on performance.now's clock; 0 when none is. */
-    this.askedAt = 0;
-    this._asked = 0; // frames that have not come yet
+    this.requestedAt = 0;
+    this._requested = 0; // frames that have not come yet
     this._listener = listener;
     this._kinds = kinds;
     this._images = [packet(), packet(), packet()];
@@ -64,9 +64,9 @@ export class SensorStream extends ReconnectingSocket {
    * @param {number} count at most two: the service holds no more ready
    */
   next(count) {
-    if (this.link !== "open" || this._asked >= count) return;
-    if (!this._asked) this.askedAt = performance.now();
-    for (; this._asked < count; this._asked += 1) this.send(NEXT);
+    if (this.link !== "open" || this._requested >= count) return;
+    if (!this._requested) this.requestedAt = performance.now();
+    for (; this._requested < count; this._requested += 1) this.send(NEXT);
   }
 
   /** Go on with another address. @param {string} url @param {number[]} kinds of image that it asks for */
@@ -77,14 +77,14 @@ export class SensorStream extends ReconnectingSocket {
 
   /** @override @param {ArrayBuffer|string} data */
   take(data) {
-    if (typeof data === "string") this._tell(JSON.parse(data));
-    else this._keep(new Uint8Array(data));
+    if (typeof data === "string") this._takeText(JSON.parse(data));
+    else this._takeImage(new Uint8Array(data));
   }
 
   /** @override */
   forget() {
-    this.askedAt = this._asked = 0;
-    this._part();
+    this.requestedAt = this._requested = 0;
+    this._forgetParts();
   }
 
   /** @override */
@@ -93,7 +93,7 @@ export class SensorStream extends ReconnectingSocket {
   }
 
   /** @param {Status|Found} message */
-  _tell(message) {
+  _takeText(message) {
     if (message.type === "contacts") {
       this._listener.onContacts?.(message);
     } else if (message.type === "status") {
@@ -103,7 +103,7 @@ export class SensorStream extends ReconnectingSocket {
   }
 
   /** @param {Uint8Array} bytes */
-  _keep(bytes) {
+  _takeImage(bytes) {
     const kind = kindOf(bytes);
     if (!this._kinds.includes(kind)) throw new RangeError(`an image of kind ${kind} was not asked for`);
     const one = parse(bytes, this._images[kind]);
@@ -111,14 +111,14 @@ export class SensorStream extends ReconnectingSocket {
     for (let i = 0; i < this._kinds.length; i += 1) {
       if (this._images[this._kinds[i]].sequence !== one.sequence) return;
     }
-    this._asked -= 1;
-    this.askedAt = this._asked ? this.heardAt : 0;
+    this._requested -= 1;
+    this.requestedAt = this._requested ? this.heardAt : 0;
     this._listener.onImages(this._images);
-    this._part();
+    this._forgetParts();
   }
 
   /** An image seen so far is no part of a frame still to come. */
-  _part() {
+  _forgetParts() {
     for (let i = 0; i < this._images.length; i += 1) this._images[i].sequence = -1;
   }
 }

@@ -25,45 +25,45 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
  * @property {() => void} onOther the sensor has another shape than was believed
  */
 
-const PRESSURES = [RAW, RESTORED];
-const ALL = [RAW, RESTORED, SHEAR];
-const AHEAD = 2; // frames under way or not painted: with one, each would wait for the asking to cross the network
-const TOLD = 128; // statuses: more than ten seconds, at ten a second
-const TOLD_S = 1; // between the frame that a status is of and one that it is shown with
-const FAR_S = 60; // between a frame and the next, from which they are not of one play
+const PRESSURE_KINDS = [RAW, RESTORED];
+const ALL_KINDS = [RAW, RESTORED, SHEAR];
+const MAX_UNPAINTED = 2; // frames under way or not painted: with one, each would wait for the asking to cross the network
+const MAX_STATUSES = 128; // statuses: more than ten seconds, at ten a second
+const STATUS_WITHIN_S = 1; // between the frame that a status is of and one that it is shown with
+const MAX_GAP_S = 60; // between a frame and the next, from which they are not of one play
 
 export class Session {
   /**
    * @param {string} name
    * @param {Plane} plane
-   * @param {boolean} feels shear
+   * @param {boolean} hasShear shear
    * @param {boolean} contacts whether they are asked for, too
    * @param {boolean} shear whether it is asked for, too, where the skin feels it
    * @param {Listener} listener
    */
-  constructor(name, plane, feels, contacts, shear, listener) {
+  constructor(name, plane, hasShear, contacts, shear, listener) {
     this.name = name;
     this.plane = plane;
-    this.feels = feels;
-    this.history = new FrameHistory(plane, feels);
+    this.hasShear = hasShear;
+    this.history = new FrameHistory(plane, hasShear);
     this.contacts = new Contacts();
     /** @type {Timeline<Status>} */
-    this._told = new Timeline(TOLD, TOLD_S);
+    this._statuses = new Timeline(MAX_STATUSES, STATUS_WITHIN_S);
     this.deviations = new DeviationCache(name, plane);
-    this.present = new Freshness();
+    this.freshness = new Freshness();
     this.paused = false;
     /** Which kept frame is shown, 0 the newest. */
     this.back = 0;
     /** @type {Status|null} */
     this.status = null;
-    this._toldAt = 0;
+    this._statusAt = 0;
     this._frameAt = 0;
     this._unpainted = 0; // frames that came since the last painting
     this._listener = listener;
-    this._shear = feels && shear;
-    this.stream = new SensorStream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL : PRESSURES, {
+    this._shear = hasShear && shear;
+    this.stream = new SensorStream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL_KINDS : PRESSURE_KINDS, {
       onImages: (images) => this._take(images),
-      onStatus: (status) => this._hear(status),
+      onStatus: (status) => this._takeStatus(status),
       onLink: () => this._linked(),
       onContacts: (found) => {
         if (this.paused) return;
@@ -75,21 +75,21 @@ export class Session {
 
   /** @returns {Frame|null} the one that is shown */
   get frame() {
-    return this.history.at(this.back + this.present.held);
+    return this.history.at(this.back + this.freshness.heldBack);
   }
 
   /**
    * @returns {Status|null} while paused what was told of the frame that is shown, or of the one nearest in time; null where
    *   none is near; else the newest
    */
-  get told() {
+  get statusOfFrame() {
     const { frame } = this;
-    return this.paused && frame ? this._told.at(frame.timestamp) : this.status;
+    return this.paused && frame ? this._statuses.at(frame.timestamp) : this.status;
   }
 
   /** @returns {Health} */
   health() {
-    return healthOf(this.stream, this.status, this._toldAt, this._frameAt);
+    return healthOf(this.stream, this.status, this._statusAt, this._frameAt);
   }
 
   /** Watch no longer. */
@@ -102,17 +102,17 @@ export class Session {
    * @param {boolean} shear whether it is, where the skin feels it
    */
   ask(contacts, shear) {
-    this._shear = this.feels && shear;
-    this.stream.move(api.streamUrl(this.name, contacts, this._shear), this._shear ? ALL : PRESSURES);
+    this._shear = this.hasShear && shear;
+    this.stream.move(api.streamUrl(this.name, contacts, this._shear), this._shear ? ALL_KINDS : PRESSURE_KINDS);
   }
 
   /** @param {boolean} to */
   pause(to) {
     this.paused = to;
-    this.present.shown(); // while paused every frame that is kept may be
+    this.freshness.shown(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
-    this._more();
+    this._request();
   }
 
   /** Show another kept frame; the picture stands still from then on. @param {number} to how far back */
@@ -124,9 +124,9 @@ export class Session {
 
   /** What came is on the screen. */
   done() {
-    this.present.painted();
+    this.freshness.painted();
     this._unpainted = 0;
-    this._more();
+    this._request();
   }
 
   /**
@@ -134,18 +134,18 @@ export class Session {
    * there is, and the page says how old.
    * @returns {boolean} false where it may be shown
    */
-  late() {
+  holdBack() {
     const newest = this.history.at(0);
     if (!newest || !this._unpainted || this.paused || this.status?.state !== "live") return false;
-    if (!this.present.late(newest.sent, this._unpainted)) return false;
+    if (!this.freshness.holdBack(newest.sent, this._unpainted)) return false;
     this._unpainted = 0;
-    this._more();
+    this._request();
     return true;
   }
 
   /** Ask for what may be under way. */
-  _more() {
-    if (!this.paused) this.stream?.next(AHEAD - this._unpainted); // it tells of its first link while it is being made
+  _request() {
+    if (!this.paused) this.stream?.next(MAX_UNPAINTED - this._unpainted); // it tells of its first link while it is being made
   }
 
   /** @param {Packet[]} images */
@@ -159,38 +159,38 @@ export class Session {
       return;
     }
     const newest = this.history.at(0);
-    if (newest && (restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + FAR_S)) {
+    if (newest && (restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + MAX_GAP_S)) {
       this.history.clear();
       this.contacts.clear();
-      this._told.clear();
+      this._statuses.clear();
       this.deviations.clear();
     }
     this._frameAt = performance.now();
     this._unpainted += 1;
-    this.present.hear(restored.sent);
+    this.freshness.arrived(restored.sent);
     const frame = this.history.push(raw, restored, shear);
-    if (this.late()) return;
-    const anew = this.present.held > 0;
-    this.present.shown();
-    this._listener.onFrame(frame, anew);
+    if (this.holdBack()) return;
+    const resumed = this.freshness.heldBack > 0;
+    this.freshness.shown();
+    this._listener.onFrame(frame, resumed);
   }
 
   /** @param {Status} status */
-  _hear(status) {
+  _takeStatus(status) {
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
     this.status = status;
-    this._toldAt = performance.now();
-    if (status.ran && !this.paused) this._told.push(status);
+    this._statusAt = performance.now();
+    if (status.ran && !this.paused) this._statuses.push(status);
     const newest = this.history.at(0);
-    if (newest && status.state !== "live" && this.present.held) {
-      this.present.shown();
+    if (newest && status.state !== "live" && this.freshness.heldBack) {
+      this.freshness.shown();
       this._listener.onFrame(newest, true);
     }
     this._listener.onStatus(status, changed);
   }
 
   _linked() {
-    this._more();
+    this._request();
     this._listener.onLink();
   }
 }

@@ -9,18 +9,18 @@ import { fitCanvas, context2d, setText } from "./dom.js";
 
 /** @import { Plane } from "./geometry.js" */
 
-const LEAST = 50; // counts, the least that the longest arrow stands for: noise alone is not drawn large
-const REACH = 0.9; // of the pitch, the longest arrow's length
-const WIDE = 0.16; // of the map's width, at most: the key stands above it
-const BOUNDS = /** @type {const} */ ([14, 56]); // CSS px, within which it is; where taxels are near, arrows overlap
-const SHORTEST = 5; // CSS px, what is drawn at all
-const HEAD = 0.45; // of an arrow's length
-const BARB = 8; // CSS px, the longest side of a head
-const SPREAD = 0.5; // half of a head's width over its length
-const FINE = 16;
-const NONE = new Float32Array(0);
-const UNDER = "rgb(0 0 0 / 80%)";
-const OVER = "#7df3ff";
+const MIN_SCALE_COUNTS = 50; // counts, the least that the longest arrow stands for: noise alone is not drawn large
+const PITCH_SHARE = 0.9; // of the pitch, the longest arrow's length
+const MAX_WIDTH_SHARE = 0.16; // of the map's width, at most: the key stands above it
+const LENGTH_BOUNDS_PX = /** @type {const} */ ([14, 56]); // CSS px, within which it is; where taxels are near, arrows overlap
+const MIN_LENGTH_PX = 5; // CSS px, what is drawn at all
+const HEAD_SHARE = 0.45; // of an arrow's length
+const MAX_HEAD_PX = 8; // CSS px, the longest side of a head
+const HEAD_SLOPE = 0.5; // half of a head's width over its length
+const SUBPIXELS = 16;
+const NO_SHEAR = new Float32Array(0);
+const DARK = "rgb(0 0 0 / 80%)";
+const LIGHT = "#7df3ff";
 
 /**
  * Add an arrow to a path, in whole units, of which FINE are a device px: any other number that is handed to the browser
@@ -33,12 +33,12 @@ const OVER = "#7df3ff";
  * @param {number} barb the longest side of its head
  */
 function arrow(draw, x, y, dx, dy, barb) {
-  const share = Math.min(HEAD, barb / Math.sqrt(dx * dx + dy * dy));
+  const share = Math.min(HEAD_SHARE, barb / Math.sqrt(dx * dx + dy * dy));
   const tipX = (x + dx / 2) | 0;
   const tipY = (y + dy / 2) | 0;
   const backX = tipX - share * dx;
   const backY = tipY - share * dy;
-  const across = SPREAD * share;
+  const across = HEAD_SLOPE * share;
   draw.moveTo(tipX - dx, tipY - dy);
   draw.lineTo(tipX, tipY);
   draw.moveTo((backX - across * dy) | 0, (backY + across * dx) | 0);
@@ -51,13 +51,13 @@ function arrow(draw, x, y, dx, dy, barb) {
  * @param {CanvasRenderingContext2D} draw
  * @param {number} ratio device px per CSS px
  */
-function ink(draw, ratio) {
+function strokeArrows(draw, ratio) {
   draw.lineCap = draw.lineJoin = "round";
-  draw.lineWidth = Math.round(4.5 * FINE * ratio);
-  draw.strokeStyle = UNDER;
+  draw.lineWidth = Math.round(4.5 * SUBPIXELS * ratio);
+  draw.strokeStyle = DARK;
   draw.stroke();
-  draw.lineWidth = Math.round(2 * FINE * ratio);
-  draw.strokeStyle = OVER;
+  draw.lineWidth = Math.round(2 * SUBPIXELS * ratio);
+  draw.strokeStyle = LIGHT;
   draw.stroke();
 }
 
@@ -68,7 +68,7 @@ export class ShearArrows {
    */
   constructor(canvas, key) {
     this.canvas = canvas;
-    this.scale = new DisplayRange(LEAST);
+    this.range = new DisplayRange(MIN_SCALE_COUNTS);
     this._pen = context2d(canvas);
     this._key = key;
     this._keyCanvas = /** @type {HTMLCanvasElement} */ (key.querySelector("canvas"));
@@ -82,18 +82,18 @@ export class ShearArrows {
     /** Length of the longest arrow, device px. */
     this._long = 0;
     /** Counts that the key tells of; 0: it is to be made anew. */
-    this._told = 0;
+    this._keyCounts = 0;
     this._empty = true;
     /**
      * What is drawn: a frame's buffer is used again, but not with the same time.
      * @type {{shear: Float32Array, timestamp: number}}
      */
-    this._drawn = { shear: NONE, timestamp: NaN };
+    this._last = { shear: NO_SHEAR, timestamp: NaN };
   }
 
   /** @returns {number} counts that the longest arrow stands for */
-  get full() {
-    return this.scale.high;
+  get counts() {
+    return this.range.high;
   }
 
   /** @returns {number} its length, as a share of the map's width */
@@ -106,15 +106,15 @@ export class ShearArrows {
     this._plane = plane;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
-    const long = Math.min(REACH * plane.pitch, WIDE * plane.width) * zoom;
-    this._long = Math.max(BOUNDS[0], Math.min(BOUNDS[1], long)) * this._ratio;
-    this._told = 0;
-    this._drawn.shear = NONE;
+    const long = Math.min(PITCH_SHARE * plane.pitch, MAX_WIDTH_SHARE * plane.width) * zoom;
+    this._long = Math.max(LENGTH_BOUNDS_PX[0], Math.min(LENGTH_BOUNDS_PX[1], long)) * this._ratio;
+    this._keyCounts = 0;
+    this._last.shear = NO_SHEAR;
   }
 
   /** Show nothing, and forget what was seen. */
   reset() {
-    this.scale.reset();
+    this.range.reset();
     this.clear();
   }
 
@@ -123,7 +123,7 @@ export class ShearArrows {
     this._key.hidden = true;
     if (!this._empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this._empty = true;
-    this._drawn.shear = NONE;
+    this._last.shear = NO_SHEAR;
   }
 
   /**
@@ -133,31 +133,31 @@ export class ShearArrows {
    */
   draw(shear, timestamp) {
     const plane = this._plane;
-    const drawn = this._drawn;
-    if (!plane || (drawn.shear === shear && drawn.timestamp === timestamp)) return;
-    drawn.shear = shear;
-    drawn.timestamp = timestamp;
+    const last = this._last;
+    if (!plane || (last.shear === shear && last.timestamp === timestamp)) return;
+    last.shear = shear;
+    last.timestamp = timestamp;
     this._follow(shear, timestamp);
     const draw = this._pen;
     const { count, x, y } = plane.raw;
-    const slope = (FINE * this._long) / this.scale.high;
-    const px = FINE * this._px;
-    const least = (SHORTEST * FINE * this._ratio) ** 2;
-    const barb = (BARB * FINE * this._ratio) | 0;
+    const slope = (SUBPIXELS * this._long) / this.range.high;
+    const px = SUBPIXELS * this._px;
+    const minLength = (MIN_LENGTH_PX * SUBPIXELS * this._ratio) ** 2;
+    const barb = (MAX_HEAD_PX * SUBPIXELS * this._ratio) | 0;
     draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
     draw.save();
-    draw.scale(1 / FINE, 1 / FINE);
+    draw.scale(1 / SUBPIXELS, 1 / SUBPIXELS);
     draw.beginPath();
     for (let i = 0; i < count; i += 1) {
       const dx = slope * shear[i];
       const dy = slope * shear[count + i];
-      if (!(dx * dx + dy * dy >= least)) continue; // NaN too
+      if (!(dx * dx + dy * dy >= minLength)) continue; // NaN too
       arrow(draw, ((x[i] - plane.left) * px) | 0, ((y[i] - plane.top) * px) | 0, dx | 0, dy | 0, barb);
     }
-    ink(draw, this._ratio);
+    strokeArrows(draw, this._ratio);
     draw.restore();
     this._empty = false;
-    this._tell();
+    this._updateKey();
   }
 
   /**
@@ -167,24 +167,24 @@ export class ShearArrows {
    */
   _follow(shear, timestamp) {
     const count = shear.length / 2;
-    let most = 0;
+    let largest = 0;
     for (let i = 0; i < count; i += 1) {
       const square = shear[i] * shear[i] + shear[count + i] * shear[count + i];
-      if (square > most) most = square;
+      if (square > largest) largest = square;
     }
-    this.scale.follow(Math.sqrt(most), 0, timestamp);
+    this.range.follow(Math.sqrt(largest), 0, timestamp);
   }
 
   /** Bring the key up to date. */
-  _tell() {
+  _updateKey() {
     this._key.hidden = false;
-    if (this._told === this.scale.high) return;
-    this._told = this.scale.high;
+    if (this._keyCounts === this.range.high) return;
+    this._keyCounts = this.range.high;
     const ratio = this._ratio;
     fitCanvas(this._keyCanvas, this._long / ratio + 12, 20);
     this._keyCanvas.style.width = `${this._long / ratio + 12}px`;
     this.drawKey(this._keyPen, this._keyCanvas.width / 2, this._keyCanvas.height / 2, this._long, ratio);
-    setText(this._keyText, `${this._told} counts`);
+    setText(this._keyText, `${this._keyCounts} counts`);
   }
 
   /**
@@ -197,10 +197,10 @@ export class ShearArrows {
    */
   drawKey(draw, x, y, length, ratio) {
     draw.save();
-    draw.scale(1 / FINE, 1 / FINE);
+    draw.scale(1 / SUBPIXELS, 1 / SUBPIXELS);
     draw.beginPath();
-    arrow(draw, FINE * x, FINE * y, FINE * length, 0, BARB * FINE * ratio);
-    ink(draw, ratio);
+    arrow(draw, SUBPIXELS * x, SUBPIXELS * y, SUBPIXELS * length, 0, MAX_HEAD_PX * SUBPIXELS * ratio);
+    strokeArrows(draw, ratio);
     draw.restore();
   }
 }

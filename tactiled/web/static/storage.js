@@ -14,7 +14,7 @@ export function loadSetting(key) {
  * @param {string} key
  * @param {string} value
  */
-export function keep(key, value) {
+export function saveSetting(key, value) {
   try {
     localStorage.setItem(key, value);
   } catch {

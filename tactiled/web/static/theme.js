@@ -1,6 +1,6 @@
 /** Light, dark, or as the system has it. @module */
 
-import { keep, loadSetting } from "./storage.js";
+import { saveSetting, loadSetting } from "./storage.js";
 
 const KEY = "tactiled.theme";
 const NEXT = { system: "light", light: "dark", dark: "system" };
@@ -14,27 +14,27 @@ const TITLE = { system: "as the system", light: "light", dark: "dark" };
  */
 export function theme(button, onChange) {
   /** @type {"system"|"light"|"dark"} */
-  let now = "system";
+  let current = "system";
   const show = () => {
     const root = document.documentElement;
-    if (now === "system") delete root.dataset.theme;
-    else root.dataset.theme = now;
-    button.dataset.theme = now;
-    button.setAttribute("aria-label", `Theme: ${TITLE[now]}. Change`);
-    button.title = `Theme: ${TITLE[now]} (D)`;
+    if (current === "system") delete root.dataset.theme;
+    else root.dataset.theme = current;
+    button.dataset.theme = current;
+    button.setAttribute("aria-label", `Theme: ${TITLE[current]}. Change`);
+    button.title = `Theme: ${TITLE[current]} (D)`;
     onChange();
   };
-  const take = () => {
-    now = /** @type {any} */ (NEXT[now]);
-    keep(KEY, now);
+  const next = () => {
+    current = /** @type {any} */ (NEXT[current]);
+    saveSetting(KEY, current);
     show();
   };
-  const kept = loadSetting(KEY);
-  if (kept === "light" || kept === "dark") now = kept;
-  button.addEventListener("click", take);
+  const saved = loadSetting(KEY);
+  if (saved === "light" || saved === "dark") current = saved;
+  button.addEventListener("click", next);
   for (const query of ["(prefers-color-scheme: dark)", "(forced-colors: active)"]) {
     matchMedia(query).addEventListener("change", onChange);
   }
   show();
-  return take;
+  return next;
 }

@@ -16,22 +16,22 @@ export class Ticks {
     this.values = [];
     /** @type {string[]} */
     this.texts = [];
-    this._low = this._high = this._most = NaN;
+    this._low = this._high = this._max = NaN;
   }
 
-  /** @param {number} low @param {number} high @param {number} most @returns {boolean} they are as they were */
-  _same(low, high, most) {
-    if (low === this._low && high === this._high && most === this._most) return true;
+  /** @param {number} low @param {number} high @param {number} max @returns {boolean} they are as they were */
+  _same(low, high, max) {
+    if (low === this._low && high === this._high && max === this._max) return true;
     this._low = low;
     this._high = high;
-    this._most = most;
+    this._max = max;
     return false;
   }
 
-  /** @param {number} low @param {number} high @param {number} most how many at most, about @returns {this} */
-  even(low, high, most) {
-    if (this._same(low, high, most)) return this;
-    this.values = ticks(low, high, most);
+  /** @param {number} low @param {number} high @param {number} max how many at most, about @returns {this} */
+  even(low, high, max) {
+    if (this._same(low, high, max)) return this;
+    this.values = ticks(low, high, max);
     this.texts = this.values.map((each) => tickText(each, high - low));
     return this;
   }
@@ -48,11 +48,11 @@ export class Ticks {
 /**
  * @param {number} low
  * @param {number} high
- * @param {number} most how many at most, about
+ * @param {number} max how many at most, about
  * @returns {number[]} round numbers in the range, evenly spaced
  */
-export function ticks(low, high, most) {
-  const parts = Math.max(1, most);
+export function ticks(low, high, max) {
+  const parts = Math.max(1, max);
   const rough = (high - low) / parts;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 2.5, 5, 10].map((each) => each * power).find((each) => each >= rough * (1 - 1e-9)) ?? 10 * power;
@@ -66,12 +66,12 @@ export function ticks(low, high, most) {
 /**
  * @param {number} low
  * @param {number} high
- * @param {number} most how many at most, about
+ * @param {number} max how many at most, about
  * @returns {number[]} both ends of the range, and between them its ticks, but for those too near to an end
  */
-export function endsAndTicks(low, high, most) {
-  const near = (0.6 * (high - low)) / Math.max(1, most);
-  return [low, ...ticks(low, high, most).filter((each) => each - low > near && high - each > near), high];
+export function endsAndTicks(low, high, max) {
+  const near = (0.6 * (high - low)) / Math.max(1, max);
+  return [low, ...ticks(low, high, max).filter((each) => each - low > near && high - each > near), high];
 }
 
 /** @param {number} value other than 0 @param {number} span @returns {string} with a power of ten, as 1.5e6 */

@@ -19,7 +19,7 @@ import { SHEAR } from "./wire.js";
 /** @import { WallStream } from "./wall_stream.js" */
 /** @import { Packet } from "./wire.js" */
 
-const AGAIN_MS = 2000; // until a shape is asked for again that could not be had
+const RETRY_MS = 2000; // until a shape is asked for again that could not be had
 
 /** @param {string} tag @param {string} name its class @param {...Node} children @returns {HTMLElement} */
 function make(tag, name, ...children) {
@@ -39,12 +39,12 @@ function layer() {
 export class Tile {
   /**
    * @param {string} name of the sensor
-   * @param {boolean} sheared its shear comes, too
+   * @param {boolean} hasShear its shear comes, too
    * @param {WallStream} streams that it is one of
    * @param {() => void} onImage there is something to paint
    * @param {() => void} onChoose
    */
-  constructor(name, sheared, streams, onImage, onChoose) {
+  constructor(name, hasShear, streams, onImage, onChoose) {
     this.name = name;
     /** Largest pressure of the newest image, kPa. */
     this.peak = 0;
@@ -56,9 +56,9 @@ export class Tile {
     this._box = make("span", "box", this._frame);
     this._state = make("span", "sub");
     this._force = make("span", "force");
-    this._doubt = make("span", "doubt");
-    const under = make("span", "under", this._doubt);
-    this._arrows = sheared ? this._over(under) : null;
+    this._warningText = make("span", "doubt");
+    const under = make("span", "under", this._warningText);
+    this._arrows = hasShear ? this._addArrows(under) : null;
     this._title = make("b", "");
     this._title.title = name;
     for (const part of name.split(/(?<=_)/)) this._title.append(part, document.createElement("wbr"));
@@ -69,8 +69,8 @@ export class Tile {
     this.element.addEventListener("click", onChoose);
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
-    this._present = new Freshness();
-    this._held = new Warnings();
+    this._freshness = new Freshness();
+    this._recent = new Warnings();
     /** @type {string[]} */
     this._warnings = [];
     this._sent = NaN;
@@ -81,25 +81,25 @@ export class Tile {
     /** @type {Plane|null} */
     this._plane = null;
     this._part = streams.part(name, {
-      onImage: (image) => this._take(image),
+      onImage: (image) => this._takeImage(image),
       onStatus: (status) => {
         this._status = status;
-        this._warnings = this._held.hold(status.warnings);
-        this._toldAt = performance.now();
-        if (status.state !== "live" && this._present.held) this._show();
+        this._warnings = this._recent.hold(status.warnings);
+        this._statusAt = performance.now();
+        if (status.state !== "live" && this._freshness.heldBack) this._show();
       },
-      onLink: () => this._ask(),
+      onLink: () => this._request(),
     });
     /** @type {Status|null} */
     this._status = null;
-    this._toldAt = 0;
+    this._statusAt = 0;
     this._imageAt = 0;
     this._fresh = false;
     this._stopped = false;
   }
 
   /** Lay arrows over the map. @param {HTMLElement} under where their key is to stand @returns {ShearArrows} */
-  _over(under) {
+  _addArrows(under) {
     const canvas = layer();
     const key = make("span", "shear-key", layer(), document.createElement("span"));
     key.hidden = true;
@@ -121,10 +121,10 @@ export class Tile {
       this.layout();
     } catch (error) {
       setText(this._force, messageOf(error));
-      if (!this._stopped) setTimeout(() => this._stopped || this.start(), AGAIN_MS);
+      if (!this._stopped) setTimeout(() => this._stopped || this.start(), RETRY_MS);
       return;
     }
-    this._ask();
+    this._request();
   }
 
   /** @returns {boolean} the name has no room on its line */
@@ -138,7 +138,7 @@ export class Tile {
   }
 
   /** Ask for the next image, once it can be shown. */
-  _ask() {
+  _request() {
     if (this._plane) this._part.next();
   }
 
@@ -154,7 +154,7 @@ export class Tile {
   }
 
   /** @param {Packet} image */
-  _take(image) {
+  _takeImage(image) {
     const plane = this._plane;
     if (!plane) return;
     const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.kpa.length === this._kpa.length;
@@ -167,18 +167,18 @@ export class Tile {
       this._shear.set(image.shear);
       this._timestamp = image.timestamp;
     } else {
-      this._press(image, plane);
+      this._takePressures(image, plane);
       if (this._arrows) return; // its shear is on its way
     }
     this._unpainted = true;
-    if (!this._late()) this._show();
+    if (!this._holdBack()) this._show();
   }
 
   /** @param {Packet} image of pressures @param {Plane} plane */
-  _press(image, plane) {
+  _takePressures(image, plane) {
     this._kpa.set(image.kpa);
     this._sent = image.sent;
-    this._present.hear(image.sent);
+    this._freshness.arrived(image.sent);
     this._imageAt = performance.now();
     this.noise = (image.noiseKpa || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._kpa, plane.restored, this.noise, this._of);
@@ -187,43 +187,43 @@ export class Tile {
 
   /** Let the newest image be painted. */
   _show() {
-    this._present.shown();
+    this._freshness.shown();
     this._fresh = true;
     this._onImage();
   }
 
   /** @returns {boolean} an image came, but waited too long: another is asked for */
-  _late() {
-    if (!this._unpainted || this._status?.state !== "live" || !this._present.late(this._sent, 1)) return false;
+  _holdBack() {
+    if (!this._unpainted || this._status?.state !== "live" || !this._freshness.holdBack(this._sent, 1)) return false;
     this._unpainted = false;
-    this._ask();
+    this._request();
     return true;
   }
 
   /**
    * Show what is new.
-   * @param {DisplayRange} scale
-   * @param {Colormap} palette
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
    * @param {boolean} rescaled the scale is another than the last time
    */
-  paint(scale, palette, rescaled) {
-    if (this._present.held || this._late()) return;
+  paint(range, colormap, rescaled) {
+    if (this._freshness.heldBack || this._holdBack()) return;
     if (!this._fresh && !(rescaled && this._imageAt)) return;
-    this._map.paint(this._kpa, scale, palette);
+    this._map.paint(this._kpa, range, colormap);
     this._arrows?.draw(this._shear, this._timestamp);
-    if (this._fresh) this._present.painted();
+    if (this._fresh) this._freshness.painted();
     this._fresh = this._unpainted = false;
-    this._ask();
+    this._request();
   }
 
   /** Bring the words up to date. */
   read() {
-    const health = healthOf(this._plane && this._part, this._status, this._toldAt, this._imageAt);
+    const health = healthOf(this._plane && this._part, this._status, this._statusAt, this._imageAt);
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     this._warn(live ? this._warnings : []);
     setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
-    if (!this._plane || (live && this._present.held)) return;
+    if (!this._plane || (live && this._freshness.heldBack)) return;
     setText(this._force, live ? `${newtons(this._imageAt ? this._of.force : NaN)} N` : health.text);
   }
 
@@ -231,8 +231,8 @@ export class Tile {
   _warn(warnings) {
     const count = warnings.length;
     this.element.classList.toggle("warned", count > 0);
-    setText(this._doubt, count ? `${count} ${count === 1 ? "warning" : "warnings"}: ${warnings.join("; ")}` : "");
+    setText(this._warningText, count ? `${count} ${count === 1 ? "warning" : "warnings"}: ${warnings.join("; ")}` : "");
     const all = warnings.join("\n");
-    if (this._doubt.title !== all) this._doubt.title = all;
+    if (this._warningText.title !== all) this._warningText.title = all;
   }
 }

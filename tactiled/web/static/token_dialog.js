@@ -20,7 +20,7 @@ export async function withToken(action, failed) {
       return true;
     } catch (error) {
       const refused = error instanceof ApiError && (error.status === 401 || error.status === 403);
-      if (refused && await ask(error.message)) continue;
+      if (refused && await askForToken(error.message)) continue;
       notice(`${failed}: ${messageOf(error)}`, true);
       return false;
     }
@@ -32,12 +32,12 @@ export async function withToken(action, failed) {
  * @param {string} why
  * @returns {Promise<boolean>} false where none was given
  */
-async function ask(why) {
+async function askForToken(why) {
   for (let text = why; ; ) {
-    const given = await once(text);
-    if (!given) return false;
+    const token = await readToken(text);
+    if (!token) return false;
     try {
-      await showToken(given);
+      await showToken(token);
       return true;
     } catch (error) {
       text = messageOf(error);
@@ -46,7 +46,7 @@ async function ask(why) {
 }
 
 /** @param {string} why @returns {Promise<string>} what was typed; "" where the dialog was left */
-function once(why) {
+function readToken(why) {
   setText(byId("token-why"), why);
   field.value = "";
   dialog.returnValue = "";

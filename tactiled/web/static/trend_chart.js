@@ -1,7 +1,7 @@
 /** Values of the frames that are kept, over the last seconds. @module */
 
 import { Chart, line } from "./chart.js";
-import { hold, roundUp } from "./display_range.js";
+import { steadyTop, roundUp } from "./display_range.js";
 
 /** @import { Axes, Line } from "./chart.js" */
 /** @import { FrameHistory } from "./frame_history.js" */
@@ -12,16 +12,16 @@ export class TrendChart {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {string} unit
-   * @param {number} least that the axis always reaches
+   * @param {number} minTop that the axis always reaches
    */
-  constructor(canvas, unit, least) {
+  constructor(canvas, unit, minTop) {
     this.chart = new Chart(canvas);
-    this._least = least;
+    this._minTop = minTop;
     /** @type {Line[]} */
     this._lines = [];
     /** @type {Axes} */
     this._axes = { left: -SPAN_S, right: 0, bottom: 0, top: 1, x: "time, s", y: unit };
-    this._most = 0;
+    this._highest = 0;
     this._lowest = 0;
   }
 
@@ -37,7 +37,7 @@ export class TrendChart {
   /** @param {FrameHistory} history @param {number} back which frame is shown */
   draw(history, back) {
     const { times } = history;
-    const count = this._look(history);
+    const count = this._scan(history);
     const newest = history.place(0);
     for (let k = 0; k < this._lines.length; k += 1) {
       const each = this._lines[k];
@@ -46,7 +46,7 @@ export class TrendChart {
       each.zero = times[newest];
     }
     const { top } = this._axes;
-    this._axes.top = hold(top, this._most);
+    this._axes.top = steadyTop(top, this._highest);
     this._axes.bottom = this._lowest < -0.05 * this._axes.top ? -roundUp(-this._lowest) : -0.06 * this._axes.top;
     this.chart.draw(this._axes, this._lines, back ? times[history.place(back)] - times[newest] : NaN);
   }
@@ -56,24 +56,24 @@ export class TrendChart {
    * @param {FrameHistory} history
    * @returns {number} how many frames that is
    */
-  _look(history) {
+  _scan(history) {
     const { times, capacity, length } = history;
     const lines = this._lines;
     let at = history.place(0);
     const since = times[at] - SPAN_S;
-    let most = this._least; // in variables of its own: a number in a field may be an object for every change
+    let highest = this._minTop; // in variables of its own: a number in a field may be an object for every change
     let lowest = 0;
     let count = 0;
     while (count < length && times[at] >= since) {
       for (let k = 0; k < lines.length; k += 1) {
         const value = lines[k].y[at];
-        if (value > most) most = value;
+        if (value > highest) highest = value;
         if (value < lowest) lowest = value;
       }
       count += 1;
       at = at ? at - 1 : capacity - 1;
     }
-    this._most = most;
+    this._highest = highest;
     this._lowest = lowest;
     return count;
   }

@@ -1,7 +1,7 @@
 /** The sensor that is watched, on the screen: maps, charts and the cover. @module */
 
 import * as api from "./api.js";
-import { CrossSection, highest } from "./cross_section.js";
+import { CrossSection, highestAlong } from "./cross_section.js";
 import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
 import { FrameRate } from "./frame_rate.js";
@@ -20,8 +20,8 @@ import { TrendChart } from "./trend_chart.js";
 /** @import { Marks } from "./overlay.js" */
 /** @import { Status } from "./sensor_stream.js" */
 
-const STAYS = 0.85; // of the peak that the cross-section must still reach where it is
-const TRENDS_MS = 100; // between two drawings of what changes slowly
+const LINE_STAYS = 0.85; // of the peak that the cross-section must still reach where it is
+const TREND_MS = 100; // between two drawings of what changes slowly
 
 /**
  * @typedef {object} Listener
@@ -34,19 +34,19 @@ export class Viewer {
   /** @param {Listener} listener */
   constructor(listener) {
     this._listener = listener;
-    this.scale = new DisplayRange();
+    this.range = new DisplayRange();
     this.maps = new Maps();
     this.section = new CrossSection(byId("section"));
     this.forces = new TrendChart(byId("forces"), "N", 0.1);
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
-    this.probe = new Probe([this.maps.raw, this.maps.restored], (meant) => {
+    this.probe = new Probe([this.maps.raw, this.maps.restored], (deliberate) => {
       this.refresh();
-      if (meant) listener.onProbe();
+      if (deliberate) listener.onProbe();
     });
     /** @type {Colormap|null} */
-    this.palette = null;
+    this.colormap = null;
     /** @type {Session|null} */
     this.session = null;
     /** Name of the sensor that is chosen; "" for none. */
@@ -74,7 +74,7 @@ export class Viewer {
   }
 
   /** @returns {Found|null} contacts to show: of the frame that is shown, or of one near it */
-  get found() {
+  get contactsOfFrame() {
     const frame = this.session?.frame;
     return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
   }
@@ -82,22 +82,22 @@ export class Viewer {
   /** @param {number} now ms */
   _paint(now) {
     this._dirty = false;
-    const { session, palette } = this;
-    if (!session || !palette) return;
-    if (this._fresh && session.late()) this._fresh = false;
+    const { session, colormap } = this;
+    if (!session || !colormap) return;
+    if (this._fresh && session.holdBack()) this._fresh = false;
     const { frame } = session;
-    this.maps.colorbar.draw(this.scale, palette);
+    this.maps.colorbar.draw(this.range, colormap);
     if (frame) this._mark(frame, session);
-    if (frame) this.maps.paint(frame, this.scale, palette, this.marks, this.shear);
-    this.section.draw(frame, this.marks, this.scale, frame && this._deviation(frame, session, now));
-    if (!this._fresh || now - this._trendsAt >= TRENDS_MS) {
+    if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear);
+    this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now));
+    if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
       this.forces.draw(session.history, session.back);
       this.latencies.draw(session.history, session.back);
     }
     if (!this._fresh || !frame) return;
     this._fresh = false;
-    this.pace.paint(now, frame, session.present.least);
+    this.pace.paint(now, frame, session.freshness.minDelay);
     session.history.latencies[frame.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
     session.done();
@@ -112,13 +112,13 @@ export class Viewer {
     if (Number.isFinite(probe[across])) marks.lineAt = probe[across];
     else if (ofRestored.contact) {
       // The line stays until the peak has clearly moved: noise alone must not make it jump between equal rows.
-      const stays = highest(plane, marks, frame.restored) >= STAYS * ofRestored.peak;
+      const stays = highestAlong(plane, marks, frame.restored) >= LINE_STAYS * ofRestored.peak;
       if (!stays) marks.lineAt = plane.restored[across][ofRestored.peakIndex];
     } else if (!Number.isFinite(marks.lineAt)) marks.lineAt = plane.start(across) + plane.extent(across) / 2;
     marks.probeX = probe.x;
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
-    marks.contacts = this.found?.contacts ?? null;
+    marks.contacts = this.contactsOfFrame?.contacts ?? null;
   }
 
   /**
@@ -148,22 +148,22 @@ export class Viewer {
     this.refresh();
   }
 
-  /** @param {boolean} shown */
-  showContacts(shown) {
-    this.contacts = shown;
-    this.session?.ask(shown, this.shear);
+  /** @param {boolean} visible */
+  showContacts(visible) {
+    this.contacts = visible;
+    this.session?.ask(visible, this.shear);
     this.refresh();
   }
 
-  /** @param {boolean} shown */
-  showShear(shown) {
-    this.shear = shown;
-    this.session?.ask(this.contacts, shown);
+  /** @param {boolean} visible */
+  showShear(visible) {
+    this.shear = visible;
+    this.session?.ask(this.contacts, visible);
     this.refresh();
   }
 
   /** Let the cross-section run along an axis. @param {Axis} axis */
-  cut(axis) {
+  setSectionAxis(axis) {
     this.marks.along = axis;
     this.marks.lineAt = NaN;
     this.refresh();
@@ -181,7 +181,7 @@ export class Viewer {
     this.marks.contacts = null;
     this.pace.reset();
     this.probe.clear();
-    this.scale.reset();
+    this.range.reset();
     this.maps.clear();
     for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
     this.kernel.use(null);
@@ -212,20 +212,20 @@ export class Viewer {
   }
 
   /** Watch a sensor anew, which is another than it was. @param {string} name */
-  again(name) {
+  reopen(name) {
     this.leave();
     this.select(name);
   }
 
-  /** @param {string} name @param {Plane} plane @param {boolean} feels shear */
-  _open(name, plane, feels) {
+  /** @param {string} name @param {Plane} plane @param {boolean} hasShear shear */
+  _open(name, plane, hasShear) {
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
-    this.session = new Session(name, plane, feels, this.contacts, this.shear, {
-      onFrame: (frame, anew) => {
+    this.session = new Session(name, plane, hasShear, this.contacts, this.shear, {
+      onFrame: (frame, resumed) => {
         this._take(frame);
-        if (anew) this._listener.onChange();
+        if (resumed) this._listener.onChange();
       },
       onStatus: (status, changed) => {
         this._listener.onStatus(status);
@@ -235,7 +235,7 @@ export class Viewer {
       },
       onLink: () => this._listener.onChange(),
       onContacts: () => this.refresh(),
-      onOther: () => this.again(name),
+      onOther: () => this.reopen(name),
     });
     const { history } = this.session;
     this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
@@ -249,7 +249,7 @@ export class Viewer {
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     const peak = Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
-    this.scale.follow(peak, noise * Math.max(1, gain), frame.timestamp);
+    this.range.follow(peak, noise * Math.max(1, gain), frame.timestamp);
     this._fresh = true;
     this.refresh();
   }

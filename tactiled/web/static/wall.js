@@ -12,10 +12,10 @@ import { WallStream } from "./wall_stream.js";
 const READ_MS = 200; // between two updates of the words
 const RATE_HZ = 15;
 const GAP_PX = 12; // between tiles
-const ASIDE_PX = 26; // of a tile's width beside its map: what the style pads
-const AROUND_PX = 104; // of its height above and below: name, force and warnings
-const LINE_PX = 20; // that a long name takes more
-const LEAST_PX = 100; // side of a map, below which the wall is scrolled instead
+const PADDING_PX = 26; // of a tile's width beside its map: what the style pads
+const TEXT_HEIGHT_PX = 104; // of its height above and below: name, force and warnings
+const SECOND_LINE_PX = 20; // that a long name takes more
+const MIN_MAP_PX = 100; // side of a map, below which the wall is scrolled instead
 
 /**
  * @param {number} count of tiles, at least one
@@ -28,22 +28,22 @@ function arrange(count, width, height, around) {
   let best = { columns: 1, side: 0 };
   for (let columns = 1; columns <= count; columns += 1) {
     const rows = Math.ceil(count / columns);
-    const wide = (width + GAP_PX) / columns - GAP_PX - ASIDE_PX;
+    const wide = (width + GAP_PX) / columns - GAP_PX - PADDING_PX;
     const side = Math.floor(Math.min(wide, (height + GAP_PX) / rows - GAP_PX - around));
     if (side > best.side) best = { columns, side };
   }
-  if (best.side >= LEAST_PX) return best;
-  const columns = Math.max(1, Math.floor((width + GAP_PX) / (LEAST_PX + ASIDE_PX + GAP_PX))); // the page scrolls
-  return { columns, side: Math.floor(Math.max(1, (width + GAP_PX) / columns - GAP_PX - ASIDE_PX)) };
+  if (best.side >= MIN_MAP_PX) return best;
+  const columns = Math.max(1, Math.floor((width + GAP_PX) / (MIN_MAP_PX + PADDING_PX + GAP_PX))); // the page scrolls
+  return { columns, side: Math.floor(Math.max(1, (width + GAP_PX) / columns - GAP_PX - PADDING_PX)) };
 }
 
 export class Wall {
-  /** @param {Viewer} viewer whose scale and palette the wall shares @param {(name: string) => void} onChoose */
+  /** @param {Viewer} viewer whose range and colour map the wall shares @param {(name: string) => void} onChoose */
   constructor(viewer, onChoose) {
     this._viewer = viewer;
     this._onChoose = onChoose;
     this._root = byId("wall");
-    this._skip = /** @type {HTMLAnchorElement} */ (byId("skip"));
+    this._skipLink = /** @type {HTMLAnchorElement} */ (byId("skip"));
     this._grid = byId("tiles");
     this._colorbar = new Colorbar(byId("wall-colorbar"));
     /** @type {Tile[]} */
@@ -76,7 +76,7 @@ export class Wall {
     this.close();
     this._root.hidden = false;
     byId("main").hidden = true;
-    this._skip.hash = "tiles";
+    this._skipLink.hash = "tiles";
     const streams = new WallStream(url);
     this._url = url;
     this._tiles = names.map(
@@ -103,7 +103,7 @@ export class Wall {
     this._grid.replaceChildren();
     this._root.hidden = true;
     byId("main").hidden = false;
-    this._skip.hash = "maps";
+    this._skipLink.hash = "maps";
     if (focused) byId("maps").focus({ preventScroll: true }); // what had it is gone
   }
 
@@ -119,17 +119,17 @@ export class Wall {
   _arrange() {
     if (!this.open) return;
     this._grid.classList.remove("long");
-    this._stand(AROUND_PX);
+    this._setTileSize(TEXT_HEIGHT_PX);
     if (!this._tiles.some((each) => each.cut)) return;
     this._grid.classList.add("long");
-    this._stand(AROUND_PX + LINE_PX);
+    this._setTileSize(TEXT_HEIGHT_PX + SECOND_LINE_PX);
   }
 
   /**
    * Make the maps as large as the window lets them be.
    * @param {number} around a tile's map, above and below it, CSS px
    */
-  _stand(around) {
+  _setTileSize(around) {
     const legend = /** @type {HTMLElement} */ (byId("wall-legend"));
     const height = window.innerHeight - this._grid.offsetTop - legend.offsetHeight - 2 * GAP_PX;
     const { columns, side } = arrange(this._tiles.length, this._grid.clientWidth, height, around);
@@ -146,20 +146,20 @@ export class Wall {
 
   _paint() {
     this._dirty = false;
-    const { palette, scale } = this._viewer;
-    if (!palette || !this.open) return;
+    const { colormap, range } = this._viewer;
+    if (!colormap || !this.open) return;
     let peak = 0;
     let noise = 0;
     for (let i = 0; i < this._tiles.length; i += 1) {
       peak = Math.max(peak, this._tiles[i].peak);
       noise = Math.max(noise, this._tiles[i].noise);
     }
-    scale.follow(peak, noise, performance.now() / 1000);
-    this._colorbar.draw(scale, palette);
-    const rescaled = scale.low !== this._low || scale.high !== this._high;
-    this._low = scale.low;
-    this._high = scale.high;
-    for (let i = 0; i < this._tiles.length; i += 1) this._tiles[i].paint(scale, palette, rescaled);
+    range.follow(peak, noise, performance.now() / 1000);
+    this._colorbar.draw(range, colormap);
+    const rescaled = range.low !== this._low || range.high !== this._high;
+    this._low = range.low;
+    this._high = range.high;
+    for (let i = 0; i < this._tiles.length; i += 1) this._tiles[i].paint(range, colormap, rescaled);
   }
 
   _read() {

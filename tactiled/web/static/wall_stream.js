@@ -26,7 +26,7 @@ export class TileStream {
     /** When anything of this sensor was last heard, ms on performance.now's clock. */
     this.heardAt = performance.now();
     /** When an image was last asked for and has not come yet; 0 when none is outstanding. */
-    this.askedAt = 0;
+    this.requestedAt = 0;
     this._all = all;
     this._next = JSON.stringify({ type: "next", sensor: name });
   }
@@ -49,9 +49,9 @@ export class TileStream {
 
   /** Ask for the next image. */
   next() {
-    if (this.link !== "open" || this.askedAt) return;
+    if (this.link !== "open" || this.requestedAt) return;
     this._all.send(this._next);
-    this.askedAt = performance.now();
+    this.requestedAt = performance.now();
   }
 }
 
@@ -73,13 +73,13 @@ export class WallStream extends ReconnectingSocket {
 
   /** @override @param {ArrayBuffer|string} data */
   take(data) {
-    if (typeof data === "string") this._tell(JSON.parse(data));
-    else this._show(parse(new Uint8Array(data), this._image));
+    if (typeof data === "string") this._takeStatus(JSON.parse(data));
+    else this._takeImage(parse(new Uint8Array(data), this._image));
   }
 
   /** @override */
   forget() {
-    for (const part of this._parts) part.askedAt = 0;
+    for (const part of this._parts) part.requestedAt = 0;
   }
 
   /** @override */
@@ -91,7 +91,7 @@ export class WallStream extends ReconnectingSocket {
   }
 
   /** @param {Status} status */
-  _tell(status) {
+  _takeStatus(status) {
     const part = this._parts.find((each) => each.name === status.sensor);
     if (status.type !== "status" || !part) return;
     this.attempts = 0;
@@ -100,13 +100,13 @@ export class WallStream extends ReconnectingSocket {
   }
 
   /** @param {Packet} image */
-  _show(image) {
+  _takeImage(image) {
     for (let i = 0; i < this._parts.length; i += 1) {
       const part = this._parts[i];
       if (!isOf(image, part.bytes)) continue;
       this.attempts = 0;
       part.heardAt = this.heardAt;
-      if (image.kind !== SHEAR) part.askedAt = 0;
+      if (image.kind !== SHEAR) part.requestedAt = 0;
       part.listener.onImage(image);
       return;
     }

@@ -12,7 +12,7 @@ export const DEAD = 4;
 export const SATURATED = 8;
 
 /** Methods by the number that an image bears; "" where it is not told. */
-export const RAN = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
+export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
 
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;
@@ -65,8 +65,8 @@ export const kindOf = (bytes) => bytes[5];
  */
 export function parse(bytes, into) {
   if (bytes.length < HEADER_BYTES) throw new RangeError(`image of ${bytes.length} bytes has no header`);
-  const anew = bytes.length !== into.bytes.length;
-  if (anew) {
+  const resized = bytes.length !== into.bytes.length;
+  if (resized) {
     into.bytes = new Uint8Array(bytes.length);
     into.view = new DataView(into.bytes.buffer);
   }
@@ -96,7 +96,7 @@ export function parse(bytes, into) {
   }
   const values = into.kind === SHEAR ? into.shear : into.kpa;
   const flagged = into.flags ? into.flags.length : 0;
-  if (anew || values.length !== count || flagged !== flagsBytes) look(into, count, flagsBytes);
+  if (resized || values.length !== count || flagged !== flagsBytes) makeViews(into, count, flagsBytes);
   return into;
 }
 
@@ -106,7 +106,7 @@ export function parse(bytes, into) {
  * @param {number} count of values
  * @param {number} flagged bytes of flags
  */
-function look(into, count, flagged) {
+function makeViews(into, count, flagged) {
   const { buffer } = into.bytes;
   const values = new Float32Array(buffer, HEADER_BYTES, count);
   into.kpa = into.kind === SHEAR ? NONE : values;
