@@ -1,17 +1,135 @@
 import re
 import shutil
+import threading
 import time
-from urllib.parse import urlsplit
+from base64 import b64decode
+from contextlib import ExitStack, contextmanager
+from io import BytesIO
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, Rig, meanwhile, pressed, until
+from tests.conftest import BUSY_S, CONFIG, Rig, meanwhile, pressed, until
 
-PAINTED = "Number(document.documentElement.dataset.painted) > 0"
-PHONE = {"width": 390, "height": 844, "has_touch": True, "is_mobile": True}
+DESK, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+TOUCH = {**PHONE, "has_touch": True, "is_mobile": True}
+PAINTINGS = "Number(document.documentElement.dataset.painted)"
+LIVE = "document.body.dataset.level === 'live'"
+PAUSED = "document.body.classList.contains('paused')"
+TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
+LEVELS = "[...document.querySelectorAll('.tile')].map(tile => tile.dataset.level).join()"
+CONTACTS = (
+    "[...document.querySelectorAll('#contact-list tbody tr')].map(row => [...row.cells].map(c => c.innerText))"
+)
+SCROLL_WIDTH = "document.documentElement.scrollWidth"
+FITS = "({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth"
+# From then on `window.drawn` has the texts and places that canvases are given, by the canvas' id.
+WATCH_TEXTS = """() => {
+  window.drawn = [];
+  const { fillText } = CanvasRenderingContext2D.prototype;
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    const { width, height, id } = this.canvas;
+    window.drawn.push({ id, text, x, y, end: x + this.measureText(text).width, width, height });
+    fillText.call(this, text, x, y);
+  };
+}"""
+
+
+class ViewerPage:
+    """A page of the browser with the viewer in it; what is not here is Playwright's."""
+
+    def __init__(self, page, faults):
+        self.page, self.faults = page, faults
+
+    def __getattr__(self, name):
+        return getattr(self.page, name)
+
+    def finish(self, *reported):
+        """Close; failed requests with these texts, or any if none is given, are no faults of the page."""
+        self.close()
+        self.faults[:] = [each for each in self.faults if reported and not any(text in each for text in reported)]
+
+    def wait(self, true):
+        """Wait until an expression is true; gives it (the page's own policy forbids Playwright's way)."""
+        return self.keep(lambda: None, true)
+
+    def keep(self, send, true):
+        """Send frames until an expression is true; gives it, as a sensor is live for a while only."""
+        end = time.monotonic() + BUSY_S
+        send()
+        while not (value := self.evaluate(true)):
+            assert time.monotonic() < end, f"never: {true}"
+            self.wait_for_timeout(20)
+            send()
+        return value
+
+    def refreshed(self, times=2):
+        """Wait for refreshes of the screen: what the page knew before is painted by then, and laid out."""
+        for _ in range(times):
+            self.evaluate("() => new Promise(requestAnimationFrame)")
+
+    def press(self, *keys):
+        for key in keys:
+            self.keyboard.press(key)
+
+    def resize(self, width, height):
+        self.set_viewport_size({"width": width, "height": height})
+        self.refreshed(4)
+
+    def painted(self):
+        return self.evaluate(PAINTINGS)
+
+    def show(self, rig, *frame):
+        """Send a frame and wait until it is painted."""
+        before = self.painted()
+        image = rig.show(*frame)
+        self.wait(f"{PAINTINGS} > {before}")
+        return image
+
+    def pixels(self, name):
+        """(rows, columns, 4) of a canvas; a grid's map has one pixel a cell."""
+        address = self.evaluate("id => document.getElementById(id).toDataURL()", name)
+        with Image.open(BytesIO(b64decode(address.split(",")[1]))) as picture:
+            return np.array(picture.convert("RGBA")).astype(int)
+
+    def text(self, *names):
+        """What stands in these elements."""
+        return [self.locator(f"#{name}").inner_text() for name in names]
+
+    def box(self, selector):
+        return self.locator(selector).first.bounding_box()
+
+    def set_range(self, low, high):
+        self.locator("#range-low").fill(str(low))
+        self.locator("#range-high").fill(str(high))
+        self.locator("#maps").focus()
+        self.refreshed()
+
+    def download(self, key):
+        """The file that a key saves."""
+        with self.expect_download() as saved:
+            self.keyboard.press(key)
+        return saved.value.path()
+
+    def violations(self):
+        """What axe-core has against the page: rule and elements."""
+        report = Axe().run(self.page).response
+        assert len(report["passes"]) > 15  # it did look
+        return [(each["id"], [node["target"] for node in each["nodes"]]) for each in report["violations"]]
+
+    def inspect(self):
+        """Nothing is inaccessible or cut off, light or dark, on a desk or a phone."""
+        for size in (DESK, PHONE):
+            self.set_viewport_size(size)
+            for scheme in ("light", "dark"):
+                self.emulate_media(color_scheme=scheme)
+                self.refreshed()
+                assert self.violations() == []
+            assert self.evaluate(SCROLL_WIDTH) <= size["width"]
 
 
 @pytest.fixture(scope="session")
@@ -40,18 +158,19 @@ def open_page(browser):
     """Opens the viewer; at the end, nothing may have gone wrong in the page."""
     contexts, faults = [], []
 
-    def open_page(url, width=1280, height=860, ready=PAINTED, browser=browser, **options):
+    def open_page(url, width=1280, height=860, ready=f"{PAINTINGS} > 0", browser=browser, **options):
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(1000 * BUSY_S)  # a busy machine is no fault of the page
         page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
-        page.on("request", lambda request: faults.append(request.url) if not local(request.url, url) else None)
-        page.faults = faults
+        page.on("console", lambda entry: faults.append(entry.text) if entry.type == "error" else None)
+        home = ("blob:", "data:", "/".join(url.split("/")[:3]))
+        page.on("request", lambda request: None if request.url.startswith(home) else faults.append(request.url))
         page.goto(url)
-        wait(page, ready)
-        return page
+        view = ViewerPage(page, faults)
+        view.wait(ready)
+        return view
 
     yield open_page
     for context in contexts:
@@ -59,56 +178,23 @@ def open_page(browser):
     assert faults == []
 
 
-def wait(page, true, seconds=BUSY_S):
-    """Wait until an expression is true in the page; gives it (the page's own policy forbids Playwright's way)."""
-    end = time.monotonic() + seconds
-    while not (found := page.evaluate(true)):
-        assert time.monotonic() < end, f"never: {true}"
-        page.wait_for_timeout(20)
-    return found
-
-
-def keep(send, page, true):
-    """Send frames until an expression is true in the page; gives it, as what holds of a live sensor passes."""
-    end = time.monotonic() + BUSY_S
-    send()
-    while not (found := page.evaluate(true)):
-        assert time.monotonic() < end, f"never: {true}"
-        page.wait_for_timeout(50)
-        send()
-    return found
-
-
-def turned(page, times=2):
-    """Wait for turns of the screen: what the page knew before is painted by then, and laid out."""
-    page.evaluate(
-        """times => new Promise(done => {
-          const turn = () => (times-- ? requestAnimationFrame(turn) : done());
-          turn();
-        })""",
-        times,
-    )
-
-
-def local(address, url):
-    """Whether a request stays with the service."""
-    there = urlsplit(url).netloc
-    return address.startswith(("blob:", "data:")) or urlsplit(address).netloc == there
+@contextmanager
+def playing(rig, rate_hz=20, play=Rig.play):
+    """Frames come meanwhile."""
+    stop = threading.Event()
+    sender = play(rig, rate_hz, stop)
+    try:
+        yield
+    finally:
+        stop.set()
+        sender.join()
 
 
 def one_more(name, number, array):
     """The configuration of one more sensor on the palm's bus."""
-    return f"""
-[sensor.{name}]
-bus = "can0"
-method = "raw"
-stale_after_s = 0.3
-codec = {{ name = "packed", bits = 12, fd = true, array_id = {number} }}
-array = {{ {array} }}
-cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
-kernel = {{ model = "layered" }}
-calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }}
-"""
+    palm = CONFIG[CONFIG.index("[sensor.palm]") :].replace('"wiener"', '"raw"').replace("palm", name)
+    palm = palm.replace("fd = true", f"fd = true, array_id = {number}").replace(", saturation = 4000", "")
+    return palm.replace("rows = 8, columns = 8, pitch_mm = 1.0", array).replace("{{", "{").replace("}}", "}")
 
 
 CORNERS = "positions_mm = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]]"
@@ -122,14 +208,38 @@ class Pair(Rig):
         """A frame of each; waits for their images."""
         self.show(pressed() if palm is None else palm)
         sensor = self.service.sensor("thumb")
-        for message in sensor.codec.encode(np.array(thumb, np.uint16), self.sequence % 256, time.time()):
-            self.bus.send(message)
+        self.send_to("thumb", thumb)
         until(lambda: (image := sensor.hub.latest()) and image.sequence == self.sequence)
         return self.sensor.hub.latest(), sensor.hub.latest()
 
+    def send_to(self, name, counts):
+        """A frame of a sensor beside the palm."""
+        counts = np.asarray(counts, np.uint16).ravel()
+        for message in self.service.sensor(name).codec.encode(counts, self.sequence % 256, time.time()):
+            self.bus.send(message)
+
 
 @pytest.fixture
-def pair(request):
-    with meanwhile(Pair(re.sub(r"\W", "-", request.node.name), THUMB)) as made, running(made.service) as url:
-        made.both()
-        yield made, url
+def serve(request):
+    """Serves a palm and further sensors of this configuration."""
+    with ExitStack() as stack:
+
+        def serve(more):
+            rig = stack.enter_context(meanwhile(Pair(re.sub(r"\W", "-", request.node.name), more)))
+            return rig, stack.enter_context(running(rig.service))
+
+        yield serve
+
+
+@pytest.fixture
+def pair(serve):
+    rig, url = serve(THUMB)
+    rig.both()
+    return rig, url
+
+
+@pytest.fixture
+def page(rig, url, open_page):
+    """The viewer on a palm of which one frame came."""
+    rig.show(pressed())
+    return open_page(url)

@@ -6,6 +6,7 @@ const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
 
 /** @typedef {"live"|"stale"|"silent"|"down"} State */
+/** @typedef {{code: string, taxels: number|null, text: string}} Warning */
 
 /**
  * What went wrong on the way in, counted since the service started.
@@ -14,85 +15,45 @@ const TIMEOUT_MS = 8000;
  */
 
 /**
- * @typedef {object} Sensor
- * @property {string} name
- * @property {string} bus
- * @property {string} codec
- * @property {number|null} rows
- * @property {number|null} columns
- * @property {number} taxels
- * @property {number} pitch_mm
- * @property {boolean} shear whether the skin feels it
- * @property {string} method
- * @property {string[]} methods
- * @property {State} state
- * @property {number|null} age_s
- * @property {number} rate_hz
- * @property {number|null} jitter_s standard deviation of the periods from frame to frame
- * @property {number|null} skew_s from a frame's first message to its last
- * @property {string|null} clock that gives the frames' times; "recording" in a replay
- * @property {string} detail
- * @property {Loss} loss
- * @property {Record<string, number>} error_kinds what the bus's error frames told
- * @property {number|null} sequence
+ * @typedef {{
+ *   name: string, bus: string, codec: string, rows: number|null, columns: number|null, taxels: number,
+ *   pitch_mm: number, shear: boolean, method: string, methods: string[], state: State, age_s: number|null,
+ *   rate_hz: number, jitter_s: number|null, skew_s: number|null, clock: string|null, detail: string, loss: Loss,
+ *   error_kinds: Record<string, number>, sequence: number|null
+ * }} Sensor
  */
 
 /**
- * @typedef {object} Geometry
- * @property {[number, number]|null} shape
- * @property {[number, number][]} positions_mm
- * @property {number} pitch_mm
- * @property {"square"|"round"} aperture
- * @property {number} aperture_mm
- * @property {{rows: number, columns: number}} raw
- * @property {{rows: number, columns: number, cell_mm: number}} restored
- * @property {number[]|null} areas_mm2 where the layout is no grid
+ * Where the taxels are; `shape` is null and `areas_mm2` given where the layout is no grid.
+ * @typedef {{
+ *   shape: [number, number]|null, positions_mm: [number, number][], pitch_mm: number, aperture: "square"|"round",
+ *   aperture_mm: number, raw: {rows: number, columns: number},
+ *   restored: {rows: number, columns: number, cell_mm: number}, areas_mm2: number[]|null
+ * }} Geometry
  */
 
 /**
- * @typedef {object} Kernel
- * @property {number[]} r_mm
- * @property {number[]} g_per_mm2
- * @property {number[]} q_per_mm
- * @property {number[]} gain
- * @property {number} nyquist_per_mm
- * @property {number} nyquist_gain
- * @property {number|null} smallest_gap_mm
- * @property {string} model
- * @property {number} error_estimate
- */
-
-/** @typedef {{name: string, colors: [number, number, number][]}} Colormap */
-
-/**
- * @typedef {object} Recording
- * @property {string} name of its file
- * @property {number|null} bytes null: it ran, and its file was moved or removed
- * @property {boolean} running
- * @property {string|null} bus
- * @property {number|null} messages on the disk so far; null where it was not begun by this service
- * @property {string|null} error why it ended early
+ * @typedef {{
+ *   r_mm: number[], g_per_mm2: number[], q_per_mm: number[], gain: number[], nyquist_per_mm: number,
+ *   nyquist_gain: number, smallest_gap_mm: number|null, model: string, error_estimate: number
+ * }} Kernel
  */
 
 /**
- * @typedef {object} Warning
- * @property {string} code
- * @property {number|null} taxels how many it is about, where that applies
- * @property {string} text
+ * `bytes` is null where the file was moved or removed, `messages` where this service did not start the recording;
+ * `error` says why it ended early.
+ * @typedef {{
+ *   name: string, bytes: number|null, running: boolean, bus: string|null, messages: number|null, error: string|null
+ * }} Recording
  */
 
 /**
- * @typedef {object} Event
- * @property {number} id
- * @property {number} time Unix s
- * @property {string} kind
- * @property {string|null} sensor
- * @property {string|null} bus
- * @property {string} text
- * @property {Warning|null} warning that was raised or cleared
+ * @typedef {{
+ *   id: number, time: number, kind: string, sensor: string|null, bus: string|null, text: string, warning: Warning|null
+ * }} Event
  */
 
-/** An answer that is not a success, with the service's own words where it gave any. */
+/** An answer that is not a success, with the service's own text if it gave one. */
 export class ApiError extends Error {
   /**
    * @param {number} status HTTP status; 0 where no answer came
@@ -170,7 +131,7 @@ export const geometry = (name) => request(`${at(name)}/geometry`);
 /** @param {string} name @returns {Promise<Kernel>} */
 export const kernel = (name) => request(`${at(name)}/kernel`);
 
-/** @returns {Promise<Colormap>} */
+/** @returns {Promise<{name: string, colors: [number, number, number][]}>} */
 export const colormap = () => request("/colormap");
 
 /** @param {string} name @param {string} method @returns {Promise<{method: string}>} */

@@ -109,7 +109,7 @@ function chooseSensor() {
   if (!sensors.length) notice("No sensor is configured.", true);
 }
 
-/** Look at the service, now and for ever. */
+/** Poll the service. */
 async function poll() {
   try {
     sensors = await api.sensors();

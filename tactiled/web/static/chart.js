@@ -1,7 +1,7 @@
 /** A small line chart with its axes. @module */
 
 import { fitCanvas, themeColors, context2d } from "./dom.js";
-import { Ticks } from "./ticks.js";
+import { decadeTicks, labelledTicks } from "./ticks.js";
 
 /**
  * Points of one line; x must not fall. The arrays of a plain line may be rings.
@@ -59,8 +59,6 @@ export class Chart {
     this._pen = context2d(canvas);
     this._ink = themeColors();
     this._font = `12px ${this._ink.font}`;
-    this._across = new Ticks();
-    this._up = new Ticks();
     /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
     this._axesContext = context2d(document.createElement("canvas"));
     /** What is painted there. */
@@ -158,22 +156,21 @@ export class Chart {
     draw.fillStyle = ink.muted;
     draw.textBaseline = "middle";
     draw.textAlign = "right";
-    const up = axes.decades ? this._up.decades(axes.bottom, axes.top) : this._up.even(axes.bottom, axes.top, h / 28);
+    const { bottom, top } = axes;
     draw.beginPath();
-    for (let i = 0; i < up.values.length; i += 1) {
-      const y = Math.round(TOP_PX + h - (up.values[i] - axes.bottom) * this._sy) + 0.5;
+    for (const { value, text } of axes.decades ? decadeTicks(bottom, top) : labelledTicks(bottom, top, h / 28)) {
+      const y = Math.round(TOP_PX + h - (value - bottom) * this._sy) + 0.5;
       draw.moveTo(LEFT_PX, y);
       draw.lineTo(LEFT_PX + w, y);
-      draw.fillText(up.texts[i], LEFT_PX - 6, y);
+      draw.fillText(text, LEFT_PX - 6, y);
     }
     draw.textBaseline = "top";
     draw.textAlign = "center";
-    const across = this._across.even(axes.left, axes.right, w / 60);
-    for (let i = 0; i < across.values.length; i += 1) {
-      const x = Math.round(LEFT_PX + (across.values[i] - axes.left) * this._sx) + 0.5;
+    for (const { value, text } of labelledTicks(axes.left, axes.right, w / 60)) {
+      const x = Math.round(LEFT_PX + (value - axes.left) * this._sx) + 0.5;
       draw.moveTo(x, TOP_PX + h);
       draw.lineTo(x, TOP_PX + h + 4);
-      draw.fillText(across.texts[i], x, TOP_PX + h + 6);
+      draw.fillText(text, x, TOP_PX + h + 6);
     }
     draw.stroke();
     draw.textAlign = "right";

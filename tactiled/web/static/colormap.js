@@ -5,7 +5,7 @@ export class Colormap {
   /** @param {[number, number, number][]} colors */
   constructor(colors) {
     /** One little-endian RGBA word a colour. */
-    this.words = Uint32Array.from(colors, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
+    this.rgba = Uint32Array.from(colors, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
     this.css = colors.map(([r, g, b]) => `rgb(${r} ${g} ${b})`);
   }
 }

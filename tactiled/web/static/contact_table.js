@@ -1,9 +1,9 @@
 /** The contacts as a table: what the outlines on the maps say, in numbers. @module */
 
-import { setText } from "./dom.js";
+import { element, setText } from "./dom.js";
 import { fixed, newtons } from "./format.js";
 
-/** @import { Contact } from "./contacts.js" */
+/** @import { Contact } from "./sensor_stream.js" */
 
 const MAX_ROWS = 6; // rows, the strongest
 const COLUMNS = 6;
@@ -18,7 +18,7 @@ export class ContactTable {
 
   /**
    * @param {Contact[]|null} contacts null where none are known
-   * @param {boolean} enabled whether they are asked for
+   * @param {boolean} enabled whether they are requested
    * @param {number} taxels
    * @param {number} unknown of these, nothing is known
    */
@@ -41,18 +41,15 @@ export class ContactTable {
  */
 function noContact(taxels, unknown) {
   if (!unknown) return "No contact";
-  if (unknown >= taxels) return "Nothing is known of any taxel.";
-  return `Nothing touches the ${taxels - unknown} of ${taxels} taxels that are known.`;
+  if (unknown >= taxels) return "No taxel has data";
+  return `No contact on the ${taxels - unknown} of ${taxels} taxels with data`;
 }
 
 /** @returns {HTMLTableRowElement} an empty one */
 function newRow() {
-  const made = document.createElement("tr");
-  const head = document.createElement("th");
+  const head = element("th", "");
   head.scope = "row";
-  made.append(head);
-  for (let i = 1; i < COLUMNS; i += 1) made.append(document.createElement("td"));
-  return made;
+  return element("tr", "", head, ...Array.from({ length: COLUMNS - 1 }, () => element("td", "")));
 }
 
 /** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact */

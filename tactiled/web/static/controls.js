@@ -86,8 +86,7 @@ function range(viewer, targets) {
  */
 function fix(low, high, viewer, targets) {
   const why = viewer.range.fix(low, high);
-  const [from, to] = [low, high].map((each) => (Number.isNaN(each) ? "nothing" : String(each)));
-  if (why) notice(`From ${from} to ${to} kPa is no range, ${why}: the range stays.`, true);
+  if (why) notice(`${why}; range unchanged.`, true);
   targets.screen.range(viewer.range, true);
   viewer.refresh();
 }
@@ -153,7 +152,7 @@ function save(kind, viewer, targets) {
     const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, session.frame) : "";
     const { level } = targets.screen;
     const still = level === "live" ? "paused" : `paused, ${level}`;
-    const state = (session.paused ? still : level) + (offset && `, contacts of ${offset}`);
+    const state = (session.paused ? still : level) + (offset && `, contacts from ${offset}`);
     savePng(session, session.frame, viewer.maps, viewer.range, colormap, state, viewer.shear && session.frame.sheared);
   }
 }
@@ -169,7 +168,7 @@ function arrow(viewer, dx, dy, event) {
 function turn(viewer) {
   if (!viewer.session) return;
   viewer.setSectionAxis(ACROSS[viewer.marks.along]);
-  setText(byId("told"), `Cross-section along ${viewer.marks.along}.`);
+  setText(byId("announce-politely"), `Cross-section along ${viewer.marks.along}.`);
 }
 
 /** @param {Viewer} viewer */

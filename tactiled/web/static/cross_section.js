@@ -121,7 +121,7 @@ export function highestAlong(plane, { along, lineAt }, kpa) {
  * @param {Marks} marks
  * @param {Line} into
  */
-function sample(plane, cells, kpa, { along, lineAt }, into) {
+export function sample(plane, cells, kpa, { along, lineAt }, into) {
   const places = cells[along];
   const across = cells[ACROSS[along]];
   let n = 0;

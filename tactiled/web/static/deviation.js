@@ -1,69 +1,42 @@
-/**
- * How sure the restored image is: its standard deviation, asked for only while somebody looks at it.
- * @module
- */
+/** The standard deviation of the restored image, requested only while somebody can see it. @module */
 
 import * as api from "./api.js";
-import { nearest } from "./timeline.js";
+import { Timeline } from "./timeline.js";
 
 /** @import { Frame } from "./frame_history.js" */
-/** @import { Plane } from "./geometry.js" */
 
-const KEPT = 32;
-const HOLDS_S = 1.5; // between the frame that a deviation is of and one that it is drawn with
-const ASK_MS = 500; // it costs the service more than the image itself
+const MAX_IMAGES = 32;
+const SHOWN_WITHIN_S = 1.5; // of the frame that it was computed for
+const INTERVAL_MS = 500; // between two requests: one costs the service more than the image itself
 
-export class DeviationCache {
-  /** @param {string} name of the sensor @param {Plane} plane */
-  constructor(name, plane) {
+/** @extends {Timeline<{timestamp: number, kpa: Float32Array}>} */
+export class DeviationCache extends Timeline {
+  /** @param {string} name of the sensor @param {number} cells of its restored image */
+  constructor(name, cells) {
+    super(MAX_IMAGES, SHOWN_WITHIN_S);
     this._name = name;
-    this._count = plane.restored.count;
-    /** @type {{timestamp: number, kpa: Float32Array}[]} */
-    this._kept = [];
-    this._asked = -Infinity; // ms
-    this._asking = false;
-    /** @param {number} back */
-    this._back = (back) => this._kept[this._kept.length - 1 - back];
+    this._cells = cells;
+    this._requestedAt = -Infinity; // ms
+    this._pending = false;
   }
 
-  /** Keep nothing. */
-  clear() {
-    this._kept = [];
-  }
-
-  /**
-   * The deviation to draw with a frame.
-   * @param {number} timestamp of the frame, Unix s
-   * @returns {Float32Array|null} kPa, one a restored cell; null where none is near enough in time
-   */
-  at(timestamp) {
-    return nearest(this._kept.length, this._back, timestamp, HOLDS_S)?.kpa ?? null;
-  }
-
-  /**
-   * Ask for the newest image's, unless that was done just now.
-   * @param {Frame} frame the newest
-   * @param {number} now ms, on performance.now's clock
-   */
-  ask(frame, now) {
-    if (this._asking || now - this._asked < ASK_MS) return;
-    const known = this._kept[this._kept.length - 1];
-    if (!known || known.timestamp < frame.timestamp) this._fetch(now);
+  /** Request the newest image's, unless that was done just now. @param {Frame} frame the newest @param {number} now ms */
+  request(frame, now) {
+    if (this._pending || now - this._requestedAt < INTERVAL_MS) return;
+    if (!this.newest || this.newest.timestamp < frame.timestamp) this._fetch(now);
   }
 
   /** @param {number} now ms */
   async _fetch(now) {
-    this._asking = true;
-    this._asked = now;
+    this._pending = true;
+    this._requestedAt = now;
     try {
-      const told = await api.deviation(this._name);
-      if (told.kpa.length !== this._count) return;
-      if (this._kept.length === KEPT) this._kept.shift();
-      this._kept.push(told);
+      const deviation = await api.deviation(this._name);
+      if (deviation.kpa.length === this._cells) this.push(deviation);
     } catch {
-      this._asked = now + 4 * ASK_MS; // no band is drawn meanwhile; the link's own trouble is told elsewhere
+      this._requestedAt = now + 4 * INTERVAL_MS; // no band meanwhile; the page shows elsewhere that the link is down
     } finally {
-      this._asking = false;
+      this._pending = false;
     }
   }
 }

@@ -5,7 +5,7 @@ const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
 const KEEP_ABOVE = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
 const MIN_TOP_KPA = 1;
-const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours are told apart
+const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours must differ
 
 /** @param {number} value above 0 @returns {number} the least round number that is not below it */
 export function roundUp(value) {
@@ -84,8 +84,8 @@ export class DisplayRange {
 
 /** @param {number} low @param {number} high @returns {string} why that is no range; "" where it is one */
 function rangeError(low, high) {
-  if (!Number.isFinite(low) || !Number.isFinite(high)) return "a number is missing";
-  if (high <= low) return "its end is not above its start";
-  if (!Number.isFinite(high - low)) return "it is too wide";
-  return high - low < MIN_RELATIVE_SPAN * Math.max(Math.abs(low), Math.abs(high)) ? "it is too narrow" : "";
+  if (!Number.isFinite(low) || !Number.isFinite(high)) return "A number is missing";
+  if (high <= low) return "The maximum must exceed the minimum";
+  if (!Number.isFinite(high - low)) return "The numbers are too far apart";
+  return high - low < MIN_RELATIVE_SPAN * Math.max(Math.abs(low), Math.abs(high)) ? "The numbers are too close together" : "";
 }

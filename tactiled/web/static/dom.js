@@ -12,6 +12,20 @@ export function byId(id) {
 }
 
 /**
+ * @template {keyof HTMLElementTagNameMap} T
+ * @param {T} tag
+ * @param {string} className
+ * @param {...(Node|string)} children
+ * @returns {HTMLElementTagNameMap[T]} a new element
+ */
+export function element(tag, className, ...children) {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  made.append(...children);
+  return made;
+}
+
+/**
  * Set an element's text where it differs, so that an unchanged reading costs nothing.
  * @param {Element} element
  * @param {string} text

@@ -1,7 +1,7 @@
 /** What happened to the service, newest first, with times. @module */
 
 import * as api from "./api.js";
-import { byId } from "./dom.js";
+import { byId, element } from "./dom.js";
 
 /** @import { Event } from "./api.js" */
 
@@ -15,7 +15,7 @@ export class EventLog {
     this.offered = false;
   }
 
-  /** @param {boolean} offered whether the service tells what happened */
+  /** @param {boolean} offered whether the service has events */
   offer(offered) {
     this.offered = offered;
     byId("log").hidden = !offered;
@@ -34,15 +34,10 @@ export class EventLog {
 
 /** @param {Event} event @returns {HTMLElement} */
 function line(event) {
-  const item = document.createElement("li");
-  item.classList.toggle("bad", BAD_KINDS.has(event.kind));
-  const when = document.createElement("time");
   const date = new Date(event.time * 1000);
-  when.dateTime = date.toISOString();
-  when.textContent = date.toLocaleTimeString([], { hour12: false });
-  when.title = date.toLocaleString();
-  const what = document.createElement("b");
-  what.textContent = [event.sensor ?? event.bus, event.kind.replaceAll("_", " ")].filter(Boolean).join(": ");
-  item.append(when, " ", what, ` ${event.text}`);
-  return item;
+  const time = element("time", "", date.toLocaleTimeString([], { hour12: false }));
+  time.dateTime = date.toISOString();
+  time.title = date.toLocaleString();
+  const title = [event.sensor ?? event.bus, event.kind.replaceAll("_", " ")].filter(Boolean).join(": ");
+  return element("li", BAD_KINDS.has(event.kind) ? "bad" : "", time, " ", element("b", "", title), ` ${event.text}`);
 }

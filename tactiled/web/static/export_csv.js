@@ -9,7 +9,7 @@ import { isoTime } from "./download.js";
 export function csvText(name, plane, frame) {
   const { sheared, shear } = frame;
   const lines = [
-    `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.ran}`,
+    `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.method}`,
     "# kpa is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
     `image,row,column,x_mm,y_mm,kpa,flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];

@@ -1,5 +1,7 @@
 /** Numbers as text. @module */
 
+const BYTE_UNITS = ["B", "kB", "MB", "GB"];
+
 /**
  * @param {number} value
  * @param {number} digits significant ones
@@ -30,4 +32,18 @@ export function fixed(value, decimals) {
 export function newtons(force) {
   const size = Math.abs(force);
   return size < 0.09995 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : fixed(force, 2);
+}
+
+/** @param {number} seconds @returns {string} */
+export function duration(seconds) {
+  if (seconds < 100) return `${fixed(seconds, 1)} s`;
+  if (seconds < 6000) return `${Math.floor(seconds / 60)} min`;
+  return `${Math.floor(seconds / 3600)} h`;
+}
+
+/** @param {number} bytes @returns {string} */
+export function byteText(bytes) {
+  if (bytes < 1000) return `${bytes} B`;
+  const power = Math.min(BYTE_UNITS.length - 1, Math.floor(Math.log10(bytes) / 3));
+  return `${number(bytes / 1000 ** power)} ${BYTE_UNITS[power]}`;
 }

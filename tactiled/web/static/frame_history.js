@@ -26,9 +26,9 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
- * @property {string} ran the method that did; "" where it is not told
+ * @property {string} method that was used; "" where it is unknown
  * @property {boolean} saturated any taxel is
- * @property {Float32Array} shear counts along x of all taxels, then along y; empty where the skin feels none
+ * @property {Float32Array} shear counts along x of all taxels, then along y; empty if the skin measures none
  * @property {boolean} sheared its shear is known
  * @property {Measures} ofRaw
  * @property {Measures} ofRestored
@@ -58,7 +58,7 @@ export class FrameHistory {
       flags: flags.subarray(i * n, (i + 1) * n),
       // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
       sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
-      iterations: 0, ran: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
+      iterations: 0, method: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
       shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
     this._head = 0;
@@ -75,7 +75,7 @@ export class FrameHistory {
    * Does a frame fit this sensor's geometry?
    * @param {Packet} raw
    * @param {Packet} restored
-   * @param {Packet|null} shear null where it was not asked for
+   * @param {Packet|null} shear null where it was not requested
    * @returns {boolean}
    */
   fits(raw, restored, shear) {
@@ -87,7 +87,7 @@ export class FrameHistory {
    * Keep a frame, over the oldest where there is no more room.
    * @param {Packet} raw
    * @param {Packet} restored
-   * @param {Packet|null} shear null where it was not asked for
+   * @param {Packet|null} shear null where it was not requested
    * @returns {Frame}
    */
   push(raw, restored, shear) {
@@ -112,7 +112,7 @@ export class FrameHistory {
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
-    frame.ran = METHODS[restored.ran] ?? "";
+    frame.method = METHODS[restored.method] ?? "";
     const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);

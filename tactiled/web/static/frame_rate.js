@@ -10,7 +10,7 @@ export class FrameRate {
     this.painted = 0;
     /** Of the newest picture, ms from the frame's first bus message to the screen. */
     this.latency = NaN;
-    this._times = new Float64Array(MAX_TIMES);
+    this._times = new Float64Array(MAX_TIMES).fill(-Infinity); // ms, a ring
     this._skew = Infinity; // s that this browser's clock is ahead of the service's, and the quickest way
   }
 
@@ -48,9 +48,8 @@ export class FrameRate {
   /** @returns {number} pictures painted in the last second */
   fps() {
     const since = performance.now() - 1000;
-    const count_kept = Math.min(this.painted, MAX_TIMES);
     let count = 0;
-    for (let i = 0; i < count_kept; i += 1) if (this._times[i] > since) count += 1;
+    for (let i = 0; i < MAX_TIMES; i += 1) if (this._times[i] > since) count += 1;
     return count;
   }
 }

@@ -22,7 +22,7 @@ export class Heatmap {
     this._cells = null;
     /** @type {ImageData|null} */
     this._image = null;
-    this._words = new Uint32Array(0);
+    this._pixels = new Uint32Array(0);
     /** CSS px per mm. */
     this.zoom = 1;
     this._ratio = 1;
@@ -39,7 +39,7 @@ export class Heatmap {
       this.canvas.width = cells.columns;
       this.canvas.height = cells.rows;
       this._image = this._pen.createImageData(cells.columns, cells.rows);
-      this._words = new Uint32Array(this._image.data.buffer);
+      this._pixels = new Uint32Array(this._image.data.buffer);
     } else {
       this._image = null;
     }
@@ -74,8 +74,8 @@ export class Heatmap {
    * @param {ImageData} image
    */
   _paintGrid(kpa, range, colormap, image) {
-    const { words } = colormap;
-    const out = this._words;
+    const { rgba } = colormap;
+    const out = this._pixels;
     const { low } = range;
     const slope = 256 / (range.high - low);
     for (let i = 0; i < out.length; i += 1) {
@@ -84,7 +84,7 @@ export class Heatmap {
         out[i] = 0;
       } else {
         const level = (p - low) * slope;
-        out[i] = words[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
+        out[i] = rgba[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
       }
     }
     this._pen.putImageData(image, 0, 0);

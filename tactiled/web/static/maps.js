@@ -69,7 +69,7 @@ export class Maps {
    */
   _maxHeight(plane, box) {
     const map = (plane.height * box.clientWidth) / plane.width;
-    const around = this._boxes.clientHeight - box.clientHeight; // the words above, and the other map where it is below
+    const around = this._boxes.clientHeight - box.clientHeight; // the captions, and the other map where it is below
     const other = this._boxes.classList.contains("stacked") ? map - box.clientHeight : 0;
     return Math.ceil(map + other + around);
   }
@@ -81,11 +81,11 @@ export class Maps {
    */
   _largerStacked(plane, box) {
     const gap = parseFloat(getComputedStyle(this._boxes).columnGap);
-    const words = box.offsetTop - /** @type {HTMLElement} */ (box.parentElement).offsetTop;
+    const caption = box.offsetTop - /** @type {HTMLElement} */ (box.parentElement).offsetTop;
     const width = this._boxes.clientWidth;
     const height = Math.min(this._boxes.clientHeight, window.innerHeight);
-    const beside = Math.min((width - gap) / 2 / plane.width, (height - words) / plane.height);
-    const above = Math.min(width / plane.width, ((height - gap) / 2 - words) / plane.height);
+    const beside = Math.min((width - gap) / 2 / plane.width, (height - caption) / plane.height);
+    const above = Math.min(width / plane.width, ((height - gap) / 2 - caption) / plane.height);
     return above > beside;
   }
 

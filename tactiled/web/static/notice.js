@@ -1,4 +1,4 @@
-/** Something said in passing. @module */
+/** A message that disappears by itself. @module */
 
 import { byId, setText } from "./dom.js";
 

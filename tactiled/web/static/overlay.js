@@ -8,7 +8,7 @@ import { fitCanvas, context2d } from "./dom.js";
 import { ACROSS } from "./geometry.js";
 import { SATURATED } from "./wire.js";
 
-/** @import { Contact } from "./contacts.js" */
+/** @import { Contact } from "./sensor_stream.js" */
 /** @import { Axis, Plane } from "./geometry.js" */
 /** @import { Measures } from "./measures.js" */
 
@@ -40,10 +40,9 @@ export class Overlay {
     this._px = 1;
     this._family = getComputedStyle(document.body).fontFamily;
     this._font = "";
-    /** Left, top, right and bottom of the labels that are drawn already, device px. */
-    this._labelBoxes = new Float64Array(4 * 64);
-    this._labels = 0;
-    /** What is drawn, but for crosses on saturated taxels; `known` is false where that must be drawn anew. */
+    /** @type {{x: number, y: number, half: number}[]} labels that are drawn already, device px */
+    this._labels = [];
+    /** What is drawn, but for crosses on saturated taxels; `known` is false where it must be redrawn. */
     this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
       contacts: /** @type {Contact[]|null} */ (null),
@@ -131,7 +130,7 @@ export class Overlay {
       this._cross(x, y, CROSS_PX * this._ratio);
     }
     this._twoTone(1.5);
-    this._labels = 0;
+    this._labels.length = 0;
     draw.font = this._font;
     draw.textBaseline = "middle";
     draw.textAlign = "center";
@@ -178,19 +177,10 @@ export class Overlay {
    * @returns {boolean} false, with nothing written, where it would leave the map or cover another label
    */
   _place(text, x, y, half, rise) {
-    const boxes = this._labelBoxes;
     if (x < half || y < rise || x + half > this.canvas.width || y + rise > this.canvas.height) return false;
-    for (let i = 0; i < 4 * this._labels; i += 4) {
-      if (x - half < boxes[i + 2] && x + half > boxes[i] && y - rise < boxes[i + 3] && y + rise > boxes[i + 1]) return false;
-    }
-    if (4 * this._labels < boxes.length) {
-      const at = 4 * this._labels;
-      boxes[at] = x - half;
-      boxes[at + 1] = y - rise;
-      boxes[at + 2] = x + half;
-      boxes[at + 3] = y + rise;
-      this._labels += 1;
-    }
+    const covers = this._labels.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < 2 * rise);
+    if (covers) return false;
+    this._labels.push({ x, y, half });
     const draw = this._pen;
     draw.lineWidth = 3.5 * this._ratio;
     draw.strokeStyle = "rgb(0 0 0 / 85%)";

@@ -1,9 +1,10 @@
-/** What the page says in words: state, probe, range, playback and contacts. @module */
+/** The page's texts: state, probe, range, playback and contacts. @module */
 
 import { ContactTable } from "./contact_table.js";
 import { byId, setText } from "./dom.js";
 import { fixed } from "./format.js";
 import { ACROSS } from "./geometry.js";
+import { CONNECTING } from "./health.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
 import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
@@ -19,8 +20,6 @@ const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
-/** @type {Health} */
-const CONNECTING = { level: "connecting", title: "CONNECTING", text: "" };
 
 export class PageText {
   constructor() {
@@ -28,7 +27,7 @@ export class PageText {
     this.contacts = new ContactTable(byId("contact-list"));
     this._contactsOf = byId("contacts-of");
     this._level = "";
-    this._along = ""; // as the section's words tell it
+    this._along = ""; // axis in the section's texts
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
     this._shear = byId("shear-choice");
     this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
@@ -62,7 +61,7 @@ export class PageText {
     const { count = 0 } = session?.plane?.raw ?? {};
     this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
-    setText(this._contactsOf, offset ? `of ${offset}` : "in the restored image");
+    setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     this._section(viewer, frame);
   }
 
@@ -86,10 +85,10 @@ export class PageText {
   _restoration(session, frame) {
     const status = session?.statusOfFrame ?? null;
     if (!session?.paused || !frame) this.readings.restoration(status?.ran ?? "", status, "", false);
-    else if (!status) this.readings.restoration(frame.ran, null, "words not told", true);
+    else if (!status) this.readings.restoration(frame.method, null, "details not reported", true);
     else {
       const offset = timeOffset(status, frame);
-      this.readings.restoration(frame.ran, status, offset && `words of ${offset}`, true);
+      this.readings.restoration(frame.method, status, offset && `details from ${offset}`, true);
     }
   }
 
@@ -111,10 +110,10 @@ export class PageText {
     if (document.title !== title) document.title = title;
   }
 
-  /** Say what the pinned probe reads to whom cannot see it. @param {Viewer} viewer */
+  /** Announce what the pinned probe reads to a screen reader. @param {Viewer} viewer */
   announceProbe(viewer) {
     const read = viewer.probe.pinned ? probeText(viewer, viewer.session?.frame ?? null) : "";
-    setText(byId("told"), read || "Probe released.");
+    setText(byId("announce-politely"), read || "Probe released.");
   }
 
   /**
@@ -148,7 +147,7 @@ export class PageText {
 /**
  * @param {Viewer} viewer
  * @param {Frame|null} frame
- * @returns {string} what the probe reads; "" where nothing is asked about
+ * @returns {string} what the probe reads; "" where nothing is probed
  */
 function probeText({ session, probe: { x, y } }, frame) {
   return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y) : "";

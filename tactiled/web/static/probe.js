@@ -1,4 +1,4 @@
-/** The point that is asked about: under the pointer, or pinned. @module */
+/** The point that is probed: under the pointer, or pinned. @module */
 
 /** @import { Plane } from "./geometry.js" */
 /** @import { Heatmap } from "./heatmap.js" */
@@ -8,10 +8,10 @@ const TAP_SLIP_PX = 10; // that a tap may slip, and within which a pinned place 
 export class Probe {
   /**
    * @param {Heatmap[]} maps
-   * @param {(meant: boolean) => void} onMove whether it was pinned, moved by keys or released, not just pointed
+   * @param {(deliberate: boolean) => void} onMove whether it was pinned, moved by keys or released, not just pointed
    */
   constructor(maps, onMove) {
-    /** Place, mm; NaN when nothing is asked about. */
+    /** Place, mm; NaN when nothing is probed. */
     this.x = NaN;
     this.y = NaN;
     this.pinned = false;

@@ -1,6 +1,6 @@
-/** The side panel's numbers and words. @module */
+/** The side panel's numbers and texts. @module */
 
-import { byId, setText } from "./dom.js";
+import { byId, element, setText } from "./dom.js";
 import { fixed, newtons, number } from "./format.js";
 import { measures } from "./measures.js";
 import { Warnings } from "./warnings.js";
@@ -23,9 +23,9 @@ const LOSSES = /** @type {const} */ ({
     ["lost", "lost", "never came"],
     ["late", "late", "came out of order"],
     ["repeated", "repeated", "came twice"],
-    ["malformed", "malformed", "the codec cannot mean them"],
+    ["malformed", "malformed", "the codec cannot decode them"],
     ["foreign", "foreign", "on the bus, but of no sensor"],
-    ["dropped", "dropped", "thrown away by the kernel, not taken in time"],
+    ["dropped", "dropped", "dropped by the kernel, as they were not read in time"],
   ],
   frames: [
     ["incomplete", "incomplete", "published with taxels missing"],
@@ -34,7 +34,7 @@ const LOSSES = /** @type {const} */ ({
   "on the bus": [
     ["errors", "error frames", "what the bus interface says went wrong on the wire"],
     ["bus_off", "bus-off", "times that the bus interface left the bus because of errors"],
-    ["unsent", "unsent", "messages to skins that the bus did not take"],
+    ["unsent", "unsent", "messages to sensors that the bus did not accept"],
     ["unreadable", "unreadable", "messages that the bus interface could not decode"],
   ],
 });
@@ -52,20 +52,19 @@ export class Readings {
     /** @type {Map<string, HTMLElement>} */
     this._loss = new Map();
     for (const [unit, kinds] of Object.entries(LOSSES)) byId("loss").append(...this._counts(unit, kinds));
-    this._kinds = document.createElement("p");
-    this._kinds.className = "sub";
-    this._kinds.title = "What the error frames told";
-    byId("loss").append(this._kinds);
+    this._errorKinds = element("p", "sub");
+    this._errorKinds.title = "Kinds of error frames";
+    byId("loss").append(this._errorKinds);
     this._raw = measureCells("raw");
     this._restored = measureCells("restored");
     this._at = Object.fromEntries([
-      "ran", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
+      "method-used", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
       "fps", "latency", "jitter", "skew",
     ].map((id) => [id, byId(id)]));
     this._warnings = byId("warnings");
-    this._held = new Warnings();
-    this._warned = "";
-    this._of = byId("made-of");
+    this._recent = new Warnings();
+    this._warningsKey = "";
+    this._offset = byId("details-from");
     /** @type {Status|null} */
     this._status = null;
     this._live = false;
@@ -77,26 +76,21 @@ export class Readings {
    * @returns {HTMLElement[]} a heading and a list
    */
   _counts(unit, kinds) {
-    const heading = document.createElement("h4");
-    heading.textContent = unit;
-    const list = document.createElement("dl");
-    list.className = "grid";
+    const list = element("dl", "grid");
     for (const [kind, title, meaning] of kinds) {
-      const name = document.createElement("dt");
-      const value = document.createElement("dd");
-      name.textContent = title;
+      const name = element("dt", "", title);
+      const value = element("dd", "", "\u2013");
       name.title = meaning;
-      value.textContent = "\u2013";
       list.append(name, value);
       this._loss.set(kind, value);
     }
-    return [heading, list];
+    return [element("h4", "", unit), list];
   }
 
   /** @param {Sensor} sensor */
   about(sensor) {
-    const told = Object.entries(sensor.error_kinds).filter(([, count]) => count);
-    setText(this._kinds, told.map(([kind, count]) => `${kind.replaceAll("_", " ")} ${count}`).join(", "));
+    const errors = Object.entries(sensor.error_kinds).filter(([, count]) => count);
+    setText(this._errorKinds, errors.map(([kind, count]) => `${kind.replaceAll("_", " ")} ${count}`).join(", "));
     const size = sensor.rows ? `${sensor.rows} × ${sensor.columns}` : `${sensor.taxels} taxels`;
     setText(this._at.about, `${size}, ${number(sensor.pitch_mm)} mm, ${sensor.bus}`);
     this._at.about.title = `${sensor.taxels} taxels at a pitch of ${number(sensor.pitch_mm)} mm, codec ${sensor.codec}, bus ${sensor.bus}`;
@@ -115,7 +109,7 @@ export class Readings {
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }
 
-  /** @param {Status|null} status @param {boolean} live what the status says still holds */
+  /** @param {Status|null} status @param {boolean} live the status still holds */
   status(status, live) {
     if (status && status === this._status && live === this._live) return;
     this._status = status;
@@ -132,38 +126,34 @@ export class Readings {
   }
 
   /**
-   * How the image that is shown was made.
-   * @param {string} ran the method; "" where it is not known
-   * @param {Status|null} told of it, or of another image
-   * @param {string} of which, where that is another
-   * @param {boolean} still it does not change: no warning is held that was told of another
+   * How the image that is shown was restored.
+   * @param {string} method that was used; "" where it is not known
+   * @param {Status|null} status of this image, or of another
+   * @param {string} offset in time, where it is of another
+   * @param {boolean} still the image does not change: warnings of others are dropped
    */
-  restoration(ran, told, of, still) {
-    setText(this._at.ran, ran ? methodTitle(ran) : "\u2013");
-    setText(this._at.why, told && told.ran === ran ? told.why : "");
-    setText(this._of, of);
-    if (still || told?.sensor !== this._status?.sensor) this._held.clear();
-    const warnings = this._held.hold(told?.warnings ?? []);
+  restoration(method, status, offset, still) {
+    setText(this._at["method-used"], method ? methodTitle(method) : "\u2013");
+    setText(this._at.why, status && status.ran === method ? status.why : "");
+    setText(this._offset, offset);
+    if (still || status?.sensor !== this._status?.sensor) this._recent.clear();
+    const warnings = this._recent.hold(status?.warnings ?? [], performance.now());
     const joined = warnings.join("\n");
-    if (joined === this._warned) return;
-    this._warned = joined;
-    this._warnings.replaceChildren(...warnings.map((each) => {
-      const item = document.createElement("li");
-      item.textContent = each;
-      return item;
-    }));
+    if (joined === this._warningsKey) return;
+    this._warningsKey = joined;
+    this._warnings.replaceChildren(...warnings.map((each) => element("li", "", each)));
   }
 
   /**
    * @param {number} fps
-   * @param {number} latencyMs NaN where the picture is not live
-   * @param {number} skewS how far the two clocks are apart, s; 0 where they agree
+   * @param {number} latency_ms NaN where the picture is not live
+   * @param {number} skew_s how far the two clocks are apart, s; 0 where they agree
    */
-  pace(fps, latencyMs, skewS) {
+  pace(fps, latency_ms, skew_s) {
     setText(this._at.fps, `${fixed(fps, 0)} fps`);
-    setText(this._at.latency, Number.isFinite(latencyMs) ? `${fixed(latencyMs, 0)} ms` : "\u2013");
-    this._at.latency.title = skewS
-      ? `This browser's clock is ${fixed(skewS, 1)} s off the service's: the way over the network is left out` : "";
+    setText(this._at.latency, Number.isFinite(latency_ms) ? `${fixed(latency_ms, 0)} ms` : "\u2013");
+    this._at.latency.title = skew_s
+      ? `This browser's clock is ${fixed(skew_s, 1)} s off the service's: the way over the network is left out` : "";
   }
 }
 
@@ -171,7 +161,7 @@ export class Readings {
 const measureCells = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
-/** @param {ReturnType<typeof measureCells>} at where it is told @param {Measures} of an image */
+/** @param {ReturnType<typeof measureCells>} at cells to fill @param {Measures} of an image */
 function showMeasures(at, of) {
   setText(at.force, newtons(of.force));
   setText(at.peak, fixed(of.peak, 1));

@@ -1,15 +1,14 @@
 /** Recordings of a bus: begin, end, list, fetch, delete. @module */
 
 import * as api from "./api.js";
-import { byId, setText } from "./dom.js";
-import { number } from "./format.js";
+import { byId, element, setText } from "./dom.js";
+import { byteText } from "./format.js";
 import { notice } from "./notice.js";
 import { withToken } from "./token_dialog.js";
 
 /** @import { Recording } from "./api.js" */
 
 const CONFIRM_MS = 4000; // that a delete waits for its second click
-const UNITS = ["B", "kB", "MB", "GB"];
 
 export class Recorder {
   /** @param {() => string} bus of the sensor that is watched; "" for none */
@@ -90,7 +89,7 @@ export class Recorder {
     byId("recordings-none").hidden = !this.offered || this._recordings.length > 0;
   }
 
-  /** Make the list anew; what had the focus keeps it, or gives it to what stands there now. */
+  /** Make the list again; what had the focus keeps it, or gives it to what stands there now. */
   _fill() {
     const focused = document.activeElement;
     const row = focused?.closest("#recordings li");
@@ -106,57 +105,36 @@ export class Recorder {
 
   /** @param {Recording} recording @returns {HTMLElement} */
   _row(recording) {
-    const item = document.createElement("li");
-    const name = document.createElement(recording.running ? "b" : "a");
-    name.textContent = recording.name;
-    if (name instanceof HTMLAnchorElement) {
-      name.href = api.recordingUrl(recording.name);
-      name.download = recording.name;
-      name.title = `Download ${recording.name}`;
+    const { name, running } = recording;
+    const title = element(running ? "b" : "a", "", name);
+    if (title instanceof HTMLAnchorElement) {
+      title.href = api.recordingUrl(name);
+      title.download = name;
+      title.title = `Download ${name}`;
     }
-    const sub = document.createElement("span");
-    sub.className = "sub";
-    item.append(name, recording.running ? this._stopper(recording.name) : this._deleter(recording.name), sub);
-    return item;
-  }
-
-  /** @param {string} name @returns {HTMLButtonElement} */
-  _stopper(name) {
-    const button = smallButton("Stop", `Stop recording ${name}`);
+    const button = element("button", "", running ? "Stop" : "Delete");
+    button.type = "button";
+    button.title = running ? `Stop recording ${name}` : `Delete ${name}`;
     button.addEventListener("click", async () => {
-      await this._stop(name);
+      if (!running && !confirmed(button)) return;
+      if (running) await this._stop(name);
+      else if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
       await this._refresh();
     });
-    return button;
-  }
-
-  /** @param {string} name @returns {HTMLButtonElement} to be pressed twice */
-  _deleter(name) {
-    const button = smallButton("Delete", `Delete ${name}`);
-    button.addEventListener("click", async () => {
-      if (button.dataset.sure === undefined) {
-        button.dataset.sure = "";
-        button.textContent = "Really delete";
-        setTimeout(() => {
-          delete button.dataset.sure;
-          button.textContent = "Delete";
-        }, CONFIRM_MS);
-        return;
-      }
-      if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
-      await this._refresh();
-    });
-    return button;
+    return element("li", "", title, button, element("span", "sub"));
   }
 }
 
-/** @param {string} text @param {string} label @returns {HTMLButtonElement} */
-function smallButton(text, label) {
-  const button = document.createElement("button");
-  button.type = "button";
-  button.textContent = text;
-  button.title = label;
-  return button;
+/** @param {HTMLButtonElement} button to delete something @returns {boolean} it was pressed twice */
+function confirmed(button) {
+  if (button.dataset.sure !== undefined) return true;
+  button.dataset.sure = "";
+  button.textContent = "Really delete";
+  setTimeout(() => {
+    delete button.dataset.sure;
+    button.textContent = "Delete";
+  }, CONFIRM_MS);
+  return false;
 }
 
 /** @param {Recording} recording @returns {string} */
@@ -165,11 +143,4 @@ function describe(recording) {
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
   const state = recording.running ? `recording ${recording.bus}, ` : "";
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
-}
-
-/** @param {number} bytes @returns {string} */
-function byteText(bytes) {
-  if (bytes < 1000) return `${bytes} B`;
-  const power = Math.min(UNITS.length - 1, Math.floor(Math.log10(bytes) / 3));
-  return `${number(bytes / 1000 ** power)} ${UNITS[power]}`;
 }

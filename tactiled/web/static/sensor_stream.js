@@ -1,35 +1,30 @@
-/** A sensor's stream: never more frames under way than were asked for. @module */
+/** A sensor's stream: never more frames under way than were requested. @module */
 
 import { ReconnectingSocket } from "./socket.js";
 import { kindOf, packet, parse } from "./wire.js";
 
-/** @import { Loss, State } from "./api.js" */
-/** @import { Found } from "./contacts.js" */
+/** @import { Loss, State, Warning } from "./api.js" */
 /** @import { Packet } from "./wire.js" */
 
 /**
- * @typedef {object} Status
- * @property {"status"} type
- * @property {string} sensor
- * @property {State} state
- * @property {number|null} age_s
- * @property {number} rate_hz
- * @property {number|null} jitter_s
- * @property {number|null} skew_s
- * @property {string} detail
- * @property {Loss} loss
- * @property {string} method
- * @property {number} sequence of the newest image, which what follows is of
- * @property {number} timestamp Unix s, of the same
- * @property {string} ran
- * @property {string} why
- * @property {number} iterations
- * @property {number} microseconds
- * @property {number} noise_kpa
- * @property {number} noise_gain
- * @property {number} resolution_mm
- * @property {import("./api.js").Warning[]} warnings
+ * The stream's JSON message on the sensor and its newest image.
+ * @typedef {{
+ *   type: "status", sensor: string, state: State, age_s: number|null, rate_hz: number, jitter_s: number|null,
+ *   skew_s: number|null, detail: string, loss: Loss, method: string, sequence: number, timestamp: number, ran: string,
+ *   why: string, iterations: number, microseconds: number, noise_kpa: number, noise_gain: number,
+ *   resolution_mm: number, warnings: Warning[]
+ * }} Status
  */
+
+/**
+ * One contact: its axes are standard deviations of the pressure, its angle goes from x towards y.
+ * @typedef {{
+ *   id: number, x_mm: number, y_mm: number, force_n: number, area_mm2: number, peak_kpa: number, major_mm: number,
+ *   minor_mm: number, angle_rad: number, label: string
+ * }} Contact `label`, its number and force, is the page's own
+ */
+
+/** @typedef {{type: "contacts", sequence: number, timestamp: number, contacts: Contact[]}} ContactsMessage strongest first */
 
 /**
  * @typedef {object} Listener
@@ -37,7 +32,7 @@ import { kindOf, packet, parse } from "./wire.js";
  *   the call
  * @property {(status: Status) => void} onStatus
  * @property {() => void} onLink the link's state changed
- * @property {(found: Found) => void} [onContacts]
+ * @property {(message: ContactsMessage) => void} onContacts
  */
 
 const NEXT = JSON.stringify({ type: "next" });
@@ -92,10 +87,10 @@ export class SensorStream extends ReconnectingSocket {
     this._listener.onLink();
   }
 
-  /** @param {Status|Found} message */
+  /** @param {Status|ContactsMessage} message */
   _takeText(message) {
     if (message.type === "contacts") {
-      this._listener.onContacts?.(message);
+      this._listener.onContacts(message);
     } else if (message.type === "status") {
       this.attempts = 0;
       this._listener.onStatus(message);
@@ -105,14 +100,14 @@ export class SensorStream extends ReconnectingSocket {
   /** @param {Uint8Array} bytes */
   _takeImage(bytes) {
     const kind = kindOf(bytes);
-    if (!this._kinds.includes(kind)) throw new RangeError(`an image of kind ${kind} was not asked for`);
+    if (!this._kinds.includes(kind)) throw new RangeError(`an image of kind ${kind} was not requested`);
     const one = parse(bytes, this._images[kind]);
     this.attempts = 0;
     for (let i = 0; i < this._kinds.length; i += 1) {
       if (this._images[this._kinds[i]].sequence !== one.sequence) return;
     }
     this._requested -= 1;
-    this.requestedAt = this._requested ? this.heardAt : 0;
+    this.requestedAt = this._requested ? this.lastMessageAt : 0;
     this._listener.onImages(this._images);
     this._forgetParts();
   }

@@ -1,8 +1,8 @@
 /** One sensor as it is watched: its stream, the frames that are kept, and which of them is shown. @module */
 
 import * as api from "./api.js";
-import { Contacts } from "./contacts.js";
 import { DeviationCache } from "./deviation.js";
+import { newtons } from "./format.js";
 import { FrameHistory } from "./frame_history.js";
 import { Freshness } from "./freshness.js";
 import { healthOf } from "./health.js";
@@ -13,32 +13,34 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Health } from "./health.js" */
-/** @import { Status } from "./sensor_stream.js" */
+/** @import { ContactsMessage, Status } from "./sensor_stream.js" */
 /** @import { Packet } from "./wire.js" */
 
 /**
  * @typedef {object} Listener
- * @property {(frame: Frame, anew: boolean) => void} onFrame a frame came that may be shown; the first after a while?
+ * @property {(frame: Frame, resumed: boolean) => void} onFrame a frame that may be shown; the first after some were held back?
  * @property {(status: Status, changed: boolean) => void} onStatus
  * @property {() => void} onLink
  * @property {() => void} onContacts contacts of a frame came
- * @property {() => void} onOther the sensor has another shape than was believed
+ * @property {() => void} onOtherShape the sensor has another shape than before
  */
 
 const PRESSURE_KINDS = [RAW, RESTORED];
 const ALL_KINDS = [RAW, RESTORED, SHEAR];
-const MAX_UNPAINTED = 2; // frames under way or not painted: with one, each would wait for the asking to cross the network
-const MAX_STATUSES = 128; // statuses: more than ten seconds, at ten a second
-const STATUS_WITHIN_S = 1; // between the frame that a status is of and one that it is shown with
-const MAX_GAP_S = 60; // between a frame and the next, from which they are not of one play
+const MAX_UNPAINTED = 2; // frames under way or not painted: with one, each would wait for a request to cross the network
+const MAX_STATUSES = 128; // more than ten seconds at ten a second
+const STATUS_WITHIN_S = 1; // of the frame that it is shown with
+const MAX_CONTACTS = 256; // messages: more than ten seconds at twenty a second
+const CONTACTS_WITHIN_S = 0.25;
+const MAX_GAP_S = 60; // between two frames of one run
 
 export class Session {
   /**
    * @param {string} name
    * @param {Plane} plane
-   * @param {boolean} hasShear shear
-   * @param {boolean} contacts whether they are asked for, too
-   * @param {boolean} shear whether it is asked for, too, where the skin feels it
+   * @param {boolean} hasShear whether the skin measures shear
+   * @param {boolean} contacts whether they are requested, too
+   * @param {boolean} shear whether it is requested, too, if the skin measures it
    * @param {Listener} listener
    */
   constructor(name, plane, hasShear, contacts, shear, listener) {
@@ -46,10 +48,11 @@ export class Session {
     this.plane = plane;
     this.hasShear = hasShear;
     this.history = new FrameHistory(plane, hasShear);
-    this.contacts = new Contacts();
+    /** @type {Timeline<ContactsMessage>} */
+    this.contacts = new Timeline(MAX_CONTACTS, CONTACTS_WITHIN_S);
     /** @type {Timeline<Status>} */
     this._statuses = new Timeline(MAX_STATUSES, STATUS_WITHIN_S);
-    this.deviations = new DeviationCache(name, plane);
+    this.deviations = new DeviationCache(name, plane.restored.count);
     this.freshness = new Freshness();
     this.paused = false;
     /** Which kept frame is shown, 0 the newest. */
@@ -65,9 +68,10 @@ export class Session {
       onImages: (images) => this._take(images),
       onStatus: (status) => this._takeStatus(status),
       onLink: () => this._linked(),
-      onContacts: (found) => {
+      onContacts: (message) => {
         if (this.paused) return;
-        this.contacts.push(found);
+        for (const each of message.contacts) each.label = `${each.id}: ${newtons(each.force_n)} N`;
+        this.contacts.push(message);
         this._listener.onContacts();
       },
     });
@@ -78,10 +82,7 @@ export class Session {
     return this.history.at(this.back + this.freshness.heldBack);
   }
 
-  /**
-   * @returns {Status|null} while paused what was told of the frame that is shown, or of the one nearest in time; null where
-   *   none is near; else the newest
-   */
+  /** @returns {Status|null} of the frame that is shown still, or the nearest in time; else the newest */
   get statusOfFrame() {
     const { frame } = this;
     return this.paused && frame ? this._statuses.at(frame.timestamp) : this.status;
@@ -89,7 +90,7 @@ export class Session {
 
   /** @returns {Health} */
   health() {
-    return healthOf(this.stream, this.status, this._statusAt, this._frameAt);
+    return healthOf(this.stream, this.stream, this.status, this._statusAt, this._frameAt, performance.now());
   }
 
   /** Watch no longer. */
@@ -98,8 +99,8 @@ export class Session {
   }
 
   /**
-   * @param {boolean} contacts whether they are asked for from now on
-   * @param {boolean} shear whether it is, where the skin feels it
+   * @param {boolean} contacts whether they are requested from now on
+   * @param {boolean} shear whether it is, if the skin measures it
    */
   ask(contacts, shear) {
     this._shear = this.hasShear && shear;
@@ -109,7 +110,7 @@ export class Session {
   /** @param {boolean} to */
   pause(to) {
     this.paused = to;
-    this.freshness.shown(); // while paused every frame that is kept may be
+    this.freshness.release(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
     this._request();
@@ -122,8 +123,8 @@ export class Session {
     this.back = Math.max(0, Math.min(this.history.length - 1, to));
   }
 
-  /** What came is on the screen. */
-  done() {
+  /** The newest frame is on the screen. */
+  painted() {
     this.freshness.painted();
     this._unpainted = 0;
     this._request();
@@ -137,7 +138,7 @@ export class Session {
   holdBack() {
     const newest = this.history.at(0);
     if (!newest || !this._unpainted || this.paused || this.status?.state !== "live") return false;
-    if (!this.freshness.holdBack(newest.sent, this._unpainted)) return false;
+    if (!this.freshness.holdBack(newest.sent, this._unpainted, Date.now() / 1000)) return false;
     this._unpainted = 0;
     this._request();
     return true;
@@ -145,7 +146,7 @@ export class Session {
 
   /** Ask for what may be under way. */
   _request() {
-    if (!this.paused) this.stream?.next(MAX_UNPAINTED - this._unpainted); // it tells of its first link while it is being made
+    if (!this.paused) this.stream?.next(MAX_UNPAINTED - this._unpainted); // undefined while its constructor connects
   }
 
   /** @param {Packet[]} images */
@@ -155,7 +156,7 @@ export class Session {
     const restored = images[RESTORED];
     const shear = this._shear ? images[SHEAR] : null;
     if (!this.history.fits(raw, restored, shear)) {
-      this._listener.onOther();
+      this._listener.onOtherShape();
       return;
     }
     const newest = this.history.at(0);
@@ -167,11 +168,11 @@ export class Session {
     }
     this._frameAt = performance.now();
     this._unpainted += 1;
-    this.freshness.arrived(restored.sent);
+    this.freshness.arrived(restored.sent, Date.now() / 1000);
     const frame = this.history.push(raw, restored, shear);
     if (this.holdBack()) return;
     const resumed = this.freshness.heldBack > 0;
-    this.freshness.shown();
+    this.freshness.release();
     this._listener.onFrame(frame, resumed);
   }
 
@@ -183,7 +184,7 @@ export class Session {
     if (status.ran && !this.paused) this._statuses.push(status);
     const newest = this.history.at(0);
     if (newest && status.state !== "live" && this.freshness.heldBack) {
-      this.freshness.shown();
+      this.freshness.release();
       this._listener.onFrame(newest, true);
     }
     this._listener.onStatus(status, changed);

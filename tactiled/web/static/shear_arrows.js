@@ -64,7 +64,7 @@ function strokeArrows(draw, ratio) {
 export class ShearArrows {
   /**
    * @param {HTMLCanvasElement} canvas over the map
-   * @param {HTMLElement} key that tells how long an arrow is: a canvas and a text
+   * @param {HTMLElement} key of the longest arrow: a canvas and a text
    */
   constructor(canvas, key) {
     this.canvas = canvas;
@@ -81,7 +81,7 @@ export class ShearArrows {
     this._px = 1;
     /** Length of the longest arrow, device px. */
     this._long = 0;
-    /** Counts that the key tells of; 0: it is to be made anew. */
+    /** Counts that the key shows; 0: to be redrawn. */
     this._keyCounts = 0;
     this._empty = true;
     /**
@@ -161,7 +161,7 @@ export class ShearArrows {
   }
 
   /**
-   * Let the longest arrow stand for a round number that is not below what is felt.
+   * Let the longest arrow stand for a round number that is not below the largest shear.
    * @param {Float32Array} shear
    * @param {number} timestamp
    */

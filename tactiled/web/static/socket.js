@@ -1,22 +1,22 @@
-/** A WebSocket to the service that connects again by itself, and notices when nothing is heard. @module */
+/** A WebSocket to the service that connects again by itself, also where no message comes. @module */
 
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8000;
-const QUIET_MS = 4000; // the service says something at least once a second
+const QUIET_MS = 4000; // the service sends a status at least once a second
 
 export class ReconnectingSocket {
   /** @param {string} url */
   constructor(url) {
     /** @type {"connecting"|"open"|"closed"} */
     this.link = "connecting";
-    /** Why the link closed, in the service's words; "" where it gave none. */
+    /** Why the link closed, as the service puts it; "" if it did not say. */
     this.reason = "";
     /** When the next attempt is due, ms on performance.now's clock. */
     this.retryAt = 0;
     /** Since a message that meant something. */
     this.attempts = 0;
-    /** When anything at all was last heard, ms on performance.now's clock. */
-    this.heardAt = performance.now();
+    /** When the last message came, ms on performance.now's clock. */
+    this.lastMessageAt = performance.now();
     this._url = url;
     this._stopped = false;
     this._timer = 0;
@@ -76,7 +76,7 @@ export class ReconnectingSocket {
     socket.onopen = () => {
       this.link = "open";
       this.reason = "";
-      this.heardAt = performance.now();
+      this.lastMessageAt = performance.now();
       this.changed();
     };
     socket.onmessage = (event) => this._hear(event.data);
@@ -87,7 +87,7 @@ export class ReconnectingSocket {
 
   /** @param {ArrayBuffer|string} data */
   _hear(data) {
-    this.heardAt = performance.now();
+    this.lastMessageAt = performance.now();
     try {
       this.take(data);
     } catch (error) {
@@ -97,8 +97,8 @@ export class ReconnectingSocket {
   }
 
   _checkQuiet() {
-    if (this.link === "open" && performance.now() - this.heardAt > QUIET_MS) {
-      this._closed(`nothing heard for ${QUIET_MS / 1000} s`);
+    if (this.link === "open" && performance.now() - this.lastMessageAt > QUIET_MS) {
+      this._closed(`no message for ${QUIET_MS / 1000} s`);
     }
   }
 

@@ -1,6 +1,6 @@
 /** One tab a sensor, each with its state. @module */
 
-import { byId, setText } from "./dom.js";
+import { byId, element, setText } from "./dom.js";
 
 /** @import { Sensor } from "./api.js" */
 
@@ -63,20 +63,18 @@ export class Tabs {
     this._tabs.clear();
     this._list.replaceChildren();
     for (const name of names.length > 1 ? [ALL, ...names] : names) {
-      const tab = document.createElement("button");
+      const tab = element("button", "", element("span", "", name === ALL ? "All" : name));
       tab.type = "button";
       tab.setAttribute("role", "tab");
       tab.setAttribute("aria-controls", name === ALL ? "wall" : "main");
       tab.setAttribute("aria-selected", "false");
-      const dot = document.createElement("span");
-      dot.className = "dot";
-      dot.setAttribute("aria-hidden", "true");
-      const title = document.createElement("span");
-      title.textContent = name === ALL ? "All" : name;
       if (name === ALL) tab.title = "All sensors at once (W)";
-      const state = document.createElement("span");
-      state.className = "sub";
-      tab.append(...(name === ALL ? [title] : [dot, title, state]));
+      else {
+        const dot = element("span", "dot");
+        dot.setAttribute("aria-hidden", "true");
+        tab.prepend(dot);
+        tab.append(element("span", "sub"));
+      }
       tab.addEventListener("click", () => this._onChoose(name));
       this._tabs.set(name, tab);
       this._list.append(tab);

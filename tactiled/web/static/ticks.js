@@ -1,4 +1,4 @@
-/** The ticks of a chart's axis, with their texts. @module */
+/** The ticks of axes and of the legend, with their texts. @module */
 
 const SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
 
@@ -9,41 +9,15 @@ function decade(power) {
   return `10${power < 0 ? "⁻" : ""}${SUPERSCRIPTS[Math.abs(power)]}`;
 }
 
-/** Made anew only where the axis has changed. */
-export class Ticks {
-  constructor() {
-    /** @type {number[]} */
-    this.values = [];
-    /** @type {string[]} */
-    this.texts = [];
-    this._low = this._high = this._max = NaN;
-  }
+/** @typedef {{value: number, text: string}} Tick */
 
-  /** @param {number} low @param {number} high @param {number} max @returns {boolean} they are as they were */
-  _same(low, high, max) {
-    if (low === this._low && high === this._high && max === this._max) return true;
-    this._low = low;
-    this._high = high;
-    this._max = max;
-    return false;
-  }
+/** @param {number} low @param {number} high @param {number} max how many at most, about @returns {Tick[]} */
+export const labelledTicks = (low, high, max) =>
+  ticks(low, high, max).map((value) => ({ value, text: tickText(value, high - low) }));
 
-  /** @param {number} low @param {number} high @param {number} max how many at most, about @returns {this} */
-  even(low, high, max) {
-    if (this._same(low, high, max)) return this;
-    this.values = ticks(low, high, max);
-    this.texts = this.values.map((each) => tickText(each, high - low));
-    return this;
-  }
-
-  /** @param {number} low power of ten @param {number} high @returns {this} */
-  decades(low, high) {
-    if (this._same(low, high, Infinity)) return this;
-    this.values = Array.from({ length: Math.floor(high) - Math.ceil(low) + 1 }, (_, i) => Math.ceil(low) + i);
-    this.texts = this.values.map(decade);
-    return this;
-  }
-}
+/** @param {number} low power of ten @param {number} high @returns {Tick[]} */
+export const decadeTicks = (low, high) =>
+  Array.from({ length: high - low + 1 }, (_, i) => ({ value: low + i, text: decade(low + i) }));
 
 /**
  * @param {number} low

@@ -1,11 +1,11 @@
 /** One sensor on the wall. @module */
 
 import * as api from "./api.js";
-import { setText } from "./dom.js";
+import { element, setText } from "./dom.js";
 import { fixed, newtons } from "./format.js";
 import { Freshness } from "./freshness.js";
 import { Plane } from "./geometry.js";
-import { healthOf } from "./health.js";
+import { CONNECTING, healthOf } from "./health.js";
 import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
 import { messageOf } from "./notice.js";
@@ -19,15 +19,7 @@ import { SHEAR } from "./wire.js";
 /** @import { WallStream } from "./wall_stream.js" */
 /** @import { Packet } from "./wire.js" */
 
-const RETRY_MS = 2000; // until a shape is asked for again that could not be had
-
-/** @param {string} tag @param {string} name its class @param {...Node} children @returns {HTMLElement} */
-function make(tag, name, ...children) {
-  const made = document.createElement(tag);
-  made.className = name;
-  made.append(...children);
-  return made;
-}
+const RETRY_MS = 2000; // until a shape is requested again that could not be had
 
 /** @returns {HTMLCanvasElement} one that is not read out */
 function layer() {
@@ -52,18 +44,18 @@ export class Tile {
     this.noise = 0;
     this._onImage = onImage;
     const canvas = layer();
-    this._frame = make("span", "frame", canvas);
-    this._box = make("span", "box", this._frame);
-    this._state = make("span", "sub");
-    this._force = make("span", "force");
-    this._warningText = make("span", "doubt");
-    const under = make("span", "under", this._warningText);
+    this._frame = element("span", "frame", canvas);
+    this._box = element("span", "box", this._frame);
+    this._state = element("span", "sub");
+    this._force = element("span", "force");
+    this._warningText = element("span", "warning");
+    const under = element("span", "under", this._warningText);
     this._arrows = hasShear ? this._addArrows(under) : null;
-    this._title = make("b", "");
+    this._title = element("b", "");
     this._title.title = name;
-    for (const part of name.split(/(?<=_)/)) this._title.append(part, document.createElement("wbr"));
-    const head = make("span", "head", make("span", "dot"), this._title);
-    this.element = make("button", "tile", head, this._box, make("span", "foot", this._force, this._state), under);
+    for (const part of name.split(/(?<=_)/)) this._title.append(part, element("wbr", ""));
+    const head = element("span", "head", element("span", "dot"), this._title);
+    this.element = element("button", "tile", head, this._box, element("span", "foot", this._force, this._state), under);
     this.element.setAttribute("type", "button");
     this.element.dataset.level = "connecting";
     this.element.addEventListener("click", onChoose);
@@ -84,7 +76,7 @@ export class Tile {
       onImage: (image) => this._takeImage(image),
       onStatus: (status) => {
         this._status = status;
-        this._warnings = this._recent.hold(status.warnings);
+        this._warnings = this._recent.hold(status.warnings, performance.now());
         this._statusAt = performance.now();
         if (status.state !== "live" && this._freshness.heldBack) this._show();
       },
@@ -101,7 +93,7 @@ export class Tile {
   /** Lay arrows over the map. @param {HTMLElement} under where their key is to stand @returns {ShearArrows} */
   _addArrows(under) {
     const canvas = layer();
-    const key = make("span", "shear-key", layer(), document.createElement("span"));
+    const key = element("span", "shear-key", layer(), element("span", ""));
     key.hidden = true;
     key.title = "Shear: the longest arrow, x to the right, y down";
     this._frame.append(canvas);
@@ -178,7 +170,7 @@ export class Tile {
   _takePressures(image, plane) {
     this._kpa.set(image.kpa);
     this._sent = image.sent;
-    this._freshness.arrived(image.sent);
+    this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
     this.noise = (image.noiseKpa || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._kpa, plane.restored, this.noise, this._of);
@@ -187,14 +179,14 @@ export class Tile {
 
   /** Let the newest image be painted. */
   _show() {
-    this._freshness.shown();
+    this._freshness.release();
     this._fresh = true;
     this._onImage();
   }
 
-  /** @returns {boolean} an image came, but waited too long: another is asked for */
+  /** @returns {boolean} an image came, but waited too long: another is requested */
   _holdBack() {
-    if (!this._unpainted || this._status?.state !== "live" || !this._freshness.holdBack(this._sent, 1)) return false;
+    if (!this._unpainted || this._status?.state !== "live" || !this._freshness.holdBack(this._sent, 1, Date.now() / 1000)) return false;
     this._unpainted = false;
     this._request();
     return true;
@@ -216,9 +208,10 @@ export class Tile {
     this._request();
   }
 
-  /** Bring the words up to date. */
+  /** Bring the texts up to date. */
   read() {
-    const health = healthOf(this._plane && this._part, this._status, this._statusAt, this._imageAt);
+    const health = this._plane
+      ? healthOf(this._part.socket, this._part, this._status, this._statusAt, this._imageAt, performance.now()) : CONNECTING;
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     this._warn(live ? this._warnings : []);

@@ -1,74 +1,56 @@
-/** What was told of some frames, found again for the frame nearest in time. @module */
+/** What came beside some of the frames, found again for the frame nearest in time. @module */
 
-/**
- * @template {{timestamp: number}} T
- * @param {number} count how many there are
- * @param {(back: number) => T} at the newest for 0, the one before it for 1, ...
- * @param {number} timestamp of a frame, Unix s
- * @param {number} within s
- * @returns {T|null} null where none is near enough
- */
-export function nearest(count, at, timestamp, within) {
-  let best = null;
-  let least = within;
-  for (let back = 0; back < count; back += 1) {
-    const one = at(back);
-    const away = Math.abs(one.timestamp - timestamp);
-    if (away <= least) {
-      least = away;
-      best = one;
-    } else if (one.timestamp < timestamp) break; // those before it are further away still
-  }
-  return best;
-}
-
-/**
- * @param {{sequence: number, timestamp: number}} told of a frame
- * @param {{sequence: number, timestamp: number}} frame
- * @returns {string} how far that frame is from this one; "" where it is the same
- */
-export function timeOffset(told, frame) {
-  if (told.sequence === frame.sequence) return "";
-  const away = Math.max(1, Math.round(1000 * Math.abs(told.timestamp - frame.timestamp)));
-  return `${away} ms ${told.timestamp < frame.timestamp ? "before" : "after"}`;
-}
-
-/**
- * What was told last, of one frame after another.
- * @template {{timestamp: number}} T
- */
+/** @template {{timestamp: number}} T */
 export class Timeline {
   /**
-   * @param {number} most that are kept
-   * @param {number} within s, between the frame that something was told of and one that it may be shown with
+   * @param {number} capacity
+   * @param {number} within_s between the frame that an item belongs to and one that it may be shown with
    */
-  constructor(most, within) {
-    this._most = most;
-    this._within = within;
-    /** @type {T[]} */
-    this._kept = [];
-    this._newest = -1;
-    /** @param {number} back */
-    this._back = (back) => this._kept[(this._newest - back + this._kept.length) % this._kept.length];
+  constructor(capacity, within_s) {
+    this._capacity = capacity;
+    this._within_s = within_s;
+    /** @type {T[]} the newest last */
+    this._items = [];
   }
 
-  /** Keep nothing. */
   clear() {
-    this._kept = [];
-    this._newest = -1;
+    this._items.length = 0;
   }
 
-  /** @param {T} told */
-  push(told) {
-    this._newest = (this._newest + 1) % this._most;
-    this._kept[this._newest] = told;
+  /** @returns {T|undefined} */
+  get newest() {
+    return this._items[this._items.length - 1];
   }
 
-  /**
-   * @param {number} timestamp of a frame
-   * @returns {T|null} what was told of it, or of the one nearest in time; null where none is near
-   */
+  /** @param {T} item */
+  push(item) {
+    if (this._items.length === this._capacity) this._items.shift();
+    this._items.push(item);
+  }
+
+  /** @param {number} timestamp of a frame, Unix s @returns {T|null} the item nearest to it; null where none is near */
   at(timestamp) {
-    return nearest(this._kept.length, this._back, timestamp, this._within);
+    let nearest = null;
+    let smallest = this._within_s;
+    for (let i = this._items.length - 1; i >= 0; i -= 1) {
+      const item = this._items[i];
+      const distance = Math.abs(item.timestamp - timestamp);
+      if (distance <= smallest) {
+        smallest = distance;
+        nearest = item;
+      } else if (item.timestamp < timestamp) break; // the earlier ones are further away
+    }
+    return nearest;
   }
+}
+
+/**
+ * @param {{sequence: number, timestamp: number}} item
+ * @param {{sequence: number, timestamp: number}} frame that it is shown with
+ * @returns {string} how far apart they are, as "38 ms later"; "" where the item belongs to the frame
+ */
+export function timeOffset(item, frame) {
+  if (item.sequence === frame.sequence) return "";
+  const ms = Math.max(1, Math.round(1000 * Math.abs(item.timestamp - frame.timestamp)));
+  return `${ms} ms ${item.timestamp < frame.timestamp ? "earlier" : "later"}`;
 }

@@ -1,14 +1,11 @@
-/** What changes something in the service, and the token that it may want for it. @module */
+/** Actions that need the control token, and the dialog for it. @module */
 
 import { ApiError, showToken } from "./api.js";
 import { byId, setText } from "./dom.js";
-import { notice, messageOf } from "./notice.js";
-
-const dialog = /** @type {HTMLDialogElement} */ (byId("token"));
-const field = /** @type {HTMLInputElement} */ (byId("token-field"));
+import { messageOf, notice } from "./notice.js";
 
 /**
- * Do something that may be refused for want of a token; then ask for one and do it again.
+ * Do something; where the service wants a token for it, ask for one and do it again.
  * @param {() => Promise<unknown>} action
  * @param {string} failed what to say where it fails
  * @returns {Promise<boolean>} it was done
@@ -47,6 +44,8 @@ async function askForToken(why) {
 
 /** @param {string} why @returns {Promise<string>} what was typed; "" where the dialog was left */
 function readToken(why) {
+  const dialog = /** @type {HTMLDialogElement} */ (byId("token"));
+  const field = /** @type {HTMLInputElement} */ (byId("token-field"));
   setText(byId("token-why"), why);
   field.value = "";
   dialog.returnValue = "";

@@ -61,7 +61,7 @@ export class TrendChart {
     const lines = this._lines;
     let at = history.place(0);
     const since = times[at] - SPAN_S;
-    let highest = this._minTop; // in variables of its own: a number in a field may be an object for every change
+    let highest = this._minTop; // in variables of its own: a number in a field may be an object y change
     let lowest = 0;
     let count = 0;
     while (count < length && times[at] >= since) {

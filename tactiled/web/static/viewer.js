@@ -14,7 +14,7 @@ import { Session } from "./session.js";
 import { TrendChart } from "./trend_chart.js";
 
 /** @import { Colormap } from "./colormap.js" */
-/** @import { Found } from "./contacts.js" */
+/** @import { ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
@@ -25,7 +25,7 @@ const TREND_MS = 100; // between two drawings of what changes slowly
 
 /**
  * @typedef {object} Listener
- * @property {() => void} onChange something that is told in words has changed
+ * @property {() => void} onChange something shown as text has changed
  * @property {() => void} onProbe somebody has pinned the probe, moved it by keys, or released it
  * @property {(status: Status) => void} onStatus
  */
@@ -53,7 +53,7 @@ export class Viewer {
     this.name = "";
     /** Whether contacts are shown. */
     this.contacts = true;
-    /** Whether shear is shown, where the skin feels it. */
+    /** Whether shear is shown, if the skin measures it. */
     this.shear = true;
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
@@ -73,7 +73,7 @@ export class Viewer {
     requestAnimationFrame(this._paint);
   }
 
-  /** @returns {Found|null} contacts to show: of the frame that is shown, or of one near it */
+  /** @returns {ContactsMessage|null} contacts to show: of the frame that is shown, or of one near it */
   get contactsOfFrame() {
     const frame = this.session?.frame;
     return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
@@ -100,7 +100,7 @@ export class Viewer {
     this.pace.paint(now, frame, session.freshness.minDelay);
     session.history.latencies[frame.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
-    session.done();
+    session.painted();
   }
 
   /** @param {Frame} frame @param {Session} session */
@@ -129,8 +129,8 @@ export class Viewer {
    */
   _deviation(frame, session, now) {
     if (!this.sectionSeen) return null;
-    if (!session.paused) session.deviations.ask(frame, now);
-    return session.deviations.at(frame.timestamp);
+    if (!session.paused) session.deviations.request(frame, now);
+    return session.deviations.at(frame.timestamp)?.kpa ?? null;
   }
 
   /** The window has another size. */
@@ -211,7 +211,7 @@ export class Viewer {
     }
   }
 
-  /** Watch a sensor anew, which is another than it was. @param {string} name */
+  /** Watch a sensor again, which is another than it was. @param {string} name */
   reopen(name) {
     this.leave();
     this.select(name);
@@ -235,7 +235,7 @@ export class Viewer {
       },
       onLink: () => this._listener.onChange(),
       onContacts: () => this.refresh(),
-      onOther: () => this.reopen(name),
+      onOtherShape: () => this.reopen(name),
     });
     const { history } = this.session;
     this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);

@@ -9,7 +9,7 @@ import { WallStream } from "./wall_stream.js";
 /** @import { Sensor } from "./api.js" */
 /** @import { Viewer } from "./viewer.js" */
 
-const READ_MS = 200; // between two updates of the words
+const READ_MS = 200; // between two updates of the texts
 const RATE_HZ = 15;
 const GAP_PX = 12; // between tiles
 const PADDING_PX = 26; // of a tile's width beside its map: what the style pads

@@ -23,34 +23,18 @@ export class TileStream {
     this.name = name;
     this.bytes = new TextEncoder().encode(name);
     this.listener = listener;
-    /** When anything of this sensor was last heard, ms on performance.now's clock. */
-    this.heardAt = performance.now();
-    /** When an image was last asked for and has not come yet; 0 when none is outstanding. */
+    /** When the last message of this sensor came, ms on performance.now's clock. */
+    this.lastMessageAt = performance.now();
+    /** When an image was last requested and has not come yet; 0 when none is outstanding. */
     this.requestedAt = 0;
-    this._all = all;
+    this.socket = all;
     this._next = JSON.stringify({ type: "next", sensor: name });
-  }
-
-  get link() {
-    return this._all.link;
-  }
-
-  get reason() {
-    return this._all.reason;
-  }
-
-  get retryAt() {
-    return this._all.retryAt;
-  }
-
-  get attempts() {
-    return this._all.attempts;
   }
 
   /** Ask for the next image. */
   next() {
-    if (this.link !== "open" || this.requestedAt) return;
-    this._all.send(this._next);
+    if (this.socket.link !== "open" || this.requestedAt) return;
+    this.socket.send(this._next);
     this.requestedAt = performance.now();
   }
 }
@@ -85,7 +69,7 @@ export class WallStream extends ReconnectingSocket {
   /** @override */
   changed() {
     for (const part of this._parts) {
-      if (this.link === "open") part.heardAt = this.heardAt;
+      if (this.link === "open") part.lastMessageAt = this.lastMessageAt;
       part.listener.onLink();
     }
   }
@@ -95,7 +79,7 @@ export class WallStream extends ReconnectingSocket {
     const part = this._parts.find((each) => each.name === status.sensor);
     if (status.type !== "status" || !part) return;
     this.attempts = 0;
-    part.heardAt = this.heardAt;
+    part.lastMessageAt = this.lastMessageAt;
     part.listener.onStatus(status);
   }
 
@@ -105,11 +89,11 @@ export class WallStream extends ReconnectingSocket {
       const part = this._parts[i];
       if (!isOf(image, part.bytes)) continue;
       this.attempts = 0;
-      part.heardAt = this.heardAt;
+      part.lastMessageAt = this.lastMessageAt;
       if (image.kind !== SHEAR) part.requestedAt = 0;
       part.listener.onImage(image);
       return;
     }
-    throw new RangeError("an image of a sensor that was not asked for");
+    throw new RangeError("an image of a sensor that was not requested");
   }
 }

@@ -11,7 +11,7 @@ export const BAD = 2;
 export const DEAD = 4;
 export const SATURATED = 8;
 
-/** Methods by the number that an image bears; "" where it is not told. */
+/** Methods by their number in a message; "" any other. */
 export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
 
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
@@ -20,8 +20,8 @@ const NONE = new Float32Array(0);
 const NO_BYTES = new Uint8Array(0);
 
 /**
- * One message, taken apart. The arrays are views of the packet's own bytes, which the next message replaces: a view of
- * each message would be garbage with it.
+ * One decoded message. The arrays are views of the packet's own bytes, which the next message replaces: a view of each
+ * message would be garbage.
  * @typedef {object} Packet
  * @property {number} kind RAW, RESTORED or SHEAR
  * @property {number} rows 1 for a layout that is no grid
@@ -34,8 +34,8 @@ const NO_BYTES = new Uint8Array(0);
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
- * @property {number} ran which of RAN
- * @property {Float32Array} kpa rows * columns; NaN where nothing is known; of SHEAR empty
+ * @property {number} method index in METHODS
+ * @property {Float32Array} kpa rows * columns; NaN without data; of SHEAR empty
  * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
  * @property {Uint8Array} bytes the whole message
@@ -48,18 +48,18 @@ const NO_BYTES = new Uint8Array(0);
 export function packet() {
   return {
     kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN,
-    resolutionMm: NaN, microseconds: NaN, iterations: 0, ran: 0, kpa: NONE, shear: NONE, flags: null,
+    resolutionMm: NaN, microseconds: NaN, iterations: 0, method: 0, kpa: NONE, shear: NONE, flags: null,
     bytes: NO_BYTES, view: new DataView(NO_BYTES.buffer), nameAt: 0, nameBytes: 0,
   };
 }
 
-/** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR, or what else it says */
+/** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR or an unknown kind */
 export const kindOf = (bytes) => bytes[5];
 
 /**
  * Take a message apart.
  * @param {Uint8Array} bytes
- * @param {Packet} into filled and returned, so that the caller may use one packet for ever
+ * @param {Packet} into filled and returned, so that the caller may use one packet 
  * @returns {Packet}
  * @throws {RangeError} where the message is not one of ours
  */
@@ -87,7 +87,7 @@ export function parse(bytes, into) {
   into.resolutionMm = view.getFloat32(48, true);
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
-  into.ran = view.getUint32(60, true);
+  into.method = view.getUint32(60, true);
   const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
   into.nameAt = HEADER_BYTES + 4 * count + flagsBytes;
   into.nameBytes = view.getUint16(12, true);
@@ -101,7 +101,7 @@ export function parse(bytes, into) {
 }
 
 /**
- * View a packet's bytes anew.
+ * View a packet's bytes again.
  * @param {Packet} into
  * @param {number} count of values
  * @param {number} flagged bytes of flags

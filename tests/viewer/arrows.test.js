@@ -1,0 +1,56 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { Plane } from "../../tactiled/web/static/geometry.js";
+import { ShearArrows } from "../../tactiled/web/static/shear_arrows.js";
+
+globalThis.window = { devicePixelRatio: 2 };
+
+/** Stands for a canvas, and for the context that notes what is drawn on it. */
+function fakeCanvas() {
+  const calls = [];
+  const noted = { get: (to, name) => to[name] ?? ((...of) => calls.push([name, ...of])) };
+  return { calls, style: {}, getContext: () => new Proxy({}, noted) };
+}
+
+const plane = new Plane({
+  shape: [1, 3], positions_mm: [[0, 0], [10, 0], [20, 0]], pitch_mm: 10, aperture: "square", aperture_mm: 10,
+  raw: { rows: 1, columns: 3 }, restored: { rows: 1, columns: 3, cell_mm: 10 }, areas_mm2: null,
+});
+
+/** Draws arrows at 5 CSS px per mm: middle and vector of each, CSS px, and what the key says. */
+function drawer() {
+  const canvas = fakeCanvas();
+  const key = { canvas: fakeCanvas(), span: {}, querySelector: (name) => key[name] };
+  const arrows = new ShearArrows(canvas, key);
+  arrows.resize(plane, 5);
+  return (x, y, time = 0) => {
+    canvas.calls.length = 0;
+    arrows.draw(Float32Array.from([...x, ...y]), time);
+    const points = canvas.calls.filter(([name]) => name.endsWith("To")).map(([, ...of]) => of.map((each) => each / 32));
+    const shafts = points.filter((_, i) => i % 5 < 2);
+    return [key.span.textContent, Array.from({ length: shafts.length / 2 }, (_, i) => {
+      const [[x0, y0], [x1, y1]] = [shafts[2 * i], shafts[2 * i + 1]];
+      return [(x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0].map(Math.round);
+    })];
+  };
+}
+
+test("an arrow stands about its taxel in the direction of the shear, to the scale of the key", () => {
+  assert.deepEqual(drawer()([1000, 0, -600], [0, -500, 600]), [
+    "1000 counts", [[25, 25, 24, 0], [75, 25, 0, -12], [125, 25, -14, 14]],
+  ]);
+});
+
+test("a taxel without data or hardly any shear has none, and noise is not drawn large", () => {
+  assert.deepEqual(drawer()([NaN, 3, 0], [NaN, 0, 3]), ["50 counts", []]);
+});
+
+test("the scale holds still while the shear fills it well", () => {
+  const draw = drawer();
+  for (const [i, counts] of [480, 400, 470, 430].entries()) {
+    assert.deepEqual(draw([counts, 0, 0], [0, 0, 0], i / 50), [
+      "500 counts", [[25, 25, Math.round(24 * counts / 500), 0]],
+    ]);
+  }
+});

@@ -1,0 +1,80 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { line } from "../../tactiled/web/static/chart.js";
+import { highestAlong, sample } from "../../tactiled/web/static/cross_section.js";
+import { Plane } from "../../tactiled/web/static/geometry.js";
+import { measure, measures } from "../../tactiled/web/static/measures.js";
+
+/** A grid at a pitch of 2 mm, restored at the same cells. */
+function grid(rows, columns) {
+  const positions_mm = Array.from({ length: rows * columns }, (_, i) => [2 * (i % columns), 2 * Math.floor(i / columns)]);
+  return new Plane({
+    shape: [rows, columns], positions_mm, pitch_mm: 2, aperture: "square", aperture_mm: 2, raw: { rows, columns },
+    restored: { rows, columns, cell_mm: 2 }, areas_mm2: null,
+  });
+}
+
+const CORNERS = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]];
+const scattered = () => new Plane({
+  shape: null, positions_mm: CORNERS, pitch_mm: 1.5, aperture: "round", aperture_mm: 1.5, raw: { rows: 1, columns: 4 },
+  restored: { rows: 1, columns: 4, cell_mm: 1.5 }, areas_mm2: [1, 2, 3, 4],
+});
+
+test("a grid reaches half a pitch around its taxels, another layout a whole one", () => {
+  const { left, top, width, height } = grid(2, 3);
+  assert.deepEqual([left, top, width, height], [-1, -1, 6, 4]);
+  const other = scattered();
+  assert.deepEqual([other.left, other.top, other.width, other.height], [-1.5, -1.5, 7.5, 5.5]);
+});
+
+test("a place belongs to the cell around it, and to none off the array", () => {
+  const plane = grid(2, 3);
+  assert.equal(plane.find(plane.raw, 0.9, 0.9), 0);
+  assert.equal(plane.find(plane.raw, 4, 2), 5);
+  for (const [x, y] of [[-1.1, 0], [5.1, 0], [0, -1.1], [0, 3.1]]) assert.equal(plane.find(plane.raw, x, y), -1);
+  const other = scattered();
+  assert.equal(other.find(other.raw, 3.5, 0.5), 1);
+  assert.equal(other.find(other.raw, 0, 2.5), -1);
+});
+
+test("a cross-section runs along y at first where the array is more than twice as tall as wide", () => {
+  assert.deepEqual([grid(12, 2).along, grid(4, 2).along, grid(2, 12).along], ["y", "x", "x"]);
+});
+
+/** The points of a cross-section. */
+function points(plane, kpa, along, lineAt) {
+  const into = line(plane.raw.count, "raw");
+  sample(plane, plane.raw, Float32Array.from(kpa), { along, lineAt }, into);
+  return [Array.from(into.x.slice(0, into.length)), Array.from(into.y.slice(0, into.length))];
+}
+
+test("a cross-section takes the cells of its row or column, at the edge the last", () => {
+  const plane = grid(2, 3);
+  const kpa = [1, 2, 3, 4, 5, 6];
+  assert.deepEqual(points(plane, kpa, "x", 0), [[0, 2, 4], [1, 2, 3]]);
+  assert.deepEqual(points(plane, kpa, "x", 3), [[0, 2, 4], [4, 5, 6]]);
+  assert.deepEqual(points(plane, kpa, "y", 2), [[0, 2], [2, 5]]);
+  assert.equal(highestAlong(plane, { along: "y", lineAt: 4 }, kpa), 6);
+});
+
+test("on a layout that is no grid it takes the taxels within half a pitch, in their order", () => {
+  const plane = scattered();
+  assert.deepEqual(points(plane, [1, 2, 3, 4], "x", 2.4), [[1.5, 4.5], [3, 4]]);
+  assert.deepEqual(points(plane, [1, 2, 3, 4], "y", 4.4), [[2.5], [4]]);
+  assert.equal(highestAlong(plane, { along: "x", lineAt: 0 }, [1, 2, 3, 4]), 2);
+});
+
+test("force, peak and centre leave out taxels without data, and noise is no contact", () => {
+  const plane = grid(2, 3);
+  const image = measures();
+  measure(Float32Array.from([NaN, 0, 10, 0, 0, 30]), plane.raw, 0.5, image);
+  assert.deepEqual([image.force, image.peak, image.peakIndex, image.unknown], [0.16, 30, 5, 1]);
+  assert.deepEqual([image.contact, image.x, image.y], [true, 4, 1.5]);
+  measure(Float32Array.from([0, 0, 10, 0, 0, 30]), plane.raw, 7, image);
+  assert.deepEqual([image.contact, image.x], [false, NaN]);
+  measure(new Float32Array(6).fill(NaN), plane.raw, 0, image);
+  assert.deepEqual([image.force, image.peak, image.peakIndex], [0, NaN, -1]);
+  measure(Float32Array.from([1, 1, 1, 1]), scattered().raw, 0, image);
+  assert.equal(image.force, 0.01);
+});

@@ -1,0 +1,103 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { DisplayRange } from "../../tactiled/web/static/display_range.js";
+import { byteText, duration, fixed, newtons, number } from "../../tactiled/web/static/format.js";
+import { decadeTicks, endsAndTicks, tickText, ticks } from "../../tactiled/web/static/ticks.js";
+
+const check = (convert, table) => {
+  for (const [value, text] of table) assert.equal(convert(value), text, `${value}`);
+};
+
+test("a force has two decimals, a small one three digits", () => {
+  check(newtons, [
+    [0, "0.00"], [1e-9, "0.00"], [-1e-9, "0.00"], [0.00123456, "0.00123"], [-0.00456, "−0.00456"],
+    [0.009999, "0.0100"], [0.09994, "0.0999"], [0.09996, "0.10"], [0.1, "0.10"], [12.345, "12.35"], [-1.234, "−1.23"],
+    [NaN, "–"],
+  ]);
+});
+
+test("numbers have a true minus sign, no minus zero, and a dash without a value", () => {
+  check((value) => fixed(value, 1), [[-0.04, "0.0"], [-0.06, "−0.1"], [Infinity, "–"], [3, "3.0"]]);
+  check(number, [[0, "0.00"], [123.4, "123"], [-1.234, "−1.23"], [0.0123, "0.01"], [NaN, "–"]]);
+});
+
+test("a file's size is in whole bytes or three digits", () => {
+  check(byteText, [[0, "0 B"], [999, "999 B"], [1500, "1.50 kB"], [12_340_000, "12.3 MB"], [5e12, "5000 GB"]]);
+});
+
+test("a duration is in seconds, minutes or hours", () => {
+  check(duration, [[0.31, "0.3 s"], [99, "99.0 s"], [100, "1 min"], [5999, "99 min"], [7200, "2 h"]]);
+});
+
+test("ticks are round and in the range", () => {
+  assert.deepEqual(ticks(0, 50, 5), [0, 10, 20, 30, 40, 50]);
+  assert.deepEqual(ticks(-1, 1, 5), [-1, -0.5, 0, 0.5, 1]);
+  assert.deepEqual(ticks(3, 11, 5), [4, 6, 8, 10]);
+});
+
+test("ticks are never more than requested, however odd the range", () => {
+  for (const [low, high] of [[1, 1 + 2 ** -52], [2 ** 53, 2 ** 53 + 2], [-1e308, 1e308], [-1e-323, 1e-323]]) {
+    assert.ok(ticks(low, high, 8).length <= 9);
+  }
+});
+
+test("the legend has both its ends, and large and small numbers fit", () => {
+  const texts = (low, high) => endsAndTicks(low, high, 8).map((each) => tickText(each, high - low));
+  assert.deepEqual(texts(0, 150), ["0", "20", "40", "60", "80", "100", "120", "150"]);
+  assert.equal(texts(0, 1234567).at(-1), "1.23e6");
+  assert.deepEqual(texts(0, 1e-5).slice(0, 2), ["0", "2e−6"]);
+  assert.equal(texts(-2, 10)[0], "−2");
+  for (const all of [texts(0, 150), texts(0, 1234567), texts(0, 1e-5), texts(123000, 123500), texts(-2, 10)]) {
+    assert.equal(new Set(all).size, all.length);
+    assert.ok(all.every((each) => each.length <= 8));
+  }
+});
+
+test("an axis of decades is labelled by powers of ten", () => {
+  assert.deepEqual(decadeTicks(-4, 0).map((each) => each.text), ["10⁻⁴", "10⁻³", "10⁻²", "0.1", "1"]);
+});
+
+/** The top of an automatic range after each of these peaks, 50 a second. */
+function tops(peaks) {
+  const range = new DisplayRange();
+  return peaks.map((peak, i) => {
+    range.follow(peak, 0.5, i / 50);
+    return range.high;
+  });
+}
+
+test("an automatic range holds every peak and does not flicker", () => {
+  const steady = Array.from({ length: 1500 }, (_, i) => 100 * (1 + 0.14 * Math.sin(7 * i) * Math.cos(i)));
+  const highs = tops(steady);
+  assert.ok(highs.every((high, i) => high >= steady[i]));
+  assert.ok(highs.filter((high, i) => i > 50 && high !== highs[i - 1]).length <= 1);
+  const rising = tops(Array.from({ length: 500 }, (_, i) => 1 + 2 * i));
+  assert.ok(rising.every((high, i) => !i || high >= rising[i - 1]));
+  const falling = tops(Array.from({ length: 1510 }, (_, i) => (i < 10 ? 1000 : 10)));
+  assert.equal(falling[9], 1000);
+  assert.ok(falling.at(-1) >= 10 && falling.at(-1) <= 15);
+});
+
+test("a fixed range stays until it is released", () => {
+  const range = new DisplayRange();
+  assert.equal(range.fix(10, 50), "");
+  range.follow(2000, 0, 1);
+  range.reset();
+  assert.deepEqual([range.low, range.high, range.auto], [10, 50, false]);
+  range.follow(90, 0, 2);
+  range.release();
+  assert.deepEqual([range.low, range.high, range.auto], [0, 100, true]);
+});
+
+test("a pair of numbers that is no range is refused with the reason and changes nothing", () => {
+  const range = new DisplayRange();
+  range.fix(0, 50);
+  for (const [low, high, reason] of [
+    [60, 50, /maximum must exceed/], [0, -1, /maximum must exceed/], [0, NaN, /missing/], [-1e308, 1e308, /too far apart/],
+    [1, 1 + 2 ** -52, /too close/], [-49.9999999, -49.9999998, /too close/],
+  ]) {
+    assert.match(range.fix(low, high), reason);
+    assert.deepEqual([range.low, range.high], [0, 50]);
+  }
+});

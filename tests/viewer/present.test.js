@@ -1,0 +1,93 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { FrameRate } from "../../tactiled/web/static/frame_rate.js";
+import { Freshness } from "../../tactiled/web/static/freshness.js";
+import { healthOf } from "../../tactiled/web/static/health.js";
+import { Timeline, timeOffset } from "../../tactiled/web/static/timeline.js";
+import { Warnings } from "../../tactiled/web/static/warnings.js";
+
+/** Which of these images are held back: each took `way` ms, then the page stood `still` ms with `count` not painted. */
+function heldBack(turns) {
+  const freshness = new Freshness();
+  let now = 1e9;
+  return turns.map(([way, still, count]) => {
+    const sent = now - way / 1000;
+    freshness.arrived(sent, now);
+    now += still / 1000;
+    const held = freshness.holdBack(sent, count, now);
+    if (!held) freshness.painted();
+    now += 0.02;
+    return held;
+  });
+}
+
+test("an old image is held back, unless all are late", () => {
+  const late = Array(4).fill(true);
+  const again = Array(6).fill([150, 0, 1]);
+  for (const [what, turns, held] of [
+    ["the page stood still", [[2, 0, 1], [2, 30_000, 2], [2, 0, 1]], [false, true, false]],
+    ["it did so again before it painted", [[2, 0, 1], [150, 0, 1], [2, 30_000, 2], [2, 30_000, 2], [2, 0, 1]],
+      [false, true, true, true, false]],
+    ["a slow network, or a clock that was set", [[2, 0, 1], ...again], [false, ...late, false, false]],
+    ["a slow page", [[2, 0, 1], ...Array(6).fill([2, 150, 1])], [false, ...late, false, false]],
+  ]) assert.deepEqual(heldBack(turns), held, what);
+});
+
+test("latency leaves out the clocks' difference where it is large", () => {
+  const rate = new FrameRate();
+  const now = Date.now() / 1000;
+  const latency = (frame, skew) => {
+    rate.paint(performance.now(), frame, skew);
+    return [Math.round(rate.latency / 50) * 50, rate.skew];
+  };
+  assert.deepEqual(latency({ sent: now - 0.1, timestamp: now - 0.3 }, 0.002), [300, 0]);
+  assert.deepEqual(latency({ sent: now - 10.1, timestamp: now - 10.3 }, 10), [300, 10]);
+  assert.equal(rate.fps(), 2);
+  rate.paint(performance.now() - 2000, { sent: now, timestamp: now }, 0);
+  assert.equal(rate.fps(), 2);
+});
+
+test("a warning stays three seconds after it was last reported, with its newest text", () => {
+  const warnings = new Warnings();
+  const dead = (text) => [{ code: "dead", text, taxels: null }];
+  assert.deepEqual(warnings.hold(dead("2 taxels dead"), 0), ["2 taxels dead"]);
+  assert.deepEqual(warnings.hold(dead("1 taxel dead"), 1000), ["1 taxel dead"]);
+  assert.deepEqual([warnings.hold([], 3900), warnings.hold([], 4001)], [["1 taxel dead"], []]);
+});
+
+test("what belongs to some frames is shown with the nearest one, within a limit and with the offset", () => {
+  const timeline = new Timeline(3, 0.25);
+  const at = (sequence) => ({ sequence, timestamp: sequence / 10 });
+  for (const sequence of [1, 20, 22, 30]) timeline.push(at(sequence));
+  const nearest = (sequence) => timeline.at(sequence / 10)?.sequence;
+  assert.deepEqual([20, 20.5, 21.5, 24, 25.5, 33, 1].map(nearest), [20, 20, 22, 22, undefined, undefined, undefined]);
+  assert.deepEqual([20, 21, 19].map((each) => timeOffset(at(20), at(each))), ["", "100 ms earlier", "100 ms later"]);
+});
+
+const open = { link: "open", reason: "", retryAt: 0, attempts: 0, lastMessageAt: 9500, requestedAt: 0 };
+const live = { state: "live", age_s: 0.5, rate_hz: 50, detail: "" };
+
+test("only what is the present is called live", () => {
+  const level = (stream, status) => {
+    const health = healthOf(stream, stream, status, 9000, 0, 10_000);
+    return [health.level, health.text];
+  };
+  for (const [what, stream, status, expected, text] of [
+    ["no status", open, null, "connecting", /^$/],
+    ["live", open, live, "live", /^$/],
+    ["closed", { ...open, link: "closed", retryAt: 12_500, reason: "moved" }, live, "disconnected",
+      /^Retrying in 3 s. Last frame 1.5 s ago. \(moved\)$/],
+    ["again", { ...open, link: "connecting", attempts: 1 }, null, "disconnected", /^Retrying now. No frame yet.$/],
+    ["no message", { ...open, lastMessageAt: 7000 }, live, "disconnected", /^No message for 3.0 s/],
+    ["bus down", open, { ...live, state: "down", detail: "no can0" }, "down", /^no can0. Last frame 1.5 s ago.$/],
+    ["silent", open, { ...live, state: "silent", detail: "no frame yet on can0", age_s: null }, "silent", /^no frame yet/],
+    ["stale", open, { ...live, state: "stale", detail: "no frame for 1 s" }, "stale", /^last frame 1.5 s ago.$/],
+    ["no image", { ...open, requestedAt: 7500 }, live, "stale", /^last image 2.5 s ago, though frames come in.$/],
+    ["a slow sensor", { ...open, requestedAt: 7500 }, { ...live, rate_hz: 1 }, "live", /^$/],
+  ]) {
+    const [got, words] = level(stream, status);
+    assert.equal(got, expected, what);
+    assert.match(words, text, what);
+  }
+});

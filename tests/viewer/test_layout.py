@@ -1,0 +1,154 @@
+"""What the page makes of its window and of arrays of every shape, and the picture that a frame is saved as."""
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+
+from tests.conftest import pressed
+from tests.viewer.conftest import CONTACTS, FITS, PAINTINGS, PHONE, SCROLL_WIDTH, THUMB, WATCH_TEXTS, one_more
+
+DESK = {"width": 1280, "height": 860}
+NAME = "a_long_name_of_a_fingertip"
+SHAPES = [(1, 40), (40, 2), (12, 6), (9, 9), (2, 2)]
+ODD = "".join(
+    one_more(f"{NAME}_{number}", number, f"rows = {rows}, columns = {columns}, pitch_mm = 1.0")
+    for number, (rows, columns) in enumerate(SHAPES, 1)
+)
+LABELS = {1: ("1: ", 0.5), 2: ("1", 0.3), 5: ("1: ", 0.2)}  # of a contact on raw, and where, of the map's height
+
+
+def choose(page, key):
+    """Watch another sensor and wait until its newest frame is painted and laid out."""
+    before = page.painted()
+    page.keyboard.press(str(key))
+    page.wait(f"{PAINTINGS} > {before}")
+    page.refreshed(4)
+
+
+def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_picture(serve, open_page):
+    rig, url = serve(ODD)
+    rig.show(pressed())
+    for number, (rows, columns) in enumerate(SHAPES, 1):
+        row, column = np.mgrid[:rows, :columns]
+        counts = 100 + 800 * np.exp(-((column - columns / 3) ** 2 + (row - rows / 3) ** 2) / 6)
+        rig.send_to(f"{NAME}_{number}", counts)
+    page = open_page(url)
+    page.evaluate(WATCH_TEXTS)
+    for number in range(1, len(SHAPES) + 1):
+        page.evaluate("window.drawn = []")
+        choose(page, number + 1)
+        if number in LABELS:
+            words, y = LABELS[number]
+            label = page.wait("window.drawn.find(each => each.id === 'raw-marks')")
+            assert label["text"].startswith(words)
+            assert abs(label["y"] / label["height"] - y) < 0.25
+        page.wait("document.body.dataset.level === 'stale'")
+        page.evaluate("window.drawn = []")
+        assert page.download("s").read_bytes().startswith(b"\x89PNG")
+        texts = page.evaluate("window.drawn.filter(each => !each.id && each.height > 300)")
+        assert texts[0]["text"] == f"{NAME}_{number}, frame 0"
+        assert texts[1]["text"].endswith("Z, stale")
+        assert {"Raw", "Restored", "kPa", "0"} <= {each["text"] for each in texts}
+        for each in texts:
+            assert 0 <= each["x"] < each["end"] <= each["width"], each
+            assert 12 <= each["y"] <= each["height"], each
+        for one, other in itertools.combinations(texts, 2):
+            apart = one["end"] <= other["x"] or other["end"] <= one["x"] or abs(one["y"] - other["y"]) >= 14
+            assert apart, (one, other)
+
+
+def test_a_layout_that_is_no_grid_is_drawn_true_to_scale(pair, open_page):
+    rig, url = pair
+    ink = open_page(f"{url}/#thumb").pixels("raw")[..., 3] > 128
+    pitch = rig.service.sensor("thumb").array.pitch
+    zoom = ink.shape[1] / (4.5 + 2 * pitch)
+    assert zoom == pytest.approx(ink.shape[0] / (2.5 + 2 * pitch), rel=0.01)
+    y, x = np.indices(ink.shape) / zoom - pitch
+    distance = np.min(
+        [np.hypot(x - at_x, y - at_y) for at_x, at_y in ((0, 0), (3, 0), (1.5, 2), (4.5, 2.5))], axis=0
+    )
+    assert ink[distance < 0.7].all()
+    assert not ink[distance > 0.8].any()
+
+
+def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
+    rig, url = pair
+    page = open_page(url, **DESK)
+    square = page.box("#raw-frame")
+    for size in ({"width": 900, "height": 640}, {"width": 1024, "height": 768}, DESK):
+        page.set_viewport_size(size)
+        for key in (2, 1):
+            choose(page, key)
+            parts = [page.box(each) for each in ("#raw-frame", "#probe", "#range", "#playback", "#charts")]
+            for above, below in itertools.pairwise(parts):
+                beside = above["x"] + above["width"] <= below["x"]
+                assert beside or above["y"] + above["height"] <= below["y"], (above, below)
+            assert parts[-1]["y"] + parts[-1]["height"] <= size["height"]
+    choose(page, 2)  # lower than the square: it leaves no room empty
+    frame, under, charts = (page.box(each) for each in ("#raw-frame", "#under", "#charts"))
+    assert frame["height"] < square["height"] - 20
+    assert under["y"] - frame["y"] - frame["height"] < 30
+    assert charts["y"] + charts["height"] == pytest.approx(DESK["height"] - 12, abs=2)
+    choose(page, 1)
+    page.wait(f"document.getElementById('raw-frame').clientHeight === {square['height']}")
+    assert page.box("#raw-frame") == square
+    rig.show(pressed(force=3000))
+    for width in (1280, 1366, 1440, 1920):
+        page.resize(width, 860)
+        at = page.box("#raw-frame")
+        page.mouse.move(at["x"] + 0.55 * at["width"], at["y"] + 0.5 * at["height"])
+        page.get_by_text(re.compile(r"restored [\d.]+ kPa \(taxel \d, \d\)")).wait_for()
+        assert page.locator("#probe").evaluate(FITS)
+    page.locator("#raw-frame").click()
+    page.locator("#section-where", has_text="pinned").wait_for()
+    sizes = ((1024, 768), (768, 1024), (960, 540), (1161, 800), (1241, 800), (1440, 900), (390, 844))
+    for width, height in sizes:
+        page.resize(width, height)
+        for title in page.locator("#charts h2").all():
+            assert title.evaluate(FITS)
+        assert page.evaluate(SCROLL_WIDTH) <= width
+        for name in ("#raw", "#restored"):
+            canvas = page.box(name)
+            assert canvas["x"] >= 0
+            assert canvas["x"] + canvas["width"] <= width
+            assert canvas["width"] >= 120
+
+
+FINGERS = "".join(
+    THUMB.replace("thumb", name).replace("array_id = 1", f"array_id = {number}")
+    for number, name in enumerate(("thumb", "index", "middle", "ring"), 1)
+)
+FLAT = "".join(
+    one_more(name, number, f"rows = {rows}, columns = {columns}, pitch_mm = 7, aperture_mm = 5")
+    for name, number, rows, columns in (("wide", 5, 3, 5), ("flat", 6, 4, 16))
+)
+
+
+def test_sensors_without_a_frame_show_nothing_of_another_and_maps_stand_as_they_are_larger(serve, open_page):
+    rig, url = serve(FINGERS + FLAT)
+    rig.show(pressed())
+    page = open_page(url, 1440, 900)
+    page.wait(f"{CONTACTS}.length")
+    page.press("2")
+    page.get_by_text("no frame yet on can0").first.wait_for()
+    page.wait(f"{CONTACTS}.length === 0")
+    for key, width, stacked in (("6", 480, False), ("7", 600, True)):
+        page.press(key)
+        page.wait(f"document.getElementById('raw-frame').clientWidth > {width}")
+        page.wait(f"document.getElementById('boxes').classList.contains('stacked') === {str(stacked).lower()}")
+        page.refreshed(4)
+        raw, restored, charts = (page.box(each) for each in ("#raw-frame", "#restored-frame", "#charts"))
+        assert (raw["y"] < restored["y"]) == stacked
+        assert (raw["x"] < restored["x"]) != stacked
+        assert charts["y"] + charts["height"] <= 900
+    page.set_viewport_size(PHONE)
+    for key, name in (("5", "ring"), ("1", "palm"), ("4", "middle")):
+        page.press(key)
+        tab = page.get_by_role("tab", name=name, selected=True)
+        tab.wait_for()
+        place = tab.bounding_box()
+        assert place["x"] >= 0
+        assert place["x"] + place["width"] <= PHONE["width"]
+    assert page.evaluate("scrollY") == 0

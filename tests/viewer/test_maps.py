@@ -1,0 +1,174 @@
+"""Both maps: their colours, the frames kept, contacts, forces, and what is said of a still image."""
+
+import re
+
+import can
+import numpy as np
+import pytest
+
+from tactiled.restore.methods import METHODS
+from tests.conftest import ask, pressed, until
+from tests.viewer.conftest import CONTACTS, PAINTINGS, PAUSED
+
+OFFSET = re.compile(r"from \d+ ms (earlier|later)$")
+
+
+def test_maps_show_the_data_in_the_colours_of_the_range(rig, url, open_page):
+    rig.show(pressed(2))
+    page = open_page(url)
+    colors = np.array(ask("GET", f"{url}/api/v1/colormap").json()["colors"])
+    for at in (1, 5):
+        image = page.show(rig, pressed(at))
+        label = page.locator("#colorbar").get_attribute("aria-label")
+        low, high = (float(number) for number in re.findall(r"[\d.]+", label))
+        assert low == 0
+        assert high >= image.restored.max()
+        for name, values in (("raw", image.raw), ("restored", image.restored)):
+            expected = colors[np.clip(np.floor(values * 256 / high), 0, 255).astype(int)]
+            got = page.pixels(name)
+            assert (got[..., 3] == 255).all()
+            assert (np.abs(got[..., :3] - expected) <= 4).all(), name  # one step of the colours for rounding
+    before = page.painted()
+    rig.send(pressed(), drop=[0])
+    page.wait(f"{PAINTINGS} > {before}")
+    alpha, taxels = page.pixels("raw")[..., 3].ravel(), rig.sensor.codec.taxels
+    assert (alpha[:taxels] == 0).all()  # without data
+    assert (alpha[taxels:] == 255).all()
+    assert (page.pixels("restored")[..., 3] == 255).all()
+    page.get_by_label("Method").select_option("raw")
+    until(lambda: rig.sensor.method == "raw")
+    image = page.show(rig, pressed())
+    np.testing.assert_array_equal(image.raw, image.restored)
+    np.testing.assert_array_equal(page.pixels("raw"), page.pixels("restored"))
+
+
+def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, open_page):
+    rig.show(pressed(0))
+    page = open_page(url)
+    page.set_range(0, 500)  # an automatic one forgets in time
+    images = []
+    for at in (1, 3, 5):
+        page.show(rig, pressed(at))
+        images.append(page.pixels("restored"))
+    page.press("ArrowRight")  # nothing is newer
+    page.refreshed()
+    assert not page.evaluate(PAUSED)
+    for key, at in (("ArrowLeft", 1), ("ArrowLeft", 0), ("ArrowRight", 1)):
+        page.press(key)
+        page.refreshed()
+        np.testing.assert_array_equal(page.pixels("restored"), images[at])
+    for _ in range(3):
+        rig.show(pressed(0))
+    page.get_by_role("button", name="One frame forward").click()
+    page.wait("document.getElementById('when').innerText === 'newest'")
+    np.testing.assert_array_equal(page.pixels("restored"), images[2])
+    page.press("l")
+    image = page.show(rig, pressed(0))
+    page.wait(f"document.getElementById('sequence').innerText === '{image.sequence}'")
+    rows = [line.split(",") for line in page.download("c").read_text().splitlines()[3:]]
+    for kind, values in (("raw", image.raw), ("restored", image.restored)):
+        np.testing.assert_allclose([float(row[5]) for row in rows if row[0] == kind], values.ravel(), atol=1e-4)
+    assert [float(row[3]) for row in rows[:8]] == list(range(8))
+
+
+def marks_at(page, marks, contact):
+    """RGBA of the marks at a contact's centre, and of its outline on the right."""
+    got, side = page.pixels(marks), 8.0  # mm, of the map; taxels are 1 mm, the first one's centre is 0, 0
+    rows, columns = got.shape[:2]
+    angle, reach = contact["angle_rad"], max(2 * contact["major_mm"], 6 * side / columns)
+    places = [
+        (contact["x_mm"], contact["y_mm"]),
+        (contact["x_mm"] + reach * np.cos(angle), contact["y_mm"] + reach * np.sin(angle)),
+    ]
+    return [got[int((y + 0.5) / side * rows), int((x + 0.5) / side * columns)] for x, y in places]
+
+
+def test_contacts_are_outlined_and_listed_follow_what_moves_and_can_be_switched_off(rig, url, open_page):
+    counts = pressed(1)
+    counts[0:2, 6:8] += 150
+    rig.show(counts)
+    page = open_page(url)
+    page.wait(f"{CONTACTS}.length === 2")
+    contacts = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
+    listed = page.evaluate(CONTACTS)
+    assert [int(row[0]) for row in listed] == [each["id"] for each in contacts]
+    assert [float(row[1]) for row in listed] == [round(each["force_n"], 2) for each in contacts]
+    assert float(listed[0][1]) > float(listed[1][1])
+    for contact in contacts:
+        for marks in ("raw-marks", "restored-marks"):
+            centre, outline = marks_at(page, marks, contact)
+            assert (centre > 240).all()  # white, but for the smoothing of its edge
+            assert outline[3] > 0
+    switch = page.locator("#contacts-on")
+    page.press("Space")
+    for count, action in ((0, switch.uncheck), (2, switch.check)):  # on a still image too
+        with page.expect_websocket() as opened:
+            action()
+        assert ("contacts=1" in opened.value.url) == (count > 0)
+        page.wait(f"{CONTACTS}.length === {count}")
+        if not count:
+            assert "Contacts are switched off." in page.locator("#contact-list").inner_text()
+            page.refreshed()
+            assert marks_at(page, "restored-marks", contacts[0])[0][3] == 0  # inside the ring of the centre
+    assert page.evaluate(CONTACTS) == listed
+    page.press("l")
+    page.show(rig, pressed(3))
+    number, *_, x, _ = page.keep(lambda: rig.show(pressed(3)), f"{CONTACTS}.length === 1 && {CONTACTS}[0]")
+    assert number == listed[0][0]
+    assert float(x) == pytest.approx(float(listed[0][4]) + 2, abs=0.2)
+    none = pressed(force=0)
+    page.keep(lambda: rig.show(none), "document.body.innerText.includes('No contact')")
+    partial = "document.body.innerText.includes('No contact on the 41 of 64 taxels with data')"
+    page.keep(lambda: rig.send(none, drop=(1,)), partial)
+
+
+def test_a_still_image_has_its_own_method_and_details_of_another_moment_say_so(rig, page):
+    titles = {
+        each: page.locator(f"#method option[value={each}]").inner_text() for each in METHODS if each != "auto"
+    } | {"idle": "idle"}
+    images = {}
+    for method, drop in 3 * [("raw", ()), ("nnls", (0,)), ("wiener", ()), ("auto", ())]:
+        rig.sensor.pipeline.set_method(method)
+        before = page.painted()
+        rig.send(pressed(), drop=drop)
+        page.wait(f"{PAINTINGS} > {before}")
+        until(lambda: (image := rig.sensor.hub.latest()) and image.sequence == rig.sequence)
+        images[rig.sequence] = rig.sensor.hub.latest()
+    page.wait(f"document.getElementById('method-used').innerText === '{titles[images[rig.sequence].method]}'")
+    page.press("Space")
+    own = 0
+    for _ in range(len(images)):
+        page.refreshed()
+        sequence, method, why, warnings = page.text("sequence", "method-used", "why", "warnings")
+        source, contacts_source = page.text("details-from", "contacts-of")
+        assert contacts_source == "in the restored image" or OFFSET.match(contacts_source)
+        image = images.pop(int(sequence))
+        assert method == titles[image.method]
+        if source:
+            assert OFFSET.search(source) or source == "details not reported"
+        else:
+            assert (why, warnings) == (image.why, "\n".join(each.text for each in image.warnings))
+            own += 1
+        page.press("ArrowLeft")
+    assert own > 1
+
+
+def test_numbers_of_the_bus_and_its_losses_are_shown(rig, url, page):
+    rig.send(pressed(), drop=[0])
+    for _ in range(3):
+        rig.show(pressed())
+    loss = ask("GET", f"{url}/api/v1/sensors/palm").json()["loss"]
+    assert loss["lost"] == 1
+    page.wait("/\\nlost\\s+1\\n/.test('\\n' + document.getElementById('loss').innerText)")
+    side = page.locator("#side").inner_text()
+    for count in ("dropped", "error frames", "bus-off", "incomplete", "unsent"):
+        assert re.search(rf"{count}\s+\d", side), count
+    assert page.locator("#loss dd").count() == len(loss)
+    rig.bus._bus.send(can.Message(is_error_frame=True))
+    page.wait("/error frames\\s+1\\s[^]*\\bother 1$/.test(document.getElementById('loss').innerText)")
+    assert not page.locator("#record").is_visible()  # no folder is configured
+    assert "server.recordings" in page.locator("#recordings-hint").inner_text()
+    page.wait("/skew\\s+[\\d.]+ (µs|ms)/.test(document.getElementById('side').innerText)")
+    page.wait("/\\d+:\\d\\d:\\d\\d\\s+palm: sensor stale/.test(document.getElementById('events').innerText)")
+    for each in ("#force-restored", "#contact-list tbody td", "#contact-list tbody th"):
+        assert page.locator(each).first.evaluate("each => getComputedStyle(each).fontStyle") == "italic"

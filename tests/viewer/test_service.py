@@ -1,0 +1,96 @@
+"""A service that goes away and comes back, its tokens, and the page of its REST API."""
+
+import pytest
+from pydantic import SecretStr
+
+from tactiled.config import Server
+from tactiled.web.server import running
+from tests.conftest import ask, meanwhile, until
+from tests.viewer.conftest import LEVELS, PAINTINGS, THUMB, Pair
+
+READ, CONTROL = "r" * 16, "c" * 16
+# Whether anything is drawn on a canvas.
+INKED = """(id => {
+  const canvas = document.getElementById(id);
+  return canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(each => each);
+})"""
+CHARTS = ("section", "forces", "latencies", "kernel")
+
+
+def test_a_page_without_its_service_says_so_and_finds_it_again(request, open_page):
+    with meanwhile(Pair(request.node.name, THUMB)) as rig:
+        rig.stale_after(600)
+        with running(rig.service) as url:
+            for _ in range(3):
+                rig.both()
+            page = open_page(url)
+            for name in CHARTS:
+                page.wait(f"{INKED}('{name}')")
+            page.wait("/[µm]s/.test(document.getElementById('jitter').innerText)")
+        page.locator("#banner", has_text="DISCONNECTED").get_by_role(
+            "button", name="Retry now", exact=True
+        ).wait_for()
+        server = Server(port=int(url.rsplit(":", 1)[1]))
+        with running(rig.service, server):
+            page.keep(rig.both, f"{PAINTINGS} > {page.painted()} && document.body.dataset.level === 'live'")
+        page.locator("#banner", has_text="DISCONNECTED").wait_for()
+        page.press("2")  # nothing of the palm is left behind
+        page.locator("#notice", has_text="thumb").wait_for()
+        for name in CHARTS[:-1]:  # the kernel's keeps its axes
+            assert not page.evaluate(f"{INKED}('{name}')"), name
+        page.wait("document.getElementById('jitter').innerText === '\u2013'")
+        assert set(page.text("skew", "rate", "force-raw")) == {"\u2013"}
+        with running(rig.service, server):
+            page.press("w")
+            page.keep(rig.both, f"{LEVELS} === 'live,live'")
+        page.wait(f"{LEVELS} === 'disconnected,disconnected'")
+        with running(rig.service, server):
+            page.keep(rig.both, f"{LEVELS} === 'live,live'")
+            page.finish()
+
+
+@pytest.fixture
+def locked(rig):
+    with running(rig.service, Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))) as url:
+        yield url
+
+
+def test_an_action_beyond_the_read_token_asks_for_the_control_token(rig, locked, open_page):
+    page = open_page(f"{locked}/?token={READ}", ready="!!document.querySelector('#method option')")
+    page.get_by_label("Method").select_option("raw")
+    page.get_by_role("dialog").wait_for()
+    assert "control token" in page.locator("#token-why").inner_text()
+    for token, done in (
+        ("x" * 16, page.locator("#token-why", has_text="does not know").wait_for),
+        (CONTROL, None),
+    ):
+        assert rig.sensor.method == "wiener"
+        page.get_by_label("Token", exact=True).fill(token)
+        page.press("Enter")
+        if done:
+            done()
+    until(lambda: rig.sensor.method == "raw")
+    assert not page.get_by_role("dialog").is_visible()
+    page.finish("401", "403")
+
+
+def test_the_page_of_the_api_shows_every_route_and_its_requests_carry_the_cookie(locked, open_page):
+    for path in ("/docs", "/static/swagger/swagger-ui.css"):
+        assert ask("GET", locked + path).status_code == 401, path
+    page = open_page(f"{locked}/?token={CONTROL}", ready="document.title")
+    page.goto(f"{locked}/docs")
+    page.wait("document.querySelectorAll('.opblock').length")
+    paths = ask("GET", f"{locked}/api/v1/openapi.json?token={CONTROL}").json()["paths"]
+    routes = page.evaluate(
+        """[...document.querySelectorAll('.opblock')].map(each => [
+          each.querySelector('.opblock-summary-method').textContent,
+          each.querySelector('.opblock-summary-path').dataset.path].join(' '))"""
+    )
+    assert sorted(routes) == sorted(f"{verb.upper()} {path}" for path, verbs in paths.items() for verb in verbs)
+    route = page.locator(".opblock", has=page.locator("[data-path='/api/v1/sensors']"))
+    for button in (".opblock-summary-control", ".try-out__btn", ".execute"):
+        route.locator(button).click()
+    answer = route.locator(".live-responses-table tr.response")
+    answer.wait_for()
+    assert "200" in answer.inner_text()
+    assert '"name": "palm"' in answer.inner_text()
