@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from tactiled.bus.polling import Poller
 from tactiled.bus.reader import Reader, only, open_bus
@@ -20,16 +20,6 @@ POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a 
 BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
 LOG = logging.getLogger(__name__)
-
-
-class FrameSource(Protocol):
-    """What hands frames to sensors: a bus, or a recording in its place."""
-
-    def start(self) -> None:
-        """Start; a TactileError where it cannot."""
-
-    def stop(self) -> None:
-        """Stop, whether it was started or not."""
 
 
 class BusThread:
@@ -56,7 +46,7 @@ class BusThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop reading and close the bus."""
+        """Stop reading and close the bus, whether it was started or not."""
         self._stop.set()
         if self._thread.ident is not None:
             self._thread.join()

@@ -33,8 +33,8 @@ class Pipeline:
     def __init__(self, plan: SensorPlan) -> None:
         self._plan = plan
         size = plan.array.size
-        self._calibrator = Calibrator(plan.calibration, size)
-        self._noise = _Noise(plan.calibration)
+        self.calibrator = Calibrator(plan.calibration, size)
+        self.noise = Noise(plan.calibration)
         self._tare_mean = _TareMean(size)
         self._shear_zero = np.full((2, size), np.nan, np.float32)  # counts; NaN until tared
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
@@ -44,16 +44,6 @@ class Pipeline:
         self._restorer = self._make_restorer()
         self._deviation: tuple[tuple[str, float], Restorer] | None = None  # of a method and a noise
         self._deviation_lock = Lock()
-
-    @property
-    def no_load(self) -> NDArray[np.float32]:
-        """Counts of each taxel (N,) without a load, as configured or last tared."""
-        return self._calibrator.no_load
-
-    @property
-    def noise_kpa(self) -> float:
-        """Standard deviation of a taxel, configured or measured."""
-        return self._noise.kpa
 
     def set_method(self, name: str) -> None:
         """Restore the next frames by `name`; ConfigError if there is no such method."""
@@ -66,7 +56,7 @@ class Pipeline:
 
     def load_seen(self) -> str:
         """What of a load the newest frames show, in words; "" for none."""
-        return load_seen(self._recent, self._noise.kpa)
+        return load_seen(self._recent, self.noise.kpa)
 
     def lapse_tare(self) -> None:
         """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
@@ -94,7 +84,7 @@ class Pipeline:
         scale = self._plan.calibration.shear_n_per_count
         if scale is None or frame.shear is None:
             return None
-        pressure, _ = self._calibrator(frame.counts, frame.flags)
+        pressure, _ = self.calibrator(frame.counts, frame.flags)
         tangential = (frame.shear - self._shear_zero) * scale
         forces = np.column_stack([*tangential, pressure * self._areas * 1e-3])  # kPa mm^2 are mN
         return forces if np.isfinite(forces).all() else None
@@ -105,7 +95,7 @@ class Pipeline:
         return tiling(self._plan.array).areas
 
     def _make_restorer(self) -> Restorer:
-        self._made_for = self.method, self._noise.kpa
+        self._made_for = self.method, self.noise.kpa
         restorer = make(self._made_for[0], self._plan.blur, self._made_for[1])
         restorer.prepare()
         return restorer
@@ -115,14 +105,14 @@ class Pipeline:
         began = perf_counter()
         self._apply_tare(frame)
         shape = self._plan.array.frame_shape
-        pressure, taxel_flags = self._calibrator(frame.counts, frame.flags)
+        pressure, taxel_flags = self.calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(shape), taxel_flags.reshape(shape)
-        self._noise.add(raw)
+        self.noise.add(raw)
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
-        if self._made_for != (self.method, self._noise.kpa):
+        if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
         done = self._restorer(raw, flags)
-        check_warnings = self._checks(raw, flags, done.image, self._noise.kpa, done.method)
+        check_warnings = self._checks(raw, flags, done.image, self.noise.kpa, done.method)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,
@@ -134,11 +124,11 @@ class Pipeline:
             why=done.why,
             iterations=done.iterations,
             microseconds=(perf_counter() - began) * 1e6,
-            noise_kpa=self._noise.kpa,
+            noise_kpa=self.noise.kpa,
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._plan.warnings + self._noise.warning + _flag_warnings(flags) + check_warnings,
+            warnings=self._plan.warnings + self.noise.warning + _flag_warnings(flags) + check_warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
         )
@@ -148,7 +138,7 @@ class Pipeline:
         mean = self._tare_mean.add(frame)
         if mean is None:
             return
-        self._calibrator.tare(mean[0])
+        self.calibrator.tare(mean[0])
         self._shear_zero = np.where(np.isfinite(mean[1:]), mean[1:], self._shear_zero).astype(np.float32)
         self._restorer.reset()
         self._recent = ()
@@ -173,7 +163,7 @@ def _flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
     return tuple(warning(code, count) for code, count in counts if count)
 
 
-class _Noise:
+class Noise:
     """Standard deviation (kPa) of a taxel: as configured, else of the first frames; measured now and then."""
 
     def __init__(self, calibration: Calibration) -> None:

@@ -6,10 +6,11 @@ from threading import Lock
 from typing import Any
 
 from tactiled.build import sensor_plans
+from tactiled.bus.replay import Replay
 from tactiled.config import Config
 from tactiled.errors import ConfigError, StateError, TactileError, UnknownSensorError
 from tactiled.restore.methods import METHODS, require
-from tactiled.runtime.bus_thread import BusThread, FrameSource
+from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.state import StateFile
@@ -17,12 +18,12 @@ from tactiled.runtime.watch import Watch
 
 
 class Service:
-    """Every sensor of a configuration, on its bus or on the source that `listen` makes in a bus's place."""
+    """Every sensor of a configuration, on its bus or on what `listen` puts in a bus's place."""
 
     def __init__(
         self,
         config: Config,
-        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], FrameSource] = BusThread,
+        listen: Callable[[str, dict[str, Any], dict[str, Sensor]], BusThread | Replay] = BusThread,
         state: StateFile | None = None,
         replayed: bool = False,  # whether recordings are in the buses' place: none is open then
     ) -> None:

@@ -168,8 +168,8 @@ def calibration(sensor: Sensor) -> schemas.SensorCalibration:
         **schemas.SensorCalibration.shared(sensor.plan.calibration)
         | {
             "calibrated": all(each.code != "uncalibrated" for each in sensor.plan.warnings),
-            "no_load": sensor.pipeline.no_load.tolist(),
+            "no_load": sensor.pipeline.calibrator.no_load.tolist(),
             "tared": sensor.pipeline.tared,
-            "noise_kpa": sensor.pipeline.noise_kpa,
+            "noise_kpa": sensor.pipeline.noise.kpa,
         }
     )
