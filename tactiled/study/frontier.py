@@ -2,21 +2,19 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from tactiled.restore.methods import METHODS, make
-from tactiled.restore.richardson_lucy import RichardsonLucy
-from tactiled.restore.scene import Scene
+from tactiled.restore.methods import METHODS, Restorer, make
 from tactiled.study.peers import STOPS, Restore, absent, ours, peers
 from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Frames, Skin, clips, nrmse
 
 Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
-RL_ITERATIONS = (5, 200)  # of our Richardson-Lucy, beside its default
 BOUND = "best linear filter, given the truth's spectrum"
 
 
@@ -136,16 +134,10 @@ def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
             errors.setdefault(name, []).append(played[0][0])
             for total, (_, took) in zip(times.setdefault(name, [[] for _ in range(rounds)]), played, strict=True):
                 total += took
-    marks = [
-        Mark(
-            name,
-            ours(name),
-            float(np.mean(errors[name])),
-            min(float(np.median(took)) for took in rounds),
-            min(float(np.percentile(took, 99)) for took in rounds),
-        )
-        for name, rounds in times.items()
-    ]
+    marks = []
+    for name, passes in times.items():
+        median, p99 = (min(float(np.percentile(each, q)) for each in passes) for q in (50, 99))
+        marks.append(Mark(name, ours(name), float(np.mean(errors[name])), median, p99))
     on_front = front([(mark.median, mark.nrmse) for mark in marks])
     marks = [replace(mark, front=n in on_front) for n, mark in enumerate(marks)]
     return Panel(skin.name, skin.thickness, noise, float(np.mean(floors)), tuple(marks))
@@ -179,30 +171,16 @@ def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, 
 
 
 def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Run]:
-    runs = {name: _method(skin, clip, name) for name in METHODS}
-    runs |= {f"rl {count}": _limited_rl(skin, clip, count) for count in RL_ITERATIONS}
+    restorers = {name: make(name, skin.blur, clip.sigma) for name in METHODS}
+    runs: dict[str, Run] = {name: (partial(_image, one), one.reset) for name, one in restorers.items()}
     if skin.psf is not None:
         others = peers(skin.psf, clip.frames.shape[1:], noise, stops)
         runs |= {name: (run, lambda: None) for name, run in others.items()}
     return runs
 
 
-def _method(skin: Skin, clip: Clip, name: str) -> Run:
-    restorer = make(name, skin.blur, clip.sigma)
-    return lambda frame: restorer(frame).image, restorer.reset
-
-
-def _limited_rl(skin: Skin, clip: Clip, iterations: int) -> Run:
-    """Our Richardson-Lucy with another limit of iterations."""
-    scene = Scene(skin.blur, clip.sigma)
-    method = RichardsonLucy(scene, iterations)
-
-    def run(frame: Frames) -> Frames:
-        scene.look(frame)
-        method(frame)
-        return method.image
-
-    return run, lambda: None
+def _image(restorer: Restorer, frame: Frames) -> Frames:
+    return restorer(frame).image
 
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:

@@ -23,7 +23,7 @@ STYLES = {  # start of the name -> label, mark, colour; the longest that fits co
     "nnls": ("nnls", "^", GREEN),
     "tv": ("tv", "d", GREEN),
     "points": ("points", "v", PINK),
-    "rl": ("rl: 5, 30 (default), 200 iterations", "s", RED),
+    "rl": ("rl", "s", RED),
     "rl-fast": ("rl-fast", "P", SKY),
     "skimage wiener": ("scikit-image wiener, 3 weights", "o", BLUE),
     "skimage unsupervised": ("scikit-image unsupervised_wiener", "D", PINK),
@@ -64,9 +64,8 @@ def _panel(axes: Axes, panel: Panel, top: float) -> None:
     x, y = [mark.median for mark in front], [mark.nrmse for mark in front]
     axes.step([*x, RIGHT_END], [*y, y[-1]], where="post", color="#999999", lw=1.3, zorder=1)
     axes.axhline(panel.floor, color=PINK, lw=1.3, ls=DASHES, zorder=1)
-    for name in ("skimage rl", "rl"):
-        same = sorted((m for m in panel.marks if _style(m.method) == name), key=lambda m: m.median)
-        axes.plot([m.median for m in same], [min(m.nrmse, top) for m in same], color=RED, lw=0.8, ls=":", zorder=2)
+    stops = sorted((m for m in panel.marks if m.method.startswith("skimage rl")), key=lambda m: m.median)
+    axes.plot([m.median for m in stops], [min(m.nrmse, top) for m in stops], color=RED, lw=0.8, ls=":", zorder=2)
     for mark in panel.marks:
         _mark(axes, mark, top)
     auto = panel.mark("auto")
