@@ -1,28 +1,17 @@
-"""A client of the service: live images as numpy arrays, reconnecting; and a few requests.
-
-import tactiled
-
-for image in tactiled.connect("http://127.0.0.1:8000").stream("palm"):
-    print(image.sequence, image.restored.max(), "kPa")
-"""
+"""A stream of live images from one connection to the next."""
 
 import asyncio
-import atexit
 import json
 import logging
 import math
 import ssl
 import time
 from collections.abc import AsyncGenerator, Generator, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from http.client import HTTPException
 from numbers import Real
 from typing import Any
-from urllib.error import HTTPError, URLError
-from urllib.parse import parse_qsl, quote, urlencode, urlsplit
-from urllib.request import Request, urlopen
-from weakref import WeakSet
+from urllib.error import URLError
+from urllib.parse import urlencode
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +19,11 @@ from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
-from tactiled.errors import ConfigError, LoadedError, TactileError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.wire import PRESSURES, Kind, Unpacked, unpack
 
-LOG = logging.getLogger(__name__)
-WEBSOCKETS_LOG = logging.getLogger(f"{__name__}.websockets")
+LOG = logging.getLogger("tactiled.client")
+WEBSOCKETS_LOG = logging.getLogger("tactiled.client.websockets")
 WEBSOCKETS_LOG.setLevel(logging.CRITICAL)  # LOG has why a connection ended
 ANSWER_S = 10.0  # that the service may take to answer, or to accept a stream
 MIN_CONNECT_S = 0.1  # that an attempt to connect has when `patience_s` is nearly over
@@ -64,30 +53,13 @@ class Image:
     shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
 
 
-def connect(url: str, token: str | None = None, ssl_context: ssl.SSLContext | None = None) -> "Client":
-    """A client of the service at `url`, which may end in `?token=...`; sends nothing yet.
+@dataclass(frozen=True, eq=False)
+class Service:
+    """How to reach a service."""
 
-    `ssl_context` decides which certificate of an https service is trusted; by default those of this machine.
-    ConfigError names a wrong argument.
-    """
-    return Client(url, token, ssl_context)
-
-
-def _parse_url(url: str) -> tuple[str, str]:
-    """The address without its query, and the token in that."""
-    try:
-        parts = urlsplit(url)
-        query = parse_qsl(parts.query, keep_blank_values=True)
-        known = [name for name, _ in query] in ([], ["token"]) and not parts.fragment and "@" not in parts.netloc
-        text = url.isascii() and url.isprintable() and " " not in url
-        if parts.scheme not in ("http", "https") or not parts.hostname or parts.port == 0 or not (known and text):
-            raise ValueError
-    except (ValueError, TypeError, AttributeError):
-        shown = url.partition("?")[0] if isinstance(url, str) else url  # without a token
-        raise ConfigError(
-            f"url = {shown!r}: give the service's address, such as http://127.0.0.1:8000, with ?token=... at most"
-        ) from None
-    return f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}", query[0][1] if query else ""
+    url: str
+    headers: dict[str, str]
+    ssl_context: ssl.SSLContext | None
 
 
 def _parse_names(key: str, value: object) -> list[str]:
@@ -107,7 +79,7 @@ def _parse_patience(value: object) -> float:
     raise ConfigError(f"patience_s = {value!r}: give up to {MAX_PATIENCE_S:g} s, or None")
 
 
-class _Inbox:
+class Inbox:
     """The messages of one connection: the newest image of each sensor that the loop has not had.
 
     An image is requested when the loop asks for one, so that it is the newest. Of several sensors each has its
@@ -121,17 +93,17 @@ class _Inbox:
         self.requested: dict[str, float] = {}  # time (s) at which each sensor's next image was requested
         self._parts: dict[str, dict[Kind, Unpacked]] = {name: {} for name in kinds}
         self._images: dict[str, tuple[Image, float]] = {}  # with the time of the request, in the order of turns
-        self._asked = self._handed_out = self._fresh_from = time.monotonic()
+        self._asked_at = self._handed_out = self._fresh_from = time.monotonic()
 
     def ask(self) -> None:
         """The loop asks for an image."""
-        self._asked = time.monotonic()
-        if self._asked - self._handed_out > FRESH_S:
-            self._fresh_from = self._asked
+        self._asked_at = time.monotonic()
+        if self._asked_at - self._handed_out > FRESH_S:
+            self._fresh_from = self._asked_at
 
     def requests(self) -> list[str]:
         """The messages that request images, none of a sensor whose image was requested after `ask`."""
-        waiting = {name for name, (_, requested) in self._images.items() if requested >= self._asked}
+        waiting = {name for name, (_, requested) in self._images.items() if requested >= self._asked_at}
         names = [name for name in self._kinds if name not in self.requested and name not in waiting]
         self.requested |= dict.fromkeys(names, time.monotonic())
         return [json.dumps({"type": "next", "sensor": name}) for name in names]
@@ -171,12 +143,12 @@ class _Inbox:
         return name
 
 
-class _Stream:
+class Stream:
     """A stream from one connection to the next: its address, and how long it still waits."""
 
     def __init__(
         self,
-        client: "Client",
+        service: Service,
         sensor: str | Sequence[str],
         rate_hz: float,
         patience_s: float | None,
@@ -184,17 +156,17 @@ class _Stream:
     ) -> None:
         names = _parse_names("sensor", sensor)
         sheared = [] if shear is False else names if shear is True else _parse_names("shear", shear)
-        self._url, self._patience_s = client.url, _parse_patience(patience_s)
+        self._url, self._patience_s = service.url, _parse_patience(patience_s)
         self._title = f"sensor {sensor!r}" if isinstance(sensor, str) else f"sensors {', '.join(names)}"
         self._kinds: dict[str, Sequence[Kind]] = {
             name: (*PRESSURES, "shear") if name in sheared else PRESSURES for name in names
         }
         query = {"sensors": ",".join(names), "rate_hz": rate_hz, "flow": "credit"}
         query |= {"shear": ",".join(sheared)} if sheared else {}
-        self.address = f"ws{client.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
-        self._options: dict[str, Any] = {"additional_headers": client.headers, "compression": None}
+        self.address = f"ws{service.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
+        self._options: dict[str, Any] = {"additional_headers": service.headers, "compression": None}
         self._options |= {"max_queue": MAX_QUEUE, "close_timeout": 1, "logger": WEBSOCKETS_LOG}
-        self._options |= {"ssl": client.ssl_context} if client.ssl_context else {}
+        self._options |= {"ssl": service.ssl_context} if service.ssl_context else {}
         self._back_off_s = BACK_OFF_S[0]
         self._error = ""  # of the newest connection, unless a message came
         self._logged: set[str] = set()  # sensors and errors
@@ -207,7 +179,7 @@ class _Stream:
 
     def connected(self) -> None:
         """A connection begins."""
-        self.inbox = _Inbox(self._kinds)
+        self.inbox = Inbox(self._kinds)
 
     def ask(self) -> None:
         """The loop asks for an image: patience begins anew."""
@@ -240,16 +212,16 @@ class _Stream:
     def failed(self, error: Exception) -> float:
         """How long to wait (s) after an error before the next attempt; TactileError where there is to be none."""
         if isinstance(error, ssl.SSLCertVerificationError):
-            raise TactileError(f"{self._url}: {_describe(error)}") from error
+            raise TactileError(f"{self._url}: {describe(error)}") from error
         if isinstance(error, ConnectionClosed) and error.rcvd is not None and error.rcvd.code in REFUSED:
             raise TactileError(f"{self._url}: {error.rcvd.reason}") from error
         if not isinstance(error, TimeoutError) or not self._error:
-            self._error = _describe(error)
-        left = self._patience_left_s()
-        if left == 0:
+            self._error = describe(error)
+        patience_s = self._patience_left_s()
+        if patience_s == 0:
             raise self._timed_out() from error
         self._log(self._error, f"no connection: {self._error}: trying again")
-        wait, self._back_off_s = min(self._back_off_s, left), min(2 * self._back_off_s, BACK_OFF_S[1])
+        wait, self._back_off_s = min(self._back_off_s, patience_s), min(2 * self._back_off_s, BACK_OFF_S[1])
         return wait
 
     def _patience_left_s(self) -> float:
@@ -276,7 +248,8 @@ class _Stream:
             LOG.warning("%s at %s: %s", self._title, self._url, text)
 
 
-def _read(stream: _Stream) -> Generator[Image, None, None]:
+def read(stream: Stream) -> Generator[Image, None, None]:
+    """The images of a stream."""
     stream.ask()
     while True:
         try:
@@ -295,7 +268,8 @@ def _read(stream: _Stream) -> Generator[Image, None, None]:
             time.sleep(stream.failed(error))
 
 
-async def _aread(stream: _Stream) -> AsyncGenerator[Image, None]:
+async def aread(stream: Stream) -> AsyncGenerator[Image, None]:
+    """The images of a stream, for asyncio."""
     stream.ask()
     while True:
         try:
@@ -316,105 +290,10 @@ async def _aread(stream: _Stream) -> AsyncGenerator[Image, None]:
             await asyncio.sleep(stream.failed(error))
 
 
-class Client:
-    """Talks to one service; every method raises TactileError with the service's message where it refuses."""
-
-    def __init__(self, url: str, token: str | None = None, ssl_context: ssl.SSLContext | None = None) -> None:
-        self.url, token_in_url = _parse_url(url)
-        if token and token_in_url:
-            raise ConfigError("token: given twice, in url, too")
-        token = token or token_in_url
-        if not isinstance(token, str) or not token.isascii() or not token.isprintable():
-            raise ConfigError("token: give printable ASCII characters")
-        if ssl_context is not None and not self.url.startswith("https"):
-            raise ConfigError(f"ssl_context: url = {self.url!r} is not https")
-        self.ssl_context = ssl_context
-        self.headers = {"Authorization": f"Bearer {token}"} if token else {}
-
-    def sensors(self) -> list[dict[str, Any]]:
-        """Every sensor and its state."""
-        answer = self._request("GET", "/sensors")
-        try:
-            sensors: list[dict[str, Any]] = answer["sensors"]
-        except (TypeError, LookupError) as error:
-            raise TactileError(f"{self.url}: no service of tactiled: it names no sensors") from error
-        return sensors
-
-    def set_method(self, sensor: str, method: str) -> None:
-        """Restore by `method` from the next frame on."""
-        self._request("PUT", f"/sensors/{_quoted(sensor)}/method", {"method": str(method)})
-
-    def tare(self, sensor: str, force: bool = False) -> None:
-        """Take the mean of the next frames as the unloaded array.
-
-        LoadedError, whose `seen` says why, where the newest frames show a load, unless it is by `force`.
-        """
-        self._request("POST", f"/sensors/{_quoted(sensor)}/tare{'?force=true' if force else ''}")
-
-    def stream(
-        self,
-        sensor: str | Sequence[str],
-        rate_hz: float = 0.0,
-        patience_s: float | None = None,
-        shear: bool | str | Sequence[str] = False,
-    ) -> Generator[Image, None, None]:
-        """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
-
-        Each is the newest there is when the loop asks for it: a loop slower than the sensor misses images and gets
-        none that is old. At most `rate_hz` a second (0: every frame) of each; with `shear`, of all sensors or of
-        those named, whose skin must sense it. TactileError if the loop waits for an image for `patience_s` (None:
-        for ever), or if the service refuses; after one stream too many, of this client (4429) or of all (4503), it
-        waits for a place. The log has once what it waits for.
-        """
-        images = _read(_Stream(self, sensor, rate_hz, patience_s, shear))
-        _STREAMS.add(images)
-        return images
-
-    def astream(
-        self,
-        sensor: str | Sequence[str],
-        rate_hz: float = 0.0,
-        patience_s: float | None = None,
-        shear: bool | str | Sequence[str] = False,
-    ) -> AsyncGenerator[Image, None]:
-        """The same as `stream`, for asyncio."""
-        return _aread(_Stream(self, sensor, rate_hz, patience_s, shear))
-
-    def _request(self, verb: str, path: str, body: object = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        headers = self.headers | ({"Content-Type": "application/json"} if data else {})
-        request = Request(f"{self.url}/api/v1{path}", data, headers, method=verb)
-        try:
-            with urlopen(request, timeout=ANSWER_S, context=self.ssl_context) as answer:  # http or https
-                return json.loads(answer.read() or b"null")
-        except HTTPError as error:
-            raise _refusal(self.url, error) from error
-        except (OSError, HTTPException, ValueError) as error:
-            raise TactileError(f"{self.url}: {_describe(error)}") from error
-
-
-_STREAMS: WeakSet[Generator[Image, None, None]] = WeakSet()
-
-
-@atexit.register
-def _close_streams() -> None:
-    """Close the streams that a program still has, while the threads that this waits for still run."""
-    for images in list(_STREAMS):
-        with suppress(ValueError):  # a thread is in it
-            images.close()
-
-
-def _quoted(sensor: str) -> str:
-    """A sensor's name in an address."""
-    if not isinstance(sensor, str) or not sensor:
-        raise ConfigError(f"sensor = {sensor!r}: give a sensor's name")
-    return quote(sensor, safe="")
-
-
-def _describe(error: Exception) -> str:
+def describe(error: Exception) -> str:
     """An error in a line."""
     if isinstance(error, URLError) and isinstance(error.reason, Exception):
-        return _describe(error.reason)
+        return describe(error.reason)
     if isinstance(error, ConnectionClosed):
         if error.rcvd is not None:
             return f"{error.rcvd.reason or 'closed'} ({error.rcvd.code})"
@@ -423,13 +302,3 @@ def _describe(error: Exception) -> str:
     if isinstance(error, json.JSONDecodeError):
         return f"no service of tactiled: its answer is no JSON: {text}"
     return f"{text}: is the service running?" if isinstance(error, ConnectionRefusedError) else text
-
-
-def _refusal(url: str, error: HTTPError) -> TactileError:
-    """The service's own message of an error."""
-    try:
-        problem = json.loads(error.read())
-        text = f"{url}: {problem['detail']}"
-        return LoadedError(text, problem["seen"]) if problem.get("code") == "loaded" else TactileError(text)
-    except (ValueError, KeyError, TypeError, AttributeError, OSError, HTTPException):
-        return TactileError(f"{url}: HTTP {error.code}")
