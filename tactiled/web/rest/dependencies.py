@@ -1,7 +1,6 @@
 """What routes take from a request: the service, a sensor, the format; and the checks of every request."""
 
 from collections.abc import Callable
-from fnmatch import fnmatch
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args
 
@@ -18,6 +17,7 @@ from tactiled.web.rest.responses import MEDIA
 from tactiled.web.ws.query import no_such, once
 
 Costly = Literal["pictures", "numbers"]  # answers of which one of a kind is made at a time
+FORMAT = "format of the answer; left out: by the Accept header"
 
 
 async def _service(request: Request) -> Service:
@@ -58,10 +58,7 @@ def format_of(formats: Any) -> Any:
 
     async def form(
         request: Request,
-        requested: Annotated[
-            formats | None,
-            Query(alias="format", description="format of the answer; left out: by the Accept header"),
-        ] = None,
+        requested: Annotated[formats | None, Query(alias="format", description=FORMAT)] = None,
     ) -> str:
         return requested or _accepted(request, get_args(formats))
 
@@ -73,7 +70,8 @@ def _accepted(request: Request, offered: tuple[str, ...]) -> str:
     header = request.headers.get("accept", "*/*")
     for weight, media_range in sorted(map(like, header.split(",")), key=lambda each: -each[0]):
         for form in offered:
-            if weight > 0 and fnmatch(MEDIA[form], media_range):
+            media = MEDIA[form]
+            if weight > 0 and media_range in (media, f"{media.partition('/')[0]}/*", "*/*"):
                 return form
     raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
 

@@ -25,6 +25,9 @@ from tactiled.wire import UNITS, Kind, Unit
 NewestFormat = Literal["json", "npy", "png"]
 PageFormat = Literal["json", "npy", "npz"]
 MAX_IMAGES = 1000  # an answer
+WINDOW = r"^[0-9]{1,6}(\.[0-9]{1,6})?s$"
+BEFORE = r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$"
+OLDER = "continue with older images: `before` of the previous answer, or a sequence number"
 MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
 
 IMAGE_HEADERS = {
@@ -80,13 +83,8 @@ class Frames(schemas.Schema):
     sensor: schemas.SensorName
     kind: Kind = Field(examples=["restored"])
     unit: Unit = Field(description="counts of shear", examples=["kPa"])
-    before: str | None = Field(
-        description="`before` of the next page, older images of the same window; null: there are none",
-        examples=["5073@1763711998.250000"],
-    )
-    cut: bool = Field(
-        description="whether images of the window's beginning may have been discarded", examples=[False]
-    )
+    before: str | None = Field(description="`before` of the next page; null: no older images in the window")
+    cut: bool = Field(description="whether images of the window's beginning may have been discarded")
     frames: list[KeptFrame] | list[KeptShear]
 
 
@@ -94,26 +92,12 @@ class PageQuery(BaseModel):
     """Which images of the last seconds."""
 
     kind: Kind = Field("restored", description="which images")
-    last: str = Field(
-        "1s",
-        pattern=r"^[0-9]{1,6}(\.[0-9]{1,6})?s$",
-        description="length of the window, back from the newest image",
-        examples=["2s"],
-    )
-    before: str | None = Field(
-        None,
-        pattern=r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$",
-        description="continue with older images: `before` of the previous answer, or a sequence number",
-        examples=["5073@1763711998.250000"],
-    )
+    last: str = Field("1s", pattern=WINDOW, description="window, back from the newest image", examples=["2s"])
+    before: str | None = Field(None, pattern=BEFORE, description=OLDER, examples=["5073@1763711998.250000"])
     limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
 
 
-@router.get(
-    "",
-    response_model=Frames,
-    responses=problems(404, 406, 429) | PAGE,
-)
+@router.get("", response_model=Frames, responses=problems(404, 406, 429) | PAGE)
 async def page(
     sensor: NamedSensor,
     request: Request,
@@ -170,9 +154,8 @@ def _before(images: Page) -> str | None:
 
 def _json(sensor: Sensor, kind: Kind, images: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
-    head = Frames(
-        sensor=sensor.name, kind=kind, unit=UNITS[kind], before=_before(images), cut=images.cut, frames=[]
-    )
+    before, unit = _before(images), UNITS[kind]
+    head = Frames(sensor=sensor.name, kind=kind, unit=unit, before=before, cut=images.cut, frames=[])
     yield head.model_dump_json().encode().removesuffix(b"]}")
     for n in range(len(images.time)):
         yield (b"," if n else b"") + _past_frame(kind, images, n).model_dump_json().encode()
