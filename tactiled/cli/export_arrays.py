@@ -20,54 +20,37 @@ METHOD_NAME = "<U16"  # longer than any method's name
 FRAMES_AT_ONCE = 1024  # that are copied to HDF5
 
 
-class Columns:
-    """One file for each array of a frame."""
+class NpzExport:
+    """numpy's .npz; until it is written each array of a frame has a file of its own in `folder`."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._files = folder, ExitStack()
+    def __init__(self, path: Path, folder: Path, plan: SensorPlan) -> None:
+        self._path, self._folder, self._plan = path, folder, plan
+        self._files = ExitStack()
         self._columns: dict[str, BinaryIO] = {}
         self._row: Arrays = {}
         self._count = 0
-
-    def add(self, row: Arrays) -> None:
-        """Append one frame."""
-        for name, array in row.items():
-            if name not in self._columns:
-                self._columns[name] = self._files.enter_context((self._folder / name).open("wb"))
-            self._columns[name].write(array.tobytes())
-        self._row, self._count = row, self._count + 1
-
-    def arrays(self) -> Arrays:
-        """All arrays, frames first, mapped from their files; no frame can be added after it."""
-        self.close()
-        return {
-            name: np.memmap(self._folder / name, array.dtype, "r", shape=(self._count, *array.shape))
-            for name, array in self._row.items()
-        }
-
-    def close(self) -> None:
-        """Close the files."""
-        self._files.close()
-
-
-class NpzExport:
-    """numpy's .npz."""
-
-    def __init__(self, path: Path, folder: Path, plan: SensorPlan) -> None:
-        self._path, self._columns = path, Columns(folder)
-        self._places = {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions}
-        self.close = self._columns.close
+        self.close = self._files.close
 
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image) -> None:
-        """Take one image."""
-        self._columns.add(row(image))
+        """Append one frame."""
+        self._row, self._count = row(image), self._count + 1
+        for name, array in self._row.items():
+            if name not in self._columns:
+                self._columns[name] = self._files.enter_context((self._folder / name).open("wb"))
+            self._columns[name].write(array.tobytes())
 
     def finish(self, provenance: dict[str, Any]) -> None:
         """Write the file, `provenance` as JSON in it."""
-        self.save(self._path, self._columns.arrays() | self._places, provenance)
+        self.close()
+        columns = {
+            name: np.memmap(self._folder / name, array.dtype, "r", shape=(self._count, *array.shape))
+            for name, array in self._row.items()
+        }
+        places = {"positions_mm": self._plan.array.positions, "cells_mm": self._plan.cells.positions}
+        self.save(self._path, columns | places, provenance)
 
     @staticmethod
     def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:

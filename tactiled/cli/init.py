@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tactiled.cli.options import new_file
+from tactiled.cli.options import write_configuration
 from tactiled.config.example import EXAMPLE
 
 
@@ -13,6 +13,4 @@ def init(
     path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
 ) -> None:
     """Write a commented configuration."""
-    with new_file(path) as part:
-        part.write_text(EXAMPLE, "utf-8")
-    typer.echo(f"wrote {path}: edit it, then `tactiled check {path}` and `tactiled run {path}`")
+    write_configuration(path, EXAMPLE)

@@ -53,3 +53,10 @@ def new_file(path: Path) -> Iterator[Path]:
         raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
     except OSError as error:
         raise TactileError(f"{path}: {error.strerror or error}: nothing is written") from error
+
+
+def write_configuration(path: Path, text: str) -> None:
+    """Write a new configuration and print what to do with it."""
+    with new_file(path) as part:
+        part.write_text(text, "utf-8")
+    typer.echo(f"wrote {path}: edit it, then `tactiled check {path}` and `tactiled run {path}`")

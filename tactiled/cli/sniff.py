@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Sender, Survey, survey
+from tactiled.cli import options
 from tactiled.cli.app import interrupted
-from tactiled.cli.options import new_file
 from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
@@ -59,9 +58,7 @@ def sniff(
     channel: Annotated[
         str | None, typer.Option(help="Its channel; can0 on SocketCAN if left out.", show_default=False)
     ] = None,
-    bitrate: Annotated[
-        int | None, typer.Option(help="Bits a second, where the interface sets them.", min=1)
-    ] = None,
+    bitrate: options.Bitrate = None,
     fd: Annotated[
         bool, typer.Option("--fd", help="Open the interface for CAN FD; SocketCAN's always is.")
     ] = False,
@@ -73,19 +70,14 @@ def sniff(
     """Listen to a bus and list the known skins on it; sends nothing."""
     if write is not None and write.exists():
         raise ConfigError(f"{write} is there already: name another file, or remove it first")
-    options = {"channel": channel, "bitrate": bitrate, "fd": fd or None}
-    settings = {"interface": interface} | {key: value for key, value in options.items() if value is not None}
+    settings = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
     if interface == "socketcan":
         settings = {"channel": "can0"} | settings | {"fd": True}
     messages = _listen(settings, seconds)
     result = survey(messages)
-    console = Console(soft_wrap=True, highlight=False)
-    console.print(*report(result, len(messages), seconds), sep="\n", markup=False)
+    typer.echo("\n".join(report(result, len(messages), seconds)))
     if write is not None:
-        _write(write, configuration(result, settings))
-        console.print(
-            f"wrote {write}: edit it, then `tactiled check {write}` and `tactiled run {write}`", markup=False
-        )
+        options.write_configuration(write, configuration(result, settings))
 
 
 def _listen(settings: dict[str, Any], seconds: float) -> list[Message]:
@@ -161,8 +153,3 @@ def _sensor(one: Sender, name: str, bus: str) -> str:
 def _lines(settings: dict[str, Any]) -> str:
     """Keys and values in TOML, whose strings, numbers, booleans and lists of them are JSON's."""
     return "\n".join(f"{key} = {json.dumps(value)}" for key, value in settings.items())
-
-
-def _write(path: Path, text: str) -> None:
-    with new_file(path) as part:
-        part.write_text(text, "utf-8")

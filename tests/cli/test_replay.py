@@ -12,7 +12,6 @@ from tactiled.bus.replay import Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
-from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.web.server import running
@@ -146,16 +145,6 @@ def test_a_sender_that_restarts_at_a_step_of_the_clock_is_followed(step):
     assert (len(got), router.assemblers["palm"].loss.late) == (4, 0)
 
 
-@pytest.mark.parametrize("time", ["inf", "1e300", "nan"])
-def test_an_impossible_time_ends_the_replay_with_a_reason(tmp_path, time):
-    path = stepping(tmp_path / "a.log", 0.0)
-    rows = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(rows[:30]) + re.sub(r"\(.*\)", f"({time})", rows[30]) + "".join(rows[31:]))
-    got, sensor = images(path, speed=100.0)
-    assert len(got) == 15
-    assert f"message 31: time {float(time):g} s is none from 1970 to 2106" in sensor.status().detail
-
-
 def test_a_bug_ends_the_replay_with_a_reason(lossy, monkeypatch):
     monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
     _, sensor = images(lossy)
@@ -187,8 +176,6 @@ def test_a_file_cut_anywhere_gives_its_first_messages_only(tmp_path, ending):
 def test_a_fault_within_a_recording_ends_the_replay_with_a_reason(lossy):
     lines = lossy.read_text().splitlines(keepends=True)
     lossy.write_text("".join([*lines[:20], "nonsense\n", *lines[20:]]))
-    with pytest.raises(ConfigError, match="give a recording in a format"):
-        list(Recording(lossy))
     got, sensor = images(lossy)
     assert 0 < len(got) < 10
     assert "give a recording in a format" in sensor.status().detail
