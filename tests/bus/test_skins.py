@@ -188,28 +188,11 @@ def test_a_packages_texts_are_secrets_that_it_alone_gets(install, error, where):
         make_codec(sensor(table + "6"))
 
 
-@pytest.mark.parametrize(
-    ("codec", "array"),
-    [
-        ('name = "xela", controller = 3, rows = [0, 1], columns = [0, 1, 2]', (2, 3)),
-        ('name = "xela", profile = "single"', (4, 4)),
-        ('name = "barrett", node = 11', (8, 3)),
-        ('name = "poweron"', (6, 6)),
-        ('name = "cyskin"', (4, 4)),
-        ('name = "linker", hand = "left", fingers = [2]', (12, 6)),
-        ('name = "packed", bits = 9', (5, 7)),
-    ],
-)
-def test_a_configuration_names_every_skin(codec, array):
-    one = sensor(codec, f"rows = {array[0]}, columns = {array[1]}, pitch_mm = 4.0")
-    assert make_codec(one).size == make_array(one).size == array[0] * array[1]
-    assert make_calibration(one).kpa_per_count == 1.0
-
-
 def test_an_icub_board_knows_its_positions_and_the_sign_of_its_counts():
     one = sensor('name = "icub", board = 1, triangles = [3, 4]', "aperture_mm = 3.6")
     assert make_codec(one).size == make_array(one).size == 20
     assert (make_calibration(one).kpa_per_count, make_calibration(one).no_load) == (-1.0, 240.0)
+    assert make_calibration(sensor('name = "cyskin"')).kpa_per_count == 1.0
     with pytest.raises(ConfigError, match=r"array\.rows = 2: belongs to a grid, and"):
         make_array(sensor('name = "icub", board = 1, triangles = [3, 4]'))
 
