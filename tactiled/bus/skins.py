@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
@@ -25,33 +25,30 @@ BUILT_IN = tuple(each.name for each in iter_modules(codecs.__path__))
 LOG = logging.getLogger(__name__)
 
 
-def names() -> tuple[str, ...]:
-    """The name of every codec; none is imported."""
-    return (*BUILT_IN, *(each.name for each in entry_points(group=GROUP)))
-
-
 def skins() -> Iterator[tuple[str, type[Skin]]]:
     """Every skin by its name; one that cannot be imported is logged and left out."""
-    for name in names():
+    offers = entry_points(group=GROUP)
+    for name in (*BUILT_IN, *offers.names):
         try:
-            yield name, load(name)
+            yield name, load(name, offers)
         except ConfigError as error:
             LOG.warning("%s", error)
 
 
-def load(name: str) -> type[Skin]:
+def load(name: str, offers: EntryPoints | None = None) -> type[Skin]:
     """Import a skin; ConfigError where its name is unknown or not unique, or its package fails."""
-    offers, packages = entry_points(group=GROUP, name=name), _packages(name)
+    everything = entry_points(group=GROUP) if offers is None else offers  # takes 20 ms
+    offers, packages = everything.select(name=name), _packages(everything, name)
     if name in BUILT_IN and offers:
         raise ConfigError(
             f"{name!r}: built in, and {packages} offers a codec of the same name: uninstall that one"
         )
     if len(offers) > 1:
         raise ConfigError(f"{name!r}: offered by {packages}: uninstall one")
-    if name not in names():
-        near = difflib.get_close_matches(name, names(), 1)
+    if name not in (names := (*BUILT_IN, *sorted(everything.names))):
+        near = difflib.get_close_matches(name, names, 1)
         hint = f": did you mean {near[0]}?" if near else ""
-        raise ConfigError(f"unknown codec {name!r}; available: {', '.join(names())}{hint}")
+        raise ConfigError(f"unknown codec {name!r}; available: {', '.join(names)}{hint}")
     try:
         skin: Any = offers[name].load() if offers else import_module(f"{codecs.__name__}.{name}").SKIN
     except Exception as error:  # what another package's import may raise
@@ -91,7 +88,7 @@ def make(name: str, skin: Skin, array: Array) -> Codec:
         _try_out(codec)
     except Exception as error:
         reason = _redactor(name, _table(skin))(_line(error))
-        package = "" if name in BUILT_IN else f"{name!r} of {_packages(name)}: "
+        package = "" if name in BUILT_IN else f"{name!r} of {_packages(entry_points(group=GROUP), name)}: "
         raise ConfigError(f"{package}{reason}") from error
     return codec
 
@@ -124,10 +121,10 @@ def _redactor(name: str, table: Mapping[str, Any]) -> Callable[[str], str]:
     return str if name in BUILT_IN else redactor(seal(table))
 
 
-def _packages(name: str) -> str:
+def _packages(offers: EntryPoints, name: str) -> str:
     """Names and versions of the packages that offer a codec."""
-    offers = entry_points(group=GROUP, name=name)
-    return " and ".join(f"{each.dist.name} {each.dist.version}" if each.dist else each.value for each in offers)
+    dists = ((each, each.dist) for each in offers.select(name=name))
+    return " and ".join(f"{dist.name} {dist.version}" if dist else offer.value for offer, dist in dists)
 
 
 def _line(error: Exception) -> str:

@@ -38,6 +38,7 @@ A, B, C = frame_of(0), frame_of(1), frame_of(2)
     [
         ([*A, *B, *C], [0, 1, 2], Loss()),
         ([*A, *frame_of(4)], [0, 4], Loss(lost=9)),  # lost frames count every message they had
+        ([*A, *frame_of(128)], [0, 128], Loss(lost=381)),  # half the counter is still ahead
         ([A[0], A[0], A[1], A[2], A[2], *B], [0, 1], Loss(repeated=2)),
         ([A[0], A[2], A[1], *B], [0, 1], Loss(late=1)),
         ([*(each for n in range(250, 260) for each in frame_of(n))], [*range(10)], Loss()),  # the counter wraps
