@@ -14,7 +14,7 @@ KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
 PRESSURES = KINDS[:2]  # what every sensor has
 Unit = Literal["kPa", "counts"]
 UNITS: dict[Kind, Unit] = {"raw": "kPa", "restored": "kPa", "shear": "counts"}
-RAN = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points")  # methods, by the number sent
+METHOD_NAMES = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points")  # by their number
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
 LAYOUT = (  # offset, type, meaning
@@ -34,7 +34,11 @@ LAYOUT = (  # offset, type, meaning
     (48, "f32", "resolution: finest half-period above the noise, mm"),
     (52, "f32", "time from counts to the restored image, microseconds"),
     (56, "u32", "iterations of the method"),
-    (60, "u32", f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(RAN) if n)}; 0 any other"),
+    (
+        60,
+        "u32",
+        f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(METHOD_NAMES) if n)}; 0 any other",
+    ),
     (64, "f32 x rows x columns", "pressure in kPa, row by row, NaN if unknown; shear: counts along x"),
     (None, "f32 x rows x columns", "shear only: counts along y"),
     (
@@ -47,12 +51,12 @@ LAYOUT = (  # offset, type, meaning
 
 
 class Unpacked(NamedTuple):
-    """What one binary message says."""
+    """One binary message."""
 
     kind: Kind
     sequence: int
     timestamp: float  # s, of the frame's first CAN message
-    sent: float  # s, when the message was made
+    made_at: float  # s, Unix, of the message
     values: NDArray[
         np.float32
     ]  # kPa, (rows, columns), one row where the layout is no grid; shear (2, ...), counts
@@ -62,20 +66,20 @@ class Unpacked(NamedTuple):
     resolution_mm: float
     microseconds: float
     iterations: int
-    method: str  # that ran; "" where it is not told
+    method: str  # that was used; "": unknown
     sensor: str  # "" on a stream of one sensor
 
 
 def _values(image: Image, kind: Kind) -> NDArray[np.float32]:
-    """What an image has of a kind; ValueError where it has no shear."""
+    """The values of a kind; ValueError where it has no shear."""
     values = {"raw": image.raw, "restored": image.restored, "shear": image.shear}[kind]
     if values is None:
         raise ValueError(f"image {image.sequence} of {image.sensor}: no {kind}")
     return values
 
 
-def pack(image: Image, kind: Kind, sent: float, sensor: str = "") -> bytes:
-    """Give the message of one image; `sent` is the time (s, Unix) it is made at, `sensor` the name to put in."""
+def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
+    """Give the message of one image; `made_at` is its time (s, Unix), `sensor` the name to put in."""
     values = _values(image, kind)
     flags = image.flags.tobytes() if kind == "raw" else b""
     rows, columns = values.shape[-2:] if image.raw.ndim == 2 else (1, values.shape[-1])
@@ -91,13 +95,13 @@ def pack(image: Image, kind: Kind, sent: float, sensor: str = "") -> bytes:
         0,
         image.sequence,
         image.time,
-        sent,
+        made_at,
         image.noise_kpa,
         image.noise_gain,
         image.resolution_mm,
         image.microseconds,
         image.iterations,
-        RAN.index(image.method) if image.method in RAN else 0,
+        METHOD_NAMES.index(image.method) if image.method in METHOD_NAMES else 0,
     )
     return b"".join((head, values.astype("<f4", copy=False).tobytes(), flags, name))
 
@@ -127,7 +131,7 @@ def unpack(data: bytes) -> Unpacked:
     if len(data) < HEADER.size or data[:4] != MAGIC or data[4] != VERSION:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
     _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)
-    sequence, timestamp, sent, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, ran = rest
+    sequence, timestamp, made_at, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, method = rest
     shape = (rows, columns) if kind < len(PRESSURES) else (2, rows, columns)
     end = HEADER.size + 4 * prod(shape)
     if len(data) != end + flagged + named or kind >= len(KINDS):
@@ -135,7 +139,7 @@ def unpack(data: bytes) -> Unpacked:
     values = np.frombuffer(data, "<f4", prod(shape), HEADER.size).reshape(shape)
     flags = np.frombuffer(data, np.uint8, flagged, end)
     return Unpacked(
-        KINDS[kind], sequence, timestamp, sent, values, flags,
+        KINDS[kind], sequence, timestamp, made_at, values, flags,
         noise_kpa, noise_gain, resolution_mm, microseconds, iterations,
-        RAN[ran] if ran < len(RAN) else "", data[end + flagged :].decode(),
+        METHOD_NAMES[method] if method < len(METHOD_NAMES) else "", data[end + flagged :].decode(),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tactiled.frames import MISSING, Image
 from tactiled.restore.methods import METHODS
-from tactiled.wire import HEADER, RAN, pack, unpack, unpack_all
+from tactiled.wire import HEADER, METHOD_NAMES, pack, unpack, unpack_all
 
 
 def image(raw, restored):
@@ -24,7 +24,7 @@ def grid():
     return image(raw, np.arange(24, dtype=np.float32).reshape(4, 6))
 
 
-def test_the_bytes_are_as_the_readme_says(grid):
+def test_the_bytes_are_as_documented(grid):
     data = pack(grid, "raw", 1763712000.5)
     assert HEADER.size == 64
     assert data[:6] == b"TCTL\x01\x00"
@@ -38,21 +38,21 @@ def test_the_bytes_are_as_the_readme_says(grid):
     assert data[64 + 24 :] == bytes((0, 0, 0, 0, 0, MISSING))
 
 
-def test_what_is_packed_is_unpacked(grid):
+def test_unpack_inverts_pack(grid):
     raw, restored = (unpack(pack(grid, kind, 2.0)) for kind in ("raw", "restored"))
     np.testing.assert_array_equal(raw.values, grid.raw)
     np.testing.assert_array_equal(raw.flags, grid.flags.ravel())
     np.testing.assert_array_equal(restored.values, grid.restored)
     assert restored.flags.size == 0
     assert (raw.kind, restored.kind) == ("raw", "restored")
-    assert (raw.sequence, raw.timestamp, raw.sent) == (grid.sequence, grid.time, 2.0)
+    assert (raw.sequence, raw.timestamp, raw.made_at) == (grid.sequence, grid.time, 2.0)
     assert raw.method == "nnls"
     assert (raw.noise_kpa, raw.noise_gain, raw.resolution_mm, raw.microseconds, raw.iterations) == (
         0.25, 1.5, 0.75, 61.5, 9,
     )  # fmt: skip
 
 
-def test_images_behind_one_another_are_unpacked(grid):
+def test_a_message_of_several_images_is_unpacked(grid):
     shear = replace(grid, shear=np.arange(12, dtype=np.float32).reshape(2, 2, 3))
     each = [pack(shear, kind, 2.0, "palm") for kind in ("raw", "shear", "restored")]
     for count in range(1, 4):
@@ -65,21 +65,22 @@ def test_images_behind_one_another_are_unpacked(grid):
             unpack_all(wrong)
 
 
-def test_every_method_has_a_number_and_none_is_made_up(grid):
-    assert {*RAN} == {*METHODS} - {"auto"} | {"", "idle"}
-    for method in RAN[1:]:
+def test_every_method_has_a_number_and_an_unknown_one_has_no_name(grid):
+    assert {*METHOD_NAMES} == {*METHODS} - {"auto"} | {"", "idle"}
+    for method in METHOD_NAMES[1:]:
         assert unpack(pack(replace(grid, method=method), "raw", 2.0)).method == method
     assert unpack(pack(replace(grid, method="another"), "raw", 2.0)).method == ""
     data = bytearray(pack(grid, "raw", 2.0))
-    data[60:64] = len(RAN).to_bytes(4, "little")  # of a later version
+    data[60:64] = len(METHOD_NAMES).to_bytes(4, "little")  # of a later version
     assert unpack(bytes(data)).method == ""
 
 
-def test_shear_is_x_and_then_y_behind_the_same_header(grid):
+def test_shear_has_the_same_header_and_then_x_and_y(grid):
     shear = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     data, raw = (pack(replace(grid, shear=shear), kind, 3.0) for kind in ("shear", "raw"))
     assert data[:12] == b"TCTL\x01\x02" + bytes((2, 0, 3, 0, 0, 0))
     assert data[12:64] == raw[12:64]
+    assert raw == pack(grid, "raw", 3.0)
     assert np.frombuffer(data, "<f4", 12, 64).tolist() == list(range(12))
     assert len(data) == 64 + 4 * 12
     got = unpack(data)
@@ -89,13 +90,7 @@ def test_shear_is_x_and_then_y_behind_the_same_header(grid):
         pack(grid, "shear", 3.0)
 
 
-def test_what_has_no_shear_is_the_same_bytes_beside_one_that_has(grid):
-    with_it = replace(grid, shear=np.ones((2, 2, 3), np.float32))
-    for kind in ("raw", "restored"):
-        assert pack(with_it, kind, 3.0) == pack(grid, kind, 3.0)
-
-
-def test_a_layout_that_is_no_grid_is_one_row():
+def test_a_layout_without_a_grid_is_one_row():
     values = np.arange(5, dtype=np.float32)
     assert unpack(pack(image(values, values), "restored", 0.0)).values.shape == (1, 5)
     sheared = replace(image(values, values), shear=np.stack([values, -values]))
@@ -105,13 +100,13 @@ def test_a_layout_that_is_no_grid_is_one_row():
 
 
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_message_are_refused(data):
+def test_other_bytes_are_refused(data):
     with pytest.raises(ValueError, match="bytes"):
         unpack(data)
 
 
 @given(st.integers(-111, -1), st.binary(max_size=4))
-def test_a_message_cut_or_longer_is_refused(end, more):
+def test_a_message_of_another_length_is_refused(end, more):
     assume(len(more) != -end)
     data = pack(image(np.zeros((2, 3), np.float32), np.zeros((4, 3), np.float32)), "restored", 0.0)
     with pytest.raises(ValueError, match="bytes"):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.wire import RAN, pack
+from tactiled.wire import METHOD_NAMES, pack
 from tests.conftest import pressed
 
 FOLDER = Path(__file__).parent
@@ -56,7 +56,7 @@ def test_messages_are_decoded_as_the_service_packs_them(rig):
         check=True,
     )
     methods, raw, restored = json.loads(run.stdout)
-    assert tuple(methods) == RAN
+    assert tuple(methods) == METHOD_NAMES
     numbers = [image.noise_kpa, image.noise_gain, image.resolution_mm, image.microseconds]
     for kind, fields in enumerate((raw, restored)):
         assert fields[:6] == [kind, 8, 8, image.sequence, image.time, 12.5]

@@ -19,9 +19,6 @@ MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 class Problem(HTTPException):
     """An error with a text for the client."""
 
-    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None) -> None:
-        super().__init__(status, detail, dict(headers or {}))
-
 
 def response(status: int, detail: str, headers: Mapping[str, str] | None = None, **more: Any) -> Response:
     """The response of a problem; `more` of its fields where it has them."""

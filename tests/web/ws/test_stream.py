@@ -35,7 +35,7 @@ def test_from_can_messages_to_a_websocket_client(rig, url):
             assert raw.sequence == restored.sequence == rig.sequence
             np.testing.assert_allclose(raw.values, (pressed(force=force) - NO_LOAD) * GAIN)
             np.testing.assert_array_equal(restored.values, rig.sensor.hub.latest().restored)
-            assert began <= raw.timestamp <= raw.sent <= time.time()
+            assert began <= raw.timestamp <= raw.made_at <= time.time()
         assert restored.values.max() > raw.values.max()  # the cover's blur undone
 
 
@@ -188,7 +188,7 @@ def test_the_images_of_a_frame_may_come_in_one_message(rig, url):
         rig.show(pressed(4))
         assert {each["type"] for each in texts(together, 0.3)} <= {"status"}  # one message, one credit
         for one, alone in zip(both, images(apart, 2), strict=True):
-            assert one._replace(values=0, flags=0, sent=0) == alone._replace(values=0, flags=0, sent=0)
+            assert one._replace(values=0, flags=0, made_at=0) == alone._replace(values=0, flags=0, made_at=0)
             np.testing.assert_array_equal(one.values, alone.values)
             np.testing.assert_array_equal(one.flags, alone.flags)
 
