@@ -11,8 +11,7 @@ from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from tactiled.errors import ConfigError
-from tactiled.study.results import machine
+from tactiled.study.results import machine, make_folder
 
 if TYPE_CHECKING:
     from tactiled.study.frontier import Panel
@@ -96,10 +95,7 @@ def _measuring(folder: Path, config: Path | None, sensor: str | None) -> "Iterat
     """Make the folder for the results; on one thread, give the configured skin, or none."""
     from tactiled.study.skin import configured
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
+    make_folder(folder)
     with threadpool_limits(1):
         yield [configured(config, sensor)] if config else []
 

@@ -9,6 +9,7 @@ from tactiled.errors import ConfigError
 from tactiled.study.page import page, table, text
 from tactiled.study.paper.figures import FIGURES
 from tactiled.study.paper.statements import Statement, statements
+from tactiled.study.results import make_folder
 
 TITLE = "The mechanical filtering effect of an elastic cover, computed again"
 INTRODUCTION = """M. Shimojo, Mechanical Filtering Effect of Elastic Cover for Tactile Sensor, computes how a cover
@@ -22,10 +23,7 @@ SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 def write(folder: Path) -> Path:
     """Draw every figure into `folder` and write its page; give the page's path."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"folder {folder} cannot be made: {error.strerror}") from error
+    make_folder(folder)
     for name, _, _, draw in FIGURES:
         draw(folder / name)
     path = folder / "index.html"
