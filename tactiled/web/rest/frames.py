@@ -30,12 +30,14 @@ BEFORE = r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$"
 OLDER = "continue with older images: `before` of the previous answer, or a sequence number"
 MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
 
-IMAGE_HEADERS = {
+SERIES_HEADERS = {
     "X-Tactiled-Sequence": "number of the image; of several as ranges: 5-9,12 where 10 and 11 were lost",
     "X-Tactiled-Timestamp": "s, of the frame's first CAN message; of several images, of the first and the last",
+    "X-Tactiled-Unit": "kPa; of shear counts",
+}
+IMAGE_HEADERS = SERIES_HEADERS | {
     "X-Tactiled-State": "live, stale, silent or down",
     "X-Tactiled-Age": "s since the last frame came in",
-    "X-Tactiled-Unit": "kPa; of shear counts",
 }
 TAGGED = {"ETag": "for If-None-Match: the image in its present state"} | IMAGE_HEADERS
 NEWEST = success("the newest image", "npy", "png", headers=TAGGED) | success(
@@ -46,7 +48,7 @@ PAGE = success(
     ".npz with sequence, time, method, flags and values",
     "npy",
     "npz",
-    headers=IMAGE_HEADERS
+    headers=SERIES_HEADERS
     | {
         "X-Tactiled-Before": "`before` of the next page; absent: there is none",
         "X-Tactiled-Cut": "true: images of the window's beginning may have been discarded; else absent",

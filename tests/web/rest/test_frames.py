@@ -66,6 +66,9 @@ def test_the_newest_image_is_the_same_in_every_format(rig, client):
     expected = ["0", "live", "kPa", f"{image.time:.6f}"]
     assert [npy.headers[f"x-tactiled-{name}"] for name in names] == expected
     assert 0 <= float(npy.headers["x-tactiled-age"]) < 600
+    openapi = client.get("/openapi.json").json()["paths"]["/api/v1/sensors/{name}/frames/{kind}"]["get"]
+    documented = {name.lower() for name in openapi["responses"]["200"]["headers"]}
+    assert documented == {name for name in npy.headers if name.startswith(("x-tactiled", "etag"))}
     png = client.get("/sensors/palm/frames/restored", params={"format": "png", "top_kpa": 300})
     assert png.headers["content-type"] == "image/png"
     assert matplotlib.image.imread(io.BytesIO(png.content)).shape[2] == 4
