@@ -1,4 +1,4 @@
-"""Counts to kPa: offset, gain, tare, and the taxels that cannot be believed."""
+"""Counts to kPa: offset, gain, tare, and faulty taxels."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """pressure = (counts - no_load) * kpa_per_count; a negative gain says that counts fall as pressure rises."""
+    """pressure = (counts - no_load) * kpa_per_count; a negative gain: counts fall as pressure rises."""
 
     kpa_per_count: float = 1.0  # kPa
     no_load: float = 0.0  # counts
@@ -21,7 +21,7 @@ class Calibration:
     shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
 
     def __post_init__(self) -> None:
-        """Refuse a gain or a noise that means nothing."""
+        """Refuse a gain or a noise that is impossible."""
         if not np.isfinite(self.kpa_per_count) or self.kpa_per_count == 0:
             raise ConfigError(f"kpa_per_count is {self.kpa_per_count}: give kPa for one count, not 0")
         if not np.isfinite(self.no_load):

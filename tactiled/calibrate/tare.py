@@ -1,4 +1,4 @@
-"""Whether an array is loaded: what a tare must not take for its zero."""
+"""Whether an array is loaded, so that a tare would take the load for its zero."""
 
 from collections.abc import Sequence
 
@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
 
-CLEARLY = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
-AT_ZERO = 2.0  # noise standard deviations within which a taxel reads zero
-SKIRT = 0.05  # of the highest reading: so little is a contact's skirt, and reads zero as well
-UNPRESSED = 0.1  # of the taxels: if so many read zero, zero is right
+MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
+ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
+SKIRT_FRACTION = 0.05  # of the highest reading: so little is a contact's skirt, and reads zero as well
+UNPRESSED_FRACTION = 0.1  # of the taxels: if so many read zero, zero is right
 
 Floats = NDArray[np.float64]
 
 
-def load_seen(frames: Sequence[NDArray[np.float32]], noise_kpa: float) -> str:
-    """What in the newest frames (kPa, NaN: unknown) is a load rather than an offset; "" where nothing is.
+def load_description(frames: Sequence[NDArray[np.float32]], noise_kpa: float) -> str:
+    """The load in the newest frames (kPa, NaN: unknown), in words; "" where there is only an offset.
 
     An offset stands still and is all over the array, scattered as far below the array's median as above it. So a
     load is what stands above the median by more than the noise, and the scatter below the median, can reach, or
@@ -41,6 +41,8 @@ def load_seen(frames: Sequence[NDArray[np.float32]], noise_kpa: float) -> str:
 def _unloaded(level: Floats, noise_kpa: float) -> float:
     """Reading (kPa) of a taxel without a load."""
     median, reach = float(np.median(level)), detection_threshold(noise_kpa, level.size)
-    at_zero = np.count_nonzero(np.abs(level) < max(AT_ZERO * noise_kpa, SKIRT * level.max()))
-    pressed = median > CLEARLY * reach and level.min() > -reach and at_zero >= UNPRESSED * level.size
+    at_zero = np.count_nonzero(np.abs(level) < max(ZERO_SIGMAS * noise_kpa, SKIRT_FRACTION * level.max()))
+    pressed = (
+        median > MAX_DRIFT_FACTOR * reach and level.min() > -reach and at_zero >= UNPRESSED_FRACTION * level.size
+    )
     return 0.0 if pressed else median

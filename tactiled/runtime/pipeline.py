@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.calibrate.tare import load_seen
+from tactiled.calibrate.tare import load_description
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Image, RawFrame
@@ -27,7 +27,7 @@ class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
     `set_method`, `tare` and `lapse_tare` may be called from any thread and take effect with the next frame;
-    `load_seen`, `deviation` and `forces` may be called from any thread, too.
+    `load_description`, `deviation` and `forces` may be called from any thread, too.
     """
 
     def __init__(self, plan: SensorPlan) -> None:
@@ -54,9 +54,9 @@ class Pipeline:
         """Take the mean of the next frames as the unloaded array."""
         self._tare_mean.start()
 
-    def load_seen(self) -> str:
+    def load_description(self) -> str:
         """What of a load the newest frames show, in words; "" for none."""
-        return load_seen(self._recent, self.noise.kpa)
+        return load_description(self._recent, self.noise.kpa)
 
     def lapse_tare(self) -> None:
         """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""

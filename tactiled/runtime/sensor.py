@@ -91,7 +91,7 @@ class Sensor:
         status = self.status()
         if status.state != "live":
             raise NotLiveError(f"sensor {self.name!r}: {status.state}, {status.detail}: a tare needs frames")
-        if not force and (load := self.pipeline.load_seen()):
+        if not force and (load := self.pipeline.load_description()):
             raise LoadedError(
                 f"sensor {self.name!r}: {load}: unload the array, or tare anyway with force=true", load
             )

@@ -31,7 +31,7 @@ def test_a_saturated_taxel_keeps_its_value_and_is_flagged():
 
 
 @pytest.mark.parametrize("flag", [MISSING, BAD])
-def test_a_taxel_that_is_not_known_is_nan_not_zero(flag):
+def test_an_unknown_taxel_is_nan(flag):
     pressure, _ = Calibrator(Calibration(), 4)(COUNTS, np.array([0, flag, 0, 0], np.uint8))
     np.testing.assert_array_equal(np.isnan(pressure), [False, True, False, False])
 
@@ -43,7 +43,7 @@ def test_a_dead_taxel_is_nan_and_flagged_in_every_frame():
     assert not CLEAR.any()  # the caller's flags are not written to
 
 
-def test_tare_moves_the_zero_of_the_taxels_it_knows():
+def test_tare_moves_the_zero_of_known_taxels():
     calibrator = Calibrator(Calibration(2.0, no_load=10), 4)
     calibrator.tare(np.array([20.5, np.nan, 4000.0, 50.0]))
     pressure, _ = calibrator(COUNTS, CLEAR)
@@ -61,7 +61,7 @@ def test_tare_moves_the_zero_of_the_taxels_it_knows():
         ({"shear_n_per_count": float("inf")}, "shear_n_per_count is inf"),
     ],
 )
-def test_a_calibration_that_means_nothing_is_refused_by_name(settings, names):
+def test_an_impossible_calibration_is_refused(settings, names):
     with pytest.raises(ConfigError, match=names):
         Calibration(**settings)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plans
-from tactiled.calibrate.tare import load_seen
+from tactiled.calibrate.tare import load_description
 from tactiled.config import parse
 from tests.conftest import CONFIG
 
@@ -27,7 +27,7 @@ def observe(blur):
     def observe(load=0.0, offset=0.0, frames=FRAMES):
         loads = [load(n) if callable(load) else load for n in range(frames)]
         felt = [blur.forward(np.full(blur.surface_shape, 1.0, np.float32) * each) for each in loads]
-        return load_seen(
+        return load_description(
             [each + offset + random.normal(0, NOISE, blur.frame_shape).astype(np.float32) for each in felt], NOISE
         )
 
@@ -61,7 +61,7 @@ def test_an_array_that_drifted_or_was_never_tared_shows_no_load(blur, observe, c
         assert observe(offset=common + random.uniform(-scatter, scatter, blur.frame_shape)) == ""
 
 
-def test_offsets_of_which_a_tenth_read_zero_by_chance_hardly_ever_pass_for_a_load(blur, observe):
+def test_offsets_of_which_a_tenth_read_zero_by_chance_rarely_pass_for_a_load(blur, observe):
     """Others read less than zero, which none does under a load."""
     random = np.random.default_rng(3)
     descriptions = [observe(offset=random.normal(100, 100, blur.frame_shape)) for _ in range(40)]
@@ -73,7 +73,7 @@ def test_an_offset_that_tilts_over_the_array_is_no_load(blur, observe):
         assert observe(offset=common + np.linspace(-20, 20, blur.frame_shape[1])) == ""
 
 
-def test_what_a_tare_under_load_left_below_zero_is_no_load(blur, observe, disc):
+def test_readings_below_zero_after_a_tare_under_load_are_no_load(blur, observe, disc):
     assert observe(offset=-blur.forward(disc(50.0, 0.3).astype(np.float32))) == ""
 
 
@@ -95,26 +95,26 @@ def test_a_press_on_most_of_a_tared_array_is_a_load(observe, disc):
 
 
 @pytest.mark.parametrize("offset", OFFSETS)
-def test_what_moves_on_the_whole_array_is_a_load(observe, offset):
+def test_readings_that_move_on_the_whole_array_are_a_load(observe, offset):
     assert observe(lambda n: 10.0 + 0.5 * n, offset).startswith("readings that move by ")
 
 
 def test_a_load_is_described_in_kpa_and_taxels():
     frame = np.zeros((4, 4), np.float32)
-    assert load_seen([frame], NOISE) == ""
+    assert load_description([frame], NOISE) == ""
     frame[1, 1] = 12
-    assert load_seen([frame], NOISE) == "contact of 12 kPa on 1 taxel"
+    assert load_description([frame], NOISE) == "contact of 12 kPa on 1 taxel"
     frame[:2, :2] = 12, 9
-    assert load_seen([frame], NOISE) == "contact of 12 kPa on 4 taxels"
-    assert load_seen([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4 kPa"
+    assert load_description([frame], NOISE) == "contact of 12 kPa on 4 taxels"
+    assert load_description([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4 kPa"
 
 
-def test_a_taxel_that_is_not_known_tells_nothing():
+def test_an_unknown_taxel_is_left_out():
     frame = np.zeros((4, 4), np.float32)
     frame[0, 0] = np.nan
     once = frame.copy()
     once[1, 1] = np.nan
-    assert load_seen([frame, once], NOISE) == ""
-    assert load_seen([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
+    assert load_description([frame, once], NOISE) == ""
+    assert load_description([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
     frame[2, 2] = 50
-    assert load_seen([frame, once], NOISE) == "contact of 25 kPa on 1 taxel"
+    assert load_description([frame, once], NOISE) == "contact of 25 kPa on 1 taxel"
