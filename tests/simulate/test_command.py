@@ -92,15 +92,18 @@ def test_a_sensor_of_a_file_on_the_files_own_bus_or_another(listener, channel, c
 
 def test_a_serial_adapter_gets_its_own_commands(config):
     """What an slcan adapter gets, read by hand at the other end of a pseudo-terminal."""
+    data = b""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     bus = ("--interface", "slcan", "--channel", os.ttyname(theirs), "--bitrate", 1_000_000)
     try:
         succeed("simulate", "--config", config(GRASP), *bus, "--seconds", 0.3, "--rate-hz", 10, "--scene", "empty")
-        lines = os.read(ours, 65536).decode().split("\r")
+        while not data.endswith(b"\rC\r"):  # the adapter is closed
+            data += os.read(ours, 65536)
     finally:
         os.close(ours)
         os.close(theirs)
+    lines = data.decode().split("\r")
     assert {"S8", "O"} <= {*lines}  # 1 Mbit/s, open
     messages = [line for line in lines if line.startswith("t")]
     assert len(messages) in (10, 20, 30)
