@@ -20,7 +20,6 @@ MAX_CLIENTS = 1024  # that are remembered; who is forgotten begins with a full b
 MAX_WAITING = 64  # costly answers of one kind
 MAX_WAITING_PER_CLIENT = 16
 BURST_S = 10.0  # of the rate, at once
-RETRY_S = 5  # of the order that a full queue of pictures takes
 
 
 class RateLimit:
@@ -120,7 +119,7 @@ class Turns:
 
 
 def _queue_full(why: str) -> Problem:
-    return Problem(429, f"{why}: wait", {"Retry-After": str(RETRY_S)})
+    return Problem(429, f"{why}: wait", {"Retry-After": "1"})
 
 
 def client_of(scope: Scope) -> str:

@@ -2,11 +2,11 @@
 
 from contextlib import ExitStack
 
-import can
 import pytest
 from can.interfaces.virtual import VirtualBus
 from websockets.sync.client import connect
 
+from tactiled.bus import reader
 from tactiled.config import Server, parse
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
@@ -84,7 +84,7 @@ def test_no_answer_has_the_login_of_a_bus(tmp_path, monkeypatch):
         stack.callback(service.stop)
         url = stack.enter_context(running(service, Server(port=0, recordings=tmp_path)))
         stream = stack.enter_context(connect(websocket_url(url, "/api/v1/sensors/palm/stream")))
-        monkeypatch.setattr(can, "Bus", fail)
+        monkeypatch.setattr(reader, "Bus", fail)
         monkeypatch.setattr(VirtualBus, "_recv_internal", fail)
         until(lambda: service.sensors["palm"].status().state == "down" and service.events.newest)
         texts = [problem(ask("POST", url + "/api/v1/recordings", json={"bus": "can0"}), 503)]
