@@ -51,11 +51,11 @@ calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5, saturation
 class Rig:
     """A service on a virtual bus, and the other end of that bus."""
 
-    def __init__(self, channel, more=""):
-        self.config = parse(CONFIG.format(channel=channel) + more, "rig")
+    def __init__(self, channel, more="", text=CONFIG):
+        self.config = parse(text.format(channel=channel) + more, "rig")
         self.service = Service(self.config)
         self.bus = open_bus(interface="virtual", channel=channel)
-        self.sensor = self.service.sensor("palm")
+        self.sensor = self.service.sensor(next(iter(self.config.sensor)))
         self.sequence = -1
 
     def send(self, counts, drop=()):

@@ -2,15 +2,11 @@
 
 import re
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from tactiled.bus.codecs.xela import REST
-from tactiled.bus.reader import open_bus
-from tactiled.config import parse
-from tactiled.runtime.service import Service
-from tests.conftest import meanwhile, until
+from tests.conftest import Rig, meanwhile, until
 
 CONFIG = """
 [bus.can0]
@@ -47,17 +43,11 @@ def messages(codec, x, y, z=Z, now=0.0):
         yield each._replace(data=each.data[:1] + axes + each.data[5:])
 
 
-class Skin:
+class Skin(Rig):
     """The service, and who plays the skin."""
 
     def __init__(self, channel, more=""):
-        self.service = Service(parse(CONFIG.format(channel=channel) + more, "skin"))
-        self.bus = open_bus(interface="virtual", channel=channel)
-        self.sensor = self.service.sensor("skin")
-
-    def stale_after(self, seconds):
-        """Let the skin be stale so long (s) after its newest frame, from now on."""
-        self.sensor.plan = replace(self.sensor.plan, stale_after_s=seconds)
+        super().__init__(channel, more, CONFIG)
 
     def show(self, x, y, z=Z, drop=()):
         """Send a frame until it is whole, or as whole as it can be, and served; gives its image."""
