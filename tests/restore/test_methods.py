@@ -90,6 +90,9 @@ def test_a_saturated_taxel_is_a_lower_bound(covered):
     cut = np.minimum(frame, ceiling)
     naive = error(make("nnls", blur, SIGMA)(cut).image, truth)
     assert error(make("nnls", blur, SIGMA)(cut, flags).image, truth) < 0.7 * naive
+    alone = np.zeros((16, 16), np.float32)
+    alone[5, 5] = 200  # which its neighbours do not suggest
+    assert make("raw", blur, SIGMA)(alone, np.where(alone > 0, SATURATED, 0).astype(np.uint8)).image[5, 5] == 200
 
 
 @pytest.mark.parametrize("method", METHODS)
