@@ -17,8 +17,7 @@ from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
 from tactiled.web.http.problems import install
 from tactiled.web.rest import config, events, frames, metrics, recordings, restore, sensors, shear
 from tactiled.web.rest.dependencies import Costly, check_parameters
-from tactiled.web.rest.openapi import complete
-from tactiled.web.rest.responses import EVERY_RESOURCE, problems
+from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
 from tactiled.web.ws.feed import Feed, ticking
 

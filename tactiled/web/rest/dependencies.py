@@ -13,7 +13,7 @@ from tactiled.runtime.service import Service
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.negotiation import like
 from tactiled.web.http.problems import Problem
-from tactiled.web.rest.responses import MEDIA
+from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
 
 Costly = Literal["pictures", "numbers"]  # answers of which one of a kind is made at a time

@@ -12,7 +12,7 @@ from tactiled.runtime.events import Kind
 from tactiled.web import schemas
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import CurrentService
-from tactiled.web.rest.responses import problems
+from tactiled.web.rest.openapi import problems
 
 MAX_WAITING, MAX_WAITING_PER_CLIENT = 64, 16  # requests that wait for the next event
 router = APIRouter(prefix="/api/v1", tags=["service"])

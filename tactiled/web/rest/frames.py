@@ -18,7 +18,7 @@ from tactiled.web import answers, schemas
 from tactiled.web.http.negotiation import named
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
-from tactiled.web.rest.responses import MEDIA, problems, success
+from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
 from tactiled.wire import UNITS, Kind, Unit
 

@@ -21,7 +21,7 @@ from tactiled.runtime.events import Events
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import without_path
-from tactiled.web.rest.responses import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
+from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
 
 FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
 FILE = (

@@ -22,7 +22,7 @@ from tactiled.runtime.offline import Offline, open_frames, write
 from tactiled.web.http.limits import client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, without_path
-from tactiled.web.rest.responses import CONTROL, MEDIA, problems, success
+from tactiled.web.rest.openapi import CONTROL, MEDIA, problems, success
 from tactiled.web.schemas import MethodName
 
 MAX_IMAGE_BYTES = 256 << 20  # of the answer

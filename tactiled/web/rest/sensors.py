@@ -10,7 +10,7 @@ from tactiled.web import answers, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, no_frame, without_path
-from tactiled.web.rest.responses import CONTROL, JSON_BODY, problems
+from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 router = APIRouter(prefix="/api/v1")
 

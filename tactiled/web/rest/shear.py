@@ -7,7 +7,7 @@ from fastapi import APIRouter, Response
 from tactiled.web import answers, schemas
 from tactiled.web.rest.dependencies import NamedSensor, format_of, no_frame
 from tactiled.web.rest.frames import IMAGE_HEADERS, image_headers
-from tactiled.web.rest.responses import MEDIA, problems, success
+from tactiled.web.rest.openapi import MEDIA, problems, success
 
 Format = Literal["json", "npy"]
 NEWEST = success(
