@@ -27,7 +27,8 @@ function drawer() {
   return (x, y, time = 0) => {
     canvas.calls.length = 0;
     arrows.draw(Float32Array.from([...x, ...y]), time);
-    const points = canvas.calls.filter(([name]) => name.endsWith("To")).map(([, ...of]) => of.map((each) => each / 32));
+    const points = canvas.calls.filter(([name]) => name.endsWith("To")).map(([,
+      ...of]) => of.map((each) => each / 32));
     const shafts = points.filter((_, i) => i % 5 < 2);
     return [key.span.textContent, Array.from({ length: shafts.length / 2 }, (_, i) => {
       const [[x0, y0], [x1, y1]] = [shafts[2 * i], shafts[2 * i + 1]];

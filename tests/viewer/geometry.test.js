@@ -8,7 +8,8 @@ import { measure, measures } from "../../tactiled/web/static/measures.js";
 
 /** A grid at a pitch of 2 mm, restored at the same cells. */
 function grid(rows, columns) {
-  const positions_mm = Array.from({ length: rows * columns }, (_, i) => [2 * (i % columns), 2 * Math.floor(i / columns)]);
+  const positions_mm = Array.from({ length: rows * columns }, (_, i) => [2 * (i % columns),
+    2 * Math.floor(i / columns)]);
   return new Plane({
     shape: [rows, columns], positions_mm, pitch_mm: 2, aperture: "square", aperture_mm: 2, raw: { rows, columns },
     restored: { rows, columns, cell_mm: 2 }, areas_mm2: null,
@@ -17,7 +18,8 @@ function grid(rows, columns) {
 
 const CORNERS = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]];
 const scattered = () => new Plane({
-  shape: null, positions_mm: CORNERS, pitch_mm: 1.5, aperture: "round", aperture_mm: 1.5, raw: { rows: 1, columns: 4 },
+  shape: null, positions_mm: CORNERS, pitch_mm: 1.5, aperture: "round", aperture_mm: 1.5, raw: { rows: 1,
+    columns: 4 },
   restored: { rows: 1, columns: 4, cell_mm: 1.5 }, areas_mm2: [1, 2, 3, 4],
 });
 

@@ -12,7 +12,8 @@ const check = (convert, table) => {
 test("a force has two decimals, a small one three digits", () => {
   check(newtons, [
     [0, "0.00"], [1e-9, "0.00"], [-1e-9, "0.00"], [0.00123456, "0.00123"], [-0.00456, "−0.00456"],
-    [0.009999, "0.0100"], [0.09994, "0.0999"], [0.09996, "0.10"], [0.1, "0.10"], [12.345, "12.35"], [-1.234, "−1.23"],
+    [0.009999, "0.0100"], [0.09994, "0.0999"], [0.09996, "0.10"], [0.1, "0.10"], [12.345, "12.35"], [-1.234,
+      "−1.23"],
     [NaN, "–"],
   ]);
 });
@@ -94,7 +95,8 @@ test("a pair of numbers that is no range is refused with the reason and changes 
   const range = new DisplayRange();
   range.fix(0, 50);
   for (const [low, high, reason] of [
-    [60, 50, /maximum must exceed/], [0, -1, /maximum must exceed/], [0, NaN, /missing/], [-1e308, 1e308, /too far apart/],
+    [60, 50, /maximum must exceed/], [0, -1, /maximum must exceed/], [0, NaN, /missing/], [-1e308, 1e308,
+      /too far apart/],
     [1, 1 + 2 ** -52, /too close/], [-49.9999999, -49.9999998, /too close/],
   ]) {
     assert.match(range.fix(low, high), reason);

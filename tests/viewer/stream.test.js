@@ -53,7 +53,8 @@ test("one packet takes messages of every size and kind", () => {
 test("an .npy of anything but rows of 32-bit numbers is refused", () => {
   const file = (type) => {
     const header = `{'descr': '${type}', 'fortran_order': False, 'shape': (2,)}\n`.padEnd(118);
-    return new Uint8Array([...Array(8).fill(0), 118, 0, ...new TextEncoder().encode(header), 0, 0, 128, 63, 0, 0, 0, 64]).buffer;
+    return new Uint8Array([...Array(8).fill(0), 118, 0, ...new TextEncoder().encode(header), 0, 0, 128, 63, 0, 0,
+      0, 64]).buffer;
   };
   assert.deepEqual([...npy(file("<f4"))], [1, 2]);
   assert.throws(() => npy(file("<f8")), RangeError);
@@ -87,18 +88,21 @@ class FakeSocket {
 beforeEach(() => {
   FakeSocket.all = [];
   globalThis.WebSocket = FakeSocket;
+  Date.now = () => 1e12;
+  Object.defineProperty(globalThis, "performance", { value: { now: () => 1000 }, configurable: true });
   globalThis.location = { href: "http://127.0.0.1/" };
   for (const name of ["setTimeout", "setInterval"]) globalThis[name] = () => 0; // nothing comes by time
 });
 
 const plane = new Plane({
-  shape: [1, 2], positions_mm: [[0, 0], [1, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1, raw: { rows: 1, columns: 2 },
-  restored: { rows: 1, columns: 2, cell_mm: 1 }, areas_mm2: null,
+  shape: [1, 2], positions_mm: [[0, 0], [1, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1,
+  raw: { rows: 1, columns: 2 }, restored: { rows: 1, columns: 2, cell_mm: 1 }, areas_mm2: null,
 });
 const status = (sequence, more = {}) => ({
   type: "status", state: "live", method: "wiener", ran: "wiener", sequence, timestamp: sequence / 10, ...more,
 });
-const frame = (sequence, over) => [message(RAW, sequence, { flags: [0, 1], over }), message(RESTORED, sequence, { over })];
+const frame = (sequence, over) =>
+  [message(RAW, sequence, { flags: [0, 1], over }), message(RESTORED, sequence, { over })];
 
 /** A session, its socket, and what it reported; it is painted after each frame. */
 function watch(shear = false) {
@@ -169,7 +173,8 @@ test("shear comes with its frame and into the CSV", () => {
   const lines = csvText("palm", plane, session.frame).split("\n");
   assert.match(lines[0], /^# sensor palm, frame 3, 1970-01-01T00:00:00.300Z, method wiener$/);
   assert.deepEqual(lines.slice(2, -1), [
-    "image,row,column,x_mm,y_mm,kpa,flags,shear_x_counts,shear_y_counts", "raw,0,0,0,0,1,0,5,-6", "raw,0,1,1,0,,1,,",
+    "image,row,column,x_mm,y_mm,kpa,flags,shear_x_counts,shear_y_counts", "raw,0,0,0,0,1,0,5,-6",
+      "raw,0,1,1,0,,1,,",
     "restored,0,0,0,0,1,,,", "restored,0,1,1,0,,,,",
   ]);
   session.ask(false, false);
@@ -179,7 +184,8 @@ test("shear comes with its frame and into the CSV", () => {
 test("a connection that sends what nobody requested is closed and retried, later each time", () => {
   const { session, socket } = watch();
   socket.deliver(message(SHEAR, 1, { values: [1, 2, 3, 4] }));
-  assert.deepEqual([session.stream.link, session.stream.reason], ["closed", "an image of kind 2 was not requested"]);
+  assert.deepEqual([session.stream.link, session.stream.reason], ["closed",
+    "an image of kind 2 was not requested"]);
   const waits = [session.stream.retryAt - performance.now()];
   for (let i = 0; i < 5; i += 1) {
     session.stream.retry();

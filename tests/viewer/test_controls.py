@@ -177,7 +177,7 @@ def test_a_tare_asks_where_the_array_is_loaded(rig, page):
         page.locator("#notice", has_text="Tare: the next frames").wait_for()
         images = [rig.show(pressed()) for _ in range(20)]
         assert abs(images[-1].raw).max() < 1
-        page.wait("parseFloat(document.getElementById('peak-raw').innerText) < 1")
+        page.keep(lambda: rig.show(pressed()), "parseFloat(document.getElementById('peak-raw').innerText) < 1")
         page.evaluate("document.getElementById('notice').textContent = ''")
         page.press("t")  # unloaded now: nothing is asked
     page.finish("409")

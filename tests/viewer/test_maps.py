@@ -61,6 +61,7 @@ def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, o
         rig.show(pressed(0))
     page.get_by_role("button", name="One frame forward").click()
     page.wait("document.getElementById('when').innerText === 'newest'")
+    page.refreshed()
     np.testing.assert_array_equal(page.pixels("restored"), images[2])
     page.press("l")
     image = page.show(rig, pressed(0))
@@ -89,6 +90,7 @@ def test_contacts_are_outlined_and_listed_follow_what_moves_and_can_be_switched_
     rig.show(counts)
     page = open_page(url)
     page.wait(f"{CONTACTS}.length === 2")
+    page.refreshed()
     contacts = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
     listed = page.evaluate(CONTACTS)
     assert [int(row[0]) for row in listed] == [each["id"] for each in contacts]
