@@ -103,7 +103,7 @@ def _suggestion(*loc: int | str) -> str:
         right = {table for table, own in tables.items() if table and key in own} - {*loc[2:-1]}
         return f": did you mean {' or '.join(f'{table}.{key}' for table in sorted(right))}?" if right else ""
     stem = key.rsplit("_", 1)[0]
-    same_stem = [known for known in keys if known.rsplit("_", 1)[0] in (stem, key)]
+    same_stem = [other for other in keys if other.rsplit("_", 1)[0] in (stem, key)]
     near = same_stem or difflib.get_close_matches(key, keys, 1)
     return f": did you mean {min(near)}?" if near else ""
 
