@@ -40,8 +40,8 @@ def test_types_agree_and_a_wrong_one_is_found(tmp_path):
 
 
 def test_logic():
-    """The tests of `*.test.js`, by Node's own runner."""
-    run = subprocess.run(["node", "--test", *sorted(FOLDER.glob("*.test.js"))], capture_output=True, text=True)
+    """The tests of `*.test.mjs`, by Node's own runner."""
+    run = subprocess.run(["node", "--test", *sorted(FOLDER.glob("*.test.mjs"))], capture_output=True, text=True)
     assert run.returncode == 0, run.stdout
     assert "# fail 0" in run.stdout or "ℹ fail 0" in run.stdout
 
