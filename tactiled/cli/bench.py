@@ -114,8 +114,8 @@ def _sweeps(skins: "list[Skin]", reduced: bool, seed: int) -> "Results":
     from tactiled.study.faults import sweeps
     from tactiled.study.stability import measure, setting
 
-    made, values = setting(reduced, seed, *skins)
-    return list(track(measure(made, values), "Faults", len(sweeps(made)), transient=True))
+    made = setting(reduced, seed, *skins)
+    return list(track(measure(made), "Faults", len(sweeps(made)), transient=True))
 
 
 def _modes(skins: "list[Skin]", noise: float, seed: int) -> "list[Picard]":

@@ -14,7 +14,7 @@ from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning
 from tactiled.restore.blur import Blur
 
-# `python -m tests.study false-warnings` counts how often these bounds raise a warning on sound frames.
+# `tactiled bench stability` counts how often these bounds raise a warning on sound frames.
 CHECK_EVERY_FRAMES = 16
 CHECKS_IN_A_ROW = 3  # that must agree before a warning is raised
 FALSE_ALARM = 1e-4  # chance that white noise, as configured, raises one of the warnings about noise

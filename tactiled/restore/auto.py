@@ -17,7 +17,7 @@ from tactiled.restore.points import Points
 from tactiled.restore.scene import Restored, Scene
 from tactiled.restore.wiener import Filter, Wiener
 
-# What each rule earns: `python -m tests.study ablation`.
+# All chosen on the scenes of `python -m tests.study restore`.
 HYSTERESIS = 1.5  # how much further a test reaches for the method of the frame before
 REVIEW_FRAMES = 8  # after which a frame that needed iterations is asked again whether linear would do
 MAX_REVIEW_FRAMES = 256  # twice as many every time that linear did not do for as long

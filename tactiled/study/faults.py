@@ -1,7 +1,7 @@
 """Faults, each swept from harmless to hopeless: frames that go wrong, the settings for them, and the truth."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.simulate.array import FINER
-from tactiled.study.scenes import PEAK_KPA, Floats
+from tactiled.study.scenes import PEAK_KPA, Floats, smooth_step
 from tactiled.study.skin import Frames, Skin, doubled, draw, misconfigured, sense, touches, with_thickness
 
 NOISE = 1.0  # % of the frame's peak, where noise is not the fault
@@ -25,40 +25,41 @@ STRONGER = (0.1, 0.3, 1, 2, 5, 10, 20)
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The skin, seed and scenes that all sweeps share."""
+    """What all sweeps share."""
 
     skin: Skin
     seed: int
     scenes: tuple[str, ...]
+    step: int = 1  # through each sweep's values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
     """One frame, what restoration is configured with, and the truth."""
 
-    scene: str
     skin: Skin  # its surface blurred the frame
+    scene: str
     clean: Floats  # without noise
     truth: Floats
     peak_kpa: float
-    frame: Frames = field(default_factory=lambda: np.empty(0, np.float32))
-    noise: float = 0.0  # kPa, as configured
-    random: np.random.Generator = field(default_factory=np.random.default_rng)  # for further faults
-    flags: NDArray[np.uint8] | None = None
+    frame: Frames
+    noise: float  # kPa, as configured
+    random: np.random.Generator  # for the fault
+    flags: NDArray[np.uint8]
     floor: float = 0.0  # kPa, the part of the noise that rounding causes
-    before: Frames | None = None  # frames (T, ...) that a method restores before this one
+    before: Frames | tuple[()] = ()  # frames (T, ...) that a method restores before this one
     still: Frames | None = None  # frames (T, ...) from which the service measures the noise
 
 
-Sense = Callable[[Skin, Setting, float], Iterator[Case]]
+Sensed = Iterator[tuple[str, Floats, Floats, float]]  # scene, frame without noise, truth, peak (kPa)
 
 
-def _touching(skin: Skin, setting: Setting, _: float) -> Iterator[Case]:
+def _touching(skin: Skin, setting: Setting, _: float) -> Sensed:
     """Every scene that touches the skin."""
     for scene in setting.scenes:
         clean, truth = sense(skin, draw(skin, scene, np.random.default_rng([setting.seed, 0])))
         if touches(truth):
-            yield Case(scene, skin, clean, truth, float(clean.max()))
+            yield scene, clean, truth, float(clean.max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,27 +72,20 @@ class Sweep:
     harmless: float
     spoil: Callable[[Case, float], Case] = lambda case, _: case
     skin: Callable[[Skin, float], Skin] = lambda skin, _: skin
-    sense: Sense = _touching
+    sense: Callable[[Skin, Setting, float], Sensed] = _touching
     grid: bool = False  # whether it needs rows and columns
     configured: bool = True  # whether restoration has the right settings or flags for it
 
 
-def cases(setting: Setting, faults: dict[str, float]) -> Iterator[Case]:
-    """A frame of every scene with all of `faults` (values by a sweep's name) at once."""
-    sweeps = [sweep for sweep in SWEEPS if sweep.name in faults]
-    skin = setting.skin
-    for sweep in sweeps:
-        skin = sweep.skin(skin, faults[sweep.name])
-    sources = [(sweep.sense, faults[sweep.name]) for sweep in sweeps if sweep.sense is not _touching]
-    source, value = sources[0] if sources else (_touching, 0.0)
-    for number, case in enumerate(source(skin, setting, value)):
+def cases(setting: Setting, sweep: Sweep, value: float) -> Iterator[Case]:
+    """A frame of every scene with the fault at `value`."""
+    skin = sweep.skin(setting.skin, value)
+    for number, (scene, clean, truth, peak) in enumerate(sweep.sense(skin, setting, value)):
         random = np.random.default_rng([setting.seed, number, 2])
-        sigma = faults.get("white noise", NOISE) / 100 * case.peak_kpa
-        frame = (case.clean + random.normal(0, sigma, case.clean.shape)).astype(np.float32)
-        spoiled = replace(case, frame=frame, noise=sigma, random=random)
-        for sweep in sweeps:
-            spoiled = sweep.spoil(spoiled, faults[sweep.name])
-        yield spoiled
+        sigma = (value if sweep.name == "white noise" else NOISE) / 100 * peak
+        frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
+        flags = np.zeros(frame.shape, np.uint8)
+        yield sweep.spoil(Case(skin, scene, clean, truth, peak, frame, sigma, random, flags), value)
 
 
 def _add(case: Case, error: Any, **changes: Any) -> Case:
@@ -132,8 +126,8 @@ def _misjudged(case: Case, value: float) -> Case:
 
 
 def _blank(case: Case, missing: NDArray[np.bool_], flag: int) -> Case:
-    """Set taxels to 0, and flag them unless `flag` is 0."""
-    flags = np.where(missing, flag, 0).astype(np.uint8) if flag else case.flags
+    """Set taxels to 0, and flag them."""
+    flags = np.where(missing, flag, 0).astype(np.uint8)
     return replace(case, frame=np.where(missing, np.float32(0), case.frame), flags=flags)
 
 
@@ -150,7 +144,7 @@ def _lost(case: Case, value: float) -> Case:
 
 def _saturated(case: Case, value: float, flag: int = 0) -> Case:
     ceiling = np.float32(value / 100 * case.peak_kpa)
-    flags = np.where(case.frame >= ceiling, flag, 0).astype(np.uint8) if flag else case.flags
+    flags = np.where(case.frame >= ceiling, flag, 0).astype(np.uint8)
     return replace(case, frame=np.minimum(case.frame, ceiling), flags=flags)
 
 
@@ -163,13 +157,13 @@ def _quantised(case: Case, value: float) -> Case:
 
 
 EDGE_CONTACTS: dict[str, Callable[[Floats, Floats], Floats]] = {
-    "disc": lambda x, y: PEAK_KPA * np.clip(FINER * (3 - np.hypot(x, y)) + 0.5, 0, 1),
+    "disc": lambda x, y: PEAK_KPA * smooth_step(3 - np.hypot(x, y)),
     "blob": lambda x, y: PEAK_KPA * np.exp(-(x**2 + y**2) / (2 * 2.5**2)),
-    "bar": lambda x, y: PEAK_KPA * np.clip(FINER * (1 - np.abs(y)) + 0.5, 0, 1) * (np.abs(x) < 6),
+    "bar": lambda x, y: PEAK_KPA * smooth_step(1 - np.abs(y)) * (np.abs(x) < 6),
 }
 
 
-def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Case]:
+def _over_the_edge(skin: Skin, _: Setting, value: float) -> Sensed:
     """Contacts whose middle is `value` pitches past the array's edge; what lies outside presses as well."""
     wide = doubled(skin)
     rows, columns = skin.array.frame_shape
@@ -177,24 +171,22 @@ def _over_the_edge(skin: Skin, _: Setting, value: float) -> Iterator[Case]:
     x, y = wide.surface.x / skin.array.pitch, wide.surface.y / skin.array.pitch
     for name, contact in EDGE_CONTACTS.items():
         clean, truth = sense(wide, contact(x - columns / 2 - value, y))
-        peak = float(wide.surface.sense(contact(x, y)).max())
-        yield Case(name, skin, clean[inside], truth[inside], peak)
+        yield name, clean[inside], truth[inside], float(wide.surface.sense(contact(x, y)).max())
 
 
-def _misplaced(skin: Skin, setting: Setting, value: float) -> Iterator[Case]:
+def _misplaced(skin: Skin, setting: Setting, value: float) -> Sensed:
     """Taxels off their places by `value` % of the pitch, standard deviation along x and y."""
     random = np.random.default_rng([setting.seed, 6])
     rows, columns = skin.array.frame_shape
     places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
-    for case in _touching(skin, setting, value):
-        fine = draw(skin, case.scene, np.random.default_rng([setting.seed, 0]))
+    for scene, _, truth, peak in _touching(skin, setting, value):
+        fine = draw(skin, scene, np.random.default_rng([setting.seed, 0]))
         between = np.empty((rows * FINER, columns * FINER))  # what taxels a FINERth of the pitch apart would sense
         padded = np.pad(fine, ((0, FINER), (0, FINER)))
-        for down in range(FINER):
-            for along in range(FINER):
-                moved = padded[down : down + rows * FINER, along : along + columns * FINER]
-                between[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
-        yield replace(case, clean=map_coordinates(between, places * FINER, order=3, mode="nearest"))
+        for down, along in np.ndindex(FINER, FINER):
+            moved = padded[down : down + rows * FINER, along : along + columns * FINER]
+            between[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
+        yield scene, map_coordinates(between, places * FINER, order=3, mode="nearest"), truth, peak
 
 
 def _cover(layer_property: str) -> Callable[[Skin, float], Skin]:

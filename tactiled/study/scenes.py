@@ -21,7 +21,7 @@ def _places(
         yield tuple(random.uniform(-half, half, 2))
 
 
-def _smooth_step(distance: Floats) -> Floats:
+def smooth_step(distance: Floats) -> Floats:
     """1 inside, 0 outside, an edge of a quarter of a pitch between."""
     return np.asarray(np.clip(FINER * distance + 0.5, 0, 1))
 
@@ -40,7 +40,7 @@ def _blobs(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
 
 
 def _punches(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
-    discs = (_smooth_step(random.uniform(1.5, 3.5) - np.hypot(x - a, y - b)) for a, b in _places(random, x, 1, 4))
+    discs = (smooth_step(random.uniform(1.5, 3.5) - np.hypot(x - a, y - b)) for a, b in _places(random, x, 1, 4))
     return np.asarray(PEAK_KPA * np.maximum.reduce(list(discs)))
 
 
@@ -48,7 +48,7 @@ def _rings(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
     rings = []
     for a, b in _places(random, x, 1, 2, 0.25):
         radius, half = random.uniform(2.5, 6), random.uniform(0.5, 1)
-        rings.append(_smooth_step(half - np.abs(np.hypot(x - a, y - b) - radius)))
+        rings.append(smooth_step(half - np.abs(np.hypot(x - a, y - b) - radius)))
     return np.asarray(PEAK_KPA * np.maximum.reduce(rings))
 
 
@@ -56,7 +56,7 @@ def _bars(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
     u, v = _rotated(x, y, random)
     period, half = random.uniform(4, 8), random.uniform(0.5, 1.5)
     across = np.abs((u + random.uniform(0, period)) % period - period / 2)
-    return PEAK_KPA * _smooth_step(half - across) * _smooth_step(0.7 * x.max() - np.maximum(np.abs(u), np.abs(v)))
+    return PEAK_KPA * smooth_step(half - across) * smooth_step(0.7 * x.max() - np.maximum(np.abs(u), np.abs(v)))
 
 
 def _braille(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
@@ -79,7 +79,7 @@ def _points(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
 
 def _edges(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
     u, _ = _rotated(x, y, random)
-    return PEAK_KPA * _smooth_step(u - random.uniform(-0.3, 0.3) * x.max())
+    return PEAK_KPA * smooth_step(u - random.uniform(-0.3, 0.3) * x.max())
 
 
 TEST_SCENES: dict[str, Draw] = {

@@ -22,7 +22,6 @@ PEERS = ("skimage wiener", "skimage rl")
 PEER_BALANCE, PEER_ITERATIONS = 0.3, 30  # scikit-image's: weight over the noise, iterations
 WORSE = 1.02  # times the raw image's error: more is a failure
 HONEST = 0.5  # of the true error: a stated deviation below it shows nothing
-NOISY: WarningCode = "noise_high"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +54,20 @@ class Row:
 Results = Sequence[tuple[Sweep, list[Row]]]
 
 
-def setting(reduced: bool, seed: int, skin: Skin | None = None) -> tuple[Setting, slice]:
-    """What to run, on rubber if no skin is given, and which of each sweep's values."""
+def setting(reduced: bool, seed: int, skin: Skin | None = None) -> Setting:
+    """What to run, on rubber if no skin is given."""
     if reduced:
-        return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points")), slice(None, None, 3)
-    return Setting(skin or rubber(COVER, 32), seed, tuple(TEST_SCENES)), slice(None)
+        return Setting(skin or rubber(COVER, 16), seed, ("blobs", "punches", "points"), step=3)
+    return Setting(skin or rubber(COVER, 32), seed, tuple(TEST_SCENES))
 
 
-def measure(setting: Setting, values: slice) -> Iterator[tuple[Sweep, list[Row]]]:
-    """Run every sweep at the harmless value and a slice of the others."""
+def measure(setting: Setting) -> Iterator[tuple[Sweep, list[Row]]]:
+    """Run every sweep."""
     for sweep in sweeps(setting):
         rows: list[Row] = []
         for value in sweep.values:
-            if value in sweep.values[values] or value == sweep.harmless:
-                for case in cases(setting, {sweep.name: value}):
+            if value in sweep.values[:: setting.step] or value == sweep.harmless:
+                for case in cases(setting, sweep, value):
                     rows += restore(sweep.name, value, case)
         yield sweep, rows
 
@@ -78,29 +77,26 @@ def restore(sweep: str, value: float, case: Case) -> list[Row]:
     images: dict[str, tuple[str, Frames, float]] = {}
     for name in ("raw", *OURS):
         restorer = make(name, case.skin.blur, case.noise)
-        for earlier in () if case.before is None else case.before:
+        for earlier in case.before:
             restorer(earlier, case.flags)
         done = restorer(case.frame, case.flags)
-        images[name] = (done.method, done.image.copy(), rms(restorer.deviation()))
+        images[name] = done.method, done.image.copy(), rms(restorer.deviation())
     images |= {name: ("", image, np.nan) for name, image in _peers(case).items()}
-    raw = nrmse(images["raw"][1], case.truth)
-    flagged = case.flags is not None and bool(case.flags.any())
+    raw, flagged = nrmse(images["raw"][1], case.truth), bool(case.flags.any())
     rows = []
     for name, (used, image, stated) in images.items():
         error = nrmse(image, case.truth)
         errors = error, error / raw, rms(image - case.truth)
-        rows.append(
-            Row(sweep, value, case.scene, name, used, *errors, stated, flagged, _warnings(case, image, used))
-        )
+        warnings = _warnings(case, image, used)
+        rows.append(Row(sweep, value, case.scene, name, used, *errors, stated, flagged, warnings))
     return rows
 
 
 def _warnings(case: Case, image: Frames, used: str) -> tuple[WarningCode, ...]:
-    flags = np.zeros(case.frame.shape, np.uint8) if case.flags is None else case.flags
     checks = FrameChecks(case.skin.blur, case.floor)
-    warnings = checks.check(case.frame, flags, np.asarray(image, np.float32), case.noise, used)
+    warnings = checks.check(case.frame, case.flags, np.asarray(image, np.float32), case.noise, used)
     noisy = case.still is not None and estimate(case.still) > NOISE_RATIO * case.noise
-    return (*warnings, NOISY) if noisy else warnings
+    return (*warnings, "noise_high") if noisy else warnings
 
 
 def _peers(case: Case) -> dict[str, Frames]:
