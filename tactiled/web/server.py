@@ -20,10 +20,10 @@ from tactiled.interop import foxglove
 from tactiled.interop.foxglove_live import bridge
 from tactiled.runtime.service import Service
 from tactiled.web.app import create
-from tactiled.web.http import bounds
+from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
+from tactiled.web.http.connection_limit import Places, limit
 from tactiled.web.http.log_limit import LogLimit
-from tactiled.web.http.places import Places, limit
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
 
@@ -48,7 +48,7 @@ def _listen(config: Server) -> socket.socket:
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     if sys.platform == "linux":  # of each connection, in TLS as well
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * bounds.UNREAD_S))
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * timeouts.UNREAD_S))
     try:
         listener.bind(address)
     except OSError as error:
@@ -67,7 +67,7 @@ def _server(app: FastAPI, config: Server) -> uvicorn.Server:
             loop="asyncio" if config.tls_certificate else "auto",  # uvloop reads before `start_tls` can
             http=cast(Any, partial(Connection, places=places, tls=tls.context(config))),
             ws=WebSocket,
-            h11_max_incomplete_event_size=bounds.MAX_HEAD,
+            h11_max_incomplete_event_size=timeouts.MAX_HEAD,
             timeout_keep_alive=3600,  # State.IDLE has the bound
             ws_max_size=session.MAX_MESSAGE_BYTES,
             ws_ping_interval=session.PING_S,
@@ -75,7 +75,7 @@ def _server(app: FastAPI, config: Server) -> uvicorn.Server:
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
             log_level="warning",
             access_log=False,
-            timeout_graceful_shutdown=cast(int, bounds.SHUTDOWN_S),
+            timeout_graceful_shutdown=cast(int, timeouts.SHUTDOWN_S),
             server_header=False,
         )
     )

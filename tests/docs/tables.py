@@ -16,7 +16,7 @@ from tactiled.config import schema as config
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.service import Service
 from tactiled.web.app import create
-from tactiled.web.http.places import Places
+from tactiled.web.http.connection_limit import Places
 from tactiled.web.rest import metrics as prometheus
 from tactiled.web.ws.asyncapi import parameters as query_parameters
 from tactiled.web.ws.query import SensorsQuery, StreamQuery

@@ -15,11 +15,11 @@ import h11
 from uvicorn.config import Config
 from uvicorn.server import ServerState
 
-from tactiled.web.http import bounds
-from tactiled.web.http.bounds import BOUNDS, State
+from tactiled.web.http import timeouts
+from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import network
-from tactiled.web.http.places import Place, Places
 from tactiled.web.http.protocols import Http, WebSocket, refusal
+from tactiled.web.http.timeouts import BOUNDS, State
 
 LOG = logging.getLogger(__name__)
 FULL = "every connection is taken: come again later"
@@ -212,7 +212,7 @@ class Connection(asyncio.Protocol):
         if bound.bytes is not None and self._received > bound.bytes:
             self.transport.abort()
             return
-        unused = self.state is State.CLOSING and self._received > bounds.MAX_CLOSING_PARSED
+        unused = self.state is State.CLOSING and self._received > timeouts.MAX_CLOSING_PARSED
         if not (self.half_closed or unused):
             try:
                 self._inner.data_received(piece)
@@ -227,9 +227,9 @@ class Connection(asyncio.Protocol):
     def _pause_s(self) -> float:
         """How long (s) the client's bytes must wait until they have had no more than their share."""
         share = self._bound.share
-        if share == 1.0 or self._busy_s <= bounds.BURST_S:
+        if share == 1.0 or self._busy_s <= timeouts.BURST_S:
             return 0.0
-        return max(0.0, self._busy_at - perf_counter() + (self._busy_s - bounds.BURST_S) / share)
+        return max(0.0, self._busy_at - perf_counter() + (self._busy_s - timeouts.BURST_S) / share)
 
     def _arrange_reading(self) -> None:
         """Read on, or have the next piece's turn come."""

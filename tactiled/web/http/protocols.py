@@ -24,8 +24,8 @@ from websockets.http11 import Response as Handshake
 from websockets.protocol import OPEN
 
 from tactiled.web.http import problems
-from tactiled.web.http.bounds import MAX_FRAGMENTS, SHUTDOWN_S
 from tactiled.web.http.headers import HEADERS
+from tactiled.web.http.timeouts import MAX_FRAGMENTS, SHUTDOWN_S
 
 PING_EVERY = 4  # messages
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and the next few

@@ -11,8 +11,8 @@ from starlette.requests import HTTPConnection
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.web.http.limits import Turns
-from tactiled.web.http.negotiation import like
 from tactiled.web.http.problems import Problem
+from tactiled.web.rest.negotiation import like
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
 

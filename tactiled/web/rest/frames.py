@@ -15,9 +15,9 @@ from tactiled.frames import Image
 from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.web import answers, schemas
-from tactiled.web.http.negotiation import named
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
+from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
 from tactiled.wire import UNITS, Kind, Unit

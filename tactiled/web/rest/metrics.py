@@ -9,8 +9,8 @@ from fastapi import APIRouter, Request, Response
 from tactiled.bus.error_frames import KINDS
 from tactiled.runtime.sensor import State
 from tactiled.runtime.service import Service
+from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
-from tactiled.web.http.places import Places
 from tactiled.web.rest.dependencies import CurrentService
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"

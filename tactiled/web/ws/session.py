@@ -8,9 +8,9 @@ from fastapi import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
 from tactiled.errors import NoShearError, UnknownSensorError
-from tactiled.web.http.bounds import MAX_FRAGMENTS
 from tactiled.web.http.problems import close_reason
 from tactiled.web.http.protocols import ENDS
+from tactiled.web.http.timeouts import MAX_FRAGMENTS
 
 BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
 PROTOCOL, NOT_UTF8, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012

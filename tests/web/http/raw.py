@@ -3,7 +3,7 @@
 import socket
 from dataclasses import replace
 
-from tactiled.web.http.bounds import BOUNDS
+from tactiled.web.http.timeouts import BOUNDS
 from tests.conftest import BUSY_S
 
 UPGRADE = (

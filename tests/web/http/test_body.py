@@ -12,8 +12,8 @@ import pytest
 from pydantic import SecretStr
 
 from tactiled.config import Server
-from tactiled.web.http import body, bounds
-from tactiled.web.http.bounds import State
+from tactiled.web.http import body, timeouts
+from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
 from tests.web.http.raw import bound, plug, read_all, send_raw
@@ -205,7 +205,7 @@ def test_an_answer_that_the_client_does_not_read_is_given_up(rig, folder, monkey
     size = 64 << 20
     with (folder / "large.log").open("wb") as file:
         file.truncate(size)
-    monkeypatch.setattr(bounds, "UNREAD_S", 1.0)
+    monkeypatch.setattr(timeouts, "UNREAD_S", 1.0)
     with running(rig.service, Server(port=0, recordings=folder)) as url, plug(url) as slow, plug(url) as silent:
         for end in (slow, silent):
             end.sendall(f"GET /api/v1/recordings/large.log HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode())

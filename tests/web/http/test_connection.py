@@ -11,11 +11,11 @@ from uvicorn.server import ServerState
 from websockets.sync.client import connect
 
 from tactiled.config import Server
-from tactiled.web.http import places
-from tactiled.web.http.bounds import MAX_FRAGMENTS, MAX_HEAD, State
+from tactiled.web.http import connection_limit
 from tactiled.web.http.connection import Connection
-from tactiled.web.http.places import Places
+from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.protocols import WebSocket
+from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, State
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask
 from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
@@ -199,7 +199,7 @@ def test_every_state_that_waits_for_the_client_ends(rig, monkeypatch, state):
 
 
 def test_a_request_has_a_place_where_others_without_hold_all(rig, monkeypatch):
-    monkeypatch.setattr(places, "MAX_CONNECTIONS", 20)
+    monkeypatch.setattr(connection_limit, "MAX_CONNECTIONS", 20)
     with running(rig.service, Server(port=0, streams=1)) as url:
         ends = [plug(url) for _ in range(60)]
         for n, end in enumerate(ends):
@@ -214,7 +214,7 @@ def test_a_request_has_a_place_where_others_without_hold_all(rig, monkeypatch):
 
 
 def test_where_every_place_has_a_request_a_new_client_gets_503(rig, monkeypatch):
-    monkeypatch.setattr(places, "MAX_CONNECTIONS", 4)
+    monkeypatch.setattr(connection_limit, "MAX_CONNECTIONS", 4)
     with running(rig.service, Server(port=0, streams=2)) as url:
         address = websocket_url(url)
         with connect(address), connect(address), plug(url) as one, plug(url) as two:

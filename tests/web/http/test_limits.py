@@ -15,10 +15,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
-from tactiled.web.http import limits, places
+from tactiled.web.http import connection_limit, limits
+from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns, client_of
 from tactiled.web.http.log_limit import MAX_A_MINUTE, LogLimit
-from tactiled.web.http.places import Place, Places
 from tactiled.web.http.problems import Problem
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask, pressed, problem, until
@@ -188,8 +188,8 @@ def test_one_client_has_half_of_all_places_except_on_loopback():
     ("streams", "descriptors", "limit"), [(256, 1024, 409), (256, 65536, 1024), (1000, 65536, 2000), (1, 256, 102)]
 )
 def test_the_number_of_places_follows_streams_and_descriptors(monkeypatch, streams, descriptors, limit):
-    monkeypatch.setattr(places.resource, "getrlimit", lambda _: (descriptors, descriptors))
-    assert places.limit(streams) == limit
+    monkeypatch.setattr(connection_limit.resource, "getrlimit", lambda _: (descriptors, descriptors))
+    assert connection_limit.limit(streams) == limit
 
 
 def test_the_log_has_a_few_of_each_kind_a_minute_and_counts_the_others(caplog):

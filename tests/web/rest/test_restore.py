@@ -12,7 +12,7 @@ import pytest
 from tactiled.build import sensor_plan
 from tactiled.runtime import offline
 from tactiled.runtime.offline import Offline
-from tactiled.web.http import body, bounds
+from tactiled.web.http import body, timeouts
 from tactiled.web.rest import restore
 from tactiled.web.server import running
 from tests.conftest import ask, problem, until
@@ -150,7 +150,7 @@ def test_slow_transfers_delay_only_their_own_clients(rig, transfers, caplog):
 def test_an_answer_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, transfers, tmp_path, monkeypatch):
     content = npy(np.zeros((80_000, 8, 8), np.float32))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(bounds, "UNREAD_S", 3.0)
+    monkeypatch.setattr(timeouts, "UNREAD_S", 3.0)
     with running(rig.service) as url, begin(url, "10.0.0.1", content, len(content)) as client:
         assert client.recv(12) == b"HTTP/1.1 200"
         assert refusal(url, "10.0.0.1") == "frames of 10.0.0.1 are in transfer: wait"

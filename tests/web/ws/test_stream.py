@@ -12,7 +12,7 @@ from websockets.client import ClientProtocol
 from websockets.uri import parse_uri
 
 from tactiled.web import answers
-from tactiled.web.http.bounds import State
+from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
 from tactiled.web.ws import feed, session
 from tactiled.web.ws.feed import Feed
