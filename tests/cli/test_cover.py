@@ -36,11 +36,8 @@ def test_json_has_the_gains_at_the_given_frequencies(arguments, stack, q):
 
 
 def test_a_boss_filters_more():
-    flat, boss = (
-        np.array(record(f"--at 1,2 {extra}")["gain"])
-        for extra in ("", "--profile 0,0.1 --profile 0.4,0.1 --profile 0.6,0")
-    )
-    assert (boss < flat - 0.1).all()
+    boss = record("--at 1,2 --profile 0,0.1 --profile 0.4,0.1 --profile 0.6,0")
+    assert (np.array(boss["gain"]) < gain(PAPER, np.array([1, 2])) - 0.1).all()
 
 
 def test_a_footprint_keeps_its_pressure_in_the_middle():
@@ -78,15 +75,11 @@ def test_cover_and_array_of_a_configuration(tmp_path):
     stack = Stack((Layer(1.2, 0.6, 0.48), Layer(1, 980, 0.3)))
     got = record(f"--config {path} --model layered --at 0.1,0.2")
     np.testing.assert_allclose(got["gain"], gain(stack, np.array([0.1, 0.2])), atol=1e-3)
-    message = refusal("cover", "--config", path, "--sensor", "toe")
-    assert message == "--sensor toe: no such sensor: choose one of palm"
 
 
-@pytest.mark.parametrize("ending", ["svg", "png"])
-def test_plot(tmp_path, ending):
-    path = tmp_path / f"cover.{ending}"
-    succeed("cover", "--model", "layered", "--plot", path)
-    assert path.read_bytes()[:5] in (b"<?xml", b"\x89PNG\r")
+def test_plot(tmp_path):
+    succeed("cover", "--model", "layered", "--plot", tmp_path / "cover.svg")
+    assert (tmp_path / "cover.svg").read_bytes().startswith(b"<?xml")
 
 
 @pytest.mark.parametrize(

@@ -58,15 +58,14 @@ def test_an_unknown_interface_is_named(config):
 def test_wrong_arguments_of_demo_are_refused():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        assert (
-            refusal("demo", "--port", port)
-            == f"address 127.0.0.1:{port}: in use: choose another port, or 0 for any free one"
-        )
-    assert refusal("demo", "--scene", "flood").startswith(
-        "scene = 'flood': no such scene: choose tour or one of ring"
-    )
-    assert "recording 'flood': no such recording" in refusal("demo", "--recording", "flood")
-    assert "--shear: recording book_1 has none" in refusal("demo", "--recording", "book_1", "--shear")
+        message = refusal("demo", "--port", port)
+    assert message == f"address 127.0.0.1:{port}: in use: choose another port, or 0 for any free one"
+    for arguments, message in (
+        ("--scene flood", "scene = 'flood': no such scene: choose tour or one of ring"),
+        ("--recording flood", "recording 'flood': no such recording"),
+        ("--recording book_1 --shear", "--shear: recording book_1 has none"),
+    ):
+        assert message in refusal("demo", *arguments.split())
 
 
 def test_init_writes_a_valid_configuration_and_never_overwrites(tmp_path):

@@ -56,19 +56,11 @@ def numbers(path):
 
 
 @pytest.mark.usefixtures("sender")
-def test_a_virtual_bus(tmp_path, channel):
-    out = tmp_path / "a.blf"
-    done = run("record", "--interface", "virtual", "--channel", channel, "--seconds", 2, out)
-    assert f"{out}: {COUNT} messages" in done.output
-    assert numbers(out) == list(range(COUNT))
-
-
-@pytest.mark.usefixtures("sender")
 def test_the_bus_of_a_configuration(tmp_path, config):
     out = tmp_path / "a.log"
     done = run("record", "--config", config, "--seconds", 2, out)
-    assert done.exit_code == 0, done.output
-    assert len(numbers(out)) == COUNT
+    assert f"{out}: {COUNT} messages" in done.output
+    assert numbers(out) == list(range(COUNT))
     message = refusal("record", "--config", config, "--bus", "can7", tmp_path / "b.log")
     assert message == "--bus can7: no such bus: choose one of can0"
     config.write_text(config.read_text() + '[bus.can1]\ninterface = "virtual"\n')

@@ -67,19 +67,9 @@ def restored(frames, config, *options):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_frames_are_restored_by_every_method(config, npy, tmp_path, method):
-    stats = tmp_path / "stats.json"
-    images = restored(
-        npy(press(PIECE_FRAMES + 9)),
-        config(),
-        "--method",
-        method,
-        "--noise",
-        "0.5",
-        "--stats",
-        stats,
-        "--sensor",
-        "palm",
-    )
+    stats, frames = tmp_path / "stats.json", npy(press(PIECE_FRAMES + 9))
+    options = ("--method", method, "--noise", 0.5, "--stats", stats, "--sensor", "palm")
+    images = restored(frames, config(), *options)
     assert (images.shape, images.dtype) == ((PIECE_FRAMES + 9, 8, 6), np.float32)
     assert np.isfinite(images).all()
     stories = json.loads(stats.read_text())
@@ -92,9 +82,11 @@ def test_frames_are_restored_by_every_method(config, npy, tmp_path, method):
     assert not list(tmp_path.glob("*.part"))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float16, np.int16])
-def test_any_real_numbers_are_accepted(config, npy, dtype):
-    assert restored(npy(press(40).astype(dtype)), config()).shape == (40, 8, 6)
+@pytest.mark.parametrize(
+    ("dtype", "refine", "shape"), [(np.float64, 2, (16, 12)), (np.float16, 1, (8, 6)), (np.int16, 1, (8, 6))]
+)
+def test_any_real_numbers_are_accepted_and_a_finer_surface_makes_larger_images(config, npy, dtype, refine, shape):
+    assert restored(npy(press(40).astype(dtype)), config(refine=refine)).shape == (40, *shape)
 
 
 def test_the_noise_is_measured(plan):
@@ -111,10 +103,6 @@ def test_rounding_is_noise(plan, step, noise):
     frames = np.round(0.1 * press(60) / step) * step
     frames[0, 0, :2] = np.nan, 1e30
     assert Offline(plan, frames.astype(np.float32)).noise_kpa == pytest.approx(noise, rel=0.1)
-
-
-def test_a_finer_surface_makes_larger_images(config, npy):
-    assert restored(npy(press(40)), config(refine=2)).shape == (40, 16, 12)
 
 
 def test_dead_saturated_and_unknown_taxels_are_ignored(config, npy):
@@ -148,10 +136,8 @@ def test_images_may_replace_their_frames_but_no_other_file_is_replaced(config, n
 
 
 def test_only_plain_files_and_links_to_them_are_written(config, npy, tmp_path):
-    frames, pipe, out, link, loop = (
-        npy(press(40)),
-        *(tmp_path / name for name in ("pipe", "out.npy", "link", "loop")),
-    )
+    frames = npy(press(40))
+    pipe, out, link, loop = (tmp_path / name for name in ("pipe", "out.npy", "link", "loop"))
     os.mkfifo(pipe)
     link.symlink_to(out)
     loop.symlink_to(loop)
@@ -192,11 +178,6 @@ def test_an_interrupted_command_leaves_nothing_half_written(config, npy, earlier
     assert signal.getsignal(kind) is before
 
 
-def test_a_failed_command_leaves_no_stats(config, npy, earlier):
-    message = refusal("restore", npy(press(9)), "-o", "/no/out.npy", "--config", config(), "--stats", earlier[1])
-    assert "/no/out.npy: No such file or directory: give a file" in message
-
-
 def test_memory_does_not_grow_with_the_frames(config, npy):
     """23 MB of frames, in a process that may grow by a third of it over what a short file takes."""
     config, count = config(), 120_000
@@ -207,13 +188,12 @@ def test_memory_does_not_grow_with_the_frames(config, npy):
         "app(sys.argv[1:], standalone_mode=False); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)"
     )
-    used = []
-    for each in files:
-        arguments = ("restore", each, "-o", config.with_name("out.npy"), "--config", config, "--noise", "1")
-        command = [sys.executable, "-c", code, *map(str, arguments)]
-        result = subprocess.run(command, capture_output=True, text=True, check=True)
-        used.append(int(result.stdout.split()[-1]))
-    assert used[1] - used[0] < count * 8 * 6 * 4 / 3
+    options = ("-o", config.with_name("out.npy"), "--config", config, "--noise", "1")
+    short, long = (
+        int(subprocess.check_output([sys.executable, "-c", code, "restore", each, *options]).split()[-1])
+        for each in files
+    )
+    assert long - short < count * 8 * 6 * 4 / 3
 
 
 def several_arrays(path):
@@ -226,10 +206,8 @@ def several_arrays(path):
     [
         (lambda path: path.unlink(), "frames.npy: No such file"),
         (lambda path: path.write_text("not numbers"), "frames.npy: no .npy file"),
-        (lambda path: path.write_bytes(b""), "frames.npy: no .npy file"),
         (lambda path: np.save(path, np.zeros((8, 6))), r"shape (8, 6) for sensor palm: give (T, 8, 6)"),
         (lambda path: np.save(path, np.zeros((9, 6, 8))), r"shape (9, 6, 8) for sensor palm: give (T, 8, 6)"),
-        (lambda path: np.save(path, np.zeros((2, 8, 6), complex)), "dtype complex128: give real numbers"),
         (lambda path: np.save(path, np.zeros((2, 8, 6), bool)), "dtype bool: give real numbers"),
         (lambda path: np.save(path, np.full((2, 8, 6), None)), "no .npy file of numbers"),
         (several_arrays, "several arrays in one file"),
@@ -242,19 +220,19 @@ def test_wrong_frames_are_refused(config, npy, tmp_path, spoil, message):
     assert not (tmp_path / "out.npy").exists()
 
 
-def test_wrong_options_are_refused(config, npy, tmp_path):
+def test_wrong_options_are_refused(config, npy, tmp_path, earlier):
     frames, settings = npy(press(9)), config(("palm", "sole"))
     for option, value, message in (
         ("--noise", "nan", "noise = nan kPa: give a taxel's standard deviation"),
         ("--noise", "0", "noise = 0.0 kPa"),
-        ("--noise", "-1", "noise = -1.0 kPa"),
         ("--noise", "inf", "noise = inf kPa"),
         ("--method", "sharpen", "method = 'sharpen': no such method: choose one of auto"),
         ("--sensor", "toe", "--sensor toe: no such sensor: choose one of palm, sole"),
-        ("--stats", "/no/such/folder/s.json", "s.json: No such file or directory: give a file"),
-        ("--config", "/no/such.toml", "/no/such.toml: No such file"),
+        ("-o", "/no/out.npy", "/no/out.npy: No such file or directory: give a file"),
+        ("--stats", "/no/s.json", "s.json: No such file or directory: give a file"),
     ):
-        options = {"-o": tmp_path / "o.npy", "--config": settings, "--sensor": "palm"} | {option: value}
+        options = {"-o": earlier[0], "--config": settings, "--sensor": "palm", "--stats": earlier[1]}
+        options[option] = value
         assert message in refusal("restore", frames, *(word for pair in options.items() for word in pair))
     message = refusal("restore", frames, "-o", tmp_path / "o.npy", "--config", settings)
     assert message == "--sensor is missing: choose one of palm, sole"
