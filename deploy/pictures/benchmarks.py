@@ -11,7 +11,7 @@ SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over the ed
 FOLDER = Path(__file__).parent
 
 with threadpool_limits(1):
-    panels = list(frontier.measure([rubber(thickness, 32) for thickness in (1.0, 3.0)], frontier.Effort(), 1))
+    panels = frontier.measure([rubber(thickness, 32) for thickness in (1.0, 3.0)], False, 1)
     frontier_chart.draw(FOLDER / "frontier.svg", panels)
     faults.SWEEPS = tuple(sweep for sweep in faults.SWEEPS if sweep.name in SWEEPS)
-    stability_chart.draw(FOLDER / "stability.svg", list(stability.measure(stability.setting(False, 1))))
+    stability_chart.draw(FOLDER / "stability.svg", stability.measure(stability.setting(False, 1)))

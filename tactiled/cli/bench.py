@@ -7,17 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.study.results import machine, make_folder
 
 if TYPE_CHECKING:
-    from tactiled.study.frontier import Panel
-    from tactiled.study.picard import Picard
     from tactiled.study.skin import Skin
-    from tactiled.study.stability import Results
 
 # Every verb imports its own part of `study`: matplotlib and scikit-image take a second.
 Config = Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")]
@@ -28,6 +24,16 @@ Seed = Annotated[int, typer.Option(help="Random seed.", min=0)]
 OUT = Path("bench")
 
 
+@contextmanager
+def _measuring(folder: Path, config: Path | None, sensor: str | None) -> "Iterator[list[Skin]]":
+    """Make the folder for the results; on one thread, give the configured skin, or none."""
+    from tactiled.study.skin import configured
+
+    make_folder(folder)
+    with threadpool_limits(1):
+        yield [configured(config, sensor)] if config else []
+
+
 def frontier(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
@@ -35,7 +41,7 @@ def frontier(
     from tactiled.study import frontier as study
 
     with _measuring(out, config, sensor) as skins:
-        panels = _panels(skins, reduced, seed)
+        panels = study.measure(skins, reduced, seed)
     study.write(out, panels, seed)
     print_table("NRMSE, and median time of a frame", study.HEADINGS, study.lines(panels))
     print_lines(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}")
@@ -49,7 +55,7 @@ def stability(
     from tactiled.study import stability as study
 
     with _measuring(out, config, sensor) as skins:
-        results = _sweeps(skins, reduced, seed)
+        results = study.measure(study.setting(reduced, seed, *skins))
     study.write(out, results, seed)
     title = f"Methods whose mean error is over {study.WORSE:g} times the raw image's"
     print_table(title, study.HEADINGS, study.lines(results))
@@ -68,7 +74,7 @@ def picard(
     from tactiled.study import picard as study
 
     with _measuring(out, config, sensor) as skins:
-        modes = _modes(skins, noise / 100, seed)
+        modes = study.measure(skins, noise / 100, seed)
     study.write(out, modes)
     for one in modes:
         print_lines(
@@ -85,44 +91,7 @@ def report(
     from tactiled.study.report import write
 
     with _measuring(out, config, sensor) as skins:
-        panels, results = _panels(skins, reduced, seed), _sweeps(skins, reduced, seed)
-        modes = _modes(skins, 0.01, seed)
-    print(write(out, panels, results, modes, seed))
-
-
-@contextmanager
-def _measuring(folder: Path, config: Path | None, sensor: str | None) -> "Iterator[list[Skin]]":
-    """Make the folder for the results; on one thread, give the configured skin, or none."""
-    from tactiled.study.skin import configured
-
-    make_folder(folder)
-    with threadpool_limits(1):
-        yield [configured(config, sensor)] if config else []
-
-
-def _panels(skins: "list[Skin]", reduced: bool, seed: int) -> "list[Panel]":
-    from tactiled.study.frontier import REDUCED, Effort, measure
-    from tactiled.study.skin import rubber
-
-    effort = REDUCED if reduced else Effort()
-    skins = skins or [rubber(thickness, effort.size) for thickness in effort.covers]
-    count = len(skins) * len(effort.noises)
-    return list(track(measure(skins, effort, seed), "Speed and accuracy", count, transient=True))
-
-
-def _sweeps(skins: "list[Skin]", reduced: bool, seed: int) -> "Results":
-    from tactiled.study.faults import sweeps
-    from tactiled.study.stability import measure, setting
-
-    made = setting(reduced, seed, *skins)
-    return list(track(measure(made), "Faults", len(sweeps(made)), transient=True))
-
-
-def _modes(skins: "list[Skin]", noise: float, seed: int) -> "list[Picard]":
-    from tactiled.study.picard import measure
-    from tactiled.study.skin import rubber
-
-    return [measure(skin, noise, seed) for skin in skins or [rubber(t, 32) for t in (0.5, 1.0, 2.0, 3.0)]]
+        print(write(out, skins, reduced, seed))
 
 
 def latency(

@@ -16,6 +16,16 @@ from tactiled.errors import ConfigError
 # Okabe and Ito's palette, its yellow left out: too faint on white. Dashes tell the lines apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9")
 MARKS = ("o", "s", "^", "D", "v", "P")
+BLUE, RED, GREEN, PINK, BLACK, SKY = COLOURS
+OURS = {  # mark and colour of our methods, in the order of legends
+    "auto": ("*", BLACK),
+    "wiener": ("o", BLUE),
+    "nnls": ("^", GREEN),
+    "tv": ("d", GREEN),
+    "points": ("v", PINK),
+    "rl": ("s", RED),
+    "rl-fast": ("P", SKY),
+}
 WORSE_COLOUR = "#FBEEE6"  # background of what is worse than the raw image, or under the noise
 FREQUENCY = "spatial frequency q (cycles/mm)"
 STYLE = Path(__file__).with_suffix(".mplstyle")

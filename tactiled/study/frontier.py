@@ -1,17 +1,19 @@
 """Speed against accuracy: every method timed and scored on the same frames, in one run on one thread."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from rich.progress import track
 
 from tactiled.restore.methods import METHODS, Restorer, make
 from tactiled.study.peers import STOPS, Restore, absent, ours, peers
 from tactiled.study.results import write_csv, write_json
-from tactiled.study.skin import Clip, Frames, Skin, clips, nrmse
+from tactiled.study.skin import Clip, Frames, Skin, clips, into, nrmse, rubber
 
 Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
@@ -43,7 +45,6 @@ class Mark:
     nrmse: float  # mean over the scenes' clips
     median: float  # microseconds a frame
     p99: float
-    front: bool = False  # nothing else is both faster and more accurate
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,29 +62,21 @@ class Panel:
         return next(mark for mark in self.marks if mark.method == method)
 
     @property
+    def front(self) -> list[Mark]:
+        """The Pareto front, fastest first: nothing else is both faster and more accurate."""
+        return sorted((one for one in self.marks if not better(self, one.method)), key=lambda one: one.median)
+
+    @property
     def best_peer(self) -> Mark | None:
         """The most accurate mark that is none of ours."""
         return min((mark for mark in self.marks if not mark.ours), key=lambda mark: mark.nrmse, default=None)
 
 
-def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the (cost, error) points that no other beats in both, cheapest first; of equals, the first."""
-    indices: list[int] = []
-    for n in sorted(range(len(points)), key=lambda n: (*points[n], n)):
-        if not indices or points[n][1] < points[indices[-1]][1]:
-            indices.append(n)
-    return indices
-
-
 def better(panel: Panel, method: str = "auto") -> list[Mark]:
     """The marks at least as fast and as accurate as `method`, and better in one of them."""
     own = panel.mark(method)
-    return [
-        mark
-        for mark in panel.marks
-        if (mark.median <= own.median and mark.nrmse <= own.nrmse)
-        and (mark.median, mark.nrmse) != (own.median, own.nrmse)
-    ]
+    no_worse = (mark for mark in panel.marks if mark.median <= own.median and mark.nrmse <= own.nrmse)
+    return [mark for mark in no_worse if (mark.median, mark.nrmse) != (own.median, own.nrmse)]
 
 
 def verdict(panels: Sequence[Panel]) -> Iterator[str]:
@@ -114,23 +107,24 @@ def lines(panels: Sequence[Panel]) -> list[tuple[str, ...]]:
     return table
 
 
-def measure(skins: Iterable[Skin], effort: Effort, seed: int) -> Iterator[Panel]:
-    """Measure every skin at every noise."""
-    for skin in skins:
-        for noise in effort.noises:
-            yield panel(skin, noise, effort, seed)
+def measure(skins: Sequence[Skin], reduced: bool, seed: int) -> list[Panel]:
+    """Measure every skin, or rubber if there is none, at every noise."""
+    effort = REDUCED if reduced else Effort()
+    skins = skins or [rubber(thickness, effort.size) for thickness in effort.covers]
+    pairs = list(product(skins, effort.noises))
+    return [panel(*pair, effort, seed) for pair in track(pairs, "Speed and accuracy", transient=True)]
 
 
 def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
     """Measure one skin at one noise."""
     errors: dict[str, list[float]] = {}
-    times: dict[str, list[list[float]]] = {}  # of each method, round by round
+    times: dict[str, list[list[float]]] = {}  # of each method, a list of the clips' frames for every round
     floors = []
     for clip in clips(skin, noise, effort.frames, seed):
         floors.append(floor(skin, clip))
-        for name, (run, forget) in _runs(skin, clip, noise, effort.stops).items():
+        for name, run in _runs(skin, clip, noise, effort.stops).items():
             rounds = effort.rounds if ours(name) else effort.peer_rounds
-            played = [_play(run, forget, clip) for _ in range(rounds)]
+            played = [_play(*run, clip) for _ in range(rounds)]
             errors.setdefault(name, []).append(played[0][0])
             for total, (_, took) in zip(times.setdefault(name, [[] for _ in range(rounds)]), played, strict=True):
                 total += took
@@ -138,8 +132,6 @@ def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
     for name, passes in times.items():
         median, p99 = (min(float(np.percentile(each, q)) for each in passes) for q in (50, 99))
         marks.append(Mark(name, ours(name), float(np.mean(errors[name])), median, p99))
-    on_front = front([(mark.median, mark.nrmse) for mark in marks])
-    marks = [replace(mark, front=n in on_front) for n, mark in enumerate(marks)]
     return Panel(skin.name, skin.thickness, noise, float(np.mean(floors)), tuple(marks))
 
 
@@ -149,9 +141,7 @@ def floor(skin: Skin, clip: Clip) -> float:
     No linear filter in the blur's modes passes it in the mean; a non-negative method may.
     """
     modes = skin.blur.modes
-    rows, columns = modes.surface if len(modes.surface) == 2 else (modes.surface[0], None)
-    x = rows.T @ clip.truths[0]
-    power = np.square(x if columns is None else x @ columns)
+    power = np.square(into(modes.surface, clip.truths[0]))
     gain = np.zeros_like(power)
     gain[modes.head] = modes.gain
     residual = power * clip.sigma**2 / np.maximum(gain**2 * power + clip.sigma**2, 1e-300)
@@ -190,10 +180,21 @@ def write(folder: Path, panels: list[Panel], seed: int) -> None:
     frontier_chart.draw(folder / "frontier.svg", panels)
     columns = ("skin", "t/pitch", "noise", "method", "NRMSE", "median us", "p99 us", "on front")
     rows = (
-        (one.skin, one.thickness, one.noise, mark.method, mark.nrmse, mark.median, mark.p99, int(mark.front))
+        (
+            one.skin,
+            one.thickness,
+            one.noise,
+            mark.method,
+            mark.nrmse,
+            mark.median,
+            mark.p99,
+            int(mark in one.front),
+        )
         for one in panels
         for mark in one.marks
     )
     write_csv(folder / "frontier.csv", columns, rows)
     about = {"seed": seed, "threads": 1, "peers not installed": absent(), "floor": BOUND}
-    write_json(folder / "frontier.json", about | {"panels": [asdict(one) for one in panels]})
+    marks = ([asdict(mark) | {"front": mark in one.front} for mark in one.marks] for one in panels)
+    dicts = [asdict(one) | {"marks": each} for one, each in zip(panels, marks, strict=True)]
+    write_json(folder / "frontier.json", about | {"panels": dicts})

@@ -7,24 +7,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from tactiled.study.charts import COLOURS, figure
+from tactiled.study.charts import COLOURS, OURS, figure
 from tactiled.study.frontier import BOUND, Mark, Panel
 from tactiled.study.peers import ours
 
-BLUE, RED, GREEN, PINK, BLACK, SKY = COLOURS
-GREY = "#777777"
+BLUE, RED, _, PINK, BLACK, SKY = COLOURS
 SIZES = {"auto": 10, "nnls": 14}  # points: auto often selects nnls, and then both must show
 DASHES = (0, (5, 3))
 RIGHT_END = 1e7  # µs, past the right edge
 STYLES = {  # start of the name -> label, mark, colour; the longest that fits counts
-    "auto": ("auto", "*", BLACK),
-    "raw": ("raw image", "X", GREY),
-    "wiener": ("wiener", "o", BLUE),
-    "nnls": ("nnls", "^", GREEN),
-    "tv": ("tv", "d", GREEN),
-    "points": ("points", "v", PINK),
-    "rl": ("rl", "s", RED),
-    "rl-fast": ("rl-fast", "P", SKY),
+    "auto": ("auto", *OURS["auto"]),
+    "raw": ("raw image", "X", "#777777"),
+    **{name: (name, *look) for name, look in OURS.items()},
     "skimage wiener": ("scikit-image wiener, 3 weights", "o", BLUE),
     "skimage unsupervised": ("scikit-image unsupervised_wiener", "D", PINK),
     "skimage rl": ("scikit-image richardson_lucy: 10, 30, 100", "s", RED),
@@ -60,8 +54,7 @@ def _style(name: str) -> str:
 
 def _panel(axes: Axes, panel: Panel, top: float) -> None:
     """Draw one cover and noise; errors above `top` are marked at the edge."""
-    front = sorted((mark for mark in panel.marks if mark.front), key=lambda mark: mark.median)
-    x, y = [mark.median for mark in front], [mark.nrmse for mark in front]
+    x, y = [mark.median for mark in panel.front], [mark.nrmse for mark in panel.front]
     axes.step([*x, RIGHT_END], [*y, y[-1]], where="post", color="#999999", lw=1.3, zorder=1)
     axes.axhline(panel.floor, color=PINK, lw=1.3, ls=DASHES, zorder=1)
     stops = sorted((m for m in panel.marks if m.method.startswith("skimage rl")), key=lambda m: m.median)

@@ -1,15 +1,16 @@
 """The detail that an array under a cover can resolve: its singular values against the noise, and Picard's plot."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tactiled.study.charts import COLOURS, WORSE_COLOUR, figure
+from tactiled.study.charts import BLUE, COLOURS, GREEN, RED, WORSE_COLOUR, figure
 from tactiled.study.scenes import TEST_SCENES, Floats
-from tactiled.study.skin import Skin, draw, sense, touches
+from tactiled.study.skin import Skin, draw, into, rubber, sense, touches
 
-BLUE, RED, GREEN = COLOURS[:3]
+RUBBERS = (0.5, 1.0, 2.0, 3.0)  # t/pitch, where no skin is given
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +39,12 @@ class Picard:
         return 0.5 * self.cell_mm / finest if finest else float("inf")
 
 
-def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
+def measure(skins: Sequence[Skin], noise: float, seed: int) -> list[Picard]:
+    """Analyse every skin, or rubber if there is none, with white noise of `noise` of the peak."""
+    return [analyse(skin, noise, seed) for skin in skins or [rubber(thickness, 32) for thickness in RUBBERS]]
+
+
+def analyse(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
     """Analyse a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
     scenes = (
         (name, *sense(skin, draw(skin, name, np.random.default_rng([seed, 0])))) for name in (scene, *TEST_SCENES)
@@ -47,7 +53,7 @@ def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Pica
     sigma = noise * float(clean.max())
     noisy = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)
     modes = skin.blur.modes
-    frame, truth = _into(modes.taxel, noisy), _into(modes.surface, cells)[modes.head]
+    frame, truth = into(modes.taxel, noisy), into(modes.surface, cells)[modes.head]
     order = np.argsort(-modes.gain, axis=None)
     return Picard(
         skin=skin.name,
@@ -59,11 +65,6 @@ def measure(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Pica
         truth=np.abs(truth).ravel()[order],
         frame=np.abs(frame).ravel()[order],
     )
-
-
-def _into(bases: tuple[Floats, ...], image: Floats) -> Floats:
-    first = bases[0].T @ image
-    return np.asarray(first if len(bases) == 1 else first @ bases[1])
 
 
 def _smooth(values: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """Speed, accuracy, limits and failures of restoration on one page."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 from string import Template
@@ -10,12 +10,14 @@ import numpy as np
 from tactiled.study import frontier, picard, stability
 from tactiled.study.page import page, svg, table, text, tiles
 from tactiled.study.results import machine
+from tactiled.study.skin import Skin
 
 
-def write(
-    folder: Path, panels: list[frontier.Panel], results: stability.Results, modes: list[picard.Picard], seed: int
-) -> Path:
-    """Draw every chart, write every table, and the page that holds them all; give its path."""
+def write(folder: Path, skins: Sequence[Skin], reduced: bool, seed: int) -> Path:
+    """Measure, draw every chart, write every table, and the page that holds them all; give its path."""
+    panels = frontier.measure(skins, reduced, seed)
+    results = stability.measure(stability.setting(reduced, seed, *skins))
+    modes = picard.measure(skins, 0.01, seed)
     frontier.write(folder, panels, seed)
     stability.write(folder, results, seed)
     picard.write(folder, modes)

@@ -147,6 +147,12 @@ def touches(truth: Floats) -> bool:
     return bool(truth.max() > TOUCH_KPA)
 
 
+def into(bases: tuple[Floats, ...], image: Floats) -> Floats:
+    """Coefficients of an image in the modes along its axes."""
+    first = bases[0].T @ image
+    return np.asarray(first if len(bases) == 1 else first @ bases[1])
+
+
 def cell_means(skin: Skin, fine: Floats) -> Floats:
     """Mean of fine cells over each restored cell: a square of the pitch around every taxel."""
     if skin.array.shape is not None:

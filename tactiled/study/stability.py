@@ -1,10 +1,11 @@
 """Where methods fail: each fault swept from harmless to hopeless, and whether the image shows that it is wrong."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode
@@ -61,15 +62,15 @@ def setting(reduced: bool, seed: int, skin: Skin | None = None) -> Setting:
     return Setting(skin or rubber(COVER, 32), seed, tuple(TEST_SCENES))
 
 
-def measure(setting: Setting) -> Iterator[tuple[Sweep, list[Row]]]:
+def measure(setting: Setting) -> Results:
     """Run every sweep."""
-    for sweep in sweeps(setting):
-        rows: list[Row] = []
-        for value in sweep.values:
-            if value in sweep.values[:: setting.step] or value == sweep.harmless:
-                for case in cases(setting, sweep, value):
-                    rows += restore(sweep.name, value, case)
-        yield sweep, rows
+    return [(sweep, run(setting, sweep)) for sweep in track(sweeps(setting), "Faults", transient=True)]
+
+
+def run(setting: Setting, sweep: Sweep) -> list[Row]:
+    """Restore every scene at the sweep's harmless value and every step-th of the others."""
+    values = [v for v in sweep.values if v in sweep.values[:: setting.step] or v == sweep.harmless]
+    return [row for v in values for case in cases(setting, sweep, v) for row in restore(sweep.name, v, case)]
 
 
 def restore(sweep: str, value: float, case: Case) -> list[Row]:

@@ -7,21 +7,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from tactiled.study.charts import COLOURS, WORSE_COLOUR, figure
+from tactiled.study.charts import COLOURS, OURS, WORSE_COLOUR, figure
 from tactiled.study.faults import Sweep
 from tactiled.study.stability import HONEST, Results, Row, curve
 
-BLUE, RED, GREEN, PINK, BLACK, SKY = COLOURS
-STYLES = {  # method -> label, colour, mark, dashes
-    "auto": ("auto", BLACK, "*", "-"),
-    "wiener": ("wiener", BLUE, "o", "-"),
-    "nnls": ("nnls", GREEN, "^", "-"),
-    "tv": ("tv", GREEN, "d", (0, (1, 1))),
-    "points": ("points", PINK, "v", "-"),
-    "rl": ("rl", RED, "s", "-"),
-    "rl-fast": ("rl-fast", SKY, "P", "-"),
-    "skimage wiener": ("scikit-image wiener", BLUE, "", (0, (3, 2))),
-    "skimage rl": ("scikit-image richardson_lucy", RED, "", (0, (3, 2))),
+DASHES = {"tv": (0, (1, 1)), "skimage wiener": (0, (3, 2)), "skimage rl": (0, (3, 2))}
+STYLES = {  # method -> label, mark, colour
+    **{name: (name, *look) for name, look in OURS.items()},
+    "skimage wiener": ("scikit-image wiener", "", COLOURS[0]),
+    "skimage rl": ("scikit-image richardson_lucy", "", COLOURS[1]),
 }
 LARGE = ("auto", "nnls")  # auto often selects nnls, and then both must show
 TOP = 2.0  # times the raw image's error: more is drawn at the edge
@@ -47,8 +41,9 @@ def draw(path: Path, results: Results) -> None:
 
 
 def _look(name: str) -> dict[str, Any]:
-    _, colour, mark, dashes = STYLES[name]
-    return {"color": colour, "marker": mark, "ls": dashes, "mfc": "white" if name == "nnls" else colour}
+    _, mark, colour = STYLES[name]
+    fill = "white" if name == "nnls" else colour
+    return {"color": colour, "marker": mark, "ls": DASHES.get(name, "-"), "mfc": fill}
 
 
 def _sweep(axes: Axes, sweep: Sweep, rows: list[Row]) -> None:

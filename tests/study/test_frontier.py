@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from tactiled.cli.app import app
 from tactiled.study import peers
-from tactiled.study.frontier import Effort, Mark, Panel, better, floor, front, lines, panel, verdict
+from tactiled.study.frontier import Effort, Mark, Panel, floor, lines, panel, verdict
 from tactiled.study.skin import clips, nrmse, rubber
 
 TINY = Effort(covers=(1.0,), noises=(0.02,), size=12, frames=2, rounds=1, peer_rounds=1, stops=(3,))
@@ -20,30 +20,21 @@ def skin():
     return rubber(1.0, 12)
 
 
-def test_front_agrees_with_its_definition():
-    points = [(3.0, 0.1), (1.0, 0.5), (2.0, 0.5), (2.0, 0.3), (5.0, 0.1), (4.0, 0.05), (2.0, 0.3)]
-    assert front(points) == [1, 3, 0, 5]
-    assert front([]) == []
-    points = [tuple(p) for p in np.random.default_rng(3).random((60, 2))]
-    beaten = [any(q[0] < p[0] and q[1] < p[1] for q in points) for p in points]
-    assert sorted(front(points)) == [n for n, beat in enumerate(beaten) if not beat]
-
-
 def marks(*others):
     rivals = [Mark(name, True, 0.3, 60, 60) for name in ("raw", "wiener", "rl-fast")]
     return Panel("a", 1.0, 0.01, 0.1, (Mark("auto", True, 0.2, 50, 60), *rivals, *others))
 
 
-def test_better_methods_are_no_worse_in_time_and_error():
-    one = marks(Mark("fast", True, 0.3, 10, 10), Mark("best", True, 0.2, 40, 60))
-    assert [mark.method for mark in better(one)] == ["best"]
-
-
-def test_the_table_and_the_verdict_show_where_auto_is_beaten():
-    same, best = Mark("nnls", True, 0.2, 40, 60), Mark("tv", True, 0.1, 40, 60)
-    panels = [marks(), marks(same), marks(same, best)]
+def test_the_table_the_front_and_the_verdict_show_where_auto_is_beaten():
+    same, best, cheap = (
+        Mark("nnls", True, 0.2, 40, 60),
+        Mark("tv", True, 0.1, 40, 60),
+        Mark("rl", True, 0.3, 10, 10),
+    )
+    panels = [marks(cheap), marks(same), marks(same, best)]
     assert next(verdict(panels)) == "auto is on the Pareto front in 1 of 3 panels."
     assert [line[-1] for line in lines(panels)] == ["nothing", "nnls", "nnls, tv"]
+    assert [[mark.method for mark in each.front] for each in panels] == [["rl", "auto"], ["nnls"], ["tv"]]
 
 
 def test_a_panel_has_every_method_and_the_same_errors_in_every_run(skin):

@@ -22,28 +22,9 @@ def find(compared, words):
     return one
 
 
-@pytest.mark.parametrize(
-    ("words", "agrees"),
-    [
-        ("square of the thickness", True),
-        ("the gain is 0.9 under 0.1 mm", True),
-        ("the gain is 0.8 under 0.2 mm", True),
-        ("the gain is 0.4 under 0.6 mm", False),
-        ("the gain is 0.2 under 1.0 mm", False),
-        ("nearly zero under 0.4 mm", True),
-        ("the gain is 0.4 under 0.2 mm", True),
-        ("becomes less than 0.4", False),
-        ("softer the cover", True),
-        ("higher Poisson's ratio is more favourable", False),
-        ("only slight", True),
-        ("corners are enhanced", True),
-        ("inner hole is dim", True),
-        ("greatly at 4903 MPa", True),
-        ("Measured forces", None),
-    ],
-)
-def test_verdicts(compared, words, agrees):
-    assert find(compared, words).agrees is agrees
+def test_verdicts(compared):
+    verdicts = "".join({True: "+", False: "-", None: "?"}[each.agrees] for each in compared)
+    assert verdicts == "++++--++-++-++++++++??"
 
 
 def test_numbers_in_the_explanations_are_those_of_the_exact_solution(compared):
@@ -54,6 +35,8 @@ def test_numbers_in_the_explanations_are_those_of_the_exact_solution(compared):
     assert f"the peak is {pictures[0.2].max():.2f}" in find(compared, "the peak is lower").why
     holes = {thickness: picture[20, 20] / picture.max() for thickness, picture in pictures.items()}
     assert f"at {holes[0.4]:.2f}, under 0.2 mm at {holes[0.2]:.2f}" in find(compared, "inner hole").why
+    thin = models.under(models.covered("layered", 0.1))
+    assert thin[20, 20] < 0.1 * thin.max()  # "the hole stays under a tenth of it"
 
 
 def test_both_models_give_the_same_numbers(compared):
@@ -100,23 +83,10 @@ def test_command_writes_a_page_with_every_statement_and_figure(tmp_path, compare
     html = (folder / "index.html").read_text(encoding="utf-8")
     assert html.count("<tr><td>") == len(compared)
     assert [name for name, *_ in FIGURES] == re.findall(r"<img src='([^']*)'", html)
-    agree, disagree = (sum(each.agrees is verdict for each in compared) for verdict in (True, False))
-    assert f"{agree} agree, {disagree} do not" in html
+    assert "16 agree, 4 do not, 2 cannot" in html
 
 
-@pytest.mark.parametrize(
-    ("cell", "printed"), [("2e-08 of peak", "2 × 10⁻⁸ of peak"), ("-0.058 to +0.026", "−0.058 to +0.026")]
-)
-def test_the_page_writes_true_minus_signs_and_powers(cell, printed):
-    assert page.number(cell) == printed
-
-
-def test_folders_and_pages_that_cannot_be_written_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(page, "FIGURES", ())
-    monkeypatch.setattr(page, "statements", list)
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"folder .*file/here cannot be made: Not a directory"):
         page.write(tmp_path / "file" / "here")
-    (tmp_path / "index.html").mkdir()
-    with pytest.raises(ConfigError, match=r"page .*index.html cannot be written: Is a directory"):
-        page.write(tmp_path)

@@ -4,19 +4,19 @@ from typer.testing import CliRunner
 
 from tactiled.cli.app import app
 from tactiled.config.example import GRASP
-from tactiled.study.picard import measure
+from tactiled.study.picard import analyse
 from tactiled.study.skin import rubber
 
 
 @pytest.mark.parametrize("thickness", [0.5, 2.0])
 def test_less_noise_shows_more_modes(thickness):
-    clear = [measure(rubber(thickness, 16), noise, 1).clear for noise in (0.05, 0.01, 0.001)]
+    clear = [analyse(rubber(thickness, 16), noise, 1).clear for noise in (0.05, 0.01, 0.001)]
     assert clear == sorted(clear)
     assert clear[0] < clear[2] or clear[0] == 256
 
 
 def test_a_thicker_cover_shows_fewer_modes_and_its_singular_values_fall_sooner():
-    thin, thick = (measure(rubber(t, 16), 0.01, 1) for t in (0.5, 3.0))
+    thin, thick = (analyse(rubber(t, 16), 0.01, 1) for t in (0.5, 3.0))
     assert thick.clear < thin.clear
     assert thick.resolution_mm > thin.resolution_mm
     assert (np.diff(thin.singular) <= 0).all()

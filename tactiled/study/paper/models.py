@@ -29,6 +29,7 @@ ELEMENTS = 40
 CELL = 4.57  # mm, side of the experiment's pressure cells
 SHEETS = (0.25, 0.5, 1.0)  # mm of rubber
 ROD = 3.0  # mm, radius of the rod's tip
+ROD_CONTACT = (3 * LOAD * ROD * (1 - 0.3**2) / (4 * 98.0)) ** (1 / 3)  # mm, radius on a deep cover (Hertz)
 POINT = 0.02  # mm, side of the square that stands for a point load
 
 
@@ -62,11 +63,6 @@ def cell_force(kernel: Kernel, x: Floats, contact: float) -> Floats:
     cell = Array(np.zeros((1, 2)), CELL, CELL)
     places = np.column_stack([x, np.zeros_like(x)])
     return np.asarray(matrix(kernel, cell, places, contact)[0] * LOAD / contact**2 * CELL**2)
-
-
-def rod_contact(young: float, poisson: float) -> float:
-    """The radius (mm) of the rod's contact on a deep cover, (3 F R / 4 E*)^(1/3) (Hertz)."""
-    return float((3 * LOAD * ROD * (1 - poisson**2) / (4 * young)) ** (1 / 3))
 
 
 def spread(kernel: Kernel, radius: float) -> Kernel:

@@ -1,11 +1,10 @@
 """One page with the paper's statements, their verdicts, and the figures."""
 
-import re
 from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 
-from tactiled.errors import ConfigError
+from tactiled.study.charts import figure
 from tactiled.study.page import page, table, text
 from tactiled.study.paper.figures import FIGURES
 from tactiled.study.paper.statements import Statement, statements
@@ -18,41 +17,40 @@ finite elements that do not lock, and exactly, wavenumber by wavenumber. Unless 
 0.2 mm thick, 98 MPa, Poisson's ratio 0.3, bonded to 1 mm of sensor at 980 MPa and 0.3 on a rigid base."""
 HEADINGS = ("Where", "The paper states", "Finite elements", "Exact", "Verdict", "Why")
 VERDICTS = {True: "agrees", False: "disagrees", None: "open"}
-SUPERSCRIPTS = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write(folder: Path) -> Path:
     """Draw every figure into `folder` and write its page; give the page's path."""
     make_folder(folder)
-    for name, _, _, draw in FIGURES:
-        draw(folder / name)
+    for name, height, plot, *_ in FIGURES:
+        with figure(folder / name, 10, height) as chart:
+            plot(chart)
     path = folder / "index.html"
-    try:
-        path.write_text(page(TITLE, _parts(statements())), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"page {path} cannot be written: {error.strerror}") from error
+    path.write_text(page(TITLE, _parts(statements())), encoding="utf-8")
     return path
 
 
 def _parts(compared: list[Statement]) -> Iterator[str]:
     agree, disagree, unknown = (sum(one.agrees is verdict for one in compared) for verdict in VERDICTS)
-    counts = f"Of {len(compared)} statements {agree} agree, {disagree} do not, {unknown} cannot be checked."
     yield f"<h1>{TITLE}</h1>"
-    yield text(INTRODUCTION, counts)
-    yield "<h2>Statements</h2>"
-    rows = (
-        (one.where, one.states, number(one.fem), number(one.exact), VERDICTS[one.agrees], one.why)
-        for one in compared
+    yield text(
+        INTRODUCTION,
+        f"Of {len(compared)} statements {agree} agree, {disagree} do not, {unknown} cannot be checked.",
     )
+    yield "<h2>Statements</h2>"
+    rows = [
+        (
+            one.where,
+            one.states,
+            *(n.replace("-", "−") for n in (one.fem, one.exact)),
+            VERDICTS[one.agrees],
+            one.why,
+        )
+        for one in compared
+    ]
     yield table(HEADINGS, rows, good="agrees", bad="disagrees")
     yield "<h2>Figures</h2>"
     yield text("Lines are the exact solution, marks and pictures the finite elements.")
-    for name, figure, caption, _ in FIGURES:
+    for name, *_, number, caption in FIGURES:
         picture = f"<img src='{name}' alt='{escape(caption)}'>"
-        yield f"<figure>{picture}<figcaption>{figure}. {escape(caption)}</figcaption></figure>"
-
-
-def number(cell: str) -> str:
-    """A cell with true minus signs and powers of ten."""
-    powers = re.sub(r"(\d)e-0*(\d+)", lambda power: f"{power[1]} × 10⁻{power[2].translate(SUPERSCRIPTS)}", cell)
-    return re.sub(r"(^|\s)-(?=\d)", r"\1−", powers)
+        yield f"<figure>{picture}<figcaption>{number}. {escape(caption)}</figcaption></figure>"
