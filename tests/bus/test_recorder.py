@@ -145,6 +145,12 @@ def test_a_full_disk_ends_the_recording_with_an_error_and_leaves_a_readable_file
     assert recorder.written > 50
 
 
+def test_a_disk_that_is_full_before_the_header_leaves_no_message(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "pwrite", FullDisk(0))
+    with pytest.raises(TactileError, match=r"No space left on device: .* early, after 0 messages"):
+        Recorder(tmp_path / "a.asc").close()
+
+
 def test_a_chunk_is_in_the_file_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     file = ChunkFile(tmp_path / "a")
     file.write(b"first")
