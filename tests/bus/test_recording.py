@@ -24,6 +24,7 @@ from tactiled.config import parse
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError, TactileError
 from tactiled.runtime.pipeline import Pipeline
+from tests.conftest import Clock
 
 # Slices of the data set, as its files have them: rows thumb, index, middle, ring, little.
 BEAR_1_FIRST = """
@@ -82,15 +83,16 @@ def test_a_recording_is_played_at_its_own_pace_and_its_messages_bear_the_time_of
     assert np.diff(times[::10]).sum() > 14 * 0.02 - 0.005  # ten messages a frame
 
 
-def test_a_loop_ends_by_its_stop_and_keeps_frames_whole(plan):
-    stop, played = Event(), []
+def test_a_loop_ends_by_its_stop_and_keeps_frames_whole(plan, monkeypatch):
+    clock, played = Clock(), []
+    monkeypatch.setattr(recording, "time", clock)
 
     def send(message):
         played.append(message)
         if len(played) == 325:
-            stop.set()
+            clock.wait = lambda _: True
 
-    assert recording.play(recording.path("book_1"), send, stop, loop=True) == 325
+    assert recording.play(recording.path("book_1"), send, clock, loop=True) == 325
     router = Router({"hand": plan.codec})
     frames = [frame for each in played for _, frame in router.push(each)]
     assert len(frames) == 32
