@@ -14,7 +14,7 @@ from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
 HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.study")
-SILENT_BUS = ["--interface", "virtual", "--channel", "nobody", "--seconds", "0.05"]
+SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
     [(verb, file.format(verb), line) for verb, line in (each.split(maxsplit=1) for each in lines.splitlines())]
     for lines, file in ((VERBS, "tactiled.cli.{}"), (BENCH_VERBS, "tactiled.cli.bench"))
@@ -49,17 +49,15 @@ def test_the_version_is_printed():
     assert succeed("--version") == f"tactiled {version('tactiled')}\n"
 
 
-@pytest.mark.parametrize("verb", ["init", "check", "sniff", "record"])
-def test_verbs_without_a_server_import_none(verb, tmp_path):
-    config = tmp_path / "palm.toml"
-    config.write_text(EXAMPLE)
-    arguments = {
-        "init": [str(tmp_path / "new.toml")],
-        "check": [str(config)],
-        "sniff": SILENT_BUS,
-        "record": [str(tmp_path / "out.log"), *SILENT_BUS],
-    }
-    names = imported(verb, *arguments[verb])
+@pytest.mark.parametrize(
+    "arguments",
+    ["init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"],
+)
+def test_verbs_without_a_server_import_none(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "palm.toml").write_text(EXAMPLE)
+    verb, *_ = words = arguments.split()
+    names = imported(*words)
     assert f"tactiled.cli.{verb}" in names
     assert not of(names, *HEAVY)
 

@@ -34,6 +34,7 @@ noise_kpa = {noise_kpa}
 saturation = {saturation}
 """
 LAYER = "{ thickness_mm = 1.0, young_mpa = 1.0, poisson = 0.3 }, "
+GRID = "rows = 5, columns = 6, pitch_mm = 1.0"
 BITS = 12
 USUAL = {
     "refine": 1, "stale_after_s": 0.5, "bits": BITS, "rows": 5, "columns": 6, "pitch_mm": 1.0, "model": "layered",
@@ -78,9 +79,8 @@ def runs(numbers, seed):
     for method in METHODS:
         pipeline = Pipeline(replace(plan, method=method))
         for at, each in enumerate(counts):
-            image = pipeline.process(
-                RawFrame(at, at * 0.01, 0.0, each, np.zeros(plan.array.size, np.uint8), Loss())
-            )
+            flags = np.zeros(plan.array.size, np.uint8)
+            image = pipeline.process(RawFrame(at, at * 0.01, 0.0, each, flags, Loss()))
             assert np.isfinite(image.restored).all(), method
             assert image.restored.shape == plan.blur.surface_shape
     return plan
@@ -111,14 +111,6 @@ def test_extreme_numbers_are_refused_with_their_key_or_run(key):
         assert message == "" or (key in message and repr(value)[:4] in message)
 
 
-@pytest.mark.parametrize("value", ["1e-300", "-1.0", "0.0", "nan", "inf", "1e308"])
-def test_the_error_has_the_bounds(value):
-    with pytest.raises(ConfigError) as caught:
-        parse(text(USUAL | {"thickness_mm": value}))
-    written = {"1e308": "1e+308"}.get(value, value)
-    assert str(caught.value) == f"config: sensor.palm.cover[0].thickness_mm = {written}: give 0.001 to 100 mm"
-
-
 @pytest.mark.parametrize(
     ("thickness_mm", "young_mpa", "poisson"),
     [(0.01, 2500.0, 0.4), (20.0, 0.01, 0.0), (0.2, 1e6, 0.2), (2.0, 0.5, 0.4999)],
@@ -135,15 +127,15 @@ def test_covers_of_real_skins_are_solved(thickness_mm, young_mpa, poisson):
         ("refine = 1", "refine = " + "[" * 200 + "]" * 200, "config: tables or lists are nested too deep"),
         ('interface = "virtual"', 'interface = "virtual"\n' + "x." * 3000 + "x = 1", "nested too deep"),
         ("rows = 5", "rows = " + "5" * 5000, "config: not TOML: Exceeds the limit (4300 digits)"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [1e300, 1.0]]",
+        (GRID, "positions_mm = [[0.0, 0.0], [1e300, 1.0]]",
          "sensor.palm.array.positions_mm[1][0] = 1e+300: give -10000 to 10000 mm"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = []", "at least 1 item"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0]]", "array has one position"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "rows = 5, positions_mm = [[0.0, 0.0], [1.0, 0.0]]",
+        (GRID, "positions_mm = []", "at least 1 item"),
+        (GRID, "positions_mm = [[0.0, 0.0]]", "array has one position"),
+        (GRID, "rows = 5, positions_mm = [[0.0, 0.0], [1.0, 0.0]]",
          "array.rows = 5: belongs to a grid, and this array has positions"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "rows = 5, columns = 6",
+        (GRID, "rows = 5, columns = 6",
          "array is incomplete: give rows, columns and pitch_mm"),
-        ("rows = 5, columns = 6, pitch_mm = 1.0", "positions_mm = [[0.0, 0.0], [0.02, 0.0], [9e3, 9e3]]",
+        (GRID, "positions_mm = [[0.0, 0.0], [0.02, 0.0], [9e3, 9e3]]",
          "array positions spread over 9000 x 9000 mm, and two are 0.02 mm apart"),
         ("cover = {", f"cover = [{9 * LAYER}]\nfoam = {{", "at most 8 items"),
         ("rows = 5, columns = 6", "rows = 100, columns = 100", "refine = 8: 10000 taxels then have 640000 cells"),
@@ -168,13 +160,7 @@ def test_history_larger_than_memory_is_refused(monkeypatch):
 
 
 def test_a_cover_that_needs_too_many_elements_is_refused():
-    thin_on_soft = USUAL | {
-        "model": "fem",
-        "thickness_mm": 0.001,
-        "young_mpa": 1.0,
-        "thickness": 20.0,
-        "young": 0.001,
-    }
+    thin_on_soft = USUAL | {"thickness_mm": 0.001, "young_mpa": 1.0, "thickness": 20.0, "young": 0.001}
     with pytest.raises(PhysicsError, match=r"sensor\.palm: far field reaches past .* mm, .*use model 'layered'"):
-        sensor_plans(parse(text(thin_on_soft)))
-    runs(thin_on_soft | {"model": "layered"}, 0)
+        sensor_plans(parse(text(thin_on_soft | {"model": "fem"})))
+    runs(thin_on_soft, 0)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tactiled.bus import recording, skins
-from tactiled.cli.demo import demo_config
 from tactiled.config.example import GRASP
 from tests.cli.commands import succeed
 from tests.conftest import pressed
@@ -51,12 +50,6 @@ def test_an_export_has_the_arrays_of_the_recordings_page(tmp_path, monkeypatch, 
     capsys.readouterr()
     exec(program("recordings.md"), {})
     assert "kPa" in capsys.readouterr().out
-
-
-def test_the_simulation_page_names_the_sensors_and_recordings_of_the_demo():
-    page = read("simulation.md")
-    sensors = [*demo_config(shear=True).sensor, *demo_config(record="book_1").sensor]
-    assert all(f"`{name}`" in page for name in (*sensors, *recording.names()))
 
 
 def test_the_codecs_page_has_a_line_for_every_codec():

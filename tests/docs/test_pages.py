@@ -74,10 +74,8 @@ def test_printed_blocks_are_what_the_code_prints(path):
     assert page.count("<!-- begin") == page.count("<!-- end") == len(BLOCK.findall(page))
 
 
-def test_every_block_is_in_a_page_and_an_edited_one_is_noticed():
+def test_every_block_is_in_a_page():
     assert {match[1] for path in PAGES for match in BLOCK.findall(path.read_text("utf-8"))} == set(BLOCKS)
-    page = read("streams.md")
-    assert printed(page.replace("| 4401 |", "| 4402 |")) == page
 
 
 @pytest.mark.parametrize(("page", "head"), NAMES)
@@ -102,22 +100,10 @@ def test_links_lead_to_files_and_headings_that_exist(path):
         assert not anchor or anchor in anchors(target.read_text("utf-8")), link
 
 
-def test_links_and_anchors_are_recognised():
-    page = '# A *b* `c_d`\n[x](y.md#z) `[no](link)` <img src="p.png">\n```\n# none\n```\n### It\'s [e](f.md)\n'
-    assert links(page) == ["y.md#z", "p.png", "f.md"]
-    assert anchors(page) == {"a-b-c_d", "its-e"}
-
-
 def test_the_index_and_the_readme_name_every_page():
     for page, folder in ((GUIDE / "index.md", ""), (README, "tactiled/docs/")):
         names = {link.partition("#")[0] for link in links(page.read_text("utf-8"))}
         assert {f"{folder}{path.name}" for path in PAGES[1:] if path != page} <= names
-
-
-def test_the_readme_is_short():
-    lines = README.read_text("utf-8").splitlines()
-    assert len(lines) <= 300
-    assert max(len(line) for line in lines if not line.startswith("|")) <= 115
 
 
 @by_page
