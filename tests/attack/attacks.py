@@ -1,8 +1,10 @@
 """Every attack by its name."""
 
 import asyncio
+import signal
 import socket
 import time
+from functools import partial
 
 import can
 from can.interfaces.udp_multicast.utils import pack_message
@@ -16,23 +18,17 @@ FLOOD_HZ = 91_000.0  # messages/s
 FLOOD_S = 4.0
 
 
-def _datagrams() -> list[bytes]:
-    """Messages as python-can packs them: of the palm, out of order, of the skin, of no sensor."""
+def _flood(port: int) -> int:
+    """Send messages of the palm, out of order, of the skin and of no sensor at the rate; gives how many."""
     ids = [(0x500, bytes([0, at]) + bytes(62), True) for at in (0, 1, 1, 3)]
     ids += [(0x4D5, b"\x40" + bytes(7), False), (0x135, bytes(8), False), (0x7FF, b"", False)]
-    datagrams = []
-    for id_, data, fd in ids:
-        message = can.Message(arbitration_id=id_, is_extended_id=False, is_fd=fd, data=data, timestamp=time.time())
-        datagrams.append(bytes(pack_message(message)))
-    return datagrams
-
-
-def _flood(port: int, seconds: float) -> int:
-    """Send at the rate; gives how many."""
-    datagrams, count, began = _datagrams(), 0, time.monotonic()
+    options = {"is_extended_id": False, "timestamp": time.time()}
+    messages = [can.Message(arbitration_id=id_, is_fd=fd, data=data, **options) for id_, data, fd in ids]
+    datagrams = [bytes(pack_message(each)) for each in messages]
+    count, began = 0, time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-        while (passed := time.monotonic() - began) < seconds:
+        while (passed := time.monotonic() - began) < FLOOD_S:
             due = int(passed * FLOOD_HZ) - count
             for at in range(min(due, 1000)):
                 out.sendto(datagrams[at % len(datagrams)], (GROUP, port))
@@ -42,9 +38,9 @@ def _flood(port: int, seconds: float) -> int:
     return count
 
 
-async def flood(target: Target, size: Size, findings: Findings) -> None:
+async def flood(target: Target, _: Size, findings: Findings) -> None:
     """91 000 messages a second on the bus."""
-    findings.outcomes["messages"] += await asyncio.to_thread(_flood, target.bus_port, size.factor * FLOOD_S)
+    findings.outcomes["messages"] += await asyncio.to_thread(_flood, target.bus_port)
 
 
 def _upgraded(ending: Ending) -> bool:
@@ -82,6 +78,6 @@ ATTACKS = {
     "uploads": Attack(requests.uploads),
     "calls": Attack(requests.calls, at_once=20),
     "flood": Attack(run=flood),
-    "sigterm": Attack(run=shutdown.sigterm, alone=True),
-    "sigint": Attack(run=shutdown.sigint, kind=TLS, alone=True),
+    "sigterm": Attack(run=partial(shutdown.stop, signal.SIGTERM), alone=True),
+    "sigint": Attack(run=partial(shutdown.stop, signal.SIGINT), kind=TLS, alone=True),
 }

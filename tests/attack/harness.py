@@ -1,10 +1,11 @@
-"""An attack, what must hold while it runs, and the table of its outcomes."""
+"""An attack, what must hold while it runs, and its report."""
 
 import asyncio
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from tests.attack.bystander import MAX_OWN_S, Waits, beside
@@ -34,32 +35,38 @@ def late_s(state: str) -> float:
 
 @dataclass(frozen=True)
 class Size:
-    """How large an attack is: as in continuous integration, or larger by hand."""
+    """How large the fuzzer is: as in continuous integration, or larger by hand."""
 
-    factor: int = 1  # how often tables are played
-    connections: int = 2000  # of the fuzzer
-    seconds: float = 20.0  # that the fuzzer may take for new connections
+    connections: int = 2000
+    seconds: float = 20.0  # that it may take for new connections
     seed: int = 1
 
 
 @dataclass
 class Findings:
-    """The outcomes of an attack."""
+    """How the connections of an attack ended, and what the service needed."""
 
     outcomes: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    def add(self, name: str, ending: Ending, *, ends: bool = True) -> None:
-        """Count how a connection ended; one that is still open fails, unless it was not waited for."""
-        self.outcomes[f"{name}: {ending}"] += 1
-        self.check(ending.how != "open" or not ends, f"{name}: still open after {ending.seconds:.0f} s")
-        self.check(ending.status != 500, f"{name}: 500")
+    seconds: float = 0.0
+    waits: Waits = field(default_factory=Waits)
+    descriptors: tuple[int, ...] = ()  # before and after
+    rss_mb: tuple[int, ...] = ()  # before, at most, after
 
     def check(self, true: bool, why: str) -> None:
         """Fail once unless it is true."""
         if not true and why not in self.failures:
             self.failures.append(why)
+
+    def report(self, name: str) -> str:
+        """An attack in a line, and under it how its connections ended and what did not hold."""
+        first = (
+            f"{name}: {'FAILED' if self.failures else 'held'}: {self.outcomes.total()} attempts in"
+            f" {self.seconds:.0f} s; {self.waits}; descriptors before and after {self.descriptors};"
+            f" memory before, at most and after {self.rss_mb} MB"
+        )
+        endings = [f"{number:>7} {ending}" for ending, number in self.outcomes.most_common()]
+        return "\n    ".join([first, *endings, *self.failures])
 
 
 @dataclass(frozen=True)
@@ -77,10 +84,9 @@ class Try:
     tls: bool = False
 
 
-Table = Mapping[str, bytes | Sequence[bytes]]
-
-
-def each(table: Table, times: int, **options: Any) -> Callable[[Target], list[Try]]:
+def each(
+    table: Mapping[str, bytes | Sequence[bytes]], times: int, **options: Any
+) -> Callable[[Target], list[Try]]:
     """Every row of a table so many times."""
     rows = ((name, [data] if isinstance(data, bytes) else data) for name, data in table.items())
     tries = [Try(name, pieces, **options) for name, pieces in rows]
@@ -99,73 +105,52 @@ class Attack:
     alone: bool = False  # on a service of its own, which it ends: nobody stands by
 
     async def go(self, target: Target, size: Size, findings: Findings) -> None:
-        """Run it."""
-        if self.run:
-            await self.run(target, size, findings)
-            return
+        """Run it, but not for ever."""
         places = asyncio.Semaphore(self.at_once)
 
         async def play(one: Try) -> None:
-            tls = target.tls if one.tls else None
-            port = getattr(target, one.port)
+            options = {"pause_s": one.pause_s, "source": one.source, "tls": target.tls if one.tls else None}
             async with places:
-                ending = await exchange(
-                    port, one.pieces, one.wait_s, pause_s=one.pause_s, source=one.source, tls=tls
-                )
-            findings.add(one.name, ending, ends=one.ends)
-            findings.check(one.expect(ending), f"{one.name}: {ending}")
+                ending = await exchange(getattr(target, one.port), one.pieces, one.wait_s, **options)
+            findings.outcomes[f"{one.name}: {ending}"] += 1
+            open_, wrong = ending.how == "open" and one.ends, ending.status == 500 or not one.expect(ending)
+            findings.check(not (open_ or wrong), f"{one.name}: {ending}")
 
-        await asyncio.gather(*map(play, [*self.tries(target)] * size.factor))
-
-
-@dataclass
-class Outcome:
-    """One row of the table."""
-
-    name: str
-    findings: Findings = field(default_factory=Findings)
-    seconds: float = 0.0
-    waits: Waits = field(default_factory=Waits)
-    descriptors: tuple[int, ...] = ()  # before and after
-    rss_mb: tuple[float, ...] = ()  # before, at most, after
+        try:
+            async with asyncio.timeout(ATTACK_S + size.seconds):
+                if self.run:
+                    await self.run(target, size, findings)
+                await asyncio.gather(*map(play, self.tries(target)))
+        except TimeoutError:
+            findings.check(False, "took too long")
 
 
-def attack(name: str, one: Attack, pool: Pool, size: Size) -> Outcome:
+def attack(one: Attack, pool: Pool, size: Size) -> Findings:
     """Run an attack on a service and judge it."""
-    began, outcome = time.monotonic(), Outcome(name)
-    target = Target(one.kind) if one.alone else pool.take(one.kind)
+    began, findings = time.monotonic(), Findings()
+    target = Target(one.kind) if one.alone else pool[one.kind]
     try:
         target.ready()
         if one.alone:
-            asyncio.run(_bounded(one, target, size, outcome.findings))
+            asyncio.run(one.go(target, size, findings))
         else:
-            _watched(one, target, size, outcome)
+            _watch(one, target, size, findings)
     finally:
-        outcome.seconds = time.monotonic() - began
+        findings.seconds = time.monotonic() - began
         if one.alone:
             target.close()
-        elif outcome.findings.failures or target.process.poll() is not None:
-            pool.drop(one.kind)
-    return outcome
+        elif findings.failures or target.process.poll() is not None:
+            pool.pop(one.kind).close()
+    return findings
 
 
-async def _bounded(one: Attack, target: Target, size: Size, findings: Findings) -> None:
-    """Run an attack, but not for ever."""
-    try:
-        async with asyncio.timeout(size.factor * ATTACK_S + size.seconds):
-            await one.go(target, size, findings)
-    except TimeoutError:
-        findings.check(False, "took too long")
-
-
-def _watched(one: Attack, target: Target, size: Size, outcome: Outcome) -> None:
+def _watch(one: Attack, target: Target, size: Size, findings: Findings) -> None:
     """Run an attack beside a bystander, and measure the service."""
-    findings = outcome.findings
     descriptors, rss_mb, log = target.descriptors(), target.rss_mb(), target.log.stat().st_size
-    target.forget_peak()
+    Path(f"/proc/{target.process.pid}/clear_refs").write_text("5")  # measure the peak of memory from now on
     with beside(target) as end:
-        asyncio.run(_bounded(one, target, size, findings))
-        outcome.waits = waits = end()
+        asyncio.run(one.go(target, size, findings))
+        findings.waits = waits = end()
     if target.process.poll() is not None:
         findings.check(False, f"the service ended with {target.process.returncode}")
         return
@@ -174,26 +159,11 @@ def _watched(one: Attack, target: Target, size: Size, outcome: Outcome) -> None:
     deadline = time.monotonic() + RECOVERY_S
     while time.monotonic() < deadline and (target.descriptors() > max_descriptors or target.rss_mb() > max_mb):
         time.sleep(0.1)
-    outcome.descriptors = descriptors, target.descriptors()
-    outcome.rss_mb = rss_mb, peak_mb, target.rss_mb()
+    findings.descriptors = descriptors, target.descriptors()
+    findings.rss_mb = rss_mb, peak_mb, target.rss_mb()
     logged = target.log.stat().st_size - log
-    findings.check(not waits.failures, f"another client: {waits.failures} of {waits.requests}: {waits.error[:80]}")
+    findings.check(not waits.error, f"another client, at request {waits.requests}: {waits.error}")
     findings.check(waits.own_s <= MAX_OWN_S, f"another client waited for {waits.own_s:.1f} s")
-    findings.check(outcome.descriptors[-1] <= max_descriptors, f"descriptors: {outcome.descriptors}")
-    findings.check(peak_mb <= rss_mb + PEAK_MB and outcome.rss_mb[-1] <= max_mb, f"memory: {outcome.rss_mb} MB")
+    findings.check(findings.descriptors[-1] <= max_descriptors, f"descriptors: {findings.descriptors}")
+    findings.check(peak_mb <= rss_mb + PEAK_MB and findings.rss_mb[-1] <= max_mb, f"memory: {findings.rss_mb} MB")
     findings.check(logged <= MAX_LOG_BYTES, f"log: {logged >> 10} KiB were written")
-
-
-def report(outcome: Outcome) -> str:
-    """An attack in a line, and under it how its attempts ended and what did not hold."""
-    findings, waits = outcome.findings, outcome.waits
-    verdict = "FAILED" if findings.failures else "held"
-    rss_mb = "/".join(f"{each:.0f}" for each in outcome.rss_mb)
-    descriptors = "/".join(map(str, outcome.descriptors))
-    lines = [
-        f"{outcome.name}: {verdict}: {findings.outcomes.total()} attempts in {outcome.seconds:.0f} s; another"
-        f" client waits {waits.worst_s:.2f} s, {waits.own_s:.2f} s for the service; descriptors before/after"
-        f" {descriptors}; memory before/at most/after {rss_mb} MB"
-    ]
-    lines += [f"    {number:>7} {what}" for what, number in findings.outcomes.most_common()]
-    return "\n".join(lines + [f"    {note}" for note in (*findings.notes, *findings.failures)])

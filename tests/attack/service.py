@@ -11,14 +11,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import can
-
 from tests.attack.wire import HOST, request
 
 GROUP = "239.74.163.78"
 READ, CONTROL = "attack-read-token", "attack-control-token"
 START_S = 120.0  # that a busy machine may take to start the service
-MB = 1 << 20
 
 CONFIG = """
 [server]
@@ -66,6 +63,10 @@ cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
 kernel = {{ model = "layered" }}
 calibration = {{ kpa_per_count = 0.02, no_load = 36000 }}
 """
+CERTIFICATE = (
+    "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost"
+    " -out {folder}/certificate.pem -keyout {folder}/key.pem"
+)
 TLS_FILES = """
 tls_certificate = "{folder}/certificate.pem"
 tls_key = "{folder}/key.pem"
@@ -107,11 +108,12 @@ class Target:
             CONFIG.format(folder=self.folder, tls=tls, group=GROUP, read=READ, control=CONTROL, **ports)
         )
         if kind.tls:
-            _certificate(self.folder)
+            command = CERTIFICATE.format(folder=self.folder).split()
+            subprocess.run(command, check=True, capture_output=True)
         self.process = self._run("run", str(self.config))
         self._skin: subprocess.Popen[bytes] | None = None
 
-    def ready(self) -> "Target":
+    def ready(self) -> None:
         """Wait until it answers, and until a skin that sends is live."""
         end = time.monotonic() + START_S
         while b'"live"' not in (health := self.get("/api/v1/health")):
@@ -121,33 +123,23 @@ class Target:
                 options = "--config", str(self.config), "--sensor", "palm0", "--rate-hz", "20"
                 self._skin = self._run("simulate", *options)
             time.sleep(0.1)
-        return self
 
     def get(self, path: str) -> bytes:
         """The body of the answer to a request; empty where there is none."""
         answer = b""
-        with contextlib.suppress(OSError), self._connect() as end:
+        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+            end = stack.enter_context(socket.create_connection((HOST, self.port), timeout=5.0))
+            if self.tls:
+                end = stack.enter_context(self.tls.wrap_socket(end))
             end.sendall(request(f"GET {path}", "Connection: close", token=CONTROL))
             while piece := end.recv(1 << 16):
                 answer += piece
         return answer.partition(b"\r\n\r\n")[2]
 
-    def _connect(self) -> socket.socket:
-        end = socket.create_connection((HOST, self.port), timeout=5.0)
-        return self.tls.wrap_socket(end) if self.tls else end
-
-    def bus(self) -> can.BusABC:
-        """The other end of its bus."""
-        return can.Bus(interface="udp_multicast", channel=GROUP, port=self.bus_port, hop_limit=0, fd=True)
-
-    def rss_mb(self, field: str = "VmRSS") -> float:
+    def rss_mb(self, field: str = "VmRSS") -> int:
         """Resident memory; VmHWM: its peak."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(status.partition(f"{field}:")[2].split()[0]) / 1024
-
-    def forget_peak(self) -> None:
-        """Measure the peak of memory from now on."""
-        Path(f"/proc/{self.process.pid}/clear_refs").write_text("5")
+        return int(status.partition(f"{field}:")[2].split()[0]) >> 10
 
     def descriptors(self) -> int:
         """Open files and sockets."""
@@ -168,32 +160,18 @@ class Target:
             return subprocess.Popen(shell, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=settings)
 
 
-class Pool:
-    """Services that attacks share: one of each kind, a new one after an attack that did harm."""
+class Pool(dict[Kind, Target]):
+    """Services that attacks share: one of each kind, started when it is first asked for."""
 
-    def __init__(self) -> None:
-        self._running: dict[Kind, Target] = {}
+    def __missing__(self, kind: Kind) -> Target:
+        return self.setdefault(kind, Target(kind))
 
-    def prepare(self, *kinds: Kind) -> None:
-        """Start some at once, without waiting for them."""
-        for kind in kinds:
-            if kind not in self._running:
-                self._running[kind] = Target(kind)
+    def __enter__(self) -> "Pool":
+        return self
 
-    def take(self, kind: Kind) -> Target:
-        """One that is ready."""
-        self.prepare(kind)
-        return self._running[kind].ready()
-
-    def drop(self, kind: Kind) -> None:
-        """End one."""
-        if kind in self._running:
-            self._running.pop(kind).close()
-
-    def close(self) -> None:
-        """End all."""
-        for kind in tuple(self._running):
-            self.drop(kind)
+    def __exit__(self, *_: object) -> None:
+        for target in self.values():
+            target.close()
 
 
 def trusting() -> ssl.SSLContext:
@@ -201,8 +179,3 @@ def trusting() -> ssl.SSLContext:
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     return context
-
-
-def _certificate(folder: Path) -> None:
-    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost -out certificate.pem -keyout key.pem"
-    subprocess.run(command.split(), cwd=folder, check=True, capture_output=True)

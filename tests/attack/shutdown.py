@@ -9,7 +9,7 @@ import can
 from tests.attack.bystander import queued_s
 from tests.attack.harness import Findings, Size
 from tests.attack.requests import JSON, METHOD
-from tests.attack.service import CONTROL, MB, Target
+from tests.attack.service import CONTROL, GROUP, Target
 from tests.attack.sockets import PROTOCOL, UPGRADES
 from tests.attack.wire import Connection, exchange, frame, request, upgrade
 
@@ -19,29 +19,19 @@ STOP = 0x20D, b"\x07\x01"  # to the board
 RECORD_S = 2.0
 RECORD_DELAY_S = 0.5  # from a message on the bus to the recording, at most
 RECORDINGS = "/api/v1/recordings"
-
-
 BODY = b'{"bus": "can0", "name": "a.blf"}'
 HEADERS = JSON, f"Content-Length: {len(BODY)}", "Connection: close"
 RECORD = request(f"POST {RECORDINGS}", *HEADERS, token=CONTROL, body=BODY)
 
 
-async def sigterm(target: Target, _: Size, findings: Findings) -> None:
-    """SIGTERM, as of systemd, with every kind of client."""
-    await _end(target, signal.SIGTERM, findings)
-
-
-async def sigint(target: Target, _: Size, findings: Findings) -> None:
-    """SIGINT, as of Ctrl-C, with every kind of client and TLS."""
-    await _end(target, signal.SIGINT, findings)
-
-
-async def _end(target: Target, how: signal.Signals, findings: Findings) -> None:
+async def stop(how: signal.Signals, target: Target, _: Size, findings: Findings) -> None:
+    """A signal while every kind of client is there."""
     large = target.folder / "recordings" / "large.log"
     large.parent.mkdir(exist_ok=True)
     with large.open("wb") as file:
-        file.truncate(64 * MB)
-    with target.bus() as bus:
+        file.truncate(64 << 20)
+    options = {"interface": "udp_multicast", "channel": GROUP, "hop_limit": 0, "fd": True}
+    with can.Bus(port=target.bus_port, **options) as bus:
         ending = await exchange(target.port, [RECORD], 30.0, tls=target.tls)
         findings.check(ending.status == 201, f"recording: {ending}")
         recorded_from = time.time() + RECORD_DELAY_S

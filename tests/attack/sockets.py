@@ -8,19 +8,7 @@ from collections.abc import Iterator
 from tests.attack.harness import Findings, Size, Try, late_s
 from tests.attack.requests import JSON, METHOD
 from tests.attack.service import CONTROL, Target, trusting
-from tests.attack.wire import (
-    BINARY,
-    CLOSE,
-    KEY,
-    PING,
-    STREAM,
-    TEXT,
-    UPGRADE,
-    Connection,
-    frame,
-    request,
-    upgrade,
-)
+from tests.attack.wire import BINARY, CLOSE, KEY, PING, STREAM, TEXT, UPGRADE, Connection, frame, request, upgrade
 
 MANY_HEADERS = tuple(f"X-{number}: x" for number in range(140))
 CHUNKED = "Transfer-Encoding: chunked"
@@ -32,8 +20,6 @@ UPGRADES = {
     "head of 9 KB": upgrade("X: " + "x" * 9000),
     "target of 9 KB": upgrade(path=f"{STREAM}?x={'x' * 9000}"),
 }
-
-
 BAD_UPGRADES = {
     "no key": request(f"GET {STREAM}", *UPGRADE),
     "version": request(f"GET {STREAM}", *UPGRADE, "Sec-WebSocket-Version: 7"),
@@ -50,8 +36,6 @@ BAD_UPGRADES = {
     "to HTTP/2": request("GET /", "Upgrade: h2c", "Connection: Upgrade, HTTP2-Settings", "HTTP2-Settings: AAMA"),
     "to TLS": request("OPTIONS *", "Upgrade: TLS/1.0", "Connection: Upgrade"),
 }
-
-
 PATHS = (STREAM, "/", "/xela", "/api/v1/sensors/palm0/stream", "/nowhere", f"{STREAM}?token=x", f"{STREAM}?x=y")
 HANDSHAKES = {path: upgrade(path=path) for path in PATHS}
 FRAMES = {
@@ -78,8 +62,6 @@ FRAMES = {
     "a binary message": frame(BINARY, b"{}"),
     "deep JSON": frame(TEXT, b"[" * 5000),
 }
-
-
 FLOODS = {
     "continuations": (frame(TEXT, last=False), frame(0, last=False)),
     "continuations of nothing": (b"", frame(0, last=False)),
