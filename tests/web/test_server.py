@@ -5,7 +5,7 @@ from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.errors import TactileError
-from tactiled.web.server import running
+from tactiled.web.server import running, xela_clients
 
 
 def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
@@ -17,6 +17,8 @@ def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert error(port=port).startswith(f"address 127.0.0.1:{port}: in use: choose another port")
+        with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use"):
+            xela_clients(rig.service, Server(xela=port)).__enter__()
     for host in ("nowhere.invalid", "203.0.113.7", "a" * 64):
         assert host in error(host=host)
         assert "\n" not in error(host=host)

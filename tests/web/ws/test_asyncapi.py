@@ -6,11 +6,8 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from pydantic import SecretStr
 from starlette.datastructures import QueryParams
-from websockets.sync.client import connect
 
-from tactiled.config import Server
 from tactiled.web.server import running
 from tactiled.web.ws import session
 from tactiled.web.ws.asyncapi import MESSAGES, parameters
@@ -18,7 +15,7 @@ from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse
 from tactiled.wire import HEADER, unpack
 from tests.conftest import BUSY_S, ask, pressed
-from tests.web.http.raw import UPGRADE, plug, read_all, websocket_url
+from tests.web.http.raw import UPGRADE, plug, read_all
 from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, stream, text
 
 GUIDE = Path(__file__).parents[3] / "tactiled/docs/streams.md"
@@ -109,40 +106,37 @@ def test_every_described_parameter_is_accepted(document):
                 parse(QueryParams({name: value}), form)
 
 
-def test_every_described_close_code_is_used(rig, document, monkeypatch):
-    codes = {}
-    with ExitStack() as stack:
-        with running(rig.service) as url:
-            address = websocket_url(url)
-            for query, origin in (("?kinds=x", None), ("?sensors=plam", None), ("", "http://x")):
-                with connect(address + query, origin=origin) as client:
-                    codes |= [closed(client)]
-            with connect(address) as client:
-                client.send("x" * (session.MAX_MESSAGE_BYTES + 1))
-                codes |= [closed(client)]
-            for data in b"\x81\x00", b"\x81\x81\0\0\0\0\xff":  # not masked; not UTF-8
-                with plug(url) as end:
-                    end.sendall(f"{UPGRADE}\r\n".encode())
-                    end.recv(1 << 16)
-                    end.sendall(data)
-                    code = int.from_bytes(read_all(end)[-200:].rpartition(b"\x88")[2][1:3], "big")
-                    codes[code] = ""
-            ending = stack.enter_context(connect(address))
-            ending.recv(timeout=BUSY_S)
-        codes |= [closed(ending)]
-    for limit in ("streams_per_client", "streams"):
-        server = Server(port=0).model_copy(update={limit: 1})
-        with running(rig.service, server) as url, stream(url), stream(url) as second:
-            codes |= [closed(second)]
-    with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url, stream(url) as client:
-        codes |= [closed(client)]
-    monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
-    with running(rig.service) as url, stream(url) as client:
-        codes |= [closed(client)]
-    assert (codes[1011], codes[1012]) == ("the service failed: see its log", session.CLOSES[1012])
+def test_every_close_code_is_described(document):
     for name, channel in document["channels"].items():
         ignored = {4400} if name == "xela" else set()  # there no message of a client is wrong
-        assert {each["code"] for each in channel["x-close-codes"]} == set(codes) - ignored
+        assert {each["code"] for each in channel["x-close-codes"]} == set(session.CLOSES) - ignored
+
+
+FRAMES = {
+    1002: b"\x81\x00",  # not masked
+    1007: b"\x81\x81\0\0\0\0\xff",  # not UTF-8
+    1009: b"\x81\xff" + (session.MAX_MESSAGE_BYTES + 1).to_bytes(8, "big") + bytes(4),
+}
+
+
+@pytest.mark.parametrize("code", FRAMES)
+def test_a_wrong_frame_closes_a_stream(url, code):
+    with plug(url) as end:
+        end.sendall(f"{UPGRADE}\r\n".encode())
+        end.recv(1 << 16)
+        end.sendall(FRAMES[code])
+        assert int.from_bytes(read_all(end)[-200:].rpartition(b"\x88")[2][1:3], "big") == code
+
+
+def test_a_failure_and_the_end_of_the_service_close_a_stream(rig, monkeypatch):
+    with ExitStack() as stack:
+        with running(rig.service) as url:
+            client = stack.enter_context(stream(url))
+            client.recv(timeout=BUSY_S)
+        assert closed(client) == (1012, session.CLOSES[1012])
+    monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
+    with running(rig.service) as url, stream(url) as client:
+        assert closed(client) == (1011, "the service failed: see its log")
 
 
 def test_the_guide_has_the_same_codes():

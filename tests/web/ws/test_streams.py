@@ -168,6 +168,7 @@ REFUSED = {
     f"{SEVERAL}?sensors=": (4404, "sensor '': no such sensor: there are palm, tip"),
     "/api/v1/sensors/plam/stream": (4404, "sensor 'plam': no such sensor: there are palm, tip"),
     f"{SEVERAL}?shear=tip": (4404, "sensor 'tip': its codec packed carries no shear"),
+    "/xela": (4404, "no sensor here has the codec xela"),
     f"{PALM}?kinds=shear": (4404, "sensor 'palm': its codec packed carries no shear"),
     f"{SEVERAL}?sensors=tip,tip": (4400, "sensors=tip,tip: give each name once"),
     f"{SEVERAL}?sensors=tip&shear=palm": (4400, "shear=palm: give some of tip"),
@@ -201,16 +202,8 @@ def test_a_wrong_address_is_refused_with_the_reason(url):
 
 
 def test_a_wrong_message_is_refused_with_the_reason(url):
-    wrong = (
-        b"next",
-        "",
-        "[]",
-        "{}",
-        '{"type": "more"}',
-        '{"type": "next", "sensor": "x"}',
-        '{"type": "next", "n": 2}',
-    )
-    for message in wrong:
+    more = '{"type": "more"}', '{"type": "next", "sensor": "x"}', '{"type": "next", "n": 2}'
+    for message in (b"next", "", "[]", "{}", *more):
         with streams(url) as client:
             client.send(message)
             code, reason = closed(client)

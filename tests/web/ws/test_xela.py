@@ -6,30 +6,29 @@ import socket
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 import websocket
 from pydantic import SecretStr
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
-from tactiled.errors import TactileError
-from tactiled.frames import MISSING, Message
+from tactiled.frames import Message
 from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.web import server
 from tactiled.web.server import running, serve, xela_clients
-from tests.conftest import BUSY_S, Rig, ask, meanwhile, problem, until
+from tests.conftest import BUSY_S, CONFIG, Rig, ask, meanwhile, problem, until
 from tests.web.http.raw import websocket_url
+from tests.web.ws.clients import closed
 
+BUS = CONFIG.partition("[sensor.palm]")[0]
 MODULE = """
 [sensor.{name}]
 bus = "can0"
 method = "raw"
-stale_after_s = {stale_after_s}
+stale_after_s = 600
 codec = {{ name = "xela", controller = {controller}, rows = [4, 3, 2, 1], columns = {columns} {codec} }}
 array = {{ rows = 4, columns = {width}, pitch_mm = 5.0 }}
 cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
@@ -37,8 +36,8 @@ kernel = {{ model = "layered" }}
 calibration = {{ {calibration} }}
 """
 RAW = "no_load = 36000, noise_kpa = 5"
-UNSHEARED = "kpa_per_count = 0.02, no_load = 36000, noise_kpa = 5"
-SCALED = UNSHEARED + ", shear_n_per_count = 0.0006"
+UNSHEARED = f"kpa_per_count = 0.02, {RAW}"
+SCALED = f"{UNSHEARED}, shear_n_per_count = 0.0006"
 NEWTON = np.array([0.0006, 0.0006, 0.02 * 5.0**2 * 1e-3])  # N a count of X, Y and Z
 ONE = {"skin": (1, 6)}
 
@@ -46,16 +45,16 @@ ONE = {"skin": (1, 6)}
 class Modules(Rig):
     """A service with XELA's modules, {name: (controller, width)}, and the other end of their bus."""
 
-    def __init__(self, channel, modules, calibration, codec, stale_after_s):
+    def __init__(self, channel, modules, calibration, codec):
         texts = [
             MODULE.format(
                 name=name, controller=controller, width=width, columns=[*reversed(range(width))],
-                calibration=calibration, codec=codec, stale_after_s=stale_after_s,
+                calibration=calibration, codec=codec,
             )
             for name, (controller, width) in modules.items()
         ]  # fmt: skip
-        super().__init__(channel, "".join(texts))
-        self.modules, self.skins = modules, [self.service.sensor(name) for name in modules]
+        super().__init__(channel, "".join(texts), BUS)
+        self.modules = modules
 
     def send(self, step=0, drop=()):
         """One frame of every module: ids SDA << 8 | taxel << 4 | controller, SDAs and taxels downwards."""
@@ -71,16 +70,15 @@ class Modules(Rig):
     def rest(self):
         """As many frames of step 0 as a tare takes, each restored before the next."""
         for _ in range(TARE_FRAMES):
-            images = [each.hub.latest() for each in self.skins]
+            before = self.sensor.hub.latest()
             self.send()
-            until(lambda old=images: all(a.hub.latest() is not b for a, b in zip(self.skins, old, strict=True)))
+            until(lambda old=before: self.sensor.hub.latest() is not old)
 
     def tare(self):
         """Take the counts of step 0 as no load."""
         self.send()
-        until(lambda: all(each.hub.latest() for each in self.skins))
-        for each in self.skins:
-            each.tare()
+        until(self.sensor.hub.latest)
+        self.sensor.tare()
         self.rest()
 
 
@@ -96,9 +94,9 @@ def newtons(step):
     return (axes(6, step) - axes()) * NEWTON
 
 
-def started(request, modules=ONE, calibration=RAW, codec="", stale_after_s=600):
+def started(request, modules=ONE, calibration=RAW, codec=""):
     channel = re.sub(r"\W", "-", f"{request.node.name}{calibration}")
-    return meanwhile(Modules(channel, modules, calibration, codec, stale_after_s))
+    return meanwhile(Modules(channel, modules, calibration, codec))
 
 
 @pytest.fixture(scope="module")
@@ -189,14 +187,22 @@ def test_counts_and_forces_of_every_frame_in_order(rig, url, path):
 
 
 @pytest.mark.parametrize(
-    ("codec", "model"),
-    [('model = "XR1946"', "XR1946"), ('profile = "current"', "uSPa46"), ('model = "x-1"', "x-1")],
+    ("calibration", "tared", "codec", "model"),
+    [
+        (UNSHEARED, True, "", "uSPa46"),
+        (SCALED, False, 'profile = "current"', "uSPa46"),
+        (SCALED + ", dead = [7]", True, 'model = "XR1946"', "XR1946"),
+        (RAW, False, 'model = "x-1"', "x-1"),
+    ],
 )
-def test_the_model_is_the_configured_one(request, codec, model):
-    with started(request, codec=", " + codec) as modules, running(modules.service) as url, Client(url) as client:
-        modules.send(5)
-        assert client.until(5) == [None]
-        assert client.models == [model]
+def test_the_model_is_the_configured_one_and_forces_need_all_known(request, calibration, tared, codec, model):
+    with started(request, ONE, calibration, f", {codec}" if codec else "") as modules:
+        if tared:
+            modules.tare()
+        with running(modules.service) as url, Client(url) as client:
+            modules.send(5)
+            assert client.until(5) == [None]
+            assert client.models == [model]
 
 
 def test_two_modules_are_in_every_message(request):
@@ -207,34 +213,22 @@ def test_two_modules_are_in_every_message(request):
 
 
 def test_a_frame_with_taxels_missing_and_a_silent_module_are_not_sent(request):
-    with started(request, stale_after_s=0.4) as modules, running(modules.service) as url:
-        (skin,) = modules.skins
+    with started(request) as modules, running(modules.service) as url:
+        modules.stale_after(0.4)
         with Client(url) as client:
             modules.send(2, drop=(7,))
-            until(lambda: skin.newest and (skin.newest.flags > 0).any())
+            until(lambda: (newest := modules.sensor.newest) and newest.flags.any())
             modules.send(3)
             assert np.array_equal(client.read()["1"][0], axes(6, 3))
-        until(lambda: skin.status().state == "stale")
+        until(lambda: modules.sensor.status().state == "stale")
         with Client(url) as client:
             client.app.settimeout(1)
             with pytest.raises(websocket.WebSocketTimeoutException):
                 client.read()
 
 
-def closed(address, **options):
-    """Code and reason with which a WebSocket is closed."""
-    with connect(address, **options) as client, pytest.raises(ConnectionClosed) as caught:
-        client.recv(timeout=BUSY_S)
-    return caught.value.rcvd.code, caught.value.rcvd.reason
-
-
-def test_a_service_without_modules_says_so(request):
-    with started(request, {}) as modules, running(modules.service) as url:
-        assert closed(websocket_url(url, "/xela")) == (4404, "no sensor here has the codec xela")
-
-
 def test_a_frame_is_made_into_a_message_once_for_all_clients(rig, url, monkeypatch):
-    pipeline, made = rig.skins[0].pipeline, []
+    pipeline, made = rig.sensor.pipeline, []
     monkeypatch.setattr(pipeline, "forces", lambda frame: made.append(frame) or np.ones((24, 3)))
     with ExitStack() as stack:
         clients = [stack.enter_context(Client(url)) for _ in range(5)]
@@ -242,7 +236,7 @@ def test_a_frame_is_made_into_a_message_once_for_all_clients(rig, url, monkeypat
             rig.send(step)
             for client in clients:
                 client.until(step)
-            assert sum(frame is rig.skins[0].newest for frame in made) == 1
+            assert sum(frame is rig.sensor.newest for frame in made) == 1
 
 
 def test_messages_of_a_client_are_ignored(rig, url):
@@ -252,31 +246,7 @@ def test_messages_of_a_client_are_ignored(rig, url):
         rig.send(5)
         client.until(5)
         rig.rest()  # as many frames as a tare would take
-    assert rig.skins[0].pipeline.tared == 1
-
-
-@pytest.mark.parametrize(
-    ("calibration", "tared"), [(UNSHEARED, True), (SCALED, False), (SCALED + ", dead = [7]", True)]
-)
-def test_forces_are_left_out_unless_all_are_known(request, calibration, tared):
-    with started(request, calibration=calibration) as modules, running(modules.service) as url:
-        if tared:
-            modules.tare()
-        assert forces_of(modules, url) is None
-
-
-def test_a_taxel_that_no_frame_of_the_tare_had_has_no_known_force(request):
-    with started(request, calibration=SCALED) as modules:
-        (skin,) = modules.skins
-        modules.send()
-        until(lambda: skin.hub.latest() is not None)
-        skin.tare()
-        flags = skin.newest.flags.copy()
-        flags[7] = MISSING
-        for number in range(TARE_FRAMES + 1):
-            skin.restore(replace(skin.newest, flags=flags, sequence=100 + number))
-        assert skin.pipeline.tared
-        assert skin.pipeline.forces(replace(skin.newest, flags=np.zeros_like(flags))) is None
+    assert rig.sensor.pipeline.tared == 1
 
 
 GUARDED = Server(port=0, xela=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
@@ -285,14 +255,16 @@ GUARDED = Server(port=0, xela=0, read_token=SecretStr("r" * 16), control_token=S
 def test_the_extra_port_needs_no_token_and_has_nothing_else(rig):
     with running(rig.service, GUARDED) as url, xela_clients(rig.service, GUARDED) as address:
         np.testing.assert_allclose(forces_of(rig, address), newtons(5), atol=1e-5)
-        assert closed(websocket_url(url, "/"))[0] == 4401
-        assert closed(address, origin="http://x")[0] == 4403
+        for path, origin, code in ((websocket_url(url, "/"), None, 4401), (address, "http://x", 4403)):
+            with connect(path, origin=origin) as client:
+                assert closed(client)[0] == code
         base = address.replace("ws", "http", 1)
         for path in ("/", "/xela", "/api/v1/health", "/api/v1/openapi.json", "/metrics", "/static/app.js"):
             assert problem(ask("GET", base + path), 404) == f"GET {path}: not found"
         problem(ask("PUT", base + "/api/v1/sensors/skin/method", json={"method": "raw"}), 404)
         for path in ("/api/v1/stream", "/api/v1/sensors/skin/stream"):
-            assert closed(address + path) == (4404, f"{path}: no stream: see /xela")
+            with connect(address + path) as client:
+                assert closed(client) == (4404, f"{path}: no stream: see /xela")
     with xela_clients(rig.service, Server()) as none:
         assert none is None
 
@@ -301,14 +273,6 @@ def test_the_extra_port_may_be_open_to_other_machines(rig):
     with xela_clients(rig.service, GUARDED.model_copy(update={"xela_host": "0.0.0.0"})) as address:
         for host in {"127.0.0.1", socket.gethostbyname(socket.gethostname())}:
             assert forces_of(rig, f"ws://{host}:{urlsplit(address).port}") is not None
-
-
-def test_a_port_in_use_is_named(rig):
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        extra = xela_clients(rig.service, Server(xela=port))
-        with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use"), extra:
-            pass
 
 
 def test_the_service_prints_the_extra_port_and_ends_with_it(rig, capsys, monkeypatch):
