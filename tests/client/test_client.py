@@ -4,9 +4,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncGenerator, Generator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import get_type_hints
 
 import pytest
 from pydantic import SecretStr
@@ -189,12 +187,6 @@ def test_a_token_is_sent_with_every_request(rig):
         connect(f"{url.upper()}/?token={token}").tare("palm")
         with pytest.raises(TactileError, match="a token is needed"):
             first(url)
-
-
-def test_streams_are_generators_that_can_be_closed():
-    assert get_type_hints(tactiled.Client.stream)["return"] == Generator[tactiled.Image, None, None]
-    assert get_type_hints(tactiled.Client.astream)["return"] == AsyncGenerator[tactiled.Image, None]
-    assert issubclass(ConfigError, tactiled.TactileError)
 
 
 def test_a_client_needs_numpy_and_websockets_only():

@@ -4,8 +4,6 @@ import pytest
 
 from tactiled.frames import MISSING
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults
-from tactiled.runtime.hub import Hub
-from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.watch import Watch
 from tests.conftest import until
@@ -22,18 +20,6 @@ def test_events_are_numbered_and_the_oldest_are_dropped():
     assert (events.newest, events.after(0)[0].time) == (5, 7.0)
 
 
-def test_hub_keeps_the_newest_and_calls_listeners_until_they_unsubscribe():
-    hub, first, second = Hub(), [], []
-    assert hub.latest() is None
-    stop = hub.subscribe(first.append)
-    hub.subscribe(second.append)
-    hub.publish("one")
-    stop()
-    stop()
-    hub.publish("two")
-    assert (hub.latest(), first, second) == ("two", ["one"], ["one", "two"])
-
-
 class Watched(Timed):
     """The palm and the thumb on one bus, and the watch over both."""
 
@@ -48,9 +34,6 @@ class Watched(Timed):
         last = self.events.newest
         self.watch.look(self.now)
         return [(each.kind, each.sensor or each.bus, each.text) for each in self.events.after(last)]
-
-    def kinds(self):
-        return [kind for kind, *_ in self.look()]
 
 
 @pytest.fixture
@@ -73,20 +56,6 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     watched.sensor.down = None
     watched.sensor.restore(frame(1))
     assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
-
-
-def test_a_tare_is_an_event_when_it_is_done_and_when_frames_stop(watched):
-    watched.sensor.restore(frame())
-    watched.look()
-    watched.sensor.tare(force=True)
-    for n in range(TARE_FRAMES):
-        watched.sensor.restore(frame(n))
-    assert watched.kinds() == ["tare_done"]
-    watched.sensor.tare(force=True)
-    assert watched.kinds() == []
-    watched.now += 1.0
-    assert watched.kinds() == ["sensor_stale", "tare_lapsed"]
-    assert watched.kinds() == []
 
 
 def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):

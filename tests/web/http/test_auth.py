@@ -7,7 +7,6 @@ from itertools import product
 import httpx
 import pytest
 from pydantic import SecretStr, ValidationError
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server, parse
@@ -16,6 +15,7 @@ from tactiled.web.http.auth import Tokens
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, problem
 from tests.web.http.raw import send_raw, websocket_url
+from tests.web.ws.clients import closed
 
 METHOD = "/api/v1/sensors/palm/method"
 RAW = {"method": "raw"}
@@ -32,13 +32,6 @@ def guarded(rig):
 
 def bearer(token):
     return {"Authorization": f"Bearer {token}"}
-
-
-def close_code(client):
-    """The code that a stream is closed with."""
-    with pytest.raises(ConnectionClosed) as caught:
-        client.recv(timeout=BUSY_S)
-    return caught.value.rcvd.code
 
 
 FOREIGN_HOSTS = (
@@ -80,7 +73,7 @@ def test_a_page_of_another_site_is_refused(rig, tmp_path):
             problem(client.request(verb, path.format(name="palm"), headers=headers, json=RAW), 403)
         for headers, path in product(FOREIGN, ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
             with connect(websocket_url(url, path), additional_headers=headers) as stream:
-                assert close_code(stream) == 4403
+                assert closed(stream)[0] == 4403
         assert client.get("/api/v1/health", headers={"Origin": url}).status_code == 200
     assert (rig.sensor.method, rig.service.events.newest) == ("wiener", 0)
 
@@ -90,7 +83,7 @@ def test_a_link_from_another_site_opens_the_viewer_and_changes_nothing(url):
     assert ask("GET", url, headers=headers).status_code == 200
     problem(ask("POST", url + "/api/v1/sensors/palm/tare", headers=headers), 403)
     with connect(websocket_url(url), additional_headers=headers) as client:
-        assert close_code(client) == 4403
+        assert closed(client)[0] == 4403
 
 
 def test_every_resource_needs_a_token(guarded):
@@ -99,6 +92,12 @@ def test_every_resource_needs_a_token(guarded):
         answer = ask("GET", guarded + path, params={"token": token})
         assert answer.headers["www-authenticate"] == "Bearer"
         assert problem(answer, 401).startswith("a token is needed")
+    with connect(websocket_url(guarded)) as client:
+        assert closed(client)[0] == 4401
+    with connect(websocket_url(guarded, f"/api/v1/stream?token={READ}")) as client:
+        assert client.recv(timeout=BUSY_S)
+    with connect(websocket_url(guarded), additional_headers=bearer(CONTROL)) as client:
+        assert client.recv(timeout=BUSY_S)
 
 
 def test_the_read_token_reads_and_the_control_token_controls(guarded, rig):
@@ -117,16 +116,6 @@ def test_a_browser_keeps_the_token_in_a_cookie_that_no_script_reads(guarded):
         assert answer.headers["set-cookie"] == f"tactiled={READ}; HttpOnly; SameSite=Strict; Path=/"
         assert browser.get("/api/v1/health").status_code == 200
         assert browser.post("/api/v1/sensors/palm/tare").status_code == 403
-
-
-def test_streams_need_a_token(guarded):
-    address = websocket_url(guarded, "/api/v1/sensors/palm/stream")
-    with connect(address) as client:
-        assert close_code(client) == 4401
-    with connect(f"{address}?token={READ}") as client:
-        assert client.recv(timeout=BUSY_S)
-    with connect(address, additional_headers=bearer(CONTROL)) as client:
-        assert client.recv(timeout=BUSY_S)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,6 @@ from functools import partial
 
 import pytest
 from starlette.requests import Request
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tactiled.config import Server
@@ -23,6 +22,7 @@ from tactiled.web.http.problems import Problem
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask, pressed, problem, until
 from tests.web.http.raw import websocket_url
+from tests.web.ws.clients import closed
 
 METHOD = "/api/v1/sensors/palm/method"
 
@@ -219,13 +219,6 @@ def test_changes_and_costly_answers_are_limited_apart_for_each_client(rig):
             problem(ask("GET", frames + path), 429)
         assert {ask("GET", url + path).status_code for path in ("/api/v1/health", METHOD, "/") * 5} == {200}
     assert rig.sensor.method == "raw"
-
-
-def closed(client):
-    """Code and reason that a stream is closed with."""
-    with pytest.raises(ConnectionClosed) as caught:
-        [client.recv(timeout=BUSY_S) for _ in range(1000)]
-    return caught.value.rcvd.code, caught.value.rcvd.reason
 
 
 @pytest.mark.parametrize("path", ["/api/v1/stream", "/api/v1/sensors/palm/stream", "/xela", "/"])
