@@ -110,7 +110,7 @@ def latency(
         service = Service(config)
         source = simulated(config.sensor["palm"], "tour", NOISE_KPA).messages
         result = measure(service, config, source, rate_hz, seconds, clients)
-    print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result, clients))
+    print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result))
     print_lines(machine())
 
 

@@ -6,12 +6,13 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from threading import Event
+from typing import NamedTuple
 
 import numpy as np
 import uvloop
+from numpy.typing import NDArray
 from websockets.asyncio.client import connect
 
 from tactiled.bus.reader import open_bus
@@ -26,34 +27,30 @@ WARM_UP_S = 2.0  # connections, caches and the measured noise settle
 DRAIN_S = 0.5  # after the last frame was sent
 Source = Callable[[int, float, float], list[Message]]
 Arrivals = dict[int, float]  # s, by sequence number
+HEADINGS = ("figure", "measured", "aim")
 
 
-@dataclass(frozen=True, slots=True)
-class Latency:
-    """Result of a run; times in ms."""
+class Latency(NamedTuple):
+    """Result of a run, without its warm-up."""
 
-    frames: int  # sent after the warm-up
-    received: int  # by the client that received fewest
-    median: float  # over all clients
-    p99: float  # of the client whose is worst
-    worst: float
+    frames: int  # sent
+    ages_ms: list[NDArray[np.float64]]  # of the frames that each client received
     cores: float  # that simulator, service and server kept busy together
     client_cores: float  # that the clients kept busy
     pinned: bool  # service and clients each had a core of their own
 
 
-HEADINGS = ("figure", "measured", "aim")
-
-
-def lines(result: Latency, clients: int) -> list[tuple[str, str, str]]:
+def lines(result: Latency) -> list[tuple[str, str, str]]:
     """A table by HEADINGS."""
-    many = clients > 1
+    many, ages = len(result.ages_ms) > 1, np.concatenate(result.ages_ms)
+    p99 = max(float(np.percentile(each, 99)) for each in result.ages_ms)
     core = ", on one core" if result.pinned else ""
+    received = f"{result.frames} / {min(map(len, result.ages_ms))}"
     return [
-        ("median", f"{result.median:.2f} ms", "" if many else "under 2 ms"),
-        ("99th percentile, worst client", f"{result.p99:.2f} ms", "under 20 ms" if many else "under 10 ms"),
-        ("worst", f"{result.worst:.2f} ms", ""),
-        ("frames sent / received, worst client", f"{result.frames} / {result.received}", "equal"),
+        ("median", f"{np.median(ages):.2f} ms", "" if many else "under 2 ms"),
+        ("99th percentile, worst client", f"{p99:.2f} ms", "under 20 ms" if many else "under 10 ms"),
+        ("worst", f"{ages.max():.2f} ms", ""),
+        ("frames sent / received, worst client", received, "equal"),
         (f"simulator, service and server{core}", f"{result.cores:.2f} cores", "" if many else "under 0.5"),
         ("clients", f"{result.client_cores:.2f} cores", ""),
     ]
@@ -95,25 +92,9 @@ def measure(
             listeners.join()
         service.stop()
     bus.close()
-    return _latency(send_times, arrivals, int(WARM_UP_S * rate_hz), (cores, client_cores), client_core is not None)
-
-
-def _latency(
-    send_times: list[float], arrivals: list[Arrivals], first: int, cores: tuple[float, float], pinned: bool
-) -> Latency:
-    """Ages of all frames from the `first` on."""
-    numbers = range(first, len(send_times))
-    ages = [np.array([(at[n] - send_times[n]) * 1e3 for n in numbers if n in at]) for at in arrivals]
-    return Latency(
-        frames=len(numbers),
-        received=min(len(each) for each in ages),
-        median=float(np.median(np.concatenate(ages))),
-        p99=max(float(np.percentile(each, 99)) for each in ages),
-        worst=max(float(each.max()) for each in ages),
-        cores=cores[0],
-        client_cores=cores[1],
-        pinned=pinned,
-    )
+    numbers = range(int(WARM_UP_S * rate_hz), len(send_times))
+    ages_ms = [np.array([(at[n] - send_times[n]) * 1e3 for n in numbers if n in at]) for at in arrivals]
+    return Latency(len(numbers), ages_ms, cores, client_cores, client_core is not None)
 
 
 @contextmanager
@@ -134,25 +115,24 @@ def _listen(url: str, clients: int, sender: Connection, seconds: float, core: in
     """Note when each sequence number came to each client, for `seconds` after all are connected."""
     if core is not None:
         os.sched_setaffinity(0, [core])
-    uvloop.run(_all(url, clients, sender, seconds))
+    uvloop.run(_receive_all(url, clients, sender, seconds + DRAIN_S))
 
 
-async def _all(url: str, clients: int, sender: Connection, seconds: float) -> None:
+async def _receive_all(url: str, clients: int, sender: Connection, seconds: float) -> None:
     connected = asyncio.Barrier(clients + 1)
     arrivals: list[Arrivals] = [{} for _ in range(clients)]
-    tasks = [asyncio.create_task(_one(url, connected, each)) for each in arrivals]
+    tasks = [asyncio.create_task(_receive(url, connected, each)) for each in arrivals]
     await connected.wait()
     sender.send("connected")
     busy = time.process_time()
-    await asyncio.sleep(seconds + DRAIN_S)
-    cores = (time.process_time() - busy) / (seconds + DRAIN_S)
+    await asyncio.sleep(seconds)
+    sender.send((arrivals, (time.process_time() - busy) / seconds))
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-    sender.send((arrivals, cores))
 
 
-async def _one(url: str, connected: asyncio.Barrier, arrivals: Arrivals) -> None:
+async def _receive(url: str, connected: asyncio.Barrier, arrivals: Arrivals) -> None:
     async with connect(url, compression=None) as socket:
         await connected.wait()
         async for data in socket:

@@ -4,35 +4,26 @@ import csv
 import json
 import os
 import platform
+import re
 from collections.abc import Iterable
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
 from tactiled.errors import ConfigError
 
-LIBRARIES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "pyproximal")  # the last two if installed
+LIBRARIES = ("numpy", "scipy", "scikit-image", "opencv-python-headless", "pyproximal")  # those that are installed
 
 
 def machine() -> str:
     """One line: processor, cores, system, Python and the libraries that determine the speed."""
-    libraries = ", ".join(f"{name} {number}" for name in LIBRARIES if (number := _version(name)))
-    system = f"{platform.system()} {platform.release()}"
-    return f"{_processor()}, {os.cpu_count()} cores, {system}, Python {platform.python_version()}, {libraries}"
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
-
-
-def _processor() -> str:
+    versions = {each.name: each.version for each in distributions()}
+    libraries = ", ".join(f"{name} {versions[name]}" for name in LIBRARIES if name in versions)
     info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
+    model = re.search(r"model name\s*: (.*)", info.read_text() if info.exists() else "")
+    processor = model[1] if model else platform.machine()
+    system = f"{platform.system()} {platform.release()}"
+    return f"{processor}, {os.cpu_count()} cores, {system}, Python {platform.python_version()}, {libraries}"
 
 
 def make_folder(folder: Path) -> None:

@@ -82,12 +82,5 @@ def _edges(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
     return PEAK_KPA * smooth_step(u - random.uniform(-0.3, 0.3) * x.max())
 
 
-TEST_SCENES: dict[str, Draw] = {
-    "blobs": _blobs,
-    "punches": _punches,
-    "rings": _rings,
-    "bars": _bars,
-    "braille": _braille,
-    "points": _points,
-    "edges": _edges,
-}
+ALL = (_blobs, _punches, _rings, _bars, _braille, _points, _edges)
+TEST_SCENES: dict[str, Draw] = {draw.__name__.strip("_"): draw for draw in ALL}
