@@ -4,7 +4,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from tactiled.study import faults, frontier, frontier_chart, stability, stability_chart
+from tactiled.study import faults, frontier, stability
 from tactiled.study.skin import rubber
 
 SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over the edge", "taxels out of place")
@@ -12,6 +12,6 @@ FOLDER = Path(__file__).parent
 
 with threadpool_limits(1):
     panels = frontier.measure([rubber(thickness, 32) for thickness in (1.0, 3.0)], False, 1)
-    frontier_chart.draw(FOLDER / "frontier.svg", panels)
+    frontier.draw(FOLDER / "frontier.svg", panels)
     faults.SWEEPS = tuple(sweep for sweep in faults.SWEEPS if sweep.name in SWEEPS)
-    stability_chart.draw(FOLDER / "stability.svg", stability.measure(stability.setting(False, 1)))
+    stability.draw(FOLDER / "stability.svg", stability.measure(stability.setting(False, 1)))

@@ -44,8 +44,8 @@ def frontier(
         panels = study.measure(skins, reduced, seed)
     study.write(out, panels, seed)
     print_table("NRMSE, and median time of a frame", study.HEADINGS, study.lines(panels))
-    print_lines(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}")
-    print_lines(f"Written: {out}/frontier.svg, frontier.csv, frontier.json")
+    print(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}", sep="\n")
+    print(f"Written: {out}/frontier.svg, frontier.csv, frontier.json")
 
 
 def stability(
@@ -59,8 +59,8 @@ def stability(
     study.write(out, results, seed)
     title = f"Methods whose mean error is over {study.WORSE:g} times the raw image's"
     print_table(title, study.HEADINGS, study.lines(results))
-    print_lines(*study.verdict(results), f"Seed {seed}. One thread. {machine()}")
-    print_lines(f"Written: {out}/stability.svg, calibration.svg, stability.csv, stability.json")
+    print(*study.verdict(results), f"Seed {seed}. One thread. {machine()}", sep="\n")
+    print(f"Written: {out}/stability.svg, calibration.svg, stability.csv, stability.json")
 
 
 def picard(
@@ -77,11 +77,11 @@ def picard(
         modes = study.measure(skins, noise / 100, seed)
     study.write(out, modes)
     for one in modes:
-        print_lines(
+        print(
             f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
             f" of {noise:g} % of the peak; the finest has a half-period of {one.resolution_mm:.2f} mm"
         )
-    print_lines(f"Seed {seed}. Written: {out}/picard.svg")
+    print(f"Seed {seed}. Written: {out}/picard.svg")
 
 
 def report(
@@ -111,14 +111,7 @@ def latency(
         source = simulated(config.sensor["palm"], "tour", NOISE_KPA).messages
         result = measure(service, config, source, rate_hz, seconds, clients)
     print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result))
-    print_lines(machine())
-
-
-def print_lines(*lines: str) -> None:
-    """Print each line unwrapped."""
-    console = Console(soft_wrap=True, highlight=False)
-    for line in lines:
-        console.print(line, markup=False)
+    print(machine())
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -57,7 +57,7 @@ Sensed = Iterator[tuple[str, Floats, Floats, float]]  # scene, frame without noi
 def _touching(skin: Skin, setting: Setting, _: float) -> Sensed:
     """Every scene that touches the skin."""
     for scene in setting.scenes:
-        clean, truth = sense(skin, draw(skin, scene, np.random.default_rng([setting.seed, 0])))
+        clean, truth = sense(skin, draw(skin, scene, [setting.seed, 0]))
         if touches(truth):
             yield scene, clean, truth, float(clean.max())
 
@@ -180,9 +180,8 @@ def _misplaced(skin: Skin, setting: Setting, value: float) -> Sensed:
     rows, columns = skin.array.frame_shape
     places = np.mgrid[:rows, :columns] + random.normal(0, value / 100, (2, rows, columns))
     for scene, _, truth, peak in _touching(skin, setting, value):
-        fine = draw(skin, scene, np.random.default_rng([setting.seed, 0]))
         between = np.empty((rows * FINER, columns * FINER))  # what taxels a FINERth of the pitch apart would sense
-        padded = np.pad(fine, ((0, FINER), (0, FINER)))
+        padded = np.pad(draw(skin, scene, [setting.seed, 0]), ((0, FINER), (0, FINER)))
         for down, along in np.ndindex(FINER, FINER):
             moved = padded[down : down + rows * FINER, along : along + columns * FINER]
             between[down::FINER, along::FINER] = skin.surface.sense(moved).reshape(rows, columns)
@@ -201,6 +200,8 @@ STEPS = (-30, -20, -10, -5, 0, 5, 10, 20, 30)
 OFFSETS = (-10, -5, -2, -1, 0, 1, 2, 5, 10)
 CEILINGS = (100, 90, 80, 70, 60, 50, 40, 30)
 SHARES = (0, 1, 2, 5, 10, 20)
+EDGES = (-6, -4, -3, -2, -1, 0, 1, 2)
+PLACES = (0, 2, 5, 10, 15, 20, 30)
 SWEEPS = (
     Sweep("cover", "t/pitch", COVERS, 1, skin=with_thickness),
     Sweep("white noise", OF_PEAK, NOISES, 0.01),
@@ -217,16 +218,10 @@ SWEEPS = (
     Sweep("messages lost", "%", SHARES, 0, _lost),
     Sweep("saturation", "ceiling, % of the peak, flagged", CEILINGS, 100, partial(_saturated, flag=SATURATED)),
     Sweep("saturation unflagged", "ceiling, % of the peak", CEILINGS[:6], 100, _saturated, configured=False),
-    Sweep(
-        "over the edge", "pitches past it", (-6, -4, -3, -2, -1, 0, 1, 2), -6,
-        sense=_over_the_edge, grid=True, configured=False,
-    ),
+    Sweep("over the edge", "pitches past it", EDGES, -6, sense=_over_the_edge, grid=True, configured=False),
     Sweep("quantisation", "bits", (16, 14, 12, 10, 8, 7, 6, 5, 4), 16, _quantised),
-    Sweep(
-        "taxels out of place", "% of the pitch", (0, 2, 5, 10, 15, 20, 30), 0,
-        sense=_misplaced, grid=True, configured=False,
-    ),
-)  # fmt: skip
+    Sweep("taxels out of place", "% of the pitch", PLACES, 0, sense=_misplaced, grid=True, configured=False),
+)
 
 
 def sweeps(setting: Setting) -> tuple[Sweep, ...]:

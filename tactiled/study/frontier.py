@@ -1,4 +1,4 @@
-"""Speed against accuracy: every method timed and scored on the same frames, in one run on one thread."""
+"""Speed against accuracy: every method timed and scored on the same frames, in one run on one thread; a chart."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -6,11 +6,16 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from rich.progress import track
 
 from tactiled.restore.methods import METHODS, Restorer, make
+from tactiled.study.charts import BLACK, BLUE, OURS, PINK, RED, SKY, figure
 from tactiled.study.peers import STOPS, Restore, absent, ours, peers
 from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Frames, Skin, clips, into, nrmse, rubber
@@ -18,6 +23,19 @@ from tactiled.study.skin import Clip, Frames, Skin, clips, into, nrmse, rubber
 Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
 BOUND = "best linear filter, given the truth's spectrum"
+SIZES = {"auto": 10, "nnls": 14}  # points: auto often selects nnls, and then both must show
+FLOOR_DASHES = (0, (5, 3))
+RIGHT_END = 1e7  # µs, past the right edge
+STYLES = {  # start of the name -> label, mark, colour; the longest that fits counts
+    "auto": ("auto", *OURS["auto"]),
+    "raw": ("raw image", "X", "#777777"),
+    **{name: (name, *look) for name, look in OURS.items()},
+    "skimage wiener": ("scikit-image wiener, 3 weights", "o", BLUE),
+    "skimage unsupervised": ("scikit-image unsupervised_wiener", "D", PINK),
+    "skimage rl": ("scikit-image richardson_lucy: 10, 30, 100", "s", RED),
+    "opencv wiener": ("OpenCV, Wiener on its dft, 3 weights", "h", SKY),
+    "pyproximal nnls": ("pyproximal, NNLS by FISTA: 10, 30", "^", BLACK),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,21 +135,19 @@ def measure(skins: Sequence[Skin], reduced: bool, seed: int) -> list[Panel]:
 
 def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
     """Measure one skin at one noise."""
-    errors: dict[str, list[float]] = {}
-    times: dict[str, list[list[float]]] = {}  # of each method, a list of the clips' frames for every round
+    played: dict[str, list[list[tuple[float, list[float]]]]] = {}  # by method: the rounds of every clip
     floors = []
     for clip in clips(skin, noise, effort.frames, seed):
         floors.append(floor(skin, clip))
         for name, run in _runs(skin, clip, noise, effort.stops).items():
             rounds = effort.rounds if ours(name) else effort.peer_rounds
-            played = [_play(*run, clip) for _ in range(rounds)]
-            errors.setdefault(name, []).append(played[0][0])
-            for total, (_, took) in zip(times.setdefault(name, [[] for _ in range(rounds)]), played, strict=True):
-                total += took
+            played.setdefault(name, []).append([_play(*run, clip) for _ in range(rounds)])
     marks = []
-    for name, passes in times.items():
-        median, p99 = (min(float(np.percentile(each, q)) for each in passes) for q in (50, 99))
-        marks.append(Mark(name, ours(name), float(np.mean(errors[name])), median, p99))
+    for name, of_clips in played.items():
+        error = float(np.mean([rounds[0][0] for rounds in of_clips]))
+        times = np.hstack([[took for _, took in rounds] for rounds in of_clips])  # rounds x frames
+        median, p99 = np.percentile(times, (50, 99), axis=1).min(axis=1)
+        marks.append(Mark(name, ours(name), error, float(median), float(p99)))
     return Panel(skin.name, skin.thickness, noise, float(np.mean(floors)), tuple(marks))
 
 
@@ -151,13 +167,13 @@ def floor(skin: Skin, clip: Clip) -> float:
 def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, list[float]]:
     """Restore a clip from its start: mean NRMSE, and microseconds of each frame."""
     forget()
-    errors, took = [], []
+    errors, times = [], []
     for frame, truth in zip(clip.frames, clip.truths, strict=True):
         start = perf_counter()
         image = run(frame)
-        took.append(1e6 * (perf_counter() - start))
+        times.append(1e6 * (perf_counter() - start))
         errors.append(nrmse(image, truth))
-    return float(np.mean(errors)), took
+    return float(np.mean(errors)), times
 
 
 def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Run]:
@@ -175,26 +191,80 @@ def _image(restorer: Restorer, frame: Frames) -> Frames:
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:
     """Draw the chart, write the marks to frontier.csv, and all measurements to frontier.json."""
-    from tactiled.study import frontier_chart
-
-    frontier_chart.draw(folder / "frontier.svg", panels)
+    draw(folder / "frontier.svg", panels)
     columns = ("skin", "t/pitch", "noise", "method", "NRMSE", "median us", "p99 us", "on front")
     rows = (
-        (
-            one.skin,
-            one.thickness,
-            one.noise,
-            mark.method,
-            mark.nrmse,
-            mark.median,
-            mark.p99,
-            int(mark in one.front),
-        )
+        (one.skin, one.thickness, one.noise, mark.method, mark.nrmse, mark.median, mark.p99,
+         int(mark in one.front))
         for one in panels
         for mark in one.marks
-    )
+    )  # fmt: skip
     write_csv(folder / "frontier.csv", columns, rows)
     about = {"seed": seed, "threads": 1, "peers not installed": absent(), "floor": BOUND}
     marks = ([asdict(mark) | {"front": mark in one.front} for mark in one.marks] for one in panels)
     dicts = [asdict(one) | {"marks": each} for one, each in zip(panels, marks, strict=True)]
     write_json(folder / "frontier.json", about | {"panels": dicts})
+
+
+def draw(path: Path, panels: list[Panel]) -> None:
+    """Draw the panels into `path`: covers down, noises across."""
+    skins = list(dict.fromkeys(one.skin for one in panels))
+    noises = list(dict.fromkeys(one.noise for one in panels))
+    with figure(path, 10, 1.3 + 2.6 * len(skins)) as chart:
+        grid = chart.subplots(len(skins), len(noises), sharex=True, sharey="row", squeeze=False)
+        for row, skin in zip(grid, skins, strict=True):
+            same = [one for one in panels if one.skin == skin]
+            top = 1.25 * max(one.mark("raw").nrmse for one in same)  # larger errors are drawn at the edge
+            for one in same:
+                _draw_panel(row[noises.index(one.noise)], one, top)
+            row[0].set(ylim=(0, 1.04 * top), ylabel=f"{skin}\nerror (NRMSE)")
+        times = [mark.median for one in panels for mark in one.marks]
+        grid[0, 0].set(xscale="log", xlim=(min(times) / 2, max(times) * 2))
+        for top_axes, bottom_axes, noise in zip(grid[0], grid[-1], noises, strict=True):
+            top_axes.set_title(f"Noise {100 * noise:g} % of the peak")
+            bottom_axes.set_xlabel("median time a frame (µs)")
+        _legend(chart, panels[0])
+
+
+def _style(name: str) -> str:
+    """The key of STYLES for a method."""
+    return max((key for key in STYLES if name.startswith(key)), key=len)
+
+
+def _draw_panel(axes: Axes, panel: Panel, top: float) -> None:
+    """Draw one cover and noise; errors above `top` are marked at the edge."""
+    x, y = [mark.median for mark in panel.front], [mark.nrmse for mark in panel.front]
+    axes.step([*x, RIGHT_END], [*y, y[-1]], where="post", color="#999999", lw=1.3, zorder=1)
+    axes.axhline(panel.floor, color=PINK, lw=1.3, ls=FLOOR_DASHES, zorder=1)
+    stops = sorted((m for m in panel.marks if m.method.startswith("skimage rl")), key=lambda m: m.median)
+    axes.plot([m.median for m in stops], [min(m.nrmse, top) for m in stops], color=RED, lw=0.8, ls=":", zorder=2)
+    for mark in panel.marks:
+        _mark(axes, mark, top)
+    auto = panel.mark("auto")
+    look: Any = {"ha": "right", "fontsize": 9.5, "fontweight": "bold"}
+    down, align = (-6, "top") if auto.nrmse > 0.15 * top else (0, "center")  # beside where the axis is near
+    axes.annotate("auto", (auto.median, auto.nrmse), (-7, down), textcoords="offset points", va=align, **look)
+
+
+def _look(name: str) -> dict[str, Any]:
+    """Mark of a method: hollow if another library's, or nnls, which is below auto's star."""
+    _, shape, colour = STYLES[_style(name)]
+    fill = colour if ours(name) and name != "nnls" else "white"
+    return {"ls": "", "marker": shape, "color": colour, "mfc": fill, "ms": SIZES.get(name, 6.5)}
+
+
+def _mark(axes: Axes, mark: Mark, top: float) -> None:
+    """Draw one method; at the upper edge with an arrow where it is off the scale."""
+    y, look = min(mark.nrmse, top), _look(mark.method)
+    axes.plot(mark.median, y, mew=1.2, zorder=4 if mark.method == "auto" else 3, **look)
+    if mark.nrmse > top:
+        arrow: Any = {"textcoords": "offset points", "va": "center", "color": look["color"]}
+        axes.annotate("↑", (mark.median, y), (7, 0), **arrow)
+
+
+def _legend(chart: Figure, panel: Panel) -> None:
+    present = {_style(mark.method) for mark in panel.marks}
+    handles = [Line2D([], [], label=STYLES[key][0], **_look(key)) for key in STYLES if key in present]
+    handles.append(Line2D([], [], color="#999999", lw=1.3, label="Pareto front: nothing else beats it in both"))
+    handles.append(Line2D([], [], color=PINK, lw=1.3, ls=FLOOR_DASHES, label=BOUND))
+    chart.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5, columnspacing=1.5)

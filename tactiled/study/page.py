@@ -1,7 +1,7 @@
 """Pieces of a self-contained page: tables, charts inlined, a style that prints."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -26,18 +26,15 @@ def svg(path: Path) -> str:
     return tag + re.sub(r"<metadata>.*?</metadata>", "", drawing[end:], flags=re.DOTALL)
 
 
-def table(headings: Sequence[str], rows: Iterable[Sequence[str]], good: str = "", bad: str = "") -> str:
-    """Give a table; cells that match the pattern `good` or `bad` wholly are shaded."""
+def table(
+    headings: Sequence[str], rows: Iterable[Sequence[str]], good: Collection[str] = (), bad: Collection[str] = ()
+) -> str:
+    """Give a table; the cells in `good` and in `bad` are shaded."""
+    classes = dict.fromkeys(good, " class='good'") | dict.fromkeys(bad, " class='bad'")
     head = "".join(f"<th>{escape(name)}</th>" for name in headings)
-    body = "".join("<tr>" + "".join(_cell(cell, good, bad) for cell in row) + "</tr>\n" for row in rows)
+    cells = ("".join(f"<td{classes.get(cell, '')}>{escape(cell)}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{row}</tr>\n" for row in cells)
     return f"<div class='scroll'><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
-
-
-def _cell(text: str, good: str, bad: str) -> str:
-    kind = next(
-        (name for name, pattern in (("good", good), ("bad", bad)) if re.fullmatch(pattern or "$.", text)), ""
-    )
-    return f"<td class='{kind}'>{escape(text)}</td>" if kind else f"<td>{escape(text)}</td>"
 
 
 def tiles(pairs: Iterable[tuple[str, str]]) -> str:

@@ -46,9 +46,7 @@ def measure(skins: Sequence[Skin], noise: float, seed: int) -> list[Picard]:
 
 def analyse(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
     """Analyse a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
-    scenes = (
-        (name, *sense(skin, draw(skin, name, np.random.default_rng([seed, 0])))) for name in (scene, *TEST_SCENES)
-    )
+    scenes = ((name, *sense(skin, draw(skin, name, [seed, 0]))) for name in (scene, *TEST_SCENES))
     scene, clean, cells = next(each for each in scenes if touches(each[2]))
     sigma = noise * float(clean.max())
     noisy = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)

@@ -25,9 +25,9 @@ def write(folder: Path, skins: Sequence[Skin], reduced: bool, seed: int) -> Path
         machine=escape(machine()),
         seed=seed,
         headlines=tiles(_headlines(panels, results)),
-        frontier_table=table(frontier.HEADINGS, frontier.lines(panels), good="nothing"),
+        frontier_table=table(frontier.HEADINGS, frontier.lines(panels), good=("nothing",)),
         frontier_verdict=text(*frontier.verdict(panels)),
-        stability_table=table(stability.HEADINGS, stability.lines(results), good="none|nothing to notice"),
+        stability_table=table(stability.HEADINGS, stability.lines(results), good=("none", "nothing to notice")),
         stability_verdict=text(*stability.verdict(results)),
         **{name: svg(folder / f"{name}.svg") for name in ("frontier", "picard", "stability", "calibration")},
     )

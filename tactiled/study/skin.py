@@ -119,10 +119,10 @@ def psf_of(blur: Blur) -> Floats:
     return np.asarray(blur.forward(cell), float)[around]
 
 
-def draw(skin: Skin, scene: str, random: np.random.Generator, shift: float = 0.0) -> Floats:
+def draw(skin: Skin, scene: str, seed: list[int] | np.random.Generator, shift: float = 0.0) -> Floats:
     """Draw a scene on the surface's fine cells (kPa), `shift` pitches along x."""
     x, y = skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
-    return TEST_SCENES[scene](x - shift, y, random)
+    return TEST_SCENES[scene](x - shift, y, np.random.default_rng(seed))
 
 
 def sense(skin: Skin, fine: Floats) -> tuple[Floats, Floats]:
@@ -133,13 +133,12 @@ def sense(skin: Skin, fine: Floats) -> tuple[Floats, Floats]:
 def clips(skin: Skin, noise: float, count: int, seed: int, scenes: tuple[str, ...] = ()) -> Iterator[Clip]:
     """A clip of `count` frames of every scene that touches the skin; white noise is `noise` of its peak."""
     for scene in scenes or TEST_SCENES:
-        sensed = [sense(skin, draw(skin, scene, np.random.default_rng([seed, 0]), STEP * n)) for n in range(count)]
+        sensed = [sense(skin, draw(skin, scene, [seed, 0], STEP * n)) for n in range(count)]
         clean, truths = (np.stack(each) for each in zip(*sensed, strict=True))
-        if not all(touches(truth) for truth in truths):
-            continue
-        sigma = noise * float(clean[0].max())
-        random = np.random.default_rng([seed, 1, int(1e6 * noise)])
-        yield Clip(scene, sigma, (clean + random.normal(0, sigma, clean.shape)).astype(np.float32), truths)
+        if all(touches(truth) for truth in truths):
+            sigma = noise * float(clean[0].max())
+            white = np.random.default_rng([seed, 1, int(1e6 * noise)]).normal(0, sigma, clean.shape)
+            yield Clip(scene, sigma, (clean + white).astype(np.float32), truths)
 
 
 def touches(truth: Floats) -> bool:

@@ -18,7 +18,7 @@ from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
-from tactiled.cli.bench import print_lines, print_table
+from tactiled.cli.bench import print_table
 from tactiled.errors import BusError
 from tactiled.study.results import machine
 
@@ -161,9 +161,9 @@ def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seco
     print_table("CAN messages a second, one core, from memory (aim: 200,000 decoded)", HEADINGS, rows)
     for buses in buses_of(interface, channel):
         result = live(buses, rate, seconds)
-        print_lines(
+        print(
             f"{buses[0]['interface']} {', '.join(each['channel'] for each in buses)}: {result.messages:,} messages"
             f" sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s, {result.lost:,} lost;"
             f" cores busy reading: {result.cores:.2f} (aim: 16,000/s, none lost, under 0.6)"
         )
-    print_lines(machine())
+    print(machine())

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactiled.cli.bench import print_lines, print_table
+from tactiled.cli.bench import print_table
 from tactiled.contacts.detection import Finder
 from tactiled.geometry import tiling
 from tactiled.restore.methods import make
@@ -99,4 +99,4 @@ def contacts(repeats: int = 40, seed: int = 1) -> None:
             ]
             rows.append((f"{thickness:g}, {100 * noise:g} %", *cells))
     print_table("Contacts, raw / restored", HEADINGS, rows)
-    print_lines(f"{repeats} discs, seed {seed}. {machine()}")
+    print(f"{repeats} discs, seed {seed}. {machine()}")

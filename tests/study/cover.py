@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactiled.cli.bench import print_lines, print_table
+from tactiled.cli.bench import print_table
 from tactiled.cover import fem, layered
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
@@ -101,5 +101,5 @@ def cover(stacks: int = 200, seed: int = 1) -> None:
     ]
     print_table(f"Covers at 1e-3, {stacks} random stacks", ("figure", "measured", "aim"), rows)
     worst = max(solved, key=lambda each: each.error)
-    print_lines(f"Worst error: {worst.stack}; {worst.unknowns} unknowns.")
-    print_lines(*(f"Refused: {each.stack}: {each.refusal}." for each in trials if each.refusal), machine())
+    print(f"Worst error: {worst.stack}; {worst.unknowns} unknowns.")
+    print(*(f"Refused: {each.stack}: {each.refusal}." for each in trials if each.refusal), machine(), sep="\n")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ class Press:
 
     scene: str
     thickness: float  # pitches
-    noise: float  # of the blurred frame's peak
     sigma: float  # kPa, a taxel's standard deviation
     frame: NDArray[np.float32]
     truth: Floats  # means over cells of the pitch
@@ -31,13 +31,9 @@ def presses(
     size: int, thicknesses: tuple[float, ...], noises: tuple[float, ...], repeats: int = 1, seed: int = 1
 ) -> Iterator[Press]:
     """Every scene at every thickness (t/pitch) and noise on an array of size x size."""
-    for thickness in thicknesses:
-        skin = rubber(thickness, size)
-        for scene in TEST_SCENES:
-            for noise in noises:
-                for repeat in range(repeats):
-                    random = np.random.default_rng([seed, repeat, int(1e4 * noise)])
-                    clean, truth = sense(skin, draw(skin, scene, random))
-                    sigma = noise * float(clean.max())
-                    frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-                    yield Press(scene, thickness, noise, sigma, frame, truth, skin.blur, skin.psf)
+    for thickness, scene, noise, repeat in product(thicknesses, TEST_SCENES, noises, range(repeats)):
+        skin, random = rubber(thickness, size), np.random.default_rng([seed, repeat, int(1e4 * noise)])
+        clean, truth = sense(skin, draw(skin, scene, random))
+        sigma = noise * float(clean.max())
+        frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
+        yield Press(scene, thickness, sigma, frame, truth, skin.blur, skin.psf)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from tactiled.cover.stack import Layer, Stack
 from tests.study.cover import PAPER, sweep, times_s, trial
 
 
@@ -15,8 +14,7 @@ def test_every_stack_of_a_short_sweep_reaches_the_aim():
     assert max(each.ratio for each in trials) <= 2
 
 
-def test_refused_stacks_and_wrong_gains_are_reported(monkeypatch):
-    assert "singular" in trial(Stack((Layer(1.0, 1e16, 0.3), Layer(1.0, 1.0, 0.49)))).refusal
+def test_wrong_gains_are_reported(monkeypatch):
     monkeypatch.setattr("tests.study.cover.layered.gain", lambda _, q: np.full_like(q, 0.5))
     assert trial(PAPER).error == pytest.approx(0.5, abs=0.01)
 

@@ -48,7 +48,7 @@ def _parts(compared: list[Statement]) -> Iterator[str]:
         )
         for one in compared
     ]
-    yield table(HEADINGS, rows, good="agrees", bad="disagrees")
+    yield table(HEADINGS, rows, good=("agrees",), bad=("disagrees",))
     yield "<h2>Figures</h2>"
     yield text("Lines are the exact solution, marks and pictures the finite elements.")
     for name, *_, number, caption in FIGURES:
