@@ -16,7 +16,7 @@ from rich.progress import track
 
 from tactiled.restore.methods import METHODS, Restorer, make
 from tactiled.study.charts import BLACK, BLUE, OURS, PINK, RED, SKY, figure
-from tactiled.study.peers import STOPS, Restore, absent, ours, peers
+from tactiled.study.peers import STOPS, Restore, absent, peers
 from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Frames, Skin, clips, into, nrmse, rubber
 
@@ -140,14 +140,14 @@ def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
     for clip in clips(skin, noise, effort.frames, seed):
         floors.append(floor(skin, clip))
         for name, run in _runs(skin, clip, noise, effort.stops).items():
-            rounds = effort.rounds if ours(name) else effort.peer_rounds
+            rounds = effort.rounds if name in METHODS else effort.peer_rounds
             played.setdefault(name, []).append([_play(*run, clip) for _ in range(rounds)])
     marks = []
     for name, of_clips in played.items():
         error = float(np.mean([rounds[0][0] for rounds in of_clips]))
         times = np.hstack([[took for _, took in rounds] for rounds in of_clips])  # rounds x frames
         median, p99 = np.percentile(times, (50, 99), axis=1).min(axis=1)
-        marks.append(Mark(name, ours(name), error, float(median), float(p99)))
+        marks.append(Mark(name, name in METHODS, error, float(median), float(p99)))
     return Panel(skin.name, skin.thickness, noise, float(np.mean(floors)), tuple(marks))
 
 
@@ -249,7 +249,7 @@ def _draw_panel(axes: Axes, panel: Panel, top: float) -> None:
 def _look(name: str) -> dict[str, Any]:
     """Mark of a method: hollow if another library's, or nnls, which is below auto's star."""
     _, shape, colour = STYLES[_style(name)]
-    fill = colour if ours(name) and name != "nnls" else "white"
+    fill = colour if name in METHODS and name != "nnls" else "white"
     return {"ls": "", "marker": shape, "color": colour, "mfc": fill, "ms": SIZES.get(name, 6.5)}
 
 

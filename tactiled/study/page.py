@@ -37,12 +37,6 @@ def table(
     return f"<div class='scroll'><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>"
 
 
-def tiles(pairs: Iterable[tuple[str, str]]) -> str:
-    """Give figures in large type, each with its meaning."""
-    each = "".join(f"<div class='tile'><b>{escape(a)}</b><span>{escape(b)}</span></div>" for a, b in pairs)
-    return f"<div class='tiles'>{each}</div>"
-
-
 def text(*paragraphs: str) -> str:
     """Give paragraphs; `code` in backticks."""
     coded = (re.sub(r"`([^`]*)`", r"<code>\1</code>", escape(each)) for each in paragraphs)

@@ -15,11 +15,6 @@ from tactiled.study.skin import Frames
 
 Restore = Callable[[Frames], Any]
 
-# scikit-image has no types.
-wiener: Callable[..., Any] = restoration.wiener
-skimage_rl: Callable[..., Any] = restoration.richardson_lucy
-unsupervised_wiener: Callable[..., tuple[Any, Any]] = restoration.unsupervised_wiener
-
 BALANCES = (0.1, 0.3, 1.0)  # of Wiener filters, times the noise over the peak: 0.3 suits most scenes
 FLAT_BALANCES = (0.3, 1.0, 3.0)  # the same where the filter's prior is white
 STOPS = (10, 30, 100)  # iterations
@@ -31,16 +26,11 @@ def absent() -> list[str]:
     return [name for name, module in MODULES.items() if find_spec(module) is None]
 
 
-def ours(method: str) -> bool:
-    """Whether a method is none of another library."""
-    return method.split()[0] not in MODULES
-
-
 def peers(psf: Floats, shape: tuple[int, ...], noise: float, stops: tuple[int, ...] = STOPS) -> dict[str, Restore]:
     """Every library's restorations of frames of `shape` with `noise`, over their peak, by the odd point spread."""
     names = [f"skimage wiener {k:g}" for k in BALANCES] + [f"skimage rl {count}" for count in stops]
     runs = dict(zip(names, skimage_restorations(psf, [k * noise for k in BALANCES], stops), strict=True))
-    runs["skimage unsupervised"] = lambda frame: unsupervised_wiener(frame, psf, clip=False, rng=0)[0]
+    runs["skimage unsupervised"] = lambda frame: restoration.unsupervised_wiener(frame, psf, clip=False, rng=0)[0]
     if find_spec("cv2"):
         runs |= {f"opencv wiener {k:g}": _opencv(psf, shape, k * noise) for k in FLAT_BALANCES}
     if find_spec("pyproximal"):
@@ -53,10 +43,10 @@ def skimage_restorations(psf: Floats, balances: Sequence[float], stops: Sequence
     single = psf.astype(np.float32)
 
     def filtered(balance: float) -> Restore:
-        return lambda frame: wiener(frame, single, balance, clip=False)
+        return lambda frame: restoration.wiener(frame, single, balance, clip=False)
 
     def iterated(count: int) -> Restore:
-        return lambda frame: skimage_rl(
+        return lambda frame: restoration.richardson_lucy(
             np.maximum(frame, 0), single, count, clip=False, filter_epsilon=1e-6 * float(frame.max())
         )
 

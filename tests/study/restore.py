@@ -1,17 +1,16 @@
 """Restorations side by side with scikit-image's: speed in one run, and error with the truth known."""
 
-from collections import Counter
 from functools import partial
 from statistics import fmean
 from time import perf_counter
 
 import numpy as np
 from scipy import fft
+from skimage.restoration import richardson_lucy, wiener
 
 from tactiled.cli.bench import Reduced, print_table
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.peers import skimage_rl, wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import nrmse, rubber
@@ -54,7 +53,7 @@ def speed(size, seconds):
     positive = np.maximum(frame, 0)
     runs = {
         "skimage wiener": lambda: wiener(frame, psf, 0.01, clip=False),
-        "skimage rl": lambda: skimage_rl(positive, psf, RL_ITERATIONS, clip=False),
+        "skimage rl": lambda: richardson_lucy(positive, psf, RL_ITERATIONS, clip=False),
         "FFT pair": fft_pair(size),
     }
     runs |= {method: partial(make(method, press.blur, press.sigma), press.frame) for method in OURS}
@@ -81,27 +80,22 @@ def jitter(times):
 
 
 def moving(size, frames):
-    """Microseconds of `auto` on scenes that move and on an idle pad, how often it used which method, and jitter.
-
-    Jitter is that of a scene's frames but the first, on the worst scene.
-    """
+    """Microseconds of `auto` on moving scenes and an idle pad; jitter on the worst scene but its first frame."""
     skin = rubber(SPEED_COVER, size)
     clips = list(moving_clips(skin, frames))
-    times, used = play("auto", skin.blur, clips)
-    all_times = np.concatenate(times)
+    times = np.concatenate(play("auto", skin.blur, clips))
     pad = np.random.default_rng(0).normal(0, 1, (size, size)).astype(np.float32)
     idle = make("auto", skin.blur, 1.0)
     figures = {
-        "median": float(np.median(all_times)),
-        "99th percentile": float(np.percentile(all_times, 99)),
-        "worst": float(all_times.max()),
+        "median": float(np.median(times)),
+        "99th percentile": float(np.percentile(times, 99)),
+        "worst": float(times.max()),
         "idle pad (aim: under 5)": min(float(np.median(timed(lambda: idle(pad), 0.05))) for _ in range(ROUNDS)),
     }
-    return (
-        figures,
-        used,
-        {name: max(jitter(each[1:]) for each in play(name, skin.blur, clips)[0]) for name in FIXED},
-    )
+    for name in FIXED:
+        jitters = [jitter(each[1:]) for each in play(name, skin.blur, clips)]
+        figures[f"{name}: 99.9th percentile over median (aim: under 5)"] = max(jitters)
+    return figures
 
 
 def moving_clips(skin, frames):
@@ -117,23 +111,19 @@ def moving_clips(skin, frames):
 
 
 def play(method, blur, clips):
-    """Microseconds of every frame of each clip, the least of PASSES, and how often which method was used."""
-    times, used = [], Counter()
-    for sigma, frames in clips:
-        passes = []
-        for _ in range(PASSES):
-            restorer = make(method, blur, sigma)
-            restorer.prepare()
-            passes.append([_run(restorer, frame) for frame in frames])
-        used.update(name for _, name in passes[0])
-        times.append(np.min([[took for took, _ in each] for each in passes], axis=0))
-    return times, used
+    """Microseconds of every frame of each clip, the least of PASSES."""
+    return [np.min([_times_us(method, blur, *clip) for _ in range(PASSES)], axis=0) for clip in clips]
 
 
-def _run(restorer, frame):
-    start = perf_counter()
-    done = restorer(frame)
-    return 1e6 * (perf_counter() - start), done.method
+def _times_us(method, blur, sigma, frames):
+    restorer = make(method, blur, sigma)
+    restorer.prepare()
+    times = []
+    for frame in frames:
+        start = perf_counter()
+        restorer(frame)
+        times.append(1e6 * (perf_counter() - start))
+    return times
 
 
 def errors(press):
@@ -142,9 +132,9 @@ def errors(press):
     scale = float(press.frame.max())
     frame = press.frame.astype(float) / scale
     positive = np.maximum(frame, 0)
-    images["sk. rl, 30"] = scale * skimage_rl(positive, press.psf, RL_ITERATIONS, clip=False)
+    images["sk. rl, 30"] = scale * richardson_lucy(positive, press.psf, RL_ITERATIONS, clip=False)
     linear = (wiener(frame, press.psf, balance, clip=False) for balance in BALANCES)
-    iterated = (skimage_rl(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
+    iterated = (richardson_lucy(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
     error = {name: nrmse(image, press.truth) for name, image in images.items()}
     error["sk. wiener, tuned"] = min(nrmse(scale * image, press.truth) for image in linear)
     error["sk. rl, tuned"] = min(nrmse(scale * image, press.truth) for image in iterated)
@@ -175,14 +165,9 @@ def restore(reduced: Reduced = False, repeats: int = 3, seed: int = 1) -> None:
         ratios = (f"{each[slow] / each[name]:.1f} x" for each in medians)
         rows.append((f"{name}: times as fast as {slow} (aim: {aim})", *ratios))
     print_table("Median µs a frame that stands still, one thread", ("method", *sizes), rows)
-    figures, used, moved = zip(*(moving(size, 60 if reduced else 400) for size in SIZES), strict=True)
-    rows = [(name, *(f"{each[name]:.1f}" for each in figures)) for name in figures[0]]
-    rows.append(("used", *(", ".join(f"{name} {n}" for name, n in sorted(each.items())) for each in used)))
-    print_table(f"auto on scenes moving at {RATE_HZ:g} Hz, µs, least of three passes", ("", *sizes), rows)
-    rows = [(name, *(f"{each[name]:.1f}" for each in moved)) for name in FIXED]
-    print_table(
-        "99.9th percentile over median, worst moving scene but its first frame (aim: under 5)", ("", *sizes), rows
-    )
+    moved = [moving(size, 60 if reduced else 400) for size in SIZES]
+    rows = [(name, *(f"{each[name]:.1f}" for each in moved)) for name in moved[0]]
+    print_table(f"auto on scenes moving at {RATE_HZ:g} Hz, µs, least of three passes; jitter", ("", *sizes), rows)
     for size in (32,) if reduced else SIZES:
         covers = (1.0, 3.0) if reduced else THICKNESSES
         cases = presses(size, covers, NOISES, 1 if reduced else repeats, seed)

@@ -45,7 +45,6 @@ def test_auto_does_not_restore_where_that_may_harm(thicknesses, seed, bound):
 
 def test_every_method_is_timed_on_still_and_moving_scenes_and_on_an_idle_pad():
     assert set(speed(16, 0.05)) == {"skimage wiener", "skimage rl", "FFT pair", *OURS}
-    figures, used, jitters = moving(16, 20)
-    assert used.total() == 100
+    figures = moving(16, 20)
     assert figures["idle pad (aim: under 5)"] < figures["median"] <= figures["99th percentile"] <= figures["worst"]
-    assert min(jitters.values()) >= 1
+    assert sum("over median" in name for name in figures) == 6
