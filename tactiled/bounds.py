@@ -7,6 +7,8 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from tactiled.units import LENGTH
+
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
@@ -43,5 +45,5 @@ class Bounds:
 
 Port = Annotated[int, Bounds(0, 65535)]
 Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
-Pitch = Annotated[float, Bounds(0.01, 1000.0, "mm")]  # from an etched sensor's taxels to a floor's tiles
-Place = Annotated[float, Bounds(-1e4, 1e4, "mm")]  # no skin is wider than 20 m
+Pitch = Annotated[float, Bounds(0.01, 1000.0, LENGTH)]  # from an etched sensor's taxels to a floor's tiles
+Place = Annotated[float, Bounds(-1e4, 1e4, LENGTH)]  # no skin is wider than 20 m

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
+from tactiled.units import PRESSURE, SHEAR, Unit
 
 Kind = Literal["raw", "restored", "shear"]
 KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
 PRESSURES = KINDS[:2]  # what every sensor has
-Unit = Literal["kPa", "counts"]
-UNITS: dict[Kind, Unit] = {"raw": "kPa", "restored": "kPa", "shear": "counts"}
+UNITS: dict[Kind, Unit] = {"raw": PRESSURE, "restored": PRESSURE, "shear": SHEAR}
 METHOD_NAMES = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points")  # by their number
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes

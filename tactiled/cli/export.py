@@ -26,19 +26,20 @@ from tactiled.config import Config, load
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Message
 from tactiled.runtime.pipeline import Pipeline
+from tactiled.units import LENGTH, PRESSURE
 
 Export = NpzExport | Hdf5Export | McapExport
 FORMATS: dict[str, type[Export]] = {".npz": NpzExport, ".h5": Hdf5Export, ".mcap": McapExport}
 EXTRAS = {".h5": ("hdf5", ["h5py"]), ".mcap": ("foxglove", ["mcap", "foxglove"])}  # and their packages
 SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
 UNITS = {
-    "raw": "kPa",
-    "restored": "kPa",
-    "noise_kpa": "kPa, standard deviation of one raw taxel",
+    "raw": PRESSURE,
+    "restored": PRESSURE,
+    "noise_kpa": f"{PRESSURE}, standard deviation of one raw taxel",
     "time": "s, on the recording's clock, of a frame's first message",
     "sequence": "counts up without wrapping, lost frames included",
-    "positions_mm": "mm, (x, y) of the taxels, in the order of raw",
-    "cells_mm": "mm, (x, y) of the surface cells, in the order of restored",
+    "positions_mm": f"{LENGTH}, (x, y) of the taxels, in the order of raw",
+    "cells_mm": f"{LENGTH}, (x, y) of the surface cells, in the order of restored",
     "flags": "bits, as in flag_bits",
     "loss": "counts so far, by kind as in loss_kinds",
 }

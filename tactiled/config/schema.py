@@ -23,6 +23,7 @@ from tactiled.bus import skins
 from tactiled.bus.codec import Skin
 from tactiled.bus.redact import HARMLESS, reveal
 from tactiled.config.section import Foreign, Redacted, Section
+from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 
@@ -150,9 +151,9 @@ class Codec(Section):
 class Layer(Section):
     """A flat elastic layer."""
 
-    thickness_mm: Annotated[float, Bounds(0.001, 100.0, "mm")]  # from a sputtered film to a mattress
+    thickness_mm: Annotated[float, Bounds(0.001, 100.0, LENGTH)]  # from a sputtered film to a mattress
     """Thickness."""
-    young_mpa: Annotated[float, Bounds(0.001, 1e7, "MPa")]  # from the softest gel to ten times diamond: rigid
+    young_mpa: Annotated[float, Bounds(0.001, 1e7, STIFFNESS)]  # from the softest gel to ten times diamond: rigid
     """Young's modulus."""
     poisson: Annotated[float, Bounds(0, 0.49999)]  # rubber: 0.49 to 0.4999; at 0.5 nothing gives way
     """Poisson's ratio."""
@@ -189,7 +190,7 @@ class Array(Section):
     """Distance between neighbouring taxels of a grid."""
     positions_mm: Annotated[tuple[tuple[Place, Place], ...], Field(min_length=1, max_length=1024)] | None = None
     """Centre `[x, y]` of every taxel of any other layout: x to the right, y down."""
-    aperture_mm: Annotated[float, Bounds(0.001, 1000.0, "mm")] | None = None
+    aperture_mm: Annotated[float, Bounds(0.001, 1000.0, LENGTH)] | None = None
     """Side, or diameter, of the area that a taxel senses; left out: the smallest distance between two taxels."""
     aperture: Literal["square", "round"] | None = None
     """Shape of that area; left out: square on a grid, round otherwise."""
@@ -198,7 +199,7 @@ class Array(Section):
 class Calibration(Section):
     """Counts to kPa."""
 
-    kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, "kPa", signed=True)] | None = (
+    kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, PRESSURE, signed=True)] | None = (
         None  # 2^30 counts a Pa to 1 GPa
     )
     """Pressure of one count, negative if counts fall under pressure; left out: 1 (`icub`: -1), with a warning."""
@@ -206,11 +207,11 @@ class Calibration(Section):
     """Counts of an unloaded taxel; left out: 0 (`icub`: 240)."""
     saturation: Counts | None = None
     """Counts from which (if counts fall: down to which) a taxel is saturated; left out: never."""
-    noise_kpa: Annotated[float, Bounds(1e-9, 1e6, "kPa")] | None = None  # as fine as the finest count
+    noise_kpa: Annotated[float, Bounds(1e-9, 1e6, PRESSURE)] | None = None  # as fine as the finest count
     """Standard deviation of one taxel; left out: measured from the first frames."""
     dead: tuple[Annotated[int, Bounds(0, 2**20)], ...] = ()
     """Indices of taxels that do not work: row x columns + column."""
-    shear_n_per_count: Annotated[float, Bounds(1e-12, 1e6, "N", signed=True)] | None = None
+    shear_n_per_count: Annotated[float, Bounds(1e-12, 1e6, FORCE, signed=True)] | None = None
     """Force along the skin of one count of shear, for XELA's clients."""
 
 

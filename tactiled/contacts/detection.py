@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from tactiled.geometry import Array, Cells
+from tactiled.units import N_PER_KPA_MM2
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -92,7 +93,7 @@ class Finder:
     def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
         areas = self._cells.areas[skirt]
-        force = pressure[skirt] * areas  # kPa mm^2, 1e-3 N
+        force = pressure[skirt] * areas  # kPa mm^2
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
         centre = weight @ places
@@ -105,7 +106,7 @@ class Finder:
             id=0,
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
-            force_n=float(force.sum()) * 1e-3,
+            force_n=float(force.sum()) * N_PER_KPA_MM2,
             area_mm2=float(self._cells.areas[pressed].sum()),
             peak_kpa=float(pressure[pressed].max()),
             major_mm=float(major),

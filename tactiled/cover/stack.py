@@ -6,6 +6,7 @@ from itertools import accumulate
 import numpy as np
 
 from tactiled.errors import PhysicsError
+from tactiled.units import LENGTH, STIFFNESS
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +19,10 @@ class Layer:
 
     def __post_init__(self) -> None:
         """Refuse what no elastic layer can be."""
-        for name, value, unit in (("thickness", self.thickness, "mm"), ("Young's modulus", self.young, "MPa")):
+        for name, value, unit in (
+            ("thickness", self.thickness, LENGTH),
+            ("Young's modulus", self.young, STIFFNESS),
+        ):
             if not (np.isfinite(value) and value > 0):
                 raise PhysicsError(f"layer {name} is {value} {unit}: give a finite number above 0")
         if not 0 <= self.poisson < 0.5:

@@ -17,6 +17,7 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
+from tactiled.units import N_PER_KPA_MM2
 
 try:
     from foxglove import messages
@@ -145,7 +146,7 @@ class Topics:
         self._restored = _Surface(f"/{name}/restored", shape, plan.cells.positions, cell_mm, pressure)
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
-        self._areas = 1e-3 * plan.cells.areas.astype(np.float32)  # kPa mm^2 are mN
+        self._areas = N_PER_KPA_MM2 * plan.cells.areas.astype(np.float32)
         status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
         self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [self._shear.topic] if self._shear else []

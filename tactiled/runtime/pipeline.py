@@ -16,6 +16,7 @@ from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Image, 
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
+from tactiled.units import N_PER_KPA_MM2
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
 NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
@@ -86,7 +87,7 @@ class Pipeline:
             return None
         pressure, _ = self.calibrator(frame.counts, frame.flags)
         tangential = (frame.shear - self._shear_zero) * scale
-        forces = np.column_stack([*tangential, pressure * self._areas * 1e-3])  # kPa mm^2 are mN
+        forces = np.column_stack([*tangential, pressure * self._areas * N_PER_KPA_MM2])
         return forces if np.isfinite(forces).all() else None
 
     @cached_property

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, Optional
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from tactiled import units
 from tactiled.contacts.detection import Contact
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Loss
@@ -134,7 +135,7 @@ class Frame(Restoration, FrameId, Message):
 
     type: Literal["frame"] = "frame"
     kind: PressureKind
-    unit: Literal["kPa"] = "kPa"
+    unit: units.Pressure = units.PRESSURE
     age_s: float | None = Field(description="since the last frame came in", examples=[0.004])
     values: Values
     flags: Flags
@@ -147,7 +148,7 @@ class Shear(FrameId, Message):
     """Shear of one frame, as the skin senses it under its cover: tared, not restored, not calibrated."""
 
     type: Literal["shear"] = "shear"
-    unit: Literal["counts"] = "counts"
+    unit: units.Shear = units.SHEAR
     x: Values
     y: Values
 

@@ -14,13 +14,14 @@ from starlette.concurrency import run_in_threadpool
 from tactiled.frames import Image
 from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Sensor, Status
+from tactiled.units import PRESSURE, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
 from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
-from tactiled.wire import UNITS, Kind, Unit
+from tactiled.wire import UNITS, Kind
 
 NewestFormat = Literal["json", "npy", "png"]
 PageFormat = Literal["json", "npy", "npz"]
@@ -237,7 +238,7 @@ def _newest(
         raise no_frame(sensor)
     status = sensor.status()
     tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ''}"
-    return image, image_headers(image, status, "kPa") | {"ETag": f'W/"{tag}"'}
+    return image, image_headers(image, status, PRESSURE) | {"ETag": f'W/"{tag}"'}
 
 
 def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None) -> Response:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.frames import Image
 from tactiled.runtime.sensor import Sensor
+from tactiled.units import PRESSURE
 from tactiled.web import answers
 from tactiled.web.schemas import PressureKind
 
@@ -59,7 +60,7 @@ def draw(sensor: Sensor, image: Image, kind: PressureKind, top_kpa: float | None
     age = "" if status.state == "live" else f"\n{status.state.upper()}: {status.age_s or 0.0:.1f} s old"
     title = f"{image.sensor}, {kind}, frame {image.sequence}{age}"
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
-    label = "standard deviation (kPa)" if kind == "deviation" else "pressure (kPa)"
+    label = f"{'standard deviation' if kind == 'deviation' else 'pressure'} ({PRESSURE})"
     figure.colorbar(colored, label=label, location="bottom" if wide else "right")
     return figure
 

@@ -19,6 +19,7 @@ from starlette.types import Message, Receive, Scope, Send
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.runtime.offline import Offline, open_frames, write
+from tactiled.units import PRESSURE
 from tactiled.web.http.limits import client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, without_path
@@ -149,5 +150,5 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
     return {
         "X-Tactiled-Noise": f"{offline.noise_kpa:.6g}",
         "X-Tactiled-Methods": json.dumps(methods),
-        "X-Tactiled-Unit": "kPa",
+        "X-Tactiled-Unit": PRESSURE,
     }

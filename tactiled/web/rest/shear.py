@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Response
 
+from tactiled.units import SHEAR
 from tactiled.web import answers, schemas
 from tactiled.web.rest.dependencies import NamedSensor, format_of, no_frame
 from tactiled.web.rest.frames import IMAGE_HEADERS, image_headers
@@ -28,7 +29,7 @@ def shear(sensor: NamedSensor, form: Annotated[Format, format_of(Format)]) -> Re
     image = sensor.hub.latest()
     if image is None or image.shear is None:
         raise no_frame(sensor)
-    headers = image_headers(image, sensor.status(), "counts")
+    headers = image_headers(image, sensor.status(), SHEAR)
     if form == "npy":
         return Response(answers.npy(image.shear), media_type=MEDIA[form], headers=headers)
     return Response(answers.shear(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)

@@ -2,6 +2,7 @@
 
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { endsAndTicks, tickText } from "./ticks.js";
+import { PRESSURE } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -55,7 +56,7 @@ export class Colorbar {
   /** @param {Colormap} colormap */
   _draw(colormap) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
-    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} kPa`);
+    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${PRESSURE}`);
     const ratio = fitCanvas(this.canvas, width, height);
     const draw = this._pen;
     const ink = themeColors();

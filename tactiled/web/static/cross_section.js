@@ -2,6 +2,7 @@
 
 import { Chart, line } from "./chart.js";
 import { fixed } from "./format.js";
+import { PRESSURE } from "./units.js";
 import { ACROSS } from "./geometry.js";
 
 /** @import { Axes, Line } from "./chart.js" */
@@ -28,7 +29,7 @@ export class CrossSection {
     this._lines = [this._raw, this._restored];
     this._deviation = line(0, "restored"); // along the same cells
     /** @type {Axes} */
-    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: UNITS.x, y: "kPa" };
+    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: UNITS.x, y: PRESSURE };
   }
 
   /** @param {Plane} plane */

@@ -2,8 +2,9 @@
 
 import { context2d, themeColors } from "./dom.js";
 import { download, isoTime } from "./download.js";
-import { fixed, newtons, number } from "./format.js";
+import { fixed } from "./format.js";
 import { endsAndTicks, tickText } from "./ticks.js";
+import { PRESSURE, forceText, lengthText, pressureText, shearText } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -39,7 +40,7 @@ export function savePng({ name, plane }, frame, maps, range, colormap, state, sh
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
   const when = `${isoTime(frame.timestamp)}, ${state}`;
-  const size = `map ${fixed(plane.width, 1)} × ${fixed(plane.height, 1)} mm, resolution ${fixed(frame.resolutionMm, 2)} mm`;
+  const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
   const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(summaryLines);
   const column = Math.max(w, widest([...ofRaw, ...ofRestored], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
@@ -61,8 +62,8 @@ export function savePng({ name, plane }, frame, maps, range, colormap, state, sh
 
 /** @param {Measures} of an image @returns {string[]} what stands below its map, line by line */
 function summaryLines(of) {
-  const centre = `centre ${fixed(of.x, 1)}, ${fixed(of.y, 1)} mm`;
-  return [`force ${newtons(of.force)} N   peak ${number(of.peak)} kPa`, centre];
+  const centre = `centre ${fixed(of.x, 1)}, ${lengthText(of.y)}`;
+  return [`force ${forceText(of.force)}   peak ${pressureText(of.peak)}`, centre];
 }
 
 /** @param {string[]} texts @param {number} size px, of their letters @returns {number} px, of the widest */
@@ -128,13 +129,13 @@ class Sheet {
   arrow(arrows, x, y, w) {
     const length = arrows.share * w;
     arrows.drawKey(this._pen, x + length / 2, y - 5, length, 1);
-    this.write(`shear of ${arrows.counts} counts`, x + length + 10, y, 15, this.ink.muted);
+    this.write(`shear of ${shearText(arrows.counts)}`, x + length + 10, y, 15, this.ink.muted);
   }
 
   /** @param {number} x @param {DisplayRange} range @param {Colormap} colormap */
   legend(x, range, colormap) {
     const h = this._tall;
-    this.write("kPa", x, TOP_PX - 14);
+    this.write(PRESSURE, x, TOP_PX - 14);
     for (let i = 0; i < 256; i += 1) {
       this._pen.fillStyle = colormap.css[i];
       this._pen.fillRect(x, TOP_PX + h * (1 - (i + 1) / 256), 20, h / 256 + 1);

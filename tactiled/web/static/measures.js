@@ -1,5 +1,7 @@
 /** What one image amounts to: force, peak, place of contact. @module */
 
+import { N_PER_KPA_MM2 } from "./units.js";
+
 /** @import { Cells } from "./geometry.js" */
 
 /**
@@ -46,7 +48,7 @@ export function measure(kpa, cells, noise, into) {
       }
     }
   }
-  into.force = sum * 1e-3; // kPa mm^2 = 1e-3 N
+  into.force = sum * N_PER_KPA_MM2;
   into.peak = peakIndex < 0 ? NaN : peak;
   into.peakIndex = peakIndex;
   into.unknown = unknown;

@@ -7,6 +7,7 @@ import { ACROSS } from "./geometry.js";
 import { CONNECTING } from "./health.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
+import { lengthText, readingText, shearText } from "./units.js";
 import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
@@ -69,7 +70,7 @@ export class PageText {
   _section(viewer, frame) {
     const { along, lineAt } = viewer.marks;
     const known = frame && Number.isFinite(lineAt);
-    const where = known ? `${ACROSS[along]} ${fixed(lineAt, 1)} mm${viewer.probe.pinned ? ", pinned" : ""}` : "";
+    const where = known ? `${ACROSS[along]} ${lengthText(lineAt)}${viewer.probe.pinned ? ", pinned" : ""}` : "";
     setText(byId("section-where"), where);
     if (this._along === along) return;
     this._along = along;
@@ -163,14 +164,14 @@ function probeText({ session, probe: { x, y } }, frame) {
 function reading(plane, frame, x, y) {
   const r = plane.find(plane.raw, x, y);
   const s = plane.find(plane.restored, x, y);
-  const place = `x ${fixed(x, 1)}, y ${fixed(y, 1)} mm`;
+  const place = `x ${fixed(x, 1)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
-  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : `${fixed(frame.raw[r], 1)} kPa`;
+  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : readingText(frame.raw[r]);
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
-  const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${fixed(frame.shear[plane.raw.count + r], 0)} counts` : "";
-  return `${place}: raw ${raw}, restored ${fixed(frame.restored[s], 1)} kPa${shear} (${taxel}${flags})`;
+  const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
+  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s])}${shear} (${taxel}${flags})`;
 }
 
 /**

@@ -3,6 +3,7 @@
 import { byId, element, setText } from "./dom.js";
 import { fixed, newtons, number } from "./format.js";
 import { measures } from "./measures.js";
+import { lengthText, pressureText } from "./units.js";
 import { Warnings } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "./api.js" */
@@ -103,8 +104,8 @@ export class Readings {
     showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES);
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
-    setText(at.resolution, frame ? `${fixed(frame.resolutionMm, 2)} mm` : "\u2013");
-    setText(at.noise, frame ? `${number(frame.noiseKpa, 2)} kPa` : "\u2013");
+    setText(at.resolution, frame ? lengthText(frame.resolutionMm, 2) : "\u2013");
+    setText(at.noise, frame ? pressureText(frame.noiseKpa, 2) : "\u2013");
     setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }

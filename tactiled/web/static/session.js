@@ -2,12 +2,12 @@
 
 import * as api from "./api.js";
 import { DeviationCache } from "./deviation.js";
-import { newtons } from "./format.js";
 import { FrameHistory } from "./frame_history.js";
 import { Freshness } from "./freshness.js";
 import { healthOf } from "./health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "./timeline.js";
+import { forceText } from "./units.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 /** @import { Frame } from "./frame_history.js" */
@@ -70,7 +70,7 @@ export class Session {
       onLink: () => this._linked(),
       onContacts: (message) => {
         if (this.paused) return;
-        for (const each of message.contacts) each.label = `${each.id}: ${newtons(each.force_n)} N`;
+        for (const each of message.contacts) each.label = `${each.id}: ${forceText(each.force_n)}`;
         this.contacts.push(message);
         this._listener.onContacts();
       },

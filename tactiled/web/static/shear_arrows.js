@@ -6,6 +6,7 @@
 
 import { DisplayRange } from "./display_range.js";
 import { fitCanvas, context2d, setText } from "./dom.js";
+import { shearText } from "./units.js";
 
 /** @import { Plane } from "./geometry.js" */
 
@@ -184,7 +185,7 @@ export class ShearArrows {
     fitCanvas(this._keyCanvas, this._long / ratio + 12, 20);
     this._keyCanvas.style.width = `${this._long / ratio + 12}px`;
     this.drawKey(this._keyPen, this._keyCanvas.width / 2, this._keyCanvas.height / 2, this._long, ratio);
-    setText(this._keyText, `${this._keyCounts} counts`);
+    setText(this._keyText, shearText(this._keyCounts));
   }
 
   /**

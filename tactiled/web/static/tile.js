@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { element, setText } from "./dom.js";
-import { fixed, newtons } from "./format.js";
+import { fixed } from "./format.js";
 import { Freshness } from "./freshness.js";
 import { Plane } from "./geometry.js";
 import { CONNECTING, healthOf } from "./health.js";
@@ -10,6 +10,7 @@ import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
 import { messageOf } from "./notice.js";
 import { ShearArrows } from "./shear_arrows.js";
+import { forceText } from "./units.js";
 import { Warnings } from "./warnings.js";
 import { SHEAR } from "./wire.js";
 
@@ -217,7 +218,7 @@ export class Tile {
     this._warn(live ? this._warnings : []);
     setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
     if (!this._plane || (live && this._freshness.heldBack)) return;
-    setText(this._force, live ? `${newtons(this._imageAt ? this._of.force : NaN)} N` : health.text);
+    setText(this._force, live ? forceText(this._imageAt ? this._of.force : NaN) : health.text);
   }
 
   /** @param {string[]} warnings that hold of what is shown */
