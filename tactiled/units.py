@@ -1,4 +1,7 @@
-"""The unit of each quantity. The viewer's are in `web/static/units.js`; names of keys end in them, too (`force_n`)."""
+"""The unit of each quantity.
+
+The viewer's are in `web/static/units.js`; names of keys and fields end in them, too (`force_n`, `noise_kpa`).
+"""
 
 from typing import Literal
 

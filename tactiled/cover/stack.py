@@ -19,10 +19,8 @@ class Layer:
 
     def __post_init__(self) -> None:
         """Refuse what no elastic layer can be."""
-        for name, value, unit in (
-            ("thickness", self.thickness, LENGTH),
-            ("Young's modulus", self.young, STIFFNESS),
-        ):
+        sizes = (("thickness", self.thickness, LENGTH), ("Young's modulus", self.young, STIFFNESS))
+        for name, value, unit in sizes:
             if not (np.isfinite(value) and value > 0):
                 raise PhysicsError(f"layer {name} is {value} {unit}: give a finite number above 0")
         if not 0 <= self.poisson < 0.5:
