@@ -9,10 +9,8 @@ from tactiled.bus import skins
 from tactiled.bus.assembler import Assembler
 from tactiled.bus.codec import ShearCodec
 from tactiled.bus.codecs.dbc import Dbc
-from tactiled.calibrate.calibration import Calibration
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import MISSING, Loss
-from tactiled.simulate.array import Taxels
 from tests.bus.skins import CODECS, payloads_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -72,23 +70,17 @@ def test_frames_follow_one_another_and_a_lost_message_is_marked(codec):
         assert np.all(np.delete(frame.counts, gap) == n + 1)
 
 
-@every_codec
-def test_a_simulated_array_fits_the_codec(codec):
-    counts = Taxels(Calibration(), codec.full_scale, 0.0, 0).count(np.full(codec.size, 1e9))
-    assert len(codec.encode(counts, 0, 0.0)) == codec.segments
-
-
-def test_shear_comes_back_as_it_was_encoded_to_the_ends_of_its_axes():
+def test_shear_comes_back_rounded_and_clipped_to_its_axes():
     codec, rng = CODECS["xela"], np.random.default_rng(1)
     counts, shear = rng.integers(0, 0x10000, 24), rng.integers(-0x4000, 0xC000, (2, 24)).astype(np.float32)
-    shear[:, 0] = -1e6, 1e6
+    expected = shear.copy()
+    shear[:, :3] = [-1e6, 1.7, -1.7], [1e6, -0.6, 2.4]
+    expected[:, :3] = [-0x4000, 2, -2], [0xFFFF - 0x4000, -1, 2]
     payloads = payloads_of(codec, codec.encode_sheared(counts.astype(np.uint16), shear, 0, 0.0))
     np.testing.assert_array_equal(codec.unpack(payloads), counts)
-    np.testing.assert_array_equal(codec.shear(payloads)[:, 1:], shear[:, 1:])
-    assert codec.shear(payloads)[:, 0].tolist() == [-0x4000, 0xFFFF - 0x4000]
-    assert [name for name, each in CODECS.items() if isinstance(each, ShearCodec)] == [
-        name for name in CODECS if name.startswith("xela")
-    ]
+    np.testing.assert_array_equal(codec.shear(payloads), expected)
+    sheared = [name for name, each in CODECS.items() if isinstance(each, ShearCodec)]
+    assert sheared == [name for name in CODECS if name.startswith("xela")]
 
 
 @pytest.mark.parametrize(

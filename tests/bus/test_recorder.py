@@ -24,6 +24,8 @@ MESSAGES = [
     can.Message(1.6e9 + 1.0, is_error_frame=True),
     can.Message(1.6e9 + 1.25, 0x123, is_extended_id=False, is_fd=True, data=bytes(12)),
 ]
+
+
 def contents(messages):
     """What every format must give back of messages, their times aside."""
     return [
@@ -263,5 +265,3 @@ def test_a_late_reader_loses_nothing_or_the_recording_ends_with_an_error(tmp_pat
         assert count == 2000
     reader.close()
     assert numbers(path) == list(range(count))
-
-
