@@ -6,7 +6,7 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from tactiled.build import make_array, make_codec
+from tactiled.build import make_array, make_codec, make_stack
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
@@ -16,12 +16,11 @@ from tactiled.bus.reader import open_bus
 from tactiled.calibrate.calibration import Calibration
 from tactiled.config import parse
 from tactiled.cover.kernel import solve
-from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import BusError
 from tactiled.frames import Message
 from tactiled.runtime.service import Service
 from tactiled.simulate import answer, player
-from tests.conftest import BUSY_S, until
+from tests.conftest import until
 
 FIRST, SECOND = (Poll(Message(0.0, 0x27, bytes((each, 0xC6))), 0.1, range(1)) for each in (0xB1, 0xB2))
 SET, GO, STOP = (Message(0.0, 0x20D, bytes((each,))) for each in (1, 2, 3))
@@ -40,25 +39,16 @@ class Wire:
         self.messages.append(message)
 
 
-def test_requests_leave_when_they_are_due():
+def test_requests_leave_when_they_are_due_and_do_not_burst_after_a_delay():
     wire, poller = Wire(), Poller([Polling(polls=(FIRST, SECOND._replace(period_s=0.25)))])
     poller.start(10.0)
     requests = []
-    for now in (10.0, 10.05, 10.1, 10.2, 10.25, 10.3):
+    for now in (10.0, 10.05, 10.1, 10.2, 10.25, 10.3, 15.3, 15.35, 15.4):
         wire.messages.clear()
         assert poller.send_due(wire.send, now) == 0
-        requests.append([each.data[0] for each in wire.messages])
-    assert requests == [[0xB1, 0xB2], [], [0xB1], [0xB1], [0xB2], [0xB1]]
-    assert poller.wait_s(10.3) == pytest.approx(0.1)
-
-
-def test_requests_that_were_held_up_do_not_burst():
-    wire, poller = Wire(), Poller([Polling(polls=(FIRST,))])
-    poller.start(0.0)
-    for now in (0.0, 5.0, 5.05, 5.1):
-        poller.send_due(wire.send, now)
-    assert len(wire.messages) == 3
-    assert poller.wait_s(5.1) == pytest.approx(0.1)
+        requests.append([each.data[0] - 0xB0 for each in wire.messages])
+    assert requests == [[1, 2], [], [1], [1], [2], [1], [1, 2], [], [1]]
+    assert poller.wait_s(15.4) == pytest.approx(0.1)
 
 
 def test_a_skin_is_set_up_then_started_then_asked_and_stopped_at_the_end():
@@ -90,106 +80,54 @@ def test_most_skins_are_sent_nothing():
     assert poller.wait_s(0.0) == float("inf")
 
 
+STOPS = ["0701"]
+STARTS = ["4d001ef0", "50000f00010022", "0700"]  # as the robot's own software
+
+
 @pytest.mark.parametrize(
-    ("codec", "start", "stop"),
+    ("codec", "id_", "start", "delays", "stop", "polls"),
     [
-        (
-            Icub(13, (5,), start=True),  # as the robot's own software
-            [(0.0, 0x20D, "4d001ef0"), (0.0, 0x20D, "50000f00010022"), (0.5, 0x20D, "0700")],
-            [(0x20D, "0701")],
-        ),
+        (Icub(13, (5,), start=True), 0x20D, STARTS, [0.0, 0.0, 0.5], STOPS, []),
         (
             Icub(2, (5,), start=True, period_ms=20),
-            [(0.0, 0x202, "4d0014f0"), (0.0, 0x202, "50000f00010022"), (0.5, 0x202, "0700")],
-            [(0x202, "0701")],
+            0x202, ["4d0014f0", "50000f00010022", "0700"], [0.0, 0.0, 0.5], STOPS, [],
         ),
-        (Xela("4x4-old", controller=2, start=True), [(0.0, 0x202, "0700")], [(0x202, "0701")]),
+        (Xela("4x4-old", controller=2, start=True), 0x202, ["0700"], [0.0], STOPS, []),
+        (
+            Linker("right", (2, 1), poll_hz=50), 0x27, [], [], [],
+            [("b2c6", range(12), 0.02), ("b1c6", range(12, 24), 0.02)],
+        ),
     ],
-)
-def test_golden_start_and_stop_messages(codec, start, stop):
+)  # fmt: skip
+def test_golden_messages_to_skins(codec, id_, start, delays, stop, polls):
     polling = codec.polling
-    assert [(after, each.id, each.data.hex()) for after, each in polling.start] == start
-    assert [(each.id, each.data.hex()) for each in polling.stop] == stop
-    assert polling.polls == ()
-
-
-def test_golden_requests():
-    polls = Linker("right", (2, 1), poll_hz=50).polling.polls
-    assert [(each.message.id, each.message.data.hex()) for each in polls] == [(0x27, "b2c6"), (0x27, "b1c6")]
-    assert [(each.segments, each.period_s) for each in polls] == [(range(12), 0.02), (range(12, 24), 0.02)]
+    assert [(after, each.data.hex()) for after, each in polling.start] == list(zip(delays, start, strict=True))
+    assert [each.data.hex() for each in polling.stop] == stop
+    assert [(each.message.data.hex(), each.segments, each.period_s) for each in polling.polls] == polls
+    messages = [each for _, each in polling.start] + [each.message for each in polling.polls] + [*polling.stop]
+    assert {each.id for each in messages} == {id_}
 
 
 CONFIG = """
 [bus.can0]
 interface = "virtual"
-channel = "{channel}"
-[sensor.skin]
+[sensor.hand]
 bus = "can0"
-method = "raw"
 stale_after_s = 600
-codec = {{ {codec} }}
-array = {{ {array} }}
-cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
-kernel = {{ model = "layered" }}
-calibration = {{ kpa_per_count = 0.5 }}
+codec = { name = "linker", hand = "left", fingers = [2, 1], poll_hz = 50 }
+array = { rows = 24, columns = 6, pitch_mm = 1.0 }
+cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }
+kernel = { model = "layered" }
+[sensor.board]
+bus = "can0"
+codec = { name = "icub", board = 13, triangles = [5], start = true }
+array = { aperture_mm = 3.6 }
+cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }
+kernel = { model = "layered" }
 """
-HAND = 'name = "linker", hand = "left", fingers = [2, 1], poll_hz = 50', "rows = 24, columns = 6, pitch_mm = 1.0"
-BOARD = 'name = "icub", board = 13, triangles = [5], start = true', "aperture_mm = 3.6"
-STARTS = ["4d001ef0", "50000f00010022", "0700"]
 
 
-@pytest.fixture
-def other(request):
-    """The other end of the bus."""
-    bus = open_bus(interface="virtual", channel=request.node.name)
-    yield bus
-    bus.close()
-
-
-def config(request, settings):
-    return parse(CONFIG.format(channel=request.node.name, codec=settings[0], array=settings[1]))
-
-
-def test_a_polled_hand_is_asked_and_its_answers_are_served(request, other):
-    """The simulator stands in for the hand: it sends nothing but when it is asked."""
-    settings = config(request, HAND)
-    (sensor,) = settings.sensor.values()
-    kernel = solve(Stack((Layer(2.0, 0.3, 0.45),)), "layered")
-    hand = player(make_array(sensor), kernel, make_codec(sensor), Calibration(0.5), "sphere", 0.0)
-    stop, answered = Event(), []
-    thread = Thread(target=lambda: answered.append(answer(hand, other.receive, other.send, stop)))
-    thread.start()
-    service = Service(settings)
-    service.start()
-    try:
-        until(lambda: (i := service.sensor("skin").hub.latest()) and i.sequence >= 5 and not i.flags.any())
-        image = service.sensor("skin").hub.latest()
-    finally:
-        service.stop()
-        stop.set()
-        thread.join()
-    assert image.raw.shape == (24, 6)
-    assert np.nanmax(image.raw) > 1
-    assert (image.loss.malformed, image.loss.unsent) == (0, 0)
-    assert answered[0] >= 10  # two fingers, five frames
-    while other.receive(0.0) is not None:
-        pass
-    assert other.receive(0.2) is None  # after the service has ended nothing is asked
-
-
-def test_a_board_is_started_by_the_service_and_stopped_at_its_end(request, other):
-    service = Service(config(request, BOARD))
-    began = time.monotonic()
-    service.start()
-    starts = [other.receive(BUSY_S).data.hex() for _ in range(3)]
-    assert time.monotonic() - began > 0.4
-    service.stop()
-    assert [*starts, other.receive(BUSY_S).data.hex()] == [*STARTS, "0701"]
-
-
-@pytest.fixture
-def adapter(monkeypatch):
-    """A bus that is present or not, what was sent on it, and the times that it was opened."""
+def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messages_are_counted(monkeypatch):
     wire, present, opened = Wire(), [True], []
 
     class Bus:
@@ -213,41 +151,56 @@ def adapter(monkeypatch):
         opened.append(Bus())
         return opened[-1]
 
+    def sent(id_):
+        return [each.data.hex() for each in list(wire.messages) if each.id == id_]
+
     monkeypatch.setattr("tactiled.runtime.bus_thread.open_bus", reopen)
-    return wire, present, opened
-
-
-def test_a_board_is_started_again_when_the_bus_is_back(request, adapter):
-    wire, present, opened = adapter
-    service = Service(config(request, BOARD))
+    service = Service(parse(CONFIG))
+    hand = service.sensor("hand")
     service.start()
     try:
-        until(lambda: len(wire.messages) == 3)
-        present[0] = False
-        until(lambda: service.sensor("skin").status().state == "down")
-        present[0] = True
-        until(lambda: len(wire.messages) == 6)
-    finally:
-        service.stop()
-    assert len(opened) == 2
-    assert [each.data.hex() for each in wire.messages] == [*STARTS, *STARTS, "0701"]
-
-
-def test_requests_begin_again_when_the_bus_is_back_and_unsent_ones_are_counted(request, adapter):
-    wire, present, opened = adapter
-    service = Service(config(request, HAND))
-    service.start()
-    try:
-        until(lambda: len(wire.messages) >= 4)
+        until(lambda: sent(0x20D) == STARTS and len(sent(0x28)) >= 4)
         wire.takes = False
-        until(lambda: service.sensor("skin").status().loss.unsent >= 2)
+        until(lambda: hand.status().loss.unsent >= 2)
         present[0] = False
-        until(lambda: service.sensor("skin").status().state == "down")
-        unsent = service.sensor("skin").status().loss.unsent
+        until(lambda: hand.status().state == "down")
+        unsent = hand.status().loss.unsent
         wire.messages.clear()
         wire.takes = present[0] = True
-        until(lambda: len(wire.messages) >= 4)
+        until(lambda: sent(0x20D) == STARTS and len(sent(0x28)) >= 4)
         assert len(opened) == 2
-        assert service.sensor("skin").status().loss.unsent == unsent
+        assert hand.status().loss.unsent == unsent
     finally:
         service.stop()
+    assert sent(0x20D) == STARTS + STOPS
+
+
+def test_a_polled_hand_is_asked_and_its_answers_are_served(request):
+    """The simulator stands in for the hand: it sends nothing but when it is asked."""
+    text = CONFIG.split("[sensor.board]")[0].replace("[sensor", f'channel = "{request.node.name}"\n[sensor')
+    config = parse(text + "calibration = { kpa_per_count = 0.5 }\n")
+    (settings,) = config.sensor.values()
+    other = open_bus(interface="virtual", channel=request.node.name)
+    kernel = solve(make_stack(settings), "layered")
+    hand = player(make_array(settings), kernel, make_codec(settings), Calibration(0.5), "sphere", 0.0)
+    stop, answered = Event(), []
+    thread = Thread(target=lambda: answered.append(answer(hand, other.receive, other.send, stop)))
+    thread.start()
+    service = Service(config)
+    sensor = service.sensor("hand")
+    service.start()
+    try:
+        until(lambda: (i := sensor.hub.latest()) and i.sequence >= 5 and not i.flags.any())
+        image = sensor.hub.latest()
+    finally:
+        service.stop()
+        stop.set()
+        thread.join()
+    assert image.raw.shape == (24, 6)
+    assert np.nanmax(image.raw) > 1
+    assert (image.loss.malformed, image.loss.unsent) == (0, 0)
+    assert answered[0] >= 10  # two fingers, five frames
+    while other.receive(0.0) is not None:
+        pass
+    assert other.receive(0.2) is None  # after the service has ended nothing is asked
+    other.close()

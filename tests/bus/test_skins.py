@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from tactiled.build import make_array, make_calibration, make_codec, sensor_plan
+from tactiled.bus.assembler import assemble
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import survey
 from tactiled.config import parse
 from tactiled.errors import ConfigError
-from tactiled.frames import Loss, Message
+from tactiled.frames import Loss
 
 GUIDE = (Path(__file__).parents[2] / "tactiled/docs/codecs.md").read_text("utf-8")
 SECTION = GUIDE.split("\n## A codec of your own\n")[1].split("\n## ")[0]
@@ -49,26 +50,18 @@ def sensor(codec='name = "my-skin"', array="rows = 2, columns = 4, pitch_mm = 4.
     return parse(CONFIG.format(codec=codec, array=array), "a.toml").sensor["skin"]
 
 
-def test_the_guides_example_works_as_it_stands_there(install):
+def test_the_guides_example_works_and_is_recognised(install):
     assert 'my-skin = "my_skin:MySkin"' in SECTION
     install()
     plan = sensor_plan("skin", sensor('name = "my-skin", base_id = 0x200'))
     assert (plan.codec_name, plan.codec.ids) == ("my-skin", {(0x200, False), (0x201, False)})
-    router = Router({"skin": plan.codec})
     counts = np.array([0, 1, 2, 3, 250, 251, 252, 255], np.uint16)
-    messages = plan.codec.encode(counts, 0, 1.0)
-    assert [each.data.hex() for each in messages] == ["00010203", "fafbfcff"]
-    ((_, frame),) = [each for message in messages for each in router.push(message)]
-    np.testing.assert_array_equal(frame.counts, counts)
-    router.push(messages[0]._replace(data=b"abc"))
-    assert router.assemblers["skin"].loss == Loss(malformed=1)
-
-
-def test_sniff_finds_the_guides_example(install):
-    install()
-    codec = make_codec(sensor('name = "my-skin", base_id = 0x200'))
-    frames = (codec.encode(np.arange(8, dtype=np.uint16), 0, n / 50) for n in range(20))
-    (sender,) = survey(each for frame in frames for each in frame).senders
+    messages = [each for n in range(20) for each in plan.codec.encode(counts, 0, n / 50)]
+    assert [each.data.hex() for each in messages[:2]] == ["00010203", "fafbfcff"]
+    frames, loss = assemble(plan.codec, messages)
+    np.testing.assert_array_equal(frames[0].counts, counts)
+    assert (len(frames), loss) == (20, Loss())
+    (sender,) = survey(messages).senders
     assert (sender.name, sender.match.settings, sender.frames) == ("my-skin", {"base_id": 0x200}, 20)
 
 
@@ -136,36 +129,38 @@ def test_an_unknown_or_ambiguous_name_is_refused(install, installed, name, reaso
         sensor(f'name = "{name}"')
 
 
+DECODE, UNPACK = (
+    "    def decode(self, message):\n",
+    "    def unpack(self, payloads):  # None: a message that did not come\n",
+)
+
+
 @pytest.mark.parametrize(
-    "body",
+    ("method", "fault", "malformed"),
     [
-        "raise IndexError('beyond')",
-        "return Reading(0.0, 9, b'abcd')",
-        "return Reading(0.0, -1, b'abcd')",
-        "return Reading(0.0, 0, b'abcd', bad=(8,))",
-        "return Reading(0.0, 0, b'abcd', bad=(-1,))",
-        "return None",
+        *(
+            (DECODE, f"if message.data == b'!abc': {fault}", 1)
+            for fault in (
+                "raise IndexError('beyond')",
+                "return Reading(0.0, 9, b'abcd')",
+                "return Reading(0.0, -1, b'abcd')",
+                "return Reading(0.0, 0, b'abcd', bad=(8,))",
+                "return Reading(0.0, 0, b'abcd', bad=(-1,))",
+                "return None",
+            )
+        ),
+        (UNPACK, "if b'!abc' in payloads: raise IndexError('beyond')", 2),  # both messages of its frame
     ],
 )
-def test_a_fault_of_decode_is_a_malformed_message(install, body):
-    fault = f"        if message.data[:1] == b'!':\n            {body}\n"
-    install(CODE.replace("    def decode(self, message):\n", "    def decode(self, message):\n" + fault))
+def test_a_fault_of_a_packages_codec_makes_messages_malformed(install, method, fault, malformed):
+    assert CODE.count(method) == 1
+    install(CODE.replace(method, f"{method}        {fault}\n"))
     router = Router({"skin": make_codec(sensor())})
     first, second = router.assemblers["skin"].codec.encode(np.arange(8, dtype=np.uint16), 0, 0.0)
-    bad = Message(0.0, 0x120, b"!abc")
-    ((_, frame),) = [each for message in (first, bad, second) for each in router.push(message)]
+    start = [first._replace(data=b"!abc"), *[second] * (malformed - 1)]
+    ((_, frame),) = [each for message in (*start, first, second) for each in router.push(message)]
     assert (frame.counts.tolist(), frame.flags.any()) == (list(range(8)), False)
-    assert router.assemblers["skin"].loss == Loss(malformed=1)
-
-
-def test_a_fault_of_unpack_makes_the_frames_messages_malformed(install):
-    fault = "        if b'!abc' in payloads:\n            raise IndexError('beyond')\n"
-    install(CODE.replace("did not come\n", "did not come\n" + fault))
-    router = Router({"skin": make_codec(sensor())})
-    first, second = router.assemblers["skin"].codec.encode(np.arange(8, dtype=np.uint16), 0, 0.0)
-    frames = [f for each in (first._replace(data=b"!abc"), second, first, second) for _, f in router.push(each)]
-    assert [frame.counts.tolist() for frame in frames] == [list(range(8))]
-    assert router.assemblers["skin"].loss == Loss(malformed=2)
+    assert router.assemblers["skin"].loss == Loss(malformed=malformed)
 
 
 @pytest.mark.parametrize("error", ["ValueError", "ConfigError"])
