@@ -145,6 +145,14 @@ def multicast():
         yield "239.74.163.77"
 
 
+@pytest.fixture
+def udp_port():
+    """A port of UDP that is free, so that no other test's traffic comes: a multicast bus hears all of its port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("", 0))
+        return one.getsockname()[1]
+
+
 @contextmanager
 def meanwhile(rig):
     """Have a rig's service read its bus meanwhile."""

@@ -106,7 +106,7 @@ def test_a_serial_adapter_gets_its_own_commands(config):
     lines = data.decode().split("\r")
     assert {"S8", "O"} <= {*lines}  # 1 Mbit/s, open
     messages = [line for line in lines if line.startswith("t")]
-    assert len(messages) in (10, 20, 30)
+    assert len(messages) >= 10  # a frame; how many frames is the machine's pace
     assert messages[0] == "t4E0840F5F5F5F5F5F5F5"  # id, length, a head of seven pads without load
     assert messages[1] == "t4E08C0F5F5F5F5F50000"
 
