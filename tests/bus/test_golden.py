@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.bus.assembler import Assembler
 from tactiled.bus.codecs.barrett import Barrett
-from tactiled.bus.codecs.cyskin import ORDER, CySkin
+from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.poweron import PowerOn
@@ -109,14 +109,6 @@ def test_xelas_model_follows_from_ids_and_size_unless_it_is_configured(codec, mo
 )  # fmt: skip
 def test_counts_of_golden_messages(codec, texts, counts):
     assert counts_of(codec, *texts) == counts
-
-
-def test_a_lost_message_of_cyskin_marks_its_own_taxels():
-    codec = CySkin()
-    assembler = Assembler(codec)
-    assembler.push(codec.decode(codec.encode(np.arange(16, dtype=np.uint16), 0, 0.0)[0]))
-    (frame,) = assembler.flush(1.0)
-    assert np.flatnonzero(frame.flags == 0).tolist() == sorted(ORDER[:4])
 
 
 @pytest.mark.parametrize(
