@@ -114,7 +114,7 @@ def send(buses, rate, count):
     _, messages = _traffic(SKINS[LIVE])
     block = max(1, round(rate * TICK_S))
     with ExitStack() as stack:
-        senders = [(_sender(each, stack), cycle(_encoded(each, messages))) for each in buses]
+        senders = [(_sender(each, stack), cycle(messages)) for each in buses]
         due = time.perf_counter()
         for remaining in range(count, 0, -block):
             time.sleep(max(0.0, due - time.perf_counter()))
@@ -122,13 +122,6 @@ def send(buses, rate, count):
                 for each in islice(source, min(block, remaining)):
                     put(each)
             due += block / rate
-
-
-def _encoded(bus, messages):
-    """Messages, for SocketCAN as the bytes of its frames."""
-    if bus["interface"] != "socketcan":
-        return messages
-    return [CAN_FRAME.pack(each.id, len(each.data), each.data) for each in messages]
 
 
 def _sender(bus, stack):
@@ -140,7 +133,7 @@ def _sender(bus, stack):
     can = stack.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
     can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")  # it receives nothing
     can.bind((bus["channel"],))
-    return can.send
+    return lambda each: can.send(CAN_FRAME.pack(each.id, len(each.data), each.data))
 
 
 def buses_of(interface, channels):

@@ -4,6 +4,7 @@ Indenters are flat discs off the taxels' grid, drawn four times finer than it an
 the finite-element kernel and knows the noise. Lengths in mm at a pitch of 1 mm.
 """
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -88,15 +89,10 @@ def _accuracy(one, two, image):
 
 def contacts(repeats: int = 40, seed: int = 1) -> None:
     """Press discs into a 24 x 24 array of 1 mm pitch, one and two at a time, and look for them in both images."""
-    rows = []
-    for thickness in THICKNESSES:
-        for noise in NOISES:
-            each = zip(*measure(thickness, noise, repeats, seed), strict=True)
-            formats = ("{:.0%}", "{:.3f}", "{:.3f}", "{:.1%}", "{:g}")
-            cells = [
-                f"{form.format(raw)} / {form.format(restored)}"
-                for form, (raw, restored) in zip(formats, each, strict=True)
-            ]
-            rows.append((f"{thickness:g}, {100 * noise:g} %", *cells))
+    rows, formats = [], ("{:.0%}", "{:.3f}", "{:.3f}", "{:.1%}", "{:g}")
+    for thickness, noise in product(THICKNESSES, NOISES):
+        each = zip(formats, *measure(thickness, noise, repeats, seed), strict=True)
+        cells = (f"{form.format(raw)} / {form.format(restored)}" for form, raw, restored in each)
+        rows.append((f"{thickness:g}, {100 * noise:g} %", *cells))
     print_table("Contacts, raw / restored", HEADINGS, rows)
     print(f"{repeats} discs, seed {seed}. {machine()}")

@@ -60,11 +60,6 @@ def trial(stack):
     return Trial(stack, seconds, error, error / kernel.error_estimate, kernel.unknowns)
 
 
-def sweep(count, seed):
-    rng = np.random.default_rng(seed)
-    return [trial(random_stack(rng)) for _ in range(count)]
-
-
 def times_s():
     """Seconds for the paper's cover: the process's first, others, from the cache; exact at 256 frequencies."""
     first = _seconds(lambda: solve(PAPER))
@@ -82,6 +77,11 @@ def _seconds(work):
     start = perf_counter()
     work()
     return perf_counter() - start
+
+
+def sweep(count, seed):
+    rng = np.random.default_rng(seed)
+    return [trial(random_stack(rng)) for _ in range(count)]
 
 
 def cover(stacks: int = 200, seed: int = 1) -> None:

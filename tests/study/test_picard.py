@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from typer.testing import CliRunner
 
 from tactiled.cli.app import app
@@ -8,15 +7,10 @@ from tactiled.study.picard import analyse
 from tactiled.study.skin import rubber
 
 
-@pytest.mark.parametrize("thickness", [0.5, 2.0])
-def test_less_noise_shows_more_modes(thickness):
-    clear = [analyse(rubber(thickness, 16), noise, 1).clear for noise in (0.05, 0.01, 0.001)]
-    assert clear == sorted(clear)
-    assert clear[0] < clear[2] or clear[0] == 256
-
-
-def test_a_thicker_cover_shows_fewer_modes_and_its_singular_values_fall_sooner():
-    thin, thick = (analyse(rubber(t, 16), 0.01, 1) for t in (0.5, 3.0))
+def test_less_noise_and_a_thinner_cover_show_more_modes():
+    coarse, thin = (analyse(rubber(0.5, 16), noise, 1) for noise in (0.2, 0.01))
+    thick = analyse(rubber(3.0, 16), 0.01, 1)
+    assert coarse.clear < thin.clear
     assert thick.clear < thin.clear
     assert thick.resolution_mm > thin.resolution_mm
     assert (np.diff(thin.singular) <= 0).all()
