@@ -1,6 +1,7 @@
 """`tactiled check`: whether a configuration is right, and what its cover will do to its array."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import typer
 from rich.console import Console
@@ -9,10 +10,11 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.build import SensorPlan
 from tactiled.cli import options
-from tactiled.cli.prepare import prepared
-from tactiled.config import tls
+from tactiled.config import load, tls
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.interop.foxglove import need
+from tactiled.runtime.service import Service
+from tactiled.runtime.state import StateFile, default_path
 
 NO_GAP_MM = 1e3  # wider than any array
 
@@ -32,6 +34,12 @@ def check(config: options.Config) -> None:
     typer.echo(f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}")
 
 
+def prepared(config: Path) -> Service:
+    """The service of a configuration file, all of it made and nothing started."""
+    settings = load(config)
+    return Service(settings, state=StateFile(settings.server.state or default_path(config)))
+
+
 def _count(named: Mapping[str, object], noun: str) -> str:
     plural = noun + ("es" if noun.endswith("s") else "s")
     return f"{len(named)} {noun if len(named) == 1 else plural}"
@@ -39,8 +47,8 @@ def _count(named: Mapping[str, object], noun: str) -> str:
 
 def _table(plan: SensorPlan, summary: CoverSummary) -> Table:
     """What a person wants to know of one sensor before it runs."""
-    table = Table(title=f"{plan.name}: {plan.codec_name} on {plan.bus}", show_header=False, title_justify="left")
-    array = plan.array
+    table, array = Table(show_header=False, title_justify="left"), plan.array
+    table.title = f"{plan.name}: {plan.codec_name} on {plan.bus}"
     shape = " x ".join(map(str, array.frame_shape))
     rows = {
         "array": f"{shape} taxels, pitch {array.pitch:g} mm, {array.aperture} aperture of {array.width:g} mm",

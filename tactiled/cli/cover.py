@@ -15,13 +15,12 @@ from rich.table import Table
 from tactiled.build import make_array, make_stack
 from tactiled.cli import options
 from tactiled.cli.check import summary_rows
-from tactiled.config import load
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.stack import Layer, Profile, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.errors import ConfigError
-from tactiled.geometry import Array, grid
+from tactiled.geometry import grid
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +63,8 @@ def cover(
     stack = _stack(layer, base) if layer else Stack((Layer(thickness, young, poisson), base))
     array = grid(1, 1, pitch)
     if config:
-        stack, array = _configured(config, sensor)
+        *_, configured = options.one_sensor(config, sensor)
+        stack, array = make_stack(configured), make_array(configured)
     q, rise = None if at is None else _frequencies(at), _profile(profile or [])
     if footprint is not None and model != "fem":
         raise ConfigError("--footprint needs --model fem: leave one of them out")
@@ -78,20 +78,25 @@ def cover(
     if footprint is not None:
         press = pressed(stack, footprint, accuracy, rise, lambda: perf_counter() > start + budget)
     if as_json:
-        print(json.dumps(_record(kernel, q, seconds, summary) | _press_record(footprint, press)))
+        footprints = {"footprint": {"radius": footprint} | asdict(press)} if press else {}
+        print(json.dumps(_record(kernel, q, seconds, summary) | footprints, default=np.ndarray.tolist))
     else:
         _show(kernel, q, seconds, summary, noise)
-        _show_press(footprint, press)
+        if press:
+            _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
 
 
-def _numbers(option: str, text: str) -> list[float]:
-    """Numbers with commas between them."""
+def _numbers(option: str, text: str, form: str = "", count: int | None = None) -> list[float]:
+    """Numbers with commas between them, `count` of them; ConfigError otherwise, which names their `form`."""
     try:
-        return [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError as error:
         raise ConfigError(f"--{option} {text}: give numbers with commas between them") from error
+    if len(numbers) != (count or len(numbers)):
+        raise ConfigError(f"--{option} {text}: give {form}")
+    return numbers
 
 
 def _frequencies(text: str) -> Floats:
@@ -104,46 +109,24 @@ def _frequencies(text: str) -> Floats:
 
 def _stack(texts: list[str], base: Layer) -> Stack:
     """The layers of every --layer over the sensor."""
-    layers = [_numbers("layer", text.removesuffix(",loose")) for text in texts]
-    for text, numbers in zip(texts, layers, strict=True):
-        if len(numbers) != 3:
-            raise ConfigError(
-                f"--layer {text}: give T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio"
-            )
+    form = "T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio"
+    layers = [Layer(*_numbers("layer", text.removesuffix(",loose"), form, 3)) for text in texts]
     bonds = (*(not text.endswith(",loose") for text in texts), True)
-    return Stack((*(Layer(*numbers) for numbers in layers), base), sensing=len(layers), bonds=bonds)
+    return Stack((*layers, base), sensing=len(layers), bonds=bonds)
 
 
 def _profile(texts: list[str]) -> Profile | None:
     """The points of every --profile."""
-    points = [_numbers("profile", text) for text in texts]
-    for text, point in zip(texts, points, strict=True):
-        if len(point) != 2:
-            raise ConfigError(f"--profile {text}: give R,RISE in mm")
+    points = [_numbers("profile", text, "R,RISE in mm", 2) for text in texts]
     return Profile(*zip(*points, strict=True)) if points else None
-
-
-def _configured(path: Path, name: str | None) -> tuple[Stack, Array]:
-    """Cover and array of a sensor of a configuration."""
-    sensors = load(path).sensor
-    sensor = sensors[options.choose("sensor", name, sensors)]
-    return make_stack(sensor), make_array(sensor)
-
-
-def _press_record(radius: float | None, press: Press | None) -> dict[str, Any]:
-    """What --footprint adds to --json."""
-    if press is None:
-        return {}
-    stress = {"r": press.r.tolist(), "stress": press.stress.tolist(), "error_estimate": press.error_estimate}
-    return {"footprint": {"radius": radius} | stress}
 
 
 def _record(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary) -> dict[str, Any]:
     """What --json prints; null stands for infinity, which JSON does not have."""
     return {
         "model": kernel.model,
-        "q": q.tolist(),
-        "gain": kernel.gain_at(q).tolist(),
+        "q": q,
+        "gain": kernel.gain_at(q),
         "error_estimate": kernel.error_estimate,
         "seconds": seconds,
         "mesh": kernel.mesh,
@@ -166,10 +149,8 @@ def _show(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary, nois
     typer.echo(f"error of the gain: {kernel.error_estimate:.1e} or less ({how}, {seconds * 1e3:.0f} ms)")
 
 
-def _show_press(radius: float | None, press: Press | None) -> None:
+def _show_press(radius: float | None, press: Press) -> None:
     """Print the stress under a footprint: in the middle, and how far out."""
-    if press is None:
-        return
     middle = press.stress[0]
     half, tenth = (press.r[np.flatnonzero(press.stress >= part * middle)[-1]] for part in (0.5, 0.1))
     typer.echo(

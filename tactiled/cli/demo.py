@@ -1,7 +1,7 @@
 """`tactiled demo`: the whole service without hardware, over python-can's virtual bus."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from secrets import token_urlsafe
 from threading import Event, Thread
 from typing import Annotated
@@ -49,17 +49,16 @@ def demo(
     config = demo_config(record, shear)
     with threadpool_limits(1):
         service = Service(config)
-        source = _recorded(record) if record else _simulated(config, scene, rate_hz)
+        source = _source(record, config, scene, rate_hz)
         with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove))
 
 
-def _recorded(record: str) -> Source:
-    path = recording.path(record)
-    return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
-
-
-def _simulated(config: Config, scene: str, rate_hz: float) -> Source:
+def _source(record: str | None, config: Config, scene: str, rate_hz: float) -> Source:
+    """What sends frames on the bus until an event."""
+    if record:
+        path = recording.path(record)
+        return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
     (sensor,) = config.sensor.values()
     source = simulated(sensor, scene, NOISE_KPA)
     return lambda sender, stop: play(source.messages, sender.send, rate_hz, stop)
@@ -67,11 +66,10 @@ def _simulated(config: Config, scene: str, rate_hz: float) -> Source:
 
 def _server(host: str, port: int, foxglove: int | None) -> Server:
     """Where to serve; beyond loopback with a token made for this run."""
-    if host in LOOPBACK:
-        return Server(host=host, port=port, foxglove=foxglove)
-    token = token_urlsafe(12)
-    print(f"tactiled: other machines open http://{host}:{port}/?token={token}")
-    return Server(host=host, port=port, foxglove=foxglove, control_token=SecretStr(token))
+    token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
+    if token:
+        print(f"tactiled: other machines open http://{host}:{port}/?token={token.get_secret_value()}")
+    return Server(host=host, port=port, foxglove=foxglove, control_token=token)
 
 
 def demo_config(record: str | None = None, shear: bool = False) -> Config:
@@ -89,13 +87,10 @@ def running(service: Service, config: Config, source: Source) -> Iterator[None]:
     (bus,) = config.bus.values()
     sender = open_bus(**bus.settings())
     thread = Thread(target=source, args=(sender, stop), name="sender", daemon=True)
-    try:
-        with service.running():
-            thread.start()
-            try:
-                yield
-            finally:
-                stop.set()
-                thread.join()
-    finally:
-        sender.close()
+    with closing(sender), service.running():
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()

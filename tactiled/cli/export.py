@@ -22,9 +22,9 @@ from tactiled.cli import options
 from tactiled.cli.export_arrays import LOSS_KINDS, Hdf5Export, NpzExport
 from tactiled.cli.export_mcap import McapExport
 from tactiled.cli.replay import one_bus
-from tactiled.config import Config, load
+from tactiled.config import Config
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Image, Message
+from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Message
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.units import LENGTH, PRESSURE
 
@@ -54,8 +54,7 @@ def export(
     sensor: options.Sensor = None,
 ) -> None:
     """Restore every frame of a recording into a file of arrays, or into one for Foxglove."""
-    settings = load(config)
-    name = options.choose("sensor", sensor, settings.sensor)
+    settings, name, one = options.one_sensor(config, sensor)
     if out.suffix not in FORMATS:
         raise ConfigError(f"{out}: unsupported format; use {', '.join(FORMATS)}")
     extra, packages = EXTRAS.get(out.suffix, ("", []))
@@ -70,7 +69,7 @@ def export(
         options.new_file(out) as part,
         TemporaryDirectory(prefix=".tactiled-", dir=out.parent) as folder,
     ):
-        plan = sensor_plan(name, settings.sensor[name])
+        plan = sensor_plan(name, one)
         with closing(FORMATS[out.suffix](part, Path(folder), plan)) as target:
             count = _fill(target, recording, plan, settings, config)
     typer.echo(
@@ -82,14 +81,14 @@ def _fill(target: Export, recording: Recording, plan: SensorPlan, settings: Conf
     """Write everything; returns the number of frames."""
     neighbours = one_bus(settings, plan.bus).sensor
     router = Router({key: make_codec(each) for key, each in neighbours.items()})
-    count = 0
-    for image in _images(_tapped(recording, target.add_message), router, plan):
-        target.add_image(image)
-        count += 1
+    pipeline, count = Pipeline(plan), 0
+    for name, frame in frames(_tapped(recording, target.add_message), router):
+        if name == plan.name:
+            target.add_image(pipeline.process(frame))
+            count += 1
     if not count:
-        raise ConfigError(
-            f"recording {recording.path}: holds no frame of sensor {plan.name} ({recording.summary()})"
-        )
+        where = f"recording {recording.path}"
+        raise ConfigError(f"{where}: holds no frame of sensor {plan.name} ({recording.summary()})")
     provenance = _provenance(recording, plan) | {"loss": asdict(router.assemblers[plan.name].loss)}
     provenance["config"] = {"file": config.name} | settings.model_dump(mode="json", exclude={"server"})
     target.finish(provenance)
@@ -101,11 +100,6 @@ def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Me
     for message in recording:
         tap(message)
         yield message
-
-
-def _images(messages: Iterator[Message], router: Router, plan: SensorPlan) -> Iterator[Image]:
-    pipeline = Pipeline(plan)
-    return (pipeline.process(frame) for name, frame in frames(messages, router) if name == plan.name)
 
 
 def _sha256(recording: Path) -> str:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tactiled.config import load, schema
 from tactiled.errors import ConfigError, TactileError
 from tactiled.files import atomic_write
 
@@ -34,6 +35,13 @@ def choose(option: str, name: str | None, available: Collection[str]) -> str:
     if name is not None and name not in available:
         raise ConfigError(f"--{option} {name}: no such {option}: choose one of {', '.join(available)}")
     return name or next(iter(available))
+
+
+def one_sensor(config: Path, name: str | None) -> tuple[schema.Config, str, schema.Sensor]:
+    """A configuration, and the sensor of it that --sensor names, or the only one."""
+    settings = load(config)
+    name = choose("sensor", name, settings.sensor)
+    return settings, name, settings.sensor[name]
 
 
 def present(**options: Any) -> dict[str, Any]:

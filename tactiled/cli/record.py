@@ -1,5 +1,6 @@
 """`tactiled record`: a bus's raw traffic into a file."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,16 +38,12 @@ def record(
     """Record all messages of a bus to a file, also of other devices, and error frames."""
     settings = load(config) if config else None
     keys = options.present(channel=channel, bitrate=bitrate, fd=fd or None)
-    reader = open_bus(**_bus(settings, bus, interface, keys))
     if leave_mb is None:
         leave_mb = (settings.server if settings else Server()).recordings_leave_mb
-    try:
-        with interrupted() as stop:
-            recorder = Recorder(out, leave_mb=leave_mb)
-            typer.echo(f"{reader.label}: recording to {out}: press Ctrl-C to stop")
-            written = record_bus(reader, recorder, stop, float("inf") if seconds is None else seconds)
-    finally:
-        reader.close()
+    with closing(open_bus(**_bus(settings, bus, interface, keys))) as reader, interrupted() as stop:
+        recorder = Recorder(out, leave_mb=leave_mb)
+        typer.echo(f"{reader.label}: recording to {out}: press Ctrl-C to stop")
+        written = record_bus(reader, recorder, stop, float("inf") if seconds is None else seconds)
     unreadable = f", and {reader.unreadable} that could not be decoded" if reader.unreadable else ""
     typer.echo(f"{out}: {written} messages{unreadable}")
 

@@ -19,7 +19,6 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import sensor_plan
 from tactiled.cli import options
 from tactiled.cli.app import EXIT_INTERRUPTED, interrupted
-from tactiled.config import load
 from tactiled.errors import ConfigError
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.offline import FrameInfo, Offline, create, open_frames, write
@@ -41,9 +40,8 @@ def restore(
     _refuse_same(out, "--out", {"--config": config})
     if stats is not None:
         _refuse_same(stats, "--stats", {"--config": config, "FRAMES": frames, "--out": out})
-    settings = load(config)
-    name = options.choose("sensor", sensor, settings.sensor)
-    plan = sensor_plan(name, settings.sensor[name])
+    _, name, one = options.one_sensor(config, sensor)
+    plan = sensor_plan(name, one)
     kpa = open_frames(frames, plan)
     console = Console(stderr=True)
     with threadpool_limits(1), interrupted() as stop, ExitStack() as stack:

@@ -4,7 +4,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
-from tactiled.cli.prepare import prepared
+from tactiled.cli.check import prepared
 from tactiled.web.server import serve
 
 

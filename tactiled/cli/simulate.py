@@ -1,6 +1,7 @@
 """`tactiled simulate`: a covered array that is only computed, on any bus that python-can opens."""
 
 import time
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -49,14 +50,11 @@ def simulate(
     pace = "whenever it is asked" if polled else f"at {rate_hz:g} Hz"
     typer.echo(f"{name}: {scene} on {sender.label} {pace}: press Ctrl-C to stop")
     began, limit_s = time.monotonic(), float("inf") if seconds is None else seconds
-    try:
-        with threadpool_limits(1), interrupted() as stop:
-            if polled:
-                count = answer(source, sender.receive, sender.send, stop, limit_s)
-            else:
-                count = play(source.messages, sender.send, rate_hz, stop, limit_s)
-    finally:
-        sender.close()
+    with closing(sender), threadpool_limits(1), interrupted() as stop:
+        if polled:
+            count = answer(source, sender.receive, sender.send, stop, limit_s)
+        else:
+            count = play(source.messages, sender.send, rate_hz, stop, limit_s)
     done = f"answered {count} requests" if polled else f"sent {count} frames of {source.codec.segments} messages"
     typer.echo(f"{done} in {time.monotonic() - began:.1f} s")
 

@@ -2,6 +2,8 @@
 
 import json
 import time
+from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -82,15 +84,11 @@ def sniff(
 
 def _listen(settings: dict[str, Any], seconds: float) -> list[Message]:
     """The messages on a bus in so many seconds, or until Ctrl-C."""
-    reader = open_bus(**settings)
     messages: list[Message] = []
-    try:
-        with interrupted() as stop:
-            end = time.monotonic() + seconds
-            while not stop.is_set() and (rest := end - time.monotonic()) > 0 and len(messages) < MAX_MESSAGES:
-                messages += reader.batch(min(rest, READ_S))
-    finally:
-        reader.close()
+    with closing(open_bus(**settings)) as reader, interrupted() as stop:
+        end = time.monotonic() + seconds
+        while not stop.is_set() and (rest := end - time.monotonic()) > 0 and len(messages) < MAX_MESSAGES:
+            messages += reader.batch(min(rest, READ_S))
     return messages
 
 
@@ -125,9 +123,9 @@ def configuration(result: Survey, settings: dict[str, Any]) -> str:
     bus = str(settings.get("channel", ""))
     bus = bus if bus.isalnum() and bus.isascii() and len(bus) <= 64 else "can0"
     text = HEAD.format(bus=bus, settings=_lines(settings))
-    numbers: dict[str, int] = {}
+    numbers: Counter[str] = Counter()
     for one in result.senders:
-        numbers[one.name] = numbers.get(one.name, 0) + 1
+        numbers[one.name] += 1
         text += _sensor(one, f"{one.name}{numbers[one.name]}", bus)
     parse(text, "sniffed")  # what is written can be read
     return text

@@ -106,6 +106,10 @@ def test_the_index_and_the_readme_name_every_page():
         assert {f"{folder}{path.name}" for path in PAGES[1:] if path != page} <= names
 
 
+def test_the_readme_is_short():
+    assert len(README.read_text("utf-8").splitlines()) <= 300
+
+
 @by_page
 def test_toml_can_be_read(path):
     for text in re.findall(r"```toml\n(.*?)```", path.read_text("utf-8"), re.DOTALL):
