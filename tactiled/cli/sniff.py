@@ -28,7 +28,7 @@ HEAD = """\
 {settings}
 """
 SENSOR = """
-# {description}: {taxels} taxels, {rate_hz:.1f} frames a second.
+# {match.description}: {match.codec.size} taxels, {one.rate_hz:.1f} frames a second.
 [sensor.{name}]
 bus = "{bus}"
 method = "auto"
@@ -42,7 +42,7 @@ young_mpa = 0.5
 poisson = 0.48
 
 [sensor.{name}.calibration]
-no_load = {no_load}  # median of what came: right if most of the array was not touched
+no_load = {one.no_load}  # median of what came: right if most of the array was not touched
 # kpa_per_count = 0.05  # EDIT: without it one count is shown as one kPa
 """
 ARRAY = """
@@ -99,10 +99,8 @@ def report(result: Survey, count: int, seconds: float) -> list[str]:
         match, lost = one.match, f", {one.lost} messages lost" if one.lost else ""
         ids = [f"{id_:#x}" for id_, _ in match.keys]
         on = f"id {ids[0]}" if len(ids) == 1 else f"ids {ids[0]} to {ids[-1]}"
-        lines.append(
-            f"{match.description}: {match.codec.size} taxels, {match.codec.segments} messages a frame on {on},"
-            f" {one.rate_hz:.1f} frames a second{lost}"
-        )
+        size = f"{match.codec.size} taxels, {match.codec.segments} messages a frame on {on}"
+        lines.append(f"{match.description}: {size}, {one.rate_hz:.1f} frames a second{lost}")
         lines += [f"  {note}" for note in match.notes]
     if not result.senders:
         lines.append(
@@ -136,16 +134,8 @@ def _sensor(one: Sender, name: str, bus: str) -> str:
     if match.shape is not None:
         rows, columns = match.shape
         array = ARRAY.format(name=name, rows=rows, columns=columns, pitch_mm=match.pitch_mm)
-    return SENSOR.format(
-        name=name,
-        bus=bus,
-        description=match.description,
-        taxels=match.codec.size,
-        rate_hz=one.rate_hz,
-        codec=_lines({"name": one.name} | match.settings) + "".join(f"\n# {note}" for note in match.notes),
-        array=array,
-        no_load=one.no_load,
-    )
+    codec = _lines({"name": one.name} | match.settings) + "".join(f"\n# {note}" for note in match.notes)
+    return SENSOR.format(name=name, bus=bus, one=one, match=match, codec=codec, array=array)
 
 
 def _lines(settings: dict[str, Any]) -> str:

@@ -5,65 +5,52 @@ from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 
-COUNTS = np.array([100, 300, 4095, 50], np.uint16)
+NAN = float("nan")
+COUNTS = (100, 300, 4095, 50)
 CLEAR = np.zeros(4, np.uint8)
 
 
-def test_counts_become_kpa_by_offset_and_gain():
-    pressure, flags = Calibrator(Calibration(kpa_per_count=0.5, no_load=100), 4)(COUNTS, CLEAR)
-    np.testing.assert_array_equal(pressure, np.float32([0, 100, 1997.5, -25]))
+@pytest.mark.parametrize(
+    ("calibration", "counts", "flags", "kpa", "flagged"),
+    [
+        (Calibration(0.5, no_load=100), COUNTS, 0, (0, 100, 1997.5, -25), 0),
+        # a negative gain: counts fall under pressure
+        (Calibration(-1.0, 240, 60), (240, 100, 60, 12), 0, (0, 140, 180, 228), (0, 0, SATURATED, SATURATED)),
+        (Calibration(1.0, saturation=4095), COUNTS, 0, COUNTS, (0, 0, SATURATED, 0)),
+        (Calibration(), COUNTS, (0, MISSING, 0, BAD), (100, NAN, 4095, NAN), (0, MISSING, 0, BAD)),
+        (Calibration(dead=(3,)), COUNTS, 0, (100, 300, 4095, NAN), (0, 0, 0, DEAD)),
+    ],
+)
+def test_counts_become_kpa_and_what_is_wrong_with_a_taxel_is_flagged(calibration, counts, flags, kpa, flagged):
+    before = CLEAR + np.uint8(flags)
+    pressure, after = Calibrator(calibration, 4)(np.array(counts, np.uint16), before)
+    np.testing.assert_array_equal(pressure, np.float32(kpa))
+    np.testing.assert_array_equal(after, CLEAR + np.uint8(flagged))
+    np.testing.assert_array_equal(before, CLEAR + np.uint8(flags))  # the caller's are not written to
     assert pressure.dtype == np.float32
-    assert not flags.any()
-
-
-def test_a_negative_gain_means_that_counts_fall_under_pressure():
-    pressure, flags = Calibrator(Calibration(-1.0, no_load=240, saturation=60), 4)(
-        np.array([240, 100, 60, 12], np.uint16), CLEAR
-    )
-    np.testing.assert_array_equal(pressure, np.float32([0, 140, 180, 228]))
-    np.testing.assert_array_equal(flags, [0, 0, SATURATED, SATURATED])
-
-
-def test_a_saturated_taxel_keeps_its_value_and_is_flagged():
-    pressure, flags = Calibrator(Calibration(1.0, saturation=4095), 4)(COUNTS, CLEAR)
-    np.testing.assert_array_equal(flags, [0, 0, SATURATED, 0])
-    assert pressure[2] == 4095
-
-
-@pytest.mark.parametrize("flag", [MISSING, BAD])
-def test_an_unknown_taxel_is_nan(flag):
-    pressure, _ = Calibrator(Calibration(), 4)(COUNTS, np.array([0, flag, 0, 0], np.uint8))
-    np.testing.assert_array_equal(np.isnan(pressure), [False, True, False, False])
-
-
-def test_a_dead_taxel_is_nan_and_flagged_in_every_frame():
-    pressure, flags = Calibrator(Calibration(dead=(3,)), 4)(COUNTS, CLEAR)
-    assert np.isnan(pressure[3])
-    assert flags[3] == DEAD
-    assert not CLEAR.any()  # the caller's flags are not written to
 
 
 def test_tare_moves_the_zero_of_known_taxels():
     calibrator = Calibrator(Calibration(2.0, no_load=10), 4)
     calibrator.tare(np.array([20.5, np.nan, 4000.0, 50.0]))
-    pressure, _ = calibrator(COUNTS, CLEAR)
+    pressure, _ = calibrator(np.array(COUNTS, np.uint16), CLEAR)
     np.testing.assert_array_equal(pressure, np.float32([159, 580, 190, 0]))
 
 
 @pytest.mark.parametrize(
-    ("settings", "names"),
+    ("key", "value"),
     [
-        ({"kpa_per_count": 0.0}, "kpa_per_count is 0.0"),
-        ({"kpa_per_count": float("nan")}, "kpa_per_count is nan"),
-        ({"no_load": float("inf")}, "no_load is inf"),
-        ({"noise_kpa": -1.0}, "noise_kpa is -1.0"),
-        ({"shear_n_per_count": 0.0}, "shear_n_per_count is 0.0"),
-        ({"shear_n_per_count": float("inf")}, "shear_n_per_count is inf"),
+        ("kpa_per_count", 0.0),
+        ("kpa_per_count", NAN),
+        ("no_load", float("inf")),
+        ("noise_kpa", -1.0),
+        ("shear_n_per_count", 0.0),
+        ("shear_n_per_count", float("inf")),
     ],
 )
-def test_an_impossible_calibration_is_refused(settings, names):
-    with pytest.raises(ConfigError, match=names):
-        Calibration(**settings)
+def test_an_impossible_calibration_is_refused(key, value):
+    with pytest.raises(ConfigError, match=f"{key} is {value}"):
+        Calibration(**{key: value})
 
 
 def test_a_dead_taxel_that_the_array_does_not_have_is_refused():

@@ -68,12 +68,9 @@ def test_offsets_of_which_a_tenth_read_zero_by_chance_rarely_pass_for_a_load(blu
     assert sum(map(bool, descriptions)) <= 2
 
 
-def test_an_offset_that_tilts_over_the_array_is_no_load(blur, observe):
+def test_a_tilt_and_a_tare_under_load_are_no_load(blur, observe, disc):
     for common in OFFSETS:
         assert observe(offset=common + np.linspace(-20, 20, blur.frame_shape[1])) == ""
-
-
-def test_readings_below_zero_after_a_tare_under_load_are_no_load(blur, observe, disc):
     assert observe(offset=-blur.forward(disc(50.0, 0.3).astype(np.float32))) == ""
 
 

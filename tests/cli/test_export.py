@@ -68,10 +68,10 @@ def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, c
     assert about["config"]["bus"] == {"can0": bus}
 
 
-@pytest.mark.parametrize("ending", ["npz", "h5", "mcap"])
-def test_the_same_export_is_the_same_file(tmp_path, config, lossy, ending):
-    one, other = (exported(lossy, config, tmp_path / f"{name}.{ending}") for name in "ab")
-    assert one.read_bytes() == other.read_bytes()
+def test_the_same_export_is_the_same_file(tmp_path, config, lossy):
+    for ending in ("npz", "h5", "mcap"):
+        one, other = (exported(lossy, config, tmp_path / f"{name}.{ending}") for name in "ab")
+        assert one.read_bytes() == other.read_bytes(), ending
 
 
 def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):

@@ -1,7 +1,5 @@
-import json
 import re
 import subprocess
-import urllib.request
 from dataclasses import fields
 from threading import Event
 
@@ -12,12 +10,11 @@ from tactiled.bus.recording import Recording
 from tactiled.bus.replay import Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
-from tactiled.config import Server, parse
+from tactiled.config import parse
 from tactiled.frames import Image, Message
-from tactiled.web.server import running
 from tests.cli.commands import TACTILED, refusal
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
-from tests.conftest import BUSY_S, Clock, ask, until
+from tests.conftest import BUSY_S, Clock, ask, problem, until
 
 
 def images(path, speed=0.0):
@@ -167,24 +164,17 @@ def test_wrong_arguments_are_refused(tmp_path, lossy, config):
     assert message == "bus b: no sensor of the configuration is on it"
 
 
-def test_the_command_serves_the_recordings_images(lossy, config):
+def test_the_command_serves_the_recordings_images_and_records_no_bus(tmp_path, lossy, config):
+    config.write_text(f'[server]\nrecordings = "{tmp_path}"\n{CONFIG}')
     command = [*TACTILED, "replay", str(lossy), "--config", str(config), "--port", "0", "--speed", "0"]
-    config.write_text(CONFIG)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    output = ""
-    while not (url := re.search(r"http://\S+/", output)) or "a.log has ended after 177 messages" not in output:
+    output, ended = "", "a.log has ended after 177 messages"
+    while not (url := re.search(r"http://\S+/", output)) or ended not in output:
         output += process.stdout.readline()
-    with urllib.request.urlopen(f"{url[0]}api/v1/sensors") as answer:
-        assert "a.log has ended after 177 messages" in json.dumps(json.load(answer))
+    api = f"{url[0]}api/v1"
+    assert ended in ask("GET", f"{api}/sensors").text
+    refused = ask("POST", f"{api}/recordings", json={"bus": "can0"})
+    assert problem(refused, 409) == "bus can0: is not open: this service replays a recording"
+    assert [each["name"] for each in ask("GET", f"{api}/recordings").json()["recordings"]] == ["a.log"]
     process.terminate()
     process.communicate()
-
-
-def test_a_replay_lists_recordings_and_records_no_bus(tmp_path, lossy):
-    service = replaying(parse(CONFIG.replace("socketcan", "virtual")), lossy, 0.0)
-    with running(service, Server(port=0, recordings=tmp_path)) as url:
-        refused = ask("POST", f"{url}/api/v1/recordings", json={"bus": "can0"})
-        listed = ask("GET", f"{url}/api/v1/recordings").json()
-    assert (refused.status_code, refused.headers["content-type"]) == (409, "application/problem+json")
-    assert refused.json()["detail"] == "bus can0: is not open: this service replays a recording"
-    assert [each["name"] for each in listed["recordings"]] == ["a.log"]

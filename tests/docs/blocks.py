@@ -4,17 +4,12 @@ import re
 from functools import cache
 from pathlib import Path
 
-from tests.docs import examples, tables
+from tests.docs import examples, tables  # noqa: F401  # whose blocks register
+from tests.docs.markdown import BLOCKS
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "tactiled/docs"
 BLOCK = re.compile(r"(<!-- begin: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-BLOCKS = {
-    name.replace("_", "-"): function
-    for module in (examples, tables)
-    for name, function in vars(module).items()
-    if getattr(function, "is_block", False)
-}
 
 
 def pages():

@@ -2,20 +2,18 @@
 
 from functools import wraps
 
+BLOCKS = {}  # functions that give the lines of a block, by its name
+
 
 def is_block(function):
     """Mark a function whose name with - for _ is that of a block."""
-    function.is_block = True
+    BLOCKS[function.__name__.replace("_", "-")] = function
     return function
 
 
 def is_table(*head):
     """Mark a function whose rows are a block of the guide, under this head."""
-
-    def wrap(rows):
-        return is_block(wraps(rows)(lambda: table(head, rows())))
-
-    return wrap
+    return lambda rows: is_block(wraps(rows)(lambda: table(head, rows())))
 
 
 def fenced(lines):

@@ -14,8 +14,8 @@ from tactiled.frames import Loss
 from tactiled.restore import auto, points
 from tactiled.restore import methods as method_table
 from tactiled.runtime.events import Kind
-from tests.docs.blocks import BLOCK, BLOCKS, GUIDE, ROOT, pages, printed
-from tests.docs.markdown import code
+from tests.docs.blocks import BLOCK, GUIDE, ROOT, pages, printed
+from tests.docs.markdown import BLOCKS, code
 
 PAGES = pages()
 README = PAGES[0]
@@ -45,7 +45,6 @@ NAMES = {
     ("api.md", "`kind`"): {*map(code, get_args(Kind))},
     ("restoration.md", "`method`"): {*map(code, method_table.METHODS)},
     ("restoration.md", "`why`"): {*reasons()},
-    ("restoration.md", "`code`"): {*map(code, TEXTS)},
 }  # page and head of a table whose first column names everything of one kind
 
 
