@@ -21,6 +21,8 @@ Key = tuple[int, bool]  # CAN id, whether it has 29 bits
 class Codec(ABC):
     """Messages of one array to counts and back."""
 
+    modulus: int | None = None  # number at which the sequence counter wraps; None where the skin sends none
+
     @cached_property
     def size(self) -> int:
         """Taxels in a frame."""
@@ -40,11 +42,6 @@ class Codec(ABC):
     def ids(self) -> frozenset[Key]:
         """The (id, whether it has 29 bits) of the messages that it reads."""
         raise NotImplementedError
-
-    @cached_property
-    def modulus(self) -> int | None:
-        """Number at which the sequence counter wraps; None where the skin sends none."""
-        return None
 
     @cached_property
     def ordered(self) -> int:

@@ -13,7 +13,7 @@ from typing import Any
 from tactiled.bus import driver_errors, error_frames
 from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
-from tactiled.bus.socketcan import ERROR, EXTENDED, REMOTE, FrameReader
+from tactiled.bus.socketcan import ERROR, EXTENDED, REMOTE, Frame, FrameReader
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -42,7 +42,9 @@ class Reader:
     def __init__(self, bus: BusABC, label: str, redact: Callable[[str], str] = str) -> None:
         self._bus, self.label, self._redact = bus, label, redact
         self._socket = _socket(bus)
-        self._frames = _frame_reader(bus, self._socket)
+        self._frames: FrameReader | None = None  # faster; it does not know the filters of python-can itself
+        if self._socket and isinstance(bus, SocketcanBus) and bus._is_filtered:
+            self._frames = FrameReader(self._socket.fileno()) if FrameReader.supported(self._socket) else None
         self._waiting: deque[Message] = deque()  # taken from the bus, not yet received
         self._dropped = 0  # messages, when last counted
         self.errors = 0  # error frames
@@ -98,11 +100,12 @@ class Reader:
         """The data frames that have come, or come first within `timeout` (s); BusError where the bus is gone."""
         if self._frames is None:
             frame = self.frame(timeout)
-            return [] if frame is None else self._data_frames(frame)
-        try:
-            frames = self._frames.read(timeout)
-        except OSError as error:
-            raise _bus_error(error, self.label, self._redact) from error
+            frames = [] if frame is None else [_raw(frame)]
+        else:
+            try:
+                frames = self._frames.read(timeout)
+            except OSError as error:
+                raise _bus_error(error, self.label, self._redact) from error
         messages = []
         for stamp, id_, data, fd in frames:
             if id_ & (ERROR | REMOTE):
@@ -113,27 +116,12 @@ class Reader:
             messages.append(Message(stamp, id_ & (EXTENDED_ID if extended else STANDARD_ID), data, extended, fd))
         return messages
 
-    def _data_frames(self, frame: CanMessage) -> list[Message]:
-        """The message of one frame from python-can; none of an error or remote frame, which is counted."""
-        data = bytes(frame.data)
-        if frame.is_error_frame or frame.is_remote_frame:
-            self._count_special(frame.arbitration_id, data, frame.is_error_frame)
-            return []
-        self.off = None
-        return [Message(frame.timestamp, frame.arbitration_id, data, frame.is_extended_id, frame.is_fd)]
-
     def send(self, message: Message) -> None:
         """Put one data frame on the bus; BusError where it does not take it."""
         try:
-            self._bus.send(
-                CanMessage(
-                    arbitration_id=message.id,
-                    data=message.data,
-                    is_extended_id=message.extended,
-                    is_fd=message.fd,
-                    bitrate_switch=message.fd,
-                )
-            )
+            id_, extended, fd = message.id, message.extended, message.fd
+            frame = CanMessage(0.0, id_, extended, data=message.data, is_fd=fd, bitrate_switch=fd)
+            self._bus.send(frame)
         except Exception as error:  # a driver whose device was unplugged raises what it likes
             raise _bus_error(error, self.label, self._redact) from error
 
@@ -225,16 +213,10 @@ def _socket(bus: BusABC) -> socket.socket | None:
     return handle
 
 
-def _frame_reader(bus: BusABC, handle: socket.socket | None) -> FrameReader | None:
-    """A faster way to read SocketCAN where there is one; python-can's own filters it does not know."""
-    if (
-        handle is None
-        or not isinstance(bus, SocketcanBus)
-        or not FrameReader.supported(handle)
-        or not bus._is_filtered
-    ):
-        return None
-    return FrameReader(handle.fileno())
+def _raw(frame: CanMessage) -> Frame:
+    """A frame of python-can as the kernel has it."""
+    flags = EXTENDED * frame.is_extended_id | REMOTE * frame.is_remote_frame | ERROR * frame.is_error_frame
+    return Frame(frame.timestamp, frame.arbitration_id | flags, bytes(frame.data), frame.is_fd)
 
 
 def _bus_error(error: Exception, label: str, redact: Callable[[str], str]) -> BusError:

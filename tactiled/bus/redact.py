@@ -79,20 +79,21 @@ def _redacted(address: str) -> str:
 
 def reveal(value: Any) -> Any:
     """A setting, or a table or list of them, as the other package wants it."""
-    if isinstance(value, Secret):
-        return value.reveal()
-    if isinstance(value, dict):
-        return {key: reveal(each) for key, each in value.items()}
-    return [reveal(each) for each in value] if isinstance(value, list) else value
+    return _opened(value, Secret.reveal)
 
 
 def show(value: Any) -> Any:
     """A setting, or a table or list of them, as it may be printed."""
+    return _opened(value, str)
+
+
+def _opened(value: Any, replace: Callable[[Secret], Any]) -> Any:
+    """A setting, or a table or list of them, with every Secret replaced."""
     if isinstance(value, dict):
-        return {key: show(each) for key, each in value.items()}
+        return {key: _opened(each, replace) for key, each in value.items()}
     if isinstance(value, list):
-        return [show(each) for each in value]
-    return str(value) if isinstance(value, Secret) else value
+        return [_opened(each, replace) for each in value]
+    return replace(value) if isinstance(value, Secret) else value
 
 
 def redactor(settings: Mapping[str, Any]) -> Callable[[str], str]:
@@ -121,11 +122,8 @@ def _texts(value: Any, inside: bool = False) -> Iterator[tuple[str, str]]:
             yield text, str(value)
             public = {HIDDEN, *SEPARATORS.split(str(value))}
             yield from ((part, HIDDEN) for part in SEPARATORS.split(text) if "://" in text and part not in public)
-    elif isinstance(value, dict):
-        for each in value.values():
-            yield from _texts(each, inside)
-    elif isinstance(value, list):
-        for each in value:
+    elif isinstance(value, dict | list):
+        for each in value.values() if isinstance(value, dict) else value:
             yield from _texts(each, inside)
     elif inside:
         yield str(value), HIDDEN

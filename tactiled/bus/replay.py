@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import chain
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread
 
@@ -51,17 +50,13 @@ class Replay:
             )
         self._recording, self._router = Recording(path), Router(codecs)
         self._take, self._speed, self._ended, self._stepped = take, speed, ended, stepped
-        self._messages: Iterator[Message] = iter(())
         self._stop = Event()
         self._thread = Thread(target=self._run, name=f"replay {path.name}", daemon=True)
 
     def start(self) -> None:
         """Start to play; ConfigError where there is nothing to play."""
-        messages = iter(self._recording)
-        first = next(messages, None)
-        if first is None:
+        if next(iter(Recording(self._recording.path)), None) is None:
             raise ConfigError(f"recording {self._recording.path}: holds no data frame: nothing to replay")
-        self._messages = chain((first,), messages)
         self._thread.start()
 
     def stop(self) -> None:
@@ -87,7 +82,7 @@ class Replay:
     def _paced(self) -> Iterator[Message]:
         """The messages, each when it is due."""
         began, pace = time.monotonic(), self._recording.pace
-        for message in self._messages:
+        for message in self._recording:
             due = began + pace.now / self._speed if self._speed else began
             wait = min(max(0.0, due - time.monotonic()), TIMEOUT_MAX)
             if self._recording.step:

@@ -3,12 +3,12 @@
 import difflib
 import logging
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import asdict, is_dataclass
 from importlib import import_module
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -87,7 +87,7 @@ def make(name: str, skin: Skin, array: Array) -> Codec:
         codec = skin.codec(array)
         _try_out(codec)
     except Exception as error:
-        reason = _redactor(name, _table(skin))(_line(error))
+        reason = _redactor(name, asdict(cast(Any, skin)))(_line(error))
         package = "" if name in BUILT_IN else f"{name!r} of {_packages(entry_points(group=GROUP), name)}: "
         raise ConfigError(f"{package}{reason}") from error
     return codec
@@ -110,10 +110,6 @@ def _try_out(codec: Codec) -> None:
     decoded, _ = unpacked(codec, payloads)
     if wrong := np.flatnonzero(decoded != counts).tolist():
         raise ConfigError(f"taxel {wrong[0]} was encoded as {counts[wrong[0]]} and decoded as {decoded[wrong[0]]}")
-
-
-def _table(skin: Skin) -> dict[str, Any]:
-    return {each.name: getattr(skin, each.name) for each in fields(skin)}  # type: ignore[arg-type]
 
 
 def _redactor(name: str, table: Mapping[str, Any]) -> Callable[[str], str]:

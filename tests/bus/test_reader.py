@@ -61,7 +61,7 @@ class Socketcan(SocketcanBus):
 
     def __init__(self, frames, end=None):
         self.frames, self.end = list(frames), end
-        self._is_shutdown = True
+        self._is_shutdown, self._is_filtered = True, True
 
     def fileno(self):
         if self.end is None:
