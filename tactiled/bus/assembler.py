@@ -122,10 +122,13 @@ class Assembler:
             again = step == 0 and self._closed[reading.segment] is not None
             self.count("repeated" if again else "late")
             return ()
-        closed = self._begin(reading, step) if step else ()
         frame = self._open
-        if frame is None:  # a step begins a frame, and without one there was a frame
-            return closed
+        closed: tuple[RawFrame, ...] = ()
+        if step or frame is None:
+            closed = self._close()
+            self.count("lost", (step - 1) * self.codec.segments)
+            self._wire, self._sequence = reading.sequence, self._sequence + step
+            frame = self._open = _Open(self.codec, reading)
         if (payload := frame.payloads[reading.segment]) is not None:
             self.count("repeated")
             if payload != reading.payload:
@@ -158,14 +161,6 @@ class Assembler:
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
         again = any(each is not None for each in frame.payloads[segment:end])
         return again or (self._cycle is not None and self._cycle.wraps(frame.arrivals[-1][0], segment))
-
-    def _begin(self, reading: Reading, step: int) -> tuple[RawFrame, ...]:
-        """Close the open frame, count the frames between as lost, open the reading's own."""
-        closed = self._close() if self._open is not None else ()
-        self.count("lost", (step - 1) * self.codec.segments)
-        self._wire, self._sequence = reading.sequence, self._sequence + step
-        self._open = _Open(self.codec, reading)
-        return closed
 
     def _close(self) -> tuple[RawFrame, ...]:
         frame, self._open = self._open, None

@@ -147,17 +147,18 @@ class Recorder:
 
     def check(self) -> None:
         """TactileError where the recording has ended before its time."""
-        if self._fault is not None:
-            raise TactileError(f"{self.path}: {self._fault}: the recording ends early: see that there is room")
+        self._raise(": see that there is room")
 
     def close(self) -> None:
         """Write what waits and close the file; TactileError where not all of it is on the disk."""
         self._queue.put(None)
         self._thread.join()
+        self._raise(f", after {self.written} messages")
+
+    def _raise(self, more: str) -> None:
+        """TactileError where there is a fault."""
         if self._fault is not None:
-            raise TactileError(
-                f"{self.path}: {self._fault}: the recording ends early, after {self.written} messages"
-            )
+            raise TactileError(f"{self.path}: {self._fault}: the recording ends early{more}")
 
     def _run(self) -> None:
         try:

@@ -14,6 +14,16 @@ from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import Message
 
+CONFIG = """
+[bus.can0]
+interface = "virtual"
+[sensor.skin]
+bus = "can0"
+codec = {{ {codec} }}
+array = {{ {array} }}
+cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
+kernel = {{ model = "layered" }}
+"""
 DBC = Path(__file__).parent / "skin.dbc"
 GRID = ("Row0.T0_0", "Row0.T0_1", "Row0.T0_2", "Row1.T1_0", "Row1.T1_1", "Row1.T1_2")
 CODECS = {

@@ -12,7 +12,7 @@ from tactiled.bus.codecs.dbc import Dbc, expand
 from tactiled.config import load
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, Message
-from tests.bus.skins import CODECS, DBC, GRID, payloads_of
+from tests.bus.skins import CODECS, CONFIG, DBC, GRID, payloads_of
 
 PAGE = 0x18FF0065
 FLOATS = Dbc(DBC, ("Floats.F1", "Floats.Offset", "Floats.F0"))
@@ -88,15 +88,6 @@ def test_a_count_that_does_not_fit_is_refused(codec, counts, reason):
         codec.encode(np.array(counts, np.float32), 0, 0.0)
 
 
-CONFIG = """
-[bus.can0]
-interface = "virtual"
-[sensor.skin]
-bus = "can0"
-codec = {{ name = "dbc", {codec} }}
-array = {{ {array} }}
-cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
-"""
 ROWS = "rows = 2, columns = 3, pitch_mm = 4.0"
 TEMPLATE = 'taxels = "Row{row}.T{row}_{column}"'
 
@@ -104,7 +95,7 @@ TEMPLATE = 'taxels = "Row{row}.T{row}_{column}"'
 def sensor(folder, codec, array=ROWS, content=None):
     (folder / "skins").mkdir()
     (folder / "skins" / "skin.dbc").write_bytes(DBC.read_bytes() if content is None else content)
-    (folder / "a.toml").write_text(CONFIG.format(codec=codec, array=array))
+    (folder / "a.toml").write_text(CONFIG.format(codec=f'name = "dbc", {codec}', array=array))
     return load(folder / "a.toml").sensor["skin"]
 
 

@@ -13,20 +13,11 @@ from tactiled.bus.sniff import survey
 from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Loss
+from tests.bus.skins import CONFIG
 
 GUIDE = (Path(__file__).parents[2] / "tactiled/docs/codecs.md").read_text("utf-8")
 SECTION = GUIDE.split("\n## A codec of your own\n")[1].split("\n## ")[0]
 CODE = re.search(r"```python\n(.*?)```", SECTION, re.DOTALL)[1]
-CONFIG = """
-[bus.can0]
-interface = "virtual"
-[sensor.skin]
-bus = "can0"
-codec = {{ {codec} }}
-array = {{ {array} }}
-cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
-kernel = {{ model = "layered" }}
-"""
 PACKAGE = "'my-skin' of my_skin 1.2: "
 
 
@@ -66,16 +57,22 @@ def test_the_guides_example_works_and_is_recognised(install):
 
 
 @pytest.mark.parametrize(
-    ("settings", "reason"),
+    ("codec", "reasons"),
     [
-        ("base_id = 0x7FF", "base_id: give 0 to 2046"),
-        ("base_ib = 1", "base_ib: Unexpected keyword argument"),
+        ('name = "my-skin", base_id = 0x7FF', [": base_id: give 0 to 2046"]),
+        ('name = "my-skin", base_ib = 1', [": base_ib: Unexpected keyword argument"]),
+        (
+            'name = "barrett", node = 99, nod = 1',
+            [".node = 99: give 0 to 31", ".nod: unknown key: did you mean node?"],
+        ),
     ],
 )
-def test_a_packages_settings_are_checked(install, settings, reason):
+def test_every_fault_of_a_skins_settings_is_named(install, codec, reasons):
     install()
-    with pytest.raises(ConfigError, match=f"a.toml: sensor.skin.codec: {reason}"):
-        sensor(f'name = "my-skin", {settings}')
+    with pytest.raises(ConfigError) as caught:
+        sensor(codec)
+    for each in reasons:
+        assert f"a.toml: sensor.skin.codec{each}" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -190,13 +187,6 @@ def test_an_icub_board_knows_its_positions_and_the_sign_of_its_counts():
     assert make_calibration(sensor('name = "cyskin"')).kpa_per_count == 1.0
     with pytest.raises(ConfigError, match=r"array\.rows = 2: belongs to a grid, and"):
         make_array(sensor('name = "icub", board = 1, triangles = [3, 4]'))
-
-
-def test_every_fault_of_a_skins_settings_is_named():
-    with pytest.raises(ConfigError) as caught:
-        sensor('name = "barrett", node = 99, nod = 1')
-    assert "a.toml: sensor.skin.codec.node = 99: give 0 to 31" in str(caught.value)
-    assert "a.toml: sensor.skin.codec.nod: unknown key: did you mean node?" in str(caught.value)
 
 
 @pytest.mark.parametrize(
