@@ -46,13 +46,14 @@ def restore(
     console = Console(stderr=True)
     with threadpool_limits(1), interrupted() as stop, ExitStack() as stack:
         offline = Offline(plan, kpa, method, noise)
-        summary = _Stats(stack.enter_context(create(stats)) if stats else None)
+        file, methods = stack.enter_context(create(stats)) if stats else None, Counter[str]()
         hidden = len(kpa) < PROGRESS_FROM_FRAMES
         progress = stack.enter_context(Progress(*PROGRESS, console=console, disable=hidden))
         task = progress.add_task("restoring", total=len(kpa))
         shape = (len(kpa), *plan.blur.surface_shape)
-        write(summary.through(iter(offline), stop), shape, out, lambda count: progress.advance(task, count))
-        summary.end()
+        images = _counted(iter(offline), stop, methods, file)
+        write(images, shape, out, lambda count: progress.advance(task, count))
+    summary = ", ".join(f"{name} {count}" for name, count in methods.most_common()) or "no frames"
     typer.echo(f"{out}: {' x '.join(map(str, shape))}, noise {offline.noise_kpa:.3g} kPa: {summary}", err=True)
 
 
@@ -63,32 +64,21 @@ def _refuse_same(path: Path, option: str, others: dict[str, Path]) -> None:
             raise ConfigError(f"{option} {path}: is {name}, too: give another file")
 
 
-class _Stats:
-    """Counts the methods used, and writes a JSON list with one line a frame."""
-
-    def __init__(self, file: BinaryIO | None) -> None:
-        self._file = file
-        self._methods: Counter[str] = Counter()
-
-    def through(
-        self, pieces: Iterator[tuple[NDArray[np.float32], list[FrameInfo]]], stop: Event
-    ) -> Iterator[NDArray[np.float32]]:
-        """Pass the images on; `stop` ends the command."""
-        for images, stories in pieces:
-            if stop.is_set():
-                raise typer.Exit(EXIT_INTERRUPTED)
-            for each in stories:
-                if self._file is not None:
-                    start = ",\n" if self._methods else "[\n"
-                    self._file.write((start + json.dumps(each._asdict())).encode())
-                self._methods[each.method] += 1
-            yield images
-
-    def end(self) -> None:
-        """Close the list."""
-        if self._file is not None:
-            self._file.write(b"\n]\n" if self._methods else b"[]\n")
-
-    def __str__(self) -> str:
-        """How often each method was used."""
-        return ", ".join(f"{name} {count}" for name, count in self._methods.most_common()) or "no frames"
+def _counted(
+    pieces: Iterator[tuple[NDArray[np.float32], list[FrameInfo]]],
+    stop: Event,
+    methods: Counter[str],
+    file: BinaryIO | None,
+) -> Iterator[NDArray[np.float32]]:
+    """Pass the images on until `stop`; count the methods used, and write a JSON list with one line a frame."""
+    for images, infos in pieces:
+        if stop.is_set():
+            raise typer.Exit(EXIT_INTERRUPTED)
+        for each in infos:
+            if file is not None:
+                start = ",\n" if methods else "[\n"
+                file.write((start + json.dumps(each._asdict())).encode())
+            methods[each.method] += 1
+        yield images
+    if file is not None:
+        file.write(b"\n]\n" if methods else b"[]\n")

@@ -28,14 +28,10 @@ class Surface:
         self.x, self.y = np.meshgrid(x, y)  # (rows, columns) mm from the array's centre
         cells = np.column_stack([self.x.ravel(), self.y.ravel()]) + middle
         if array.shape is None:
-            self.sense = _product(matrix(kernel, array, cells, self.grain))
+            response = matrix(kernel, array, cells, self.grain)
+            self.sense: Sample = lambda pressure: np.asarray(response @ pressure.ravel())
         else:
             self.sense = _convolution(cached(stencil, kernel, array, FINER), array.shape)
-
-
-def _product(response: NDArray[np.float64]) -> Sample:
-    """Any layout: (M,) cells -> (N,)."""
-    return lambda pressure: np.asarray(response @ pressure.ravel())
 
 
 def _convolution(response: NDArray[np.float64], shape: tuple[int, int]) -> Sample:

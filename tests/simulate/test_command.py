@@ -46,9 +46,8 @@ def listener(channel):
 @pytest.fixture
 def config(tmp_path, channel):
     def write(text, name="a.toml"):
-        (tmp_path / name).write_text(
-            text.replace("socketcan", "virtual").replace('channel = "can0"', f'channel = "{channel}"')
-        )
+        text = text.replace("socketcan", "virtual").replace('channel = "can0"', f'channel = "{channel}"')
+        (tmp_path / name).write_text(text)
         return tmp_path / name
 
     return write
