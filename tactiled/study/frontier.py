@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -18,7 +17,7 @@ from tactiled.restore.methods import METHODS, Restorer, make
 from tactiled.study.charts import BLACK, BLUE, OURS, PINK, RED, SKY, figure
 from tactiled.study.peers import STOPS, Restore, absent, peers
 from tactiled.study.results import write_csv, write_json
-from tactiled.study.skin import Clip, Frames, Skin, clips, into, nrmse, rubber
+from tactiled.study.skin import Clip, Skin, clips, into, nrmse, rubber
 
 Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
@@ -177,16 +176,15 @@ def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, 
 
 
 def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Run]:
-    restorers = {name: make(name, skin.blur, clip.sigma) for name in METHODS}
-    runs: dict[str, Run] = {name: (partial(_image, one), one.reset) for name, one in restorers.items()}
+    runs = {name: _own_run(make(name, skin.blur, clip.sigma)) for name in METHODS}
     if skin.psf is not None:
         others = peers(skin.psf, clip.frames.shape[1:], noise, stops)
         runs |= {name: (run, lambda: None) for name, run in others.items()}
     return runs
 
 
-def _image(restorer: Restorer, frame: Frames) -> Frames:
-    return restorer(frame).image
+def _own_run(restorer: Restorer) -> Run:
+    return lambda frame: restorer(frame).image, restorer.reset
 
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:

@@ -3,7 +3,8 @@
 scikit-image is a dependency; the others come with the extra `peers`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -28,8 +29,11 @@ def absent() -> list[str]:
 
 def peers(psf: Floats, shape: tuple[int, ...], noise: float, stops: tuple[int, ...] = STOPS) -> dict[str, Restore]:
     """Every library's restorations of frames of `shape` with `noise`, over their peak, by the odd point spread."""
-    names = [f"skimage wiener {k:g}" for k in BALANCES] + [f"skimage rl {count}" for count in stops]
-    runs = dict(zip(names, skimage_restorations(psf, [k * noise for k in BALANCES], stops), strict=True))
+    single = psf.astype(np.float32)
+    runs: dict[str, Restore] = {
+        f"skimage wiener {k:g}": partial(skimage_wiener, single, k * noise) for k in BALANCES
+    }
+    runs |= {f"skimage rl {count}": partial(skimage_rl, single, count) for count in stops}
     runs["skimage unsupervised"] = lambda frame: restoration.unsupervised_wiener(frame, psf, clip=False, rng=0)[0]
     if find_spec("cv2"):
         runs |= {f"opencv wiener {k:g}": _opencv(psf, shape, k * noise) for k in FLAT_BALANCES}
@@ -38,19 +42,15 @@ def peers(psf: Floats, shape: tuple[int, ...], noise: float, stops: tuple[int, .
     return runs
 
 
-def skimage_restorations(psf: Floats, balances: Sequence[float], stops: Sequence[int]) -> list[Restore]:
-    """scikit-image's Wiener filters, then its Richardson-Lucy after so many iterations."""
-    single = psf.astype(np.float32)
+def skimage_wiener(psf: Frames, balance: float, frame: Frames) -> Any:
+    """scikit-image's Wiener filter."""
+    return restoration.wiener(frame, psf, balance, clip=False)
 
-    def filtered(balance: float) -> Restore:
-        return lambda frame: restoration.wiener(frame, single, balance, clip=False)
 
-    def iterated(count: int) -> Restore:
-        return lambda frame: restoration.richardson_lucy(
-            np.maximum(frame, 0), single, count, clip=False, filter_epsilon=1e-6 * float(frame.max())
-        )
-
-    return [*map(filtered, balances), *map(iterated, stops)]
+def skimage_rl(psf: Frames, count: int, frame: Frames) -> Any:
+    """scikit-image's Richardson-Lucy after `count` iterations."""
+    epsilon = 1e-6 * float(frame.max())
+    return restoration.richardson_lucy(np.maximum(frame, 0), psf, count, clip=False, filter_epsilon=epsilon)
 
 
 def _opencv(psf: Floats, shape: tuple[int, ...], balance: float) -> Restore:

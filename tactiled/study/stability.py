@@ -17,7 +17,7 @@ from tactiled.restore.noise import estimate
 from tactiled.study.charts import COLOURS, WORSE_COLOUR, figure
 from tactiled.study.charts import OURS as LOOKS
 from tactiled.study.faults import Case, Setting, Sweep, cases, sweeps
-from tactiled.study.peers import skimage_restorations
+from tactiled.study.peers import skimage_rl, skimage_wiener
 from tactiled.study.results import write_csv, write_json
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import Frames, Skin, nrmse, rms, rubber
@@ -118,9 +118,10 @@ def _peers(case: Case) -> dict[str, Frames]:
     """scikit-image's two, at settings that need no truth; they know nothing of flags."""
     if case.skin.psf is None:
         return {}
+    psf = case.skin.psf.astype(np.float32)
     balance = PEER_BALANCE * case.noise / max(float(case.frame.max()), case.noise)
-    restorations = skimage_restorations(case.skin.psf, (balance,), (PEER_ITERATIONS,))
-    return {name: restoration(case.frame) for name, restoration in zip(PEERS, restorations, strict=True)}
+    images = skimage_wiener(psf, balance, case.frame), skimage_rl(psf, PEER_ITERATIONS, case.frame)
+    return dict(zip(PEERS, images, strict=True))
 
 
 def curve(rows: list[Row], method: str) -> dict[float, float]:
