@@ -7,7 +7,7 @@ from tactiled.frames import DEAD
 from tactiled.restore.auto import POINTS_PAUSE_FRAMES
 from tactiled.restore.methods import METHODS, make
 from tactiled.restore.points import Points
-from tactiled.study.skin import nrmse
+from tactiled.study.skin import clips, nrmse, rubber
 from tests.study.presses import presses
 
 SIGMA = 0.5
@@ -154,6 +154,17 @@ def test_an_old_image_does_not_come_back(covered, sensed):
     for _ in range(3):
         image = auto(sensed(after, 2.0)).image
     assert image[:, :10].sum() < 0.02 * image.sum()
+
+
+@pytest.mark.parametrize(("scene", "method"), [("rings", "nnls"), ("points", "points")])
+def test_a_moving_scene_starts_from_the_image_or_the_points_before(scene, method):
+    skin = rubber(2.0, 16)
+    clip = next(clips(skin, 0.01, 3, 1, (scene,)))
+    following = make("auto", skin.blur, clip.sigma)
+    iterations = [following(frame).iterations for frame in clip.frames]
+    fresh = make("auto", skin.blur, clip.sigma)(clip.frames[-1])
+    assert fresh.method == method
+    assert iterations[-1] < 0.6 * fresh.iterations
 
 
 def test_points_are_left_alone_after_a_fit_that_did_not_stand(covered, sensed, monkeypatch):
