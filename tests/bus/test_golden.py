@@ -130,7 +130,6 @@ def test_icubs_diagnostics_name_faulty_taxels(code, bad):
 @pytest.mark.parametrize(
     ("codec", "text"),
     [
-        (Icub(0, (0,)), "400#40"),
         (Icub(0, (0,)), "400#41F0F0F0F0F0F0F0"),
         (Icub(0, (0,)), "400#C0F0"),
         (Icub(0, (0,)), "401#40F0F0F0F0F0F0F0"),  # another triangle
@@ -142,7 +141,6 @@ def test_icubs_diagnostics_name_faulty_taxels(code, bad):
         (Linker("right", (1,)), "027#B131000102030405"),
         (PowerOn(), "30C#9601E25504EFA3C7"),
         (CySkin(), "406#0100020003000400"),
-        (Xela(), "141#9340983F0C9151"),
     ],
 )
 def test_another_message_is_refused(codec, text):
