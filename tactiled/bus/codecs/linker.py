@@ -98,14 +98,10 @@ class Linker(ClassicSkin):
             fingers = tuple(sorted({each.data[0] - FINGER for each in rows}))
             codec = cls(hand, fingers)
             if len({each.data[1] >> 4 for each in rows}) == ROWS and understands(codec, rows):
+                settings, shape = {"hand": hand, "fingers": list(fingers)}, (ROWS * len(fingers), COLUMNS)
                 listed = ", ".join(map(str, fingers))
-                yield Match(
-                    {"hand": hand, "fingers": list(fingers)},
-                    codec,
-                    keys,
-                    (ROWS * len(fingers), COLUMNS),
-                    f"LinkerHand, {hand} hand, fingers {listed}, polled by another node",
-                )
+                description = f"LinkerHand, {hand} hand, fingers {listed}, polled by another node"
+                yield Match(settings, codec, keys, shape, description)
 
 
 SKIN = Linker
