@@ -68,13 +68,12 @@ def cover(
     q, rise = None if at is None else _frequencies(at), _profile(profile or [])
     if footprint is not None and model != "fem":
         raise ConfigError("--footprint needs --model fem: leave one of them out")
-    start = perf_counter()
+    start, press = perf_counter(), None
     kernel = solve(stack, model, accuracy, rise, perf_counter, budget)
-    seconds = perf_counter() - start
-    summary, press = summarise(kernel, array, noise), None
+    seconds, summary = perf_counter() - start, summarise(kernel, array, noise)
     if q is None:
-        low, high = summary.half_gain / 8, 2 * summary.tenth_gain
-        q = np.array([each for each in ROUND_FREQUENCIES if low < each < high])
+        low, high = np.searchsorted(ROUND_FREQUENCIES, (summary.half_gain / 8, 2 * summary.tenth_gain))
+        q = ROUND_FREQUENCIES[low:high]
     if footprint is not None:
         press = pressed(stack, footprint, accuracy, rise, lambda: perf_counter() > start + budget)
     if as_json:

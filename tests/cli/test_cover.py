@@ -97,7 +97,6 @@ def test_plot(tmp_path):
         ("--noise 0", "noise is 0.0"),
         ("--footprint 0", "footprint radius is 0.0 mm"),
         ("--footprint 1 --model layered", "--footprint needs --model fem"),
-        ("--pitch 0", "array pitch is 0.0 mm"),
         ("--accuracy 0", "accuracy is 0.0"),
         ("--accuracy 1e-5 --budget 0", "accuracy 1e-05 is not met in the given time"),
         ("--plot cover.bmp", "picture cover.bmp: give a name"),

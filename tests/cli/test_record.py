@@ -101,7 +101,7 @@ def test_an_interrupt_ends_it_with_everything_written(tmp_path, config, udp_port
         for number in range(COUNT):
             sender.send(can.Message(arbitration_id=0x500, is_extended_id=False, data=number.to_bytes(8, "big")))
             if number % 20 == 19:  # few at once: the kernel drops what a busy machine does not take in time
-                until(lambda least=number: recorded() > least)
+                until(lambda last=number: recorded() > last)
     process.send_signal(kind)
     output, _ = process.communicate(timeout=BUSY_S)
     assert process.returncode == 0

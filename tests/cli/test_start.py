@@ -91,14 +91,12 @@ def test_every_file_of_a_verb_is_in_a_table():
     assert verbs == {module for table in TABLES for _, module, _ in table}
 
 
-def completed(*words):
-    """How a shell may complete these words."""
-    arguments = {"COMP_WORDS": " ".join(["tactiled", *words]), "COMP_CWORD": str(len(words))}
+@pytest.mark.parametrize(
+    ("words", "completions"),
+    [("re", ["replay", "record", "restore"]), ("bench re", ["report"]), ("sniff --se", ["--seconds"])],
+)
+def test_shells_complete_verbs_and_their_options(words, completions):
+    words = ["tactiled", *words.split()]
+    variables = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
     program = "import sys; sys.argv[0] = 'tactiled'; from tactiled.cli import main; main()"
-    return python(program, **arguments, _TACTILED_COMPLETE="complete_bash").split()
-
-
-def test_shells_complete_verbs_and_their_options():
-    assert completed("re") == ["replay", "record", "restore"]
-    assert completed("bench", "re") == ["report"]
-    assert "--seconds" in completed("sniff", "--se")
+    assert python(program, **variables, _TACTILED_COMPLETE="complete_bash").split() == completions
