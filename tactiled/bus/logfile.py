@@ -109,20 +109,17 @@ def open_log(path: Path) -> MessageReader:
         raise
 
 
-def _text(file: BinaryIO) -> io.TextIOWrapper:
-    return io.TextIOWrapper(file, "utf-8", newline="\n")
-
-
-def _gzip(file: BinaryIO) -> BinaryIO:
-    return cast(BinaryIO, gzip.GzipFile("", "wb", 6, file, 0))
+def _text(file: BinaryIO, compressed: bool = False) -> io.TextIOWrapper:
+    packed = cast(BinaryIO, gzip.GzipFile("", "wb", 6, file, 0)) if compressed else file
+    return io.TextIOWrapper(packed, "utf-8", newline="\n")
 
 
 WRITERS: dict[str, Callable[[BinaryIO], MessageWriter]] = {
     ".log": lambda file: formats.CanutilsLogWriter(_text(file), "can0"),
     ".asc": lambda file: formats.ASCWriter(_text(file)),
     ".blf": formats.BLFWriter,
-    ".log.gz": lambda file: formats.CanutilsLogWriter(_text(_gzip(file)), "can0"),
-    ".asc.gz": lambda file: formats.ASCWriter(_text(_gzip(file))),
+    ".log.gz": lambda file: formats.CanutilsLogWriter(_text(file, compressed=True), "can0"),
+    ".asc.gz": lambda file: formats.ASCWriter(_text(file, compressed=True)),
 }  # python-can's formats that keep all of a message and can be read without their end
 
 

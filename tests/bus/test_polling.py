@@ -151,7 +151,7 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
         opened.append(Bus())
         return opened[-1]
 
-    def sent(id_):
+    def payloads_on(id_):
         return [each.data.hex() for each in list(wire.messages) if each.id == id_]
 
     monkeypatch.setattr("tactiled.runtime.bus_thread.open_bus", reopen)
@@ -159,7 +159,7 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
     hand = service.sensor("hand")
     service.start()
     try:
-        until(lambda: sent(0x20D) == STARTS and len(sent(0x28)) >= 4)
+        until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
         wire.takes = False
         until(lambda: hand.status().loss.unsent >= 2)
         present[0] = False
@@ -167,12 +167,12 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
         unsent = hand.status().loss.unsent
         wire.messages.clear()
         wire.takes = present[0] = True
-        until(lambda: sent(0x20D) == STARTS and len(sent(0x28)) >= 4)
+        until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
         assert len(opened) == 2
         assert hand.status().loss.unsent == unsent
     finally:
         service.stop()
-    assert sent(0x20D) == STARTS + STOPS
+    assert payloads_on(0x20D) == STARTS + STOPS
 
 
 def test_a_polled_hand_is_asked_and_its_answers_are_served(request):

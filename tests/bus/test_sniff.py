@@ -64,11 +64,11 @@ def test_real_bytes_are_recognised_on_one_bus_with_others():
     result = survey(together(grasp, touch_detect, *streams))
     assert {each.match.codec for each in result.senders} >= set(others)
     assert result.unknown == ()
-    found = {each.name: each for each in result.senders if each.match.codec not in others}
-    assert found["icub"].match.settings == {"board": 14, "triangles": [0, 1, 2, 3, 4]}
-    assert found["icub"].rate_hz == pytest.approx(50, rel=0.1)
-    assert found["poweron"].match.settings == {"base_id": 0x310}
-    assert len(found) == 2
+    real = {each.name: each for each in result.senders if each.match.codec not in others}
+    assert real["icub"].match.settings == {"board": 14, "triangles": [0, 1, 2, 3, 4]}
+    assert real["icub"].rate_hz == pytest.approx(50, rel=0.1)
+    assert real["poweron"].match.settings == {"base_id": 0x310}
+    assert len(real) == 2
 
 
 def test_lost_messages_are_counted_and_a_start_within_a_frame_is_no_loss():

@@ -45,12 +45,12 @@ def test_what_has_come_comes_at_once_and_in_order(ends):
     ours, theirs = ends
     reader = FrameReader(ours.fileno())
     for round_ in range(3):  # from the second on over what the one before has left behind
-        sent = [(n, bytes((round_, n)) * (n * n % 5), n % 2 == 1) for n in range(7)]
+        frames = [(n, bytes((round_, n)) * (n * n % 5), n % 2 == 1) for n in range(7)]
         ours.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, round_)  # a frame without a time spoils no other
-        for id_, data, fd in sent:
+        for id_, data, fd in frames:
             theirs.send((flexible if fd else classic)(id_, data))
         got = reader.read(1.0)
-        assert [each[1:] for each in got] == sent
+        assert [each[1:] for each in got] == frames
         if round_:
             assert [each.time for each in got] == sorted(each.time for each in got)
             assert got[0].time == pytest.approx(time.time(), abs=5.0)
