@@ -208,7 +208,8 @@ def test_a_change_at_the_very_end_is_an_error_too(tmp_path, monkeypatch, change)
 
 
 def test_a_disk_that_is_too_slow_ends_the_recording_with_all_that_was_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "fsync", lambda _: time.sleep(1.0))
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda fd: (synced.append(fd), time.sleep(1.0)))
     recorder, put = Recorder(tmp_path / "a.log", max_waiting=100), []
 
     def flood():
@@ -221,6 +222,7 @@ def test_a_disk_that_is_too_slow_ends_the_recording_with_all_that_was_taken(tmp_
     with pytest.raises(TactileError, match=f"early, after {len(put)} messages"):
         recorder.close()
     assert numbers(tmp_path / "a.log") == put
+    assert synced
 
 
 def test_a_bus_is_recorded_with_all_that_is_on_it_until_it_goes_away(tmp_path):
