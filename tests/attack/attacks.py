@@ -10,15 +10,15 @@ import can
 from can.interfaces.udp_multicast.utils import pack_message
 
 from tests.attack import fuzz, requests, shutdown, sockets
-from tests.attack.harness import Attack, Findings, Size, each, late_s
-from tests.attack.service import CONTROL, DESCRIPTORS_256, GROUP, TLS, Target
-from tests.attack.wire import BINARY, PONG, Ending, frame, upgrade
+from tests.attack.harness import Attack, each, late_s
+from tests.attack.service import CONTROL, DESCRIPTORS_256, GROUP, TLS
+from tests.attack.wire import BINARY, PONG, frame, upgrade
 
 FLOOD_HZ = 91_000.0  # messages/s
 FLOOD_S = 4.0
 
 
-def _flood(port: int) -> int:
+def _flood(port):
     """Send messages of the palm, out of order, of the skin and of no sensor at the rate; gives how many."""
     ids = [(0x500, bytes([0, at]) + bytes(62), True) for at in (0, 1, 1, 3)]
     ids += [(0x4D5, b"\x40" + bytes(7), False), (0x135, bytes(8), False), (0x7FF, b"", False)]
@@ -38,16 +38,16 @@ def _flood(port: int) -> int:
     return count
 
 
-async def flood(target: Target, _: Size, findings: Findings) -> None:
+async def flood(target, _, findings):
     """91 000 messages a second on the bus."""
     findings.outcomes["messages"] += await asyncio.to_thread(_flood, target.bus_port)
 
 
-def _upgraded(ending: Ending) -> bool:
+def _upgraded(ending):
     return b" 101 " in ending.received
 
 
-def _unauthorized(ending: Ending) -> bool:
+def _unauthorized(ending):
     return requests.closed_with(4401, ending)
 
 
@@ -59,8 +59,8 @@ LARGE = {"a message of 40 MB": [CLIENT, frame(BINARY, bytes(40 << 20))]}
 ACCEPTED = {name: [upgrade(token=CONTROL), frame(PONG, b"x") + data] for name, data in sockets.FRAMES.items()}
 ATTACKS = {
     "upgrades": Attack(each(sockets.UPGRADES, 50), kind=DESCRIPTORS_256),
-    "empty-frames": Attack(run=sockets.empty_frames),
-    "trailers": Attack(run=sockets.trailers),
+    "empty-frames": Attack(sockets.empty_frames, at_once=1),
+    "trailers": Attack(sockets.trailers, at_once=1),
     "polls": Attack(requests.polls),
     "bad-upgrades": Attack(each(sockets.BAD_UPGRADES, 200, wait_s=1.0, ends=False), at_once=100),
     "slow": Attack(each(requests.SLOW_SENDERS, 50, pause_s=0.2)),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from websockets.asyncio.client import connect
 
-from tests.attack.service import CONTROL, Target, trusting
+from tests.attack.service import CONTROL, trusting
 from tests.attack.wire import HOST, STREAM, exchange, request
 
 ADDRESS = "127.0.0.2"
@@ -36,7 +36,7 @@ class Waits:
     error: str = ""  # at which it ended
 
 
-def queued_s(pid: int) -> dict[str, float]:
+def queued_s(pid):
     """How long each thread of a process has stood in line for a processor so far."""
     seconds = {}
     for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
@@ -48,11 +48,11 @@ def queued_s(pid: int) -> dict[str, float]:
 class Bystander:
     """Asks both ways until its standard input ends."""
 
-    def __init__(self, port: str, pid: str, *tls: str) -> None:
+    def __init__(self, port, pid, *tls):
         self._port, self._pid, self._tls = int(port), int(pid), trusting() if tls else None
         self._stop, self._waits = asyncio.Event(), Waits()
 
-    async def run(self) -> Waits:
+    async def run(self):
         asyncio.get_running_loop().add_reader(sys.stdin, self._stop.set)
         print("begun", flush=True)
         try:
@@ -76,10 +76,10 @@ class Bystander:
         # two threads of the service may have waited for each other, and this one for them
         waits.own_s = max(waits.own_s, seconds - sum(in_line[-3:]))
 
-    def _queued(self) -> dict[str, float]:
+    def _queued(self):
         return queued_s(self._pid) | queued_s(os.getpid())
 
-    async def _health(self) -> None:
+    async def _health(self):
         data = request("GET /api/v1/health", "Connection: close", token=CONTROL)
         while not self._stop.is_set():
             async with self._timed():
@@ -87,7 +87,7 @@ class Bystander:
                 assert ending.status == 200, f"{ending}: {ending.received[:200]}"
             await asyncio.sleep(PERIOD_S)
 
-    async def _ping(self) -> None:
+    async def _ping(self):
         options = {"local_addr": (ADDRESS, 0), "ping_interval": None, "open_timeout": None, "close_timeout": 0}
         headers = {"Authorization": f"Bearer {CONTROL}"}
         address = f"ws{'s' if self._tls else ''}://{HOST}:{self._port}{STREAM}"
@@ -101,7 +101,7 @@ class Bystander:
 
 
 @contextlib.contextmanager
-def beside(target: Target):
+def beside(target):
     """A bystander's process meanwhile; gives what ends it and how long it waited."""
     options = [str(target.port), str(target.process.pid), *(["tls"] if target.tls else [])]
     command = [sys.executable, "-m", "tests.attack.bystander", *options]

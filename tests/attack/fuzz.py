@@ -7,12 +7,10 @@ bystander is served, and that descriptors and memory come back.
 import asyncio
 import random
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 
 from tests.attack import wire
-from tests.attack.harness import DEADLINES_S, Findings, Size, late_s
-from tests.attack.service import CONTROL, READ, Target
+from tests.attack.harness import DEADLINES_S, late_s
+from tests.attack.service import CONTROL, READ
 from tests.attack.wire import STREAM, Connection, frame, request, upgrade
 
 AT_ONCE, ADDRESSES = 200, 16
@@ -36,32 +34,22 @@ HEADERS = (
     "Content-Type: application/json", "Accept-Encoding: gzip", "If-None-Match: *", "Trailer: X",
 )  # fmt: skip
 CUT, SLOW = 0.4, 0.2  # how often a connection is cut somewhere, and sent slowly
-Rng = random.Random
 
 
-@dataclass(frozen=True)
-class Script:
-    """What one connection sends."""
-
-    pieces: tuple[bytes, ...]
-    pause_s: float  # after each
-    state: str  # of DEADLINES_S, the longest that it may end in
-
-
-def _token(rng: Rng) -> str:
+def _token(rng):
     return rng.choice(("", "", READ, CONTROL, "wrong"))
 
 
-def _valid(rng: Rng) -> bytes:
+def _valid(rng):
     return request(f"GET {rng.choice(PATHS[:7])}", token=_token(rng))
 
 
-def _any(rng: Rng) -> bytes:
+def _any(rng):
     headers = rng.choices(HEADERS, k=rng.choice((0, 1, 2, 5, 140)))
     return request(f"{rng.choice(VERBS)} {rng.choice(PATHS)}", *headers, token=_token(rng))
 
 
-def _body(rng: Rng) -> bytes:
+def _body(rng):
     data = rng.choice((b'{"method": "raw"}', b"{", b"", rng.randbytes(200), b"x" * 70_000))
     length = len(data) + rng.choice((0, 0, 0, 1, -1, 10**6))
     path = rng.choice(("sensors/palm0/method", "recordings", "restore?sensor=palm0", "sensors/palm0/tare"))
@@ -69,27 +57,27 @@ def _body(rng: Rng) -> bytes:
     return request(f"{rng.choice(('PUT', 'POST'))} /api/v1/{path}", *headers, token=_token(rng), body=data)
 
 
-def _chunked(rng: Rng) -> bytes:
+def _chunked(rng):
     sizes = [rng.choice((b"5", b"5;x=y", b"05", b"zz", b"-1", b"ffffffffffffffffff", b"")) for _ in range(3)]
     body = b"".join(size + b"\r\nhello\r\n" for size in sizes) + rng.choice((b"0\r\n", b"0\r\n\r\n", b""))
     body += b"X-Trailer: x\r\n" * rng.choice((0, 1, 200)) + b"\r\n"
     return request("PUT /api/v1/sensors/palm0/method", "Transfer-Encoding: chunked", token=_token(rng), body=body)
 
 
-def _garbage(rng: Rng) -> bytes:
+def _garbage(rng):
     return rng.choice(
         (rng.randbytes(rng.randrange(1, 300)), b"\r\n" * 20, b"\x00" * 50, b"\x16\x03\x01\x02\x00\x01")
     )
 
 
-def _upgrade(rng: Rng) -> bytes:
+def _upgrade(rng):
     headers = rng.choices(HEADERS, k=rng.choice((0, 0, 0, 1, 3, 140)))
     path = rng.choice((STREAM, STREAM, "/", "/api/v1/sensors/palm0/stream", f"{STREAM}?flow=credit", "/nowhere"))
     made = upgrade(*headers, path=path, token=_token(rng))
     return made.replace(b"13\r\n", b"7\r\n") if rng.random() < 0.1 else made
 
 
-def _frame(rng: Rng) -> bytes:
+def _frame(rng):
     data = rng.choice((b"", b"{}", b'{"type": "next"}', b"\xff", b"x" * 130, b"x" * 70_000, b"\x03\xe8"))
     opcode = rng.choice(
         (0, wire.TEXT, wire.TEXT, wire.BINARY, wire.CLOSE, wire.PING, wire.PONG, rng.randrange(16))
@@ -98,11 +86,11 @@ def _frame(rng: Rng) -> bytes:
     return frame(opcode, data, last=rng.random() < 0.7, masked=rng.random() < 0.8, reserved=reserved)
 
 
-HTTP: tuple[Callable[[Rng], bytes], ...] = (_valid, _valid, _any, _body, _chunked, _garbage)
+HTTP = (_valid, _valid, _any, _body, _chunked, _garbage)
 
 
-def script(rng: Rng) -> Script:
-    """One connection."""
+def script(rng):
+    """What one connection sends, its pause (s) after each piece, and the longest state that it may end in."""
     made = [rng.choice(HTTP)] * rng.choice((0, 1, 1, 2)) + rng.choices(HTTP, k=rng.choice((0, 0, 1, 3)))
     made += [_upgrade, *[_frame] * rng.randrange(6)] if rng.random() < 0.4 or not made else []
     parts = [make(rng) for make in made]
@@ -115,54 +103,50 @@ def script(rng: Rng) -> Script:
     places = sorted(rng.randrange(len(data) + 1) for _ in range(rng.choice((0, 0, 1, 2, 8))))
     ends = zip([0, *places], [*places, len(data)], strict=True)
     pieces = tuple(data[begin:end] for begin, end in ends if end > begin)
-    return Script(pieces, 0.02 if rng.random() < SLOW else 0.0, state)
+    return pieces, 0.02 if rng.random() < SLOW else 0.0, state
 
 
-class Player:
-    """Plays scripts, hundreds at once; patient ones give their place to another while they wait."""
+async def fuzz(target, size, findings):
+    """Valid and invalid pieces of HTTP/1.1 and WebSocket in any order, cut anywhere, slow or at once."""
+    rng, began = random.Random(size.seed), time.monotonic()
+    places, waiting = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(PATIENT_AT_ONCE)
 
-    def __init__(self, target: Target, findings: Findings) -> None:
-        self._target, self._findings = target, findings
-        self.places, self._waiting = asyncio.Semaphore(AT_ONCE), asyncio.Semaphore(PATIENT_AT_ONCE)
-
-    async def play(self, number: int, one: Script, patient: bool, leave_s: float) -> None:
-        async with self.places:
+    async def play(number, pieces, pause_s, state, patient, leave_s):
+        """Play a script; a patient one gives its place to another while it waits."""
+        async with places:
             try:
                 source = f"127.0.1.{1 + number % ADDRESSES}"
-                connection = await Connection.to(self._target.port, source=source, seconds=30.0)
+                connection = await Connection.to(target.port, source=source, seconds=30.0)
             except wire.CONNECTION_ERRORS:
-                self._findings.outcomes["not accepted"] += 1
+                findings.outcomes["not accepted"] += 1
                 return
-            await connection.send(one.pieces, one.pause_s)
+            await connection.send(pieces, pause_s)
             if not patient:
                 if leave_s > EARLY_S:
-                    await connection.until(b"\r\n\r\n", LEAVE_S)
+                    await connection.ending(LEAVE_S, b"\r\n\r\n")
                 ending = await connection.ending(leave_s)
         if patient:
-            async with self._waiting:
+            async with waiting:
                 ending = await connection.ending(late_s("body") + 1)
             # a stream that was accepted has longer than a head
-            state = "websocket" if b" 101 " in ending.received else one.state
+            state = "websocket" if b" 101 " in ending.received else state
             late = ending.how == "open" or ending.seconds > late_s(state)
-            self._findings.check(not late, f"{state}: {ending.how} after {ending.seconds:.0f} s: {one.pieces}")
-        self._findings.outcomes[str(ending)] += 1
-        self._findings.check(ending.status != 500, f"500 to {one.pieces}")
+            findings.check(not late, f"{state}: {ending.how} after {ending.seconds:.0f} s: {pieces}")
+        findings.outcomes[str(ending)] += 1
+        findings.check(ending.status != 500, f"500 to {pieces}")
         connection.cut()
 
-
-async def fuzz(target: Target, size: Size, findings: Findings) -> None:
-    """Valid and invalid pieces of HTTP/1.1 and WebSocket in any order, cut anywhere, slow or at once."""
-    rng, began, player = random.Random(size.seed), time.monotonic(), Player(target, findings)
     share = min(PATIENT, MAX_PATIENT / size.connections)
     async with asyncio.TaskGroup() as group:
         for number in range(size.connections):
             if time.monotonic() - began > size.seconds:
                 break
-            one, patient, leave_s = script(rng), rng.random() < share, rng.random() * AFTER_S
-            patient &= DEADLINES_S[one.state] <= DEADLINES_S["head"] or size.connections >= SHORT
-            while player.places.locked():
+            pieces, pause_s, state = script(rng)
+            patient, leave_s = rng.random() < share, rng.random() * AFTER_S
+            patient &= DEADLINES_S[state] <= DEADLINES_S["head"] or size.connections >= SHORT
+            while places.locked():
                 await asyncio.sleep(0.001)
-            group.create_task(player.play(number, one, patient, leave_s))
+            group.create_task(play(number, pieces, pause_s, state, patient, leave_s))
             await asyncio.sleep(0)
     count = findings.outcomes.total()
     findings.check(count >= min(size.connections, 1000), f"only {count} connections in {size.seconds:.0f} s")

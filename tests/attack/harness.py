@@ -3,13 +3,12 @@
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from tests.attack.bystander import MAX_OWN_S, Waits, beside
-from tests.attack.service import HTTP, Kind, Pool, Target
+from tests.attack.service import HTTP, Kind, Target
 from tests.attack.wire import HOST, Ending, exchange
 
 PEAK_MB = 256.0  # of memory, while an attack runs
@@ -28,7 +27,7 @@ DEADLINES_S = {
 }
 
 
-def late_s(state: str) -> float:
+def late_s(state):
     """When a connection is late that a deadline ends, on a busy machine."""
     return 1.25 * DEADLINES_S[state] + 5.0
 
@@ -53,12 +52,12 @@ class Findings:
     descriptors: tuple[int, ...] = ()  # before and after
     rss_mb: tuple[int, ...] = ()  # before, at most, after
 
-    def check(self, true: bool, why: str) -> None:
+    def check(self, true, why):
         """Fail once unless it is true."""
         if not true and why not in self.failures:
             self.failures.append(why)
 
-    def report(self, name: str) -> str:
+    def report(self, name):
         """An attack in a line, and under it how its connections ended and what did not hold."""
         first = (
             f"{name}: {'FAILED' if self.failures else 'held'}: {self.outcomes.total()} attempts in"
@@ -77,6 +76,7 @@ class Try:
     pieces: Iterable[bytes]
     wait_s: float = late_s("head")
     pause_s: float = 0.0  # after each piece
+    send_s: float = 60.0  # that it may take to send
     ends: bool = True  # by the service, within that time
     expect: Callable[[Ending], bool] = lambda _: True
     port: str = "port"  # of the service, or xela or foxglove
@@ -84,9 +84,7 @@ class Try:
     tls: bool = False
 
 
-def each(
-    table: Mapping[str, bytes | Sequence[bytes]], times: int, **options: Any
-) -> Callable[[Target], list[Try]]:
+def each(table, times, **options):
     """Every row of a table so many times."""
     rows = ((name, [data] if isinstance(data, bytes) else data) for name, data in table.items())
     tries = [Try(name, pieces, **options) for name, pieces in rows]
@@ -104,14 +102,15 @@ class Attack:
     grown_mb: float = 64.0  # of memory after it, which the allocator keeps for the next
     alone: bool = False  # on a service of its own, which it ends: nobody stands by
 
-    async def go(self, target: Target, size: Size, findings: Findings) -> None:
+    async def go(self, target, size, findings):
         """Run it, but not for ever."""
         places = asyncio.Semaphore(self.at_once)
 
-        async def play(one: Try) -> None:
-            options = {"pause_s": one.pause_s, "source": one.source, "tls": target.tls if one.tls else None}
+        async def play(one):
+            options = {"source": one.source, "tls": target.tls if one.tls else None}
+            times_s = {"pause_s": one.pause_s, "send_s": one.send_s}
             async with places:
-                ending = await exchange(getattr(target, one.port), one.pieces, one.wait_s, **options)
+                ending = await exchange(getattr(target, one.port), one.pieces, one.wait_s, **options, **times_s)
             findings.outcomes[f"{one.name}: {ending}"] += 1
             open_, wrong = ending.how == "open" and one.ends, ending.status == 500 or not one.expect(ending)
             findings.check(not (open_ or wrong), f"{one.name}: {ending}")
@@ -125,7 +124,7 @@ class Attack:
             findings.check(False, "took too long")
 
 
-def attack(one: Attack, pool: Pool, size: Size) -> Findings:
+def attack(one, pool, size):
     """Run an attack on a service and judge it."""
     began, findings = time.monotonic(), Findings()
     target = Target(one.kind) if one.alone else pool[one.kind]
@@ -144,7 +143,7 @@ def attack(one: Attack, pool: Pool, size: Size) -> Findings:
     return findings
 
 
-def _watch(one: Attack, target: Target, size: Size, findings: Findings) -> None:
+def _watch(one, target, size, findings):
     """Run an attack beside a bystander, and measure the service."""
     descriptors, rss_mb, log = target.descriptors(), target.rss_mb(), target.log.stat().st_size
     Path(f"/proc/{target.process.pid}/clear_refs").write_text("5")  # measure the peak of memory from now on

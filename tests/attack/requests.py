@@ -1,15 +1,14 @@
 """Requests that must be refused, or are more than one client should make."""
 
-import io
 import json
 import random
-from collections.abc import Iterator
 
 import numpy as np
 
 from tests.attack.harness import Try, late_s
-from tests.attack.service import CONTROL, READ, Target
-from tests.attack.wire import Ending, request, upgrade
+from tests.attack.service import CONTROL, READ
+from tests.attack.wire import request, upgrade
+from tests.web.http.raw import npy
 
 JSON, NPY = "Content-Type: application/json", "Content-Type: application/x-npy"
 LAST = "Connection: close"
@@ -25,19 +24,12 @@ METHOD, RECORD, RESTORE = (
 CHANGES = (METHOD, "POST /api/v1/sensors/palm0/tare", RECORD, "DELETE /api/v1/recordings/a.log", RESTORE)
 
 
-def closed_with(code: int, ending: Ending) -> bool:
+def closed_with(code, ending):
     """Whether a WebSocket was closed with a code, or its handshake refused."""
     return code.to_bytes(2, "big") in ending.received or ending.status in (400, code - 4000)
 
 
-def npy(frames: int) -> bytes:
-    """Frames of the palm."""
-    out = io.BytesIO()
-    np.save(out, np.zeros((frames, 8, 8)))
-    return out.getvalue()
-
-
-def _wrong_token(number: int, rng: random.Random) -> str:
+def _wrong_token(number, rng):
     token = rng.choice((READ, CONTROL))
     at = rng.randrange(len(token))
     changed = token[:at] + "?" + token[at + 1 :]
@@ -45,23 +37,23 @@ def _wrong_token(number: int, rng: random.Random) -> str:
     return wrong[number % len(wrong)]
 
 
-def tokens(_: Target) -> Iterator[Try]:
+def tokens(_):
     """1000 requests with a wrong token, or with one that does not suffice."""
     rng = random.Random(1)
     lines = [f"GET {path}" for path in READS] + list(CHANGES)
     for number in range(1000):
         line, token = rng.choice(lines), _wrong_token(number, rng)
-        how, headers = "wrong in the address", []
-        if number % 5 == 4 and not line.startswith("GET"):
-            how, headers = "read token", [f"Authorization: Bearer {READ}"]
-        elif number % 3 == 0:
-            how, headers = "wrong in the header", [f"Authorization: Bearer {token}"]
-        elif number % 3 == 1:
-            how, headers = "wrong in the cookie", [f"Cookie: tactiled={token}"]
-        else:
-            line = f"{line}{'&' if '?' in line else '?'}token={token or 'x'}"
+        address = f"{line}{'&' if '?' in line else '?'}token={token or 'x'}"
+        ways = [
+            ("wrong in the header", line, [f"Authorization: Bearer {token}"]),
+            ("wrong in the cookie", line, [f"Cookie: tactiled={token}"]),
+            ("wrong in the address", address, []),
+        ]
+        if line in CHANGES:
+            ways.append(("read token", line, [f"Authorization: Bearer {READ}"]))
+        name, line, headers = ways[number % len(ways)]
         data = request(line, *headers, LAST, "Content-Length: 0")
-        yield Try(how, [data], late_s("refused"), expect=lambda ending: ending.status in (401, 403))
+        yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (401, 403))
 
 
 FOREIGN = {
@@ -74,7 +66,7 @@ FOREIGN = {
 }
 
 
-def strangers(_: Target) -> Iterator[Try]:
+def strangers(_):
     """300 requests and handshakes of pages of another site, or to another name than loopback's."""
     for name, headers in list(FOREIGN.items()) * 10:
         for line in ("GET /api/v1/health", *CHANGES[:3]):
@@ -84,7 +76,7 @@ def strangers(_: Target) -> Iterator[Try]:
         yield Try(f"{name}, stream", [stream], late_s("refused"), expect=lambda ending: closed_with(4403, ending))
 
 
-def _mutated(data: bytes, rng: random.Random) -> bytes:
+def _mutated(data, rng):
     """Some bytes changed, deleted or added."""
     changed = bytearray(data)
     for _ in range(rng.randrange(1, 8)):
@@ -93,13 +85,13 @@ def _mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-def nonsense(_: Target) -> Iterator[Try]:
+def nonsense(_):
     """300 wrong bodies, headers and ranges, with the control token."""
     rng = random.Random(1)
     seeds = (
         ("JSON", METHOD, JSON, b'{"method": "raw"}'),
         ("JSON of a recording", RECORD, JSON, b'{"bus": "can9", "name": "a.log"}'),
-        (".npy", RESTORE, NPY, npy(4)),
+        (".npy", RESTORE, NPY, npy(np.zeros((4, 8, 8)))),
     )
     for number in range(300):
         name, line, kind, body = seeds[number % 3]
@@ -112,9 +104,9 @@ def nonsense(_: Target) -> Iterator[Try]:
             yield Try("header", [_mutated(request("GET /", LAST), rng) + b"\r\n\r\n"])
 
 
-def uploads(_: Target) -> Iterator[Try]:
+def uploads(_):
     """160 uploads of frames at once, complete, cut in the middle, and larger than announced."""
-    data = npy(64)
+    data = npy(np.zeros((64, 8, 8)))
     kinds = (  # name, announced length, body, whether the service ends it
         ("complete", len(data), data, True),
         ("half of it", 2 * len(data), data, False),
@@ -127,7 +119,7 @@ def uploads(_: Target) -> Iterator[Try]:
         yield Try(name, [head, body], 30.0 if ends else 1.0, ends=ends, source=source)
 
 
-def calls(_: Target) -> Iterator[Try]:
+def calls(_):
     """1800 calls, 20 at once, each as fast as it is answered."""
     paths = (*READS, "/api/v1/sensors/palm0/frames/restored?format=npy", "/api/v1/sensors/palm0/contacts")
     for number in range(1800):
@@ -136,7 +128,7 @@ def calls(_: Target) -> Iterator[Try]:
         yield Try(path, [data], 60.0, source=f"127.0.3.{1 + number % 20}")
 
 
-def polls(target: Target) -> Iterator[Try]:
+def polls(target):
     """400 clients of one address wait for events."""
     newest = json.loads(target.get("/api/v1/events"))["newest"]
     data = request(f"GET /api/v1/events?wait=30&after={newest}", token=CONTROL)

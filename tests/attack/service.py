@@ -1,6 +1,5 @@
 """The service under attack: a real process on buses of this machine, seen from outside only."""
 
-import contextlib
 import os
 import socket
 import ssl
@@ -11,7 +10,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.attack.wire import HOST, request
+import httpx
+
+from tests.attack.wire import HOST
 
 GROUP = "239.74.163.78"
 READ, CONTROL = "attack-read-token", "attack-control-token"
@@ -84,7 +85,7 @@ class Kind:
 HTTP, TLS, DESCRIPTORS_256 = Kind(), Kind(tls=True), Kind(descriptors=256)
 
 
-def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+def free_port(kind=socket.SOCK_STREAM):
     """A port of loopback that nobody has."""
     with socket.socket(socket.AF_INET, kind) as one:
         one.bind((HOST, 0))
@@ -94,7 +95,7 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 class Target:
     """One running service, and a simulated skin on its first bus."""
 
-    def __init__(self, kind: Kind) -> None:
+    def __init__(self, kind):
         self.kind, self.tls = kind, trusting() if kind.tls else None
         self._folder = tempfile.TemporaryDirectory(prefix="attacked-")
         self.folder = Path(self._folder.name)
@@ -113,7 +114,7 @@ class Target:
         self.process = self._run("run", str(self.config))
         self._skin: subprocess.Popen[bytes] | None = None
 
-    def ready(self) -> None:
+    def ready(self):
         """Wait until it answers, and until a skin that sends is live."""
         end = time.monotonic() + START_S
         while b'"live"' not in (health := self.get("/api/v1/health")):
@@ -124,35 +125,32 @@ class Target:
                 self._skin = self._run("simulate", *options)
             time.sleep(0.1)
 
-    def get(self, path: str) -> bytes:
+    def get(self, path):
         """The body of the answer to a request; empty where there is none."""
-        answer = b""
-        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
-            end = stack.enter_context(socket.create_connection((HOST, self.port), timeout=5.0))
-            if self.tls:
-                end = stack.enter_context(self.tls.wrap_socket(end))
-            end.sendall(request(f"GET {path}", "Connection: close", token=CONTROL))
-            while piece := end.recv(1 << 16):
-                answer += piece
-        return answer.partition(b"\r\n\r\n")[2]
+        url = f"http{'s' if self.tls else ''}://{HOST}:{self.port}{path}"
+        try:
+            headers = {"Authorization": f"Bearer {CONTROL}"}
+            return httpx.get(url, headers=headers, verify=self.tls or True, timeout=5.0).content
+        except httpx.HTTPError:
+            return b""
 
-    def rss_mb(self, field: str = "VmRSS") -> int:
+    def rss_mb(self, field="VmRSS"):
         """Resident memory; VmHWM: its peak."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(status.partition(f"{field}:")[2].split()[0]) >> 10
 
-    def descriptors(self) -> int:
+    def descriptors(self):
         """Open files and sockets."""
         return sum(1 for _ in Path(f"/proc/{self.process.pid}/fd").iterdir())
 
-    def close(self) -> None:
+    def close(self):
         """Leave nothing behind."""
         for process in filter(None, (self._skin, self.process)):
             process.kill()
             process.wait()
         self._folder.cleanup()
 
-    def _run(self, *command: str) -> "subprocess.Popen[bytes]":
+    def _run(self, *command):
         limit = f"ulimit -n {self.kind.descriptors}; " if self.kind.descriptors else ""
         shell = ["sh", "-c", f'{limit}exec "$@"', "sh", sys.executable, "-m", "tactiled", *command]
         settings = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
@@ -163,18 +161,18 @@ class Target:
 class Pool(dict[Kind, Target]):
     """Services that attacks share: one of each kind, started when it is first asked for."""
 
-    def __missing__(self, kind: Kind) -> Target:
+    def __missing__(self, kind):
         return self.setdefault(kind, Target(kind))
 
-    def __enter__(self) -> "Pool":
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         for target in self.values():
             target.close()
 
 
-def trusting() -> ssl.SSLContext:
+def trusting():
     """A client's TLS that trusts every certificate."""
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE

@@ -1,15 +1,13 @@
 """The service is stopped while all kinds of clients are there."""
 
 import asyncio
-import signal
 import time
 
 import can
 
 from tests.attack.bystander import queued_s
-from tests.attack.harness import Findings, Size
 from tests.attack.requests import JSON, METHOD
-from tests.attack.service import CONTROL, GROUP, Target
+from tests.attack.service import CONTROL, GROUP
 from tests.attack.sockets import PROTOCOL, UPGRADES
 from tests.attack.wire import Connection, exchange, frame, request, upgrade
 
@@ -24,7 +22,7 @@ HEADERS = JSON, f"Content-Length: {len(BODY)}", "Connection: close"
 RECORD = request(f"POST {RECORDINGS}", *HEADERS, token=CONTROL, body=BODY)
 
 
-async def stop(how: signal.Signals, target: Target, _: Size, findings: Findings) -> None:
+async def stop(how, target, _, findings):
     """A signal while every kind of client is there."""
     large = target.folder / "recordings" / "large.log"
     large.parent.mkdir(exist_ok=True)
@@ -53,11 +51,11 @@ async def stop(how: signal.Signals, target: Target, _: Size, findings: Findings)
     findings.check(due <= recorded, f"the recording lacks {len(due - recorded)} of {len(due)} messages")
 
 
-def _content(message: can.Message) -> tuple[int, bytes]:
+def _content(message):
     return message.arbitration_id, bytes(message.data)
 
 
-def _receive(bus: can.BusABC, seconds: float) -> list[can.Message]:
+def _receive(bus, seconds):
     messages, end = [], time.monotonic() + seconds
     while (remaining := end - time.monotonic()) > 0:
         if (message := bus.recv(remaining)) is not None:
@@ -65,7 +63,7 @@ def _receive(bus: can.BusABC, seconds: float) -> list[can.Message]:
     return messages
 
 
-def _signal(target: Target, how: signal.Signals) -> tuple[int | None, float]:
+def _signal(target, how):
     """Exit code, and the time (s) it took without what the machine was busy with other things."""
     before, queued, began = queued_s(target.process.pid), 0.0, time.monotonic()
     target.process.send_signal(how)
@@ -76,7 +74,7 @@ def _signal(target: Target, how: signal.Signals) -> tuple[int | None, float]:
     return target.process.returncode, time.monotonic() - began - queued
 
 
-async def _clients(target: Target) -> list[Connection]:
+async def _clients(target):
     """Two connected clients of every kind."""
     upgraded = b" 101 "
     kinds = [  # pieces, what a client reads before the end, port
@@ -97,7 +95,7 @@ async def _clients(target: Target) -> list[Connection]:
         tls = target.tls if port == "port" else None
         clients.append(client := await Connection.to(getattr(target, port), tls=tls))
         await client.send(pieces)
-        await client.until(mark, 30.0)
+        await client.ending(30.0, mark)
     if target.tls:
         clients += [await Connection.to(target.port) for _ in range(2)]  # before their handshake
     return clients

@@ -1,14 +1,13 @@
 """Handshakes of WebSocket and TLS that no library finishes, and frames that break the protocol."""
 
-import asyncio
 import contextlib
 import ssl
-from collections.abc import Iterator
+from itertools import chain, repeat
 
-from tests.attack.harness import Findings, Size, Try, late_s
+from tests.attack.harness import Try, late_s
 from tests.attack.requests import JSON, METHOD
-from tests.attack.service import CONTROL, Target, trusting
-from tests.attack.wire import BINARY, CLOSE, KEY, PING, STREAM, TEXT, UPGRADE, Connection, frame, request, upgrade
+from tests.attack.service import CONTROL, trusting
+from tests.attack.wire import BINARY, CLOSE, KEY, PING, STREAM, TEXT, UPGRADE, frame, request, upgrade
 
 MANY_HEADERS = tuple(f"X-{number}: x" for number in range(140))
 CHUNKED = "Transfer-Encoding: chunked"
@@ -73,55 +72,32 @@ FLOOD_BYTES = 8 << 20  # of frames on one connection
 TRAILERS_BYTES, TRAILERS_S = 105 << 20, 15.0  # of trailers, and the time in which they are sent
 
 
-async def empty_frames(target: Target, _: Size, findings: Findings) -> None:
+def empty_frames(_):
     """8 MB of empty frames behind a handshake, with and without a token."""
-    for token in ("", CONTROL):
-        for flood, (first, empty) in FLOODS.items():
-            name = f"{flood}, {'accepted' if token else 'refused'}"
-            connection = await Connection.to(target.port)
-            try:
-                await connection.send([upgrade(token=token)])
-                findings.check(await connection.until(b"\r\n\r\n"), f"{name}: no handshake")
-                block = empty * 8192
-                pieces = [first + block, *[block] * (FLOOD_BYTES // len(block))]
-                seconds = 2.0 if token else 4 * late_s("refused")
-                __, ending = await asyncio.gather(
-                    connection.send(pieces, seconds=seconds), connection.ending(seconds)
-                )
-                findings.outcomes[f"{name}: {ending.how}"] += 1
-                findings.check(bool(token) or ending.how != "open", f"{name}: still open")
-            finally:
-                connection.cut()
+    for flood, (first, empty) in FLOODS.items():
+        block = empty * 8192
+        pieces = [first + block, *[block] * (FLOOD_BYTES // len(block))]
+        upgraded = {"expect": lambda ending: ending.status in (0, 101)}
+        yield Try(f"{flood}, accepted", [upgrade(token=CONTROL), *pieces], 2.0, send_s=2.0, ends=False, **upgraded)
+        yield Try(f"{flood}, refused", [upgrade(), *pieces], late_s("refused"), **upgraded)
 
 
-def _trailers(head: bytes) -> Iterator[bytes]:
-    """A chunked request that never ends."""
-    piece = (b"X-Trailer: " + b"x" * 117 + b"\r\n") * 512
-    yield head + b"0\r\n"
-    yield from (piece for _ in range(TRAILERS_BYTES // len(piece)))
-
-
-async def trailers(target: Target, _: Size, findings: Findings) -> None:
+def trailers(_):
     """Trailers without end: without a token, with one, and at the port of XELA's clients."""
+    piece = (b"X-Trailer: " + b"x" * 117 + b"\r\n") * 512
     heads = {
-        "no token": (target.port, request("GET /api/v1/health", CHUNKED)),
-        "no token, PUT": (target.port, request(METHOD, CHUNKED)),
-        "token": (target.port, request("GET /api/v1/health", CHUNKED, token=CONTROL)),
-        "token, PUT": (target.port, request(METHOD, CHUNKED, JSON, token=CONTROL)),
-        "XELA's port": (target.xela, request("GET /", CHUNKED)),
+        "no token": request("GET /api/v1/health", CHUNKED),
+        "no token, PUT": request(METHOD, CHUNKED),
+        "token": request("GET /api/v1/health", CHUNKED, token=CONTROL),
+        "token, PUT": request(METHOD, CHUNKED, JSON, token=CONTROL),
+        "XELA's port": request("GET /", CHUNKED),
     }
-    for name, (port, head) in heads.items():
-        connection = await Connection.to(port)
-        try:
-            reading = asyncio.create_task(connection.ending(TRAILERS_S + 2.0))
-            count = await connection.send(_trailers(head), seconds=TRAILERS_S)
-            findings.outcomes[f"{name}: {(await reading).how}"] += 1
-            findings.check(reading.result().how != "open", f"{name}: {count >> 20} MiB of trailers were accepted")
-        finally:
-            connection.cut()
+    for name, head in heads.items():
+        pieces = chain([head + b"0\r\n"], repeat(piece, TRAILERS_BYTES // len(piece)))
+        yield Try(name, pieces, 2.0, send_s=TRAILERS_S, port="xela" if "XELA" in name else "port")
 
 
-def _hello() -> bytes:
+def _hello():
     """The first bytes of a TLS client."""
     output = ssl.MemoryBIO()
     client = trusting().wrap_bio(ssl.MemoryBIO(), output, server_hostname="localhost")
@@ -130,7 +106,7 @@ def _hello() -> bytes:
     return output.read()
 
 
-def tls(_: Target) -> Iterator[Try]:
+def tls(_):
     """Handshakes that are slow, half, missing or garbage, 300 at once; wrong bytes behind a good one."""
     hello = _hello()
     broken = {

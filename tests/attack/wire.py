@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import ssl
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 HOST = "127.0.0.1"
@@ -17,19 +16,19 @@ MAX_RECEIVED_BYTES = 1 << 16  # of an answer that are kept
 CONNECTION_ERRORS = OSError, asyncio.IncompleteReadError, ssl.SSLError
 
 
-def request(line: str, *headers: str, token: str = "", body: bytes = b"") -> bytes:
+def request(line, *headers, token="", body=b""):
     """A request with these headers, whatever its body is."""
     bearer = [f"Authorization: Bearer {token}"] if token else []
     host = [] if any(each.lower().startswith("host:") for each in headers) else ["Host: localhost"]
     return "\r\n".join([f"{line} HTTP/1.1", *host, *bearer, *headers, "", ""]).encode("latin-1") + body
 
 
-def upgrade(*headers: str, path: str = STREAM, token: str = "", body: bytes = b"") -> bytes:
+def upgrade(*headers, path=STREAM, token="", body=b""):
     """The handshake of a WebSocket."""
     return request(f"GET {path}", *KEY, VERSION, *headers, token=token, body=body)
 
 
-def frame(opcode: int, data: bytes = b"", *, last: bool = True, masked: bool = True, reserved: int = 0) -> bytes:
+def frame(opcode, data=b"", *, last=True, masked=True, reserved=0):
     """One frame of a WebSocket, masked with zeros."""
     size, mask = len(data), 0x80 if masked else 0
     first = bytes([(0x80 if last else 0) | reserved | opcode])
@@ -51,85 +50,64 @@ class Ending:
     seconds: float  # from the last byte sent until it ended
 
     @property
-    def status(self) -> int:
+    def status(self):
         """Of the last answer; 0 where there was none."""
         answers = [part for part in self.received.split(b"HTTP/1.1 ")[1:] if part[:3].isdigit()]
         return int(answers[-1][:3]) if answers else 0
 
-    def __str__(self) -> str:
+    def __str__(self):
         return f"{self.status or 'no answer'}, {self.how}"
 
 
 class Connection:
     """One connection of an asyncio client, which may send anything."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def __init__(self, reader, writer):
         self.reader, self.writer = reader, writer
         self.received, self.sent_at = b"", time.monotonic()
 
     @classmethod
-    async def to(
-        cls, port: int, *, source: str = HOST, tls: ssl.SSLContext | None = None, seconds: float = 60.0
-    ) -> "Connection":
+    async def to(cls, port, *, source=HOST, tls=None, seconds=60.0):
         """Connect from an address of loopback; TimeoutError or OSError where it is not accepted."""
         async with asyncio.timeout(seconds):
             ends = await asyncio.open_connection(HOST, port, local_addr=(source, 0), ssl=tls, limit=1 << 18)
         return cls(*ends)
 
-    async def send(self, pieces: Iterable[bytes], pause_s: float = 0.0, seconds: float = 60.0) -> int:
-        """Send, for so long at most; gives the bytes that went before the service ended it."""
-        count, end = 0, time.monotonic() + seconds
+    async def send(self, pieces, pause_s=0.0, seconds=60.0):
+        """Send until the service ends it, for so long at most."""
+        end = time.monotonic() + seconds
         with contextlib.suppress(TimeoutError, *CONNECTION_ERRORS):
             async with asyncio.timeout(seconds):
                 for piece in pieces:
                     self.writer.write(piece)
                     await self.writer.drain()
-                    count, self.sent_at = count + len(piece), time.monotonic()
+                    self.sent_at = time.monotonic()
                     await asyncio.sleep(pause_s)
                     if self.reader.at_eof() or self.sent_at > end:
                         break
-        return count
 
-    async def ending(self, seconds: float) -> Ending:
-        """Read until the service ends it, for so long at most."""
+    async def ending(self, seconds, mark=None):
+        """Read until the service ends it, or has sent `mark`, for so long at most."""
         how = "open"
         try:
             async with asyncio.timeout(seconds):
-                while piece := await self.reader.read(1 << 16):
+                while mark is None or mark not in self.received:
+                    if not (piece := await self.reader.read(1 << 16)):
+                        how = "closed"
+                        break
                     self.received = (self.received + piece)[:MAX_RECEIVED_BYTES]
-                how = "closed"
         except TimeoutError:  # an OSError, too
             pass
         except CONNECTION_ERRORS:
             how = "reset"
         return Ending(self.received, how, time.monotonic() - self.sent_at)
 
-    async def until(self, mark: bytes, seconds: float = 60.0) -> bool:
-        """Read until the service has sent `mark`; False where it does not."""
-        with contextlib.suppress(TimeoutError, *CONNECTION_ERRORS):
-            async with asyncio.timeout(seconds):
-                while mark not in self.received:
-                    piece = await self.reader.read(1 << 16)
-                    if not piece:
-                        return False
-                    self.received += piece
-                return True
-        return False
-
-    def cut(self) -> None:
+    def cut(self):
         """End it at once, as a client that crashed."""
         self.writer.transport.abort()
 
 
-async def exchange(
-    port: int,
-    pieces: Iterable[bytes],
-    wait_s: float,
-    *,
-    pause_s: float = 0.0,
-    source: str = HOST,
-    tls: ssl.SSLContext | None = None,
-) -> Ending:
+async def exchange(port, pieces, wait_s, *, pause_s=0.0, send_s=60.0, source=HOST, tls=None):
     """Connect, send, wait for the end."""
     began = time.monotonic()
     try:
@@ -137,7 +115,7 @@ async def exchange(
     except CONNECTION_ERRORS:
         return Ending(b"", "refused", time.monotonic() - began)
     try:
-        await connection.send(pieces, pause_s)
+        await connection.send(pieces, pause_s, send_s)
         return await connection.ending(wait_s)
     finally:
         connection.cut()

@@ -1,9 +1,13 @@
 """Requests byte for byte, and connections whose states have other bounds."""
 
+import io
 import socket
 from dataclasses import replace
 
+import numpy as np
+
 from tactiled.web.http.timeouts import BOUNDS
+from tests.attack.wire import request
 from tests.conftest import BUSY_S
 
 UPGRADE = (
@@ -37,9 +41,7 @@ def read_all(end):
 def send_raw(url, line, *headers, data=b""):
     """Send a request; gives status and body."""
     with plug(url) as end:
-        host = [] if any(each.lower().startswith("host:") for each in headers) else [f"Host: {url[7:]}"]
-        head = "\r\n".join([f"{line} HTTP/1.1", *host, *headers, "Connection: close", "", ""])
-        end.sendall(head.encode("latin-1") + data)
+        end.sendall(request(line, *headers, "Connection: close", body=data))
         answer = read_all(end)
     head, _, content = answer.partition(b"\r\n\r\n")
     return int(head.split()[1]), content
@@ -47,3 +49,10 @@ def send_raw(url, line, *headers, data=b""):
 
 def websocket_url(url, path="/api/v1/stream"):
     return url.replace("http", "ws", 1) + path
+
+
+def npy(array, **options):
+    """The bytes of an .npy file."""
+    out = io.BytesIO()
+    np.save(out, array, **options)
+    return out.getvalue()
