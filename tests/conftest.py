@@ -4,6 +4,7 @@ import socket
 import ssl
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -76,16 +77,22 @@ class Rig:
         """Let the palm be stale so long (s) after its newest frame, from now on."""
         self.sensor.plan = replace(self.sensor.plan, stale_after_s=seconds)
 
-    def play(self, rate_hz, stop):
-        """Send moving frames on a thread."""
+    @contextmanager
+    def playing(self, rate_hz):
+        """Send moving frames meanwhile."""
+        stop = threading.Event()
 
-        def go():
+        def play():
             while not stop.wait(1 / rate_hz):
                 self.send(pressed(self.sequence % 6))
 
-        thread = threading.Thread(target=go, daemon=True)
-        thread.start()
-        return thread
+        with ThreadPoolExecutor(1) as other:
+            sent = other.submit(play)
+            try:
+                yield self
+            finally:
+                stop.set()
+        sent.result()
 
 
 class Clock:

@@ -109,11 +109,8 @@ def test_after_one_stream_too_many_the_client_tries_again():
     assert len(attempts) > 1
 
 
-WRONG = {
-    "sensor = None": (None, {}),
-    "sensor = ''": ("", {}),
-    r"sensor = \[\]": ([], {}),
-    "sensor = 'palm,tip'": ("palm,tip", {}),
+WRONG_SENSORS = {"sensor = None": None, "sensor = ''": "", r"sensor = \[\]": [], "sensor = 'palm,tip'": "palm,tip"}
+WRONG = {error: (sensor, {}) for error, sensor in WRONG_SENSORS.items()} | {
     "patience_s = 0": ("palm", {"patience_s": 0}),
     "patience_s = nan": ("palm", {"patience_s": float("nan")}),
     "patience_s = '3'": ("palm", {"patience_s": "3"}),

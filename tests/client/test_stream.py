@@ -5,7 +5,6 @@ import re
 import ssl
 import subprocess
 import sys
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -33,12 +32,9 @@ NO_SHEAR = "sensor 'palm': its codec packed carries no shear"
 
 @pytest.fixture
 def playing(rig):
-    stop = threading.Event()
     rig.stale_after(600)
-    sender = rig.play(100, stop)
-    yield rig
-    stop.set()
-    sender.join()
+    with rig.playing(100):
+        yield rig
 
 
 def run(coroutine):

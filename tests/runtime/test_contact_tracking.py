@@ -1,4 +1,3 @@
-import threading
 import time
 
 import numpy as np
@@ -45,9 +44,7 @@ def test_a_contact_that_moves_between_two_questions_keeps_its_id(rig):
 
 def test_searches_have_a_steady_pace_and_end_some_time_after_the_last_question(rig, searches, monkeypatch):
     monkeypatch.setattr(contact_tracking, "ASKED_S", 0.6)
-    ended = threading.Event()
-    thread = rig.play(200, ended)
-    try:
+    with rig.playing(200):
         until(rig.sensor.hub.latest)
         time.sleep(0.3)
         assert not searches  # no question yet
@@ -61,17 +58,6 @@ def test_searches_have_a_steady_pace_and_end_some_time_after_the_last_question(r
         assert len(searches) == count
         rig.sensor.contacts()
         assert len(searches) > count
-    finally:
-        ended.set()
-        thread.join()
-
-
-def test_a_question_is_answered_of_the_newest_image_however_soon(rig):
-    for step in range(5):
-        image = rig.show(bump(2.2 + step / 2))
-        searched, (contact,) = rig.sensor.contacts()
-        assert searched is image
-        assert contact.x_mm == pytest.approx(2.2 + step / 2, abs=0.1)
 
 
 def test_a_search_that_fails_raises_to_the_question_and_ends_no_search(rig, searches, monkeypatch):

@@ -10,16 +10,6 @@ from tests.conftest import until
 from tests.runtime.conftest import Timed, frame
 
 
-def test_events_are_numbered_and_the_oldest_are_dropped():
-    events = Events(max_kept=3, clock=lambda: 7.0)
-    for n in range(5):
-        events.add("method_set", f"m{n}", "palm")
-    assert [(each.id, each.text) for each in events.after(0)] == [(3, "m2"), (4, "m3"), (5, "m4")]
-    assert [each.id for each in events.after(4)] == [5]
-    assert events.after(5) == ()
-    assert (events.newest, events.after(0)[0].time) == (5, 7.0)
-
-
 class Watched(Timed):
     """The palm and the thumb on one bus, and the watch over both."""
 

@@ -1,5 +1,5 @@
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -84,28 +84,14 @@ def test_a_step_of_the_clock_of_the_bus_neither_widens_nor_narrows_a_window(step
 
 
 def test_a_page_that_is_copied_while_images_are_added_is_never_mixed():
-    history, stop = ring(8), threading.Event()
-
-    def add():
-        n = 0
-        while not stop.is_set():
-            history.add(image(n))
-            n += 1
-
-    interval = sys.getswitchinterval()
+    history, interval = ring(8), sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
-    thread = threading.Thread(target=add)
-    thread.start()
-    count = 0
-    try:
-        while count < 2000:
+    with ThreadPoolExecutor(1) as other:
+        adding = other.submit(lambda: [history.add(image(n)) for n in range(5000)])
+        while not adding.done():
             copied = page(history, seconds=1e9)
-            count += len(copied.sequence)
             n = copied.sequence.astype(np.float32)
             assert (copied.values == n[:, None, None]).all()
             np.testing.assert_array_equal(copied.time, copied.sequence / 100)
             assert np.diff(copied.sequence).tolist() == [1] * max(len(n) - 1, 0)
-    finally:
-        stop.set()
-        thread.join()
-        sys.setswitchinterval(interval)
+    sys.setswitchinterval(interval)

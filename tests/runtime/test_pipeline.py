@@ -7,7 +7,6 @@ import pytest
 from tactiled.build import sensor_plan
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import warning
-from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
 from tactiled.runtime.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
@@ -68,18 +67,6 @@ def test_the_deviation_is_of_the_method_that_made_the_image(make, plan):
     deviation = pipeline.deviation(image)
     pipeline.set_method("wiener")  # of the next image, not of this one
     np.testing.assert_array_equal(pipeline.deviation(image), deviation)
-
-
-def test_a_method_takes_effect_with_the_next_frame_and_an_unknown_one_changes_nothing(make):
-    pipeline = make("wiener")
-    assert pipeline.process(frame()).method == "wiener"
-    pipeline.set_method("raw")
-    image = pipeline.process(frame())
-    assert image.method == "raw"
-    np.testing.assert_array_equal(image.restored, image.raw)
-    with pytest.raises(ConfigError, match="method = 'sharpen': no such method: choose one of "):
-        pipeline.set_method("sharpen")
-    assert pipeline.method == "raw"
 
 
 @pytest.mark.parametrize("method", ["raw", "wiener", "auto"])
@@ -167,17 +154,18 @@ def test_forces_of_a_layout_are_of_the_surface_that_each_taxel_stands_for():
 
 
 @pytest.mark.parametrize(
-    ("settings", "flag", "known_without"),
+    ("settings", "flag_of_tare", "flag", "known_without"),
     [
-        ({"shear_n_per_count": 0.1}, MISSING, True),
-        ({"shear_n_per_count": 0.1}, BAD, True),
-        ({"shear_n_per_count": 0.1, "dead": (3,)}, 0, False),
-        ({}, 0, False),
+        ({"shear_n_per_count": 0.1}, 0, MISSING, True),
+        ({"shear_n_per_count": 0.1}, 0, BAD, True),
+        ({"shear_n_per_count": 0.1}, MISSING, 0, False),
+        ({"shear_n_per_count": 0.1, "dead": (3,)}, 0, 0, False),
+        ({}, 0, 0, False),
     ],
 )
-def test_forces_are_none_unless_all_are_known(make, settings, flag, known_without):
+def test_forces_are_none_unless_all_are_known(make, settings, flag_of_tare, flag, known_without):
     pipeline = make(**settings)
-    tare(pipeline, sheared(UNLOADED, 0, 0))
+    tare(pipeline, sheared(UNLOADED, 0, 0, flags_of({(2, 2): flag_of_tare})))
     assert pipeline.forces(sheared(pressed(), 1, 1, flags_of({(2, 2): flag}))) is None
     assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == known_without
     assert pipeline.forces(frame()) is None  # without shear

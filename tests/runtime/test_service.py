@@ -13,12 +13,10 @@ from tests.conftest import CONFIG, NO_LOAD, until
 
 def test_several_sensors_on_several_buses(request):
     names = [f"{request.node.name}-{n}" for n in (0, 1)]
-    text = CONFIG.format(channel=names[0]) + CONFIG.format(channel=names[1]).replace("can0", "can1").replace(
-        "[sensor.palm]", "[sensor.thumb]"
-    )
-    both = text + CONFIG.format(channel="").split("[sensor.palm]")[1].join(["[sensor.index]", ""]).replace(
-        'name = "packed"', 'name = "packed", array_id = 3'
-    )
+    palm = CONFIG.format(channel=names[0])
+    index = palm.partition("[sensor.palm]")[2].replace('"packed"', '"packed", array_id = 3')
+    thumb = CONFIG.format(channel=names[1]).replace("can0", "can1").replace("sensor.palm", "sensor.thumb")
+    both = f"{palm}{thumb}[sensor.index]{index}"
     service = Service(parse(both))
     ends = {"can0": open_bus("virtual", channel=names[0]), "can1": open_bus("virtual", channel=names[1])}
     with service.running():

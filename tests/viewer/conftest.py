@@ -1,9 +1,8 @@
 import re
 import shutil
-import threading
 import time
 from base64 import b64decode
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from io import BytesIO
 
 import numpy as np
@@ -178,16 +177,9 @@ def open_page(browser):
     assert faults == []
 
 
-@contextmanager
-def playing(rig, rate_hz=20, play=Rig.play):
+def playing(rig, rate_hz=20):
     """Frames come meanwhile."""
-    stop = threading.Event()
-    sender = play(rig, rate_hz, stop)
-    try:
-        yield
-    finally:
-        stop.set()
-        sender.join()
+    return Rig.playing(rig, rate_hz)
 
 
 def one_more(name, number, array):

@@ -16,7 +16,7 @@ from tactiled.web.http import body, timeouts
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
-from tests.web.http.raw import bound, plug, read_all, send_raw
+from tests.web.http.raw import bound, npy, plug, read_all, send_raw
 
 EXECUTED = Path("/tmp/was-here-by-an-upload")
 METHOD, TARE = "/api/v1/sensors/palm/method", "/api/v1/sensors/palm/tare"
@@ -41,11 +41,7 @@ def test_no_path_leaves_its_folder(url, folder):
     up = ("..", "%2e%2e", "%2E.", ".%2e", "..%00", "....", "%252e%252e", "%c0%ae%c0%ae", "..\\", "..%5c")
     slashes = ("/", "%2f", "%5c", "//", "/./", "%252f")
     recordings = "/api/v1/recordings"
-    targets = (
-        ("GET", recordings, "secret.log"),
-        ("DELETE", recordings, "secret.log"),
-        ("GET", "/static", "app.py"),
-    )
+    targets = [(verb, recordings, "secret.log") for verb in ("GET", "DELETE")] + [("GET", "/static", "app.py")]
     for (verb, parent, name), parts, slash in product(targets, up, slashes):
         path = f"{parent}{slash}{parts}{slash}{name}"
         status, content = send_raw(url, f"{verb} {path}")
@@ -84,12 +80,6 @@ def uploads(tmp_path, monkeypatch):
     path.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(path))
     return path
-
-
-def npy(array, **options):
-    out = io.BytesIO()
-    np.save(out, array, **options)
-    return out.getvalue()
 
 
 def header(text, length=None):

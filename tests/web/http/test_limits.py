@@ -109,9 +109,8 @@ def test_a_client_has_its_number_of_streams_until_one_ends():
         assert unlimited.open == 1000
 
 
-def play(turns, play_all):
-    """Run four costly answers, which wait for an event; gives their results and the numbers that were made."""
-    release, made = threading.Event(), []
+def test_a_waiting_client_that_left_or_was_cancelled_is_passed_over():
+    turns, release, made = Turns(RateLimit(0)), threading.Event(), []
 
     def make(number):
         assert release.wait(30)
@@ -119,11 +118,13 @@ def play(turns, play_all):
         return number
 
     async def run():
-        requests = [Request(scope("10.0.0.1"), asyncio.Queue().get) for _ in range(4)]
+        queues = [asyncio.Queue() for _ in range(4)]
+        requests = [Request(scope("10.0.0.1"), queue.get) for queue in queues]
         tasks = [asyncio.create_task(turns.one(each, partial(make, n))) for n, each in enumerate(requests)]
         while turns._waiting.total() < 3:
             await asyncio.sleep(0)
-        play_all(requests, tasks)
+        queues[1].put_nowait({"type": "http.disconnect"})
+        tasks[2].cancel()
         release.set()
         return await asyncio.gather(*tasks, return_exceptions=True)
 
@@ -131,17 +132,7 @@ def play(turns, play_all):
         results = other.submit(asyncio.run, run()).result(30)
     assert not turns._waiting
     assert not turns._lock.locked()
-    return results, made
-
-
-def test_a_waiting_client_that_left_or_was_cancelled_is_passed_over():
-    def leave(requests, tasks):
-        requests[1]._receive.__self__.put_nowait({"type": "http.disconnect"})
-        tasks[2].cancel()
-
-    results, made = play(Turns(RateLimit(0)), leave)
-    assert made == [0, 3]
-    assert (results[0], results[3]) == (0, 3)
+    assert (made, results[0], results[3]) == ([0, 3], 0, 3)
     assert isinstance(results[2], asyncio.CancelledError)
 
 

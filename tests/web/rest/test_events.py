@@ -53,16 +53,10 @@ def test_pages_of_events_and_the_count_of_discarded_ones(rig, client):
 
 
 def test_a_waiting_client_gets_the_next_event_when_it_happens(rig, client):
-    def later():
-        time.sleep(0.3)
-        rig.service.events.add("bus_up", "available again", bus="can0")
-
     newest = client.get("/events").json()["newest"]
-    thread = threading.Thread(target=later)
     began = time.monotonic()
-    thread.start()
+    threading.Timer(0.3, rig.service.events.add, ("bus_up", "available again"), {"bus": "can0"}).start()
     answer = client.get("/events", params={"after": newest, "wait": 25}).json()
-    thread.join()
     assert [each["text"] for each in answer["events"]] == ["available again"]
     assert 0.3 <= time.monotonic() - began < BUSY_S
     none = client.get("/events", params={"after": answer["newest"], "wait": 0.2}).json()

@@ -9,12 +9,6 @@ from tests.conftest import NO_LOAD, SIDE, meanwhile, pressed, until
 from tests.viewer.conftest import THUMB, Pair
 
 
-@pytest.fixture
-def pair():
-    with meanwhile(Pair("picture", THUMB)) as made:
-        yield made
-
-
 def scale(figure):
     return figure.axes[0].images[0].get_clim()
 
@@ -40,19 +34,14 @@ def test_the_title_gives_the_age_of_a_stale_image(rig):
     assert re.fullmatch(r"palm, raw, frame 0\nSTALE: \d+\.\d+ s old", title)
 
 
-def test_the_legend_is_as_high_as_the_map_and_the_map_true_to_scale(pair):
-    for sensor, image in zip(("palm", "thumb"), pair.both(), strict=True):
-        figure = picture.draw(pair.service.sensor(sensor), image, "raw", None)
-        figure.draw_without_rendering()
-        drawn_map, legend = (axes.get_window_extent() for axes in figure.axes)
-        assert (legend.y0, legend.y1) == pytest.approx((drawn_map.y0, drawn_map.y1), abs=1.5)  # pixels
-        axes = figure.axes[0]
-        across, down = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
-        assert drawn_map.width / drawn_map.height == pytest.approx(across / down, rel=0.01)
-
-
-def test_taxels_of_no_grid_are_as_large_as_they_are(pair):
-    _, image = pair.both()
-    (discs,) = picture.draw(pair.service.sensor("thumb"), image, "raw", None).axes[0].collections
+def test_a_map_is_true_to_scale_and_taxels_of_no_grid_are_as_large_as_they_are():
+    with meanwhile(Pair("picture", THUMB)) as pair:
+        for sensor, image in zip(("palm", "thumb"), pair.both(), strict=True):
+            figure = picture.draw(pair.service.sensor(sensor), image, "raw", None)
+            figure.draw_without_rendering()
+            extent, axes = figure.axes[0].get_window_extent(), figure.axes[0]
+            across, down = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+            assert extent.width / extent.height == pytest.approx(across / down, rel=0.01)
+    (discs,) = axes.collections
     assert set(discs.get_widths()) == {1.5}
     np.testing.assert_array_equal(discs.get_array(), image.raw)

@@ -237,15 +237,9 @@ def test_the_size_of_an_ended_recording_is_that_of_its_whole_file(folder, reques
     buses = {"can0": {"interface": "virtual", "channel": request.node.name}}
     files = recordings.Recordings(folder, buses, Events(), 0.0)
     files.start("can0", "a.log.gz")
-    size_of = recordings._size
-
-    def slowly(path):
-        size = size_of(path)
-        files._runs["a.log.gz"].stop()
-        return size
-
+    size_of, run = recordings._size, files._runs["a.log.gz"]
     with monkeypatch.context() as patched:
-        patched.setattr(recordings, "_size", slowly)
+        patched.setattr(recordings, "_size", lambda path: (size_of(path), run.stop())[0])
         during = files._recording("a.log.gz")
     (after,) = files.page(recordings.PageQuery()).recordings
     assert not after.running

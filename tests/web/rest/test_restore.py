@@ -15,14 +15,7 @@ from tactiled.web.http import body, timeouts
 from tactiled.web.rest import restore
 from tactiled.web.server import running
 from tests.conftest import ask, problem, until
-from tests.web.http.raw import plug
-
-
-def npy(array):
-    out = io.BytesIO()
-    np.save(out, array)
-    return out.getvalue()
-
+from tests.web.http.raw import npy, plug
 
 ONE_FRAME = npy(np.zeros((1, 8, 8)))
 

@@ -129,8 +129,7 @@ def test_shear_in_a_json_stream_is_that_of_rest_as_described(skin, client):
 
 
 def test_a_sensor_without_shear_is_refused(client):
-    assert {each["name"]: each["shear"] for each in client.get("/sensors").json()["sensors"]} == {
-        "skin": True, "palm": False
-    }  # fmt: skip
+    sensors = client.get("/sensors").json()["sensors"]
+    assert {each["name"]: each["shear"] for each in sensors} == {"skin": True, "palm": False}
     for path in ("/sensors/palm/frames/shear", "/sensors/palm/frames?kind=shear"):
         assert problem(client.get(path), 404) == "sensor 'palm': its codec packed carries no shear"

@@ -1,6 +1,5 @@
 import json
 import re
-import struct
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from tactiled.web.ws import session
 from tactiled.web.ws.asyncapi import MESSAGES, parameters
 from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse
-from tactiled.wire import HEADER, unpack
 from tests.conftest import BUSY_S, ask, pressed
 from tests.web.http.raw import UPGRADE, plug, read_all
 from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, stream, text
@@ -72,27 +70,6 @@ def test_messages_are_as_described(rig, url, document, path):
         assert not payload(document, each["type"]).is_valid(incomplete)
     for message, valid in ((NEXT, True), ('{"type": "next", "sensor": "palm"}', True), ("{}", False)):
         assert payload(document, "next").is_valid(json.loads(message)) == valid
-
-
-@pytest.mark.parametrize("path", [ONE, SEVERAL])
-def test_bytes_are_where_the_layout_says(rig, url, document, path):
-    image = rig.show(pressed())
-    with stream(url, "?kinds=raw", path) as client:
-        data = next(each for each in client if isinstance(each, bytes))
-    rows = document["components"]["messages"]["image"]["x-layout"]
-    layout = {re.split("[,;:]", each["meaning"])[0]: each for each in rows}
-    formats = {"u8": "B", "u16": "<H", "u32": "<I", "u64": "<Q", "f32": "<f", "f64": "<d"}
-
-    def at(name):
-        return struct.unpack_from(formats[layout[name]["type"]], data, layout[name]["offset"])[0]
-
-    assert (at("rows"), at("columns"), at("sequence number of the frame")) == (8, 8, image.sequence)
-    assert (at("time of the frame's first CAN message"), at("noise")) == (image.time, image.noise_kpa)
-    sensor = unpack(data).sensor
-    assert (at("F"), at("N")) == (64, len(sensor))
-    assert layout["pressure in kPa"]["offset"] == HEADER.size
-    assert len(data) == HEADER.size + 4 * 64 + 64 + len(sensor)
-    assert data[len(data) - len(sensor) :].decode() == sensor == ("palm" if path == SEVERAL else "")
 
 
 def test_every_described_parameter_is_accepted(document):

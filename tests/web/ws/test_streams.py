@@ -1,7 +1,6 @@
 """Streams of several sensors, and what every stream refuses."""
 
 import re
-import threading
 import time
 
 import numpy as np
@@ -9,25 +8,13 @@ import pytest
 from websockets.sync.client import connect
 
 from tactiled.web import answers
-from tactiled.web.server import running
-from tactiled.web.ws import feed
 from tactiled.web.ws.feed import Feed
-from tactiled.web.ws.stream import Stream
-from tactiled.wire import unpack_all
-from tests.conftest import BUSY_S, NO_LOAD, Rig, meanwhile, pressed, until
+from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, until
+from tests.skin import PALM
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import NEXT, SEVERAL, closed, images, stream, text, text_of, texts
 
-TIP = """
-[sensor.tip]
-bus = "can0"
-method = "raw"
-codec = { name = "packed", bits = 12, fd = true, array_id = 1 }
-array = { rows = 4, columns = 4, pitch_mm = 1.0 }
-cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
-"""
+TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
 
 
 @pytest.fixture
@@ -59,25 +46,6 @@ def test_one_socket_has_images_and_states_of_several_sensors(rig, url, query):
     assert {(each.sensor, each.kind) for each in got} == {(n, k) for n in ("palm", "tip") for k in kinds}
     assert {each.sensor: each.values.shape for each in got} == {"palm": (8, 8), "tip": (4, 4)}
     assert next(each.values for each in got if each.sensor == "tip").tolist() == [[10.0] * 4] * 4
-
-
-def test_a_busy_sensor_does_not_delay_another(rig, url):
-    stop, got = threading.Event(), {"palm": [], "tip": []}
-    with streams(url, "?kinds=raw&rate_hz=5") as client:
-        began = time.monotonic()
-        sender = rig.play(100, stop)
-        for sequence in range(5):
-            show_tip(rig, sequence)
-            time.sleep(0.2)
-        stop.set()
-        sender.join()
-        while 4 not in got["tip"]:
-            (image,) = images(client, 1)
-            got[image.sensor].append(image.sequence)
-        seconds = time.monotonic() - began
-    assert 1 < len(got["palm"]) <= 5 * seconds + 1  # of 100 a second
-    for sequences in got.values():
-        assert sequences == sorted(set(sequences))
 
 
 @pytest.mark.parametrize("method", ["status", "binary"])
@@ -120,31 +88,6 @@ def test_a_fault_ends_when_its_clients_have_left(rig, url, monkeypatch):
     with streams(url):
         until(lambda: len(rig.service.faults.now) == 2)
     until(lambda: not rig.service.faults.now)
-
-
-def test_a_sensor_without_news_costs_the_others_nothing(rig, monkeypatch):
-    turns, send = [], Stream._send_line
-    monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
-    monkeypatch.setattr(
-        Stream, "_send_line", lambda one, line: (turns.append(line.feed.sensor.name), send(one, line))
-    )
-    with running(rig.service) as url, streams(url, "?kinds=raw") as client:
-        for at in range(20):
-            rig.show(pressed(at % 6))
-            images(client, 1)
-    assert turns.count("palm") >= 20
-    assert turns.count("tip") < 5
-
-
-def test_every_message_names_its_sensor(rig, url):
-    show_tip(rig, 0)
-    with streams(url, "?sensors=tip&together=1") as client:
-        data = next(each for each in client if isinstance(each, bytes))
-    assert [(one.kind, one.sensor) for one in unpack_all(data)] == [("raw", "tip"), ("restored", "tip")]
-    with streams(url, "?sensors=tip&format=json&kinds=raw&contacts=1") as client:
-        messages = [text(client) for _ in range(3)]
-    assert [(each["type"], each["sensor"]) for each in messages][:2] == [("status", "tip"), ("frame", "tip")]
-    assert {each["sensor"] for each in messages} == {"tip"}
 
 
 def test_credit_is_for_one_sensor_or_for_all(rig, url):
