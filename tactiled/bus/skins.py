@@ -2,8 +2,9 @@
 
 import difflib
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import asdict, is_dataclass
+from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
@@ -58,13 +59,19 @@ def load(name: str, offers: EntryPoints | None = None) -> type[Skin]:
     return skin
 
 
+@cache
+def _adapter(skin: Hashable) -> TypeAdapter[Any]:
+    """What checks the settings of a codec; to make one takes milliseconds."""
+    return TypeAdapter(cast(type[Any], skin))
+
+
 def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
     """A codec's settings, checked; paths begin in `folder`.
 
     pydantic's ValidationError where it may show keys and values; ValueError where these are another package's.
     """
     try:
-        checked: Skin = TypeAdapter(load(name)).validate_python(table, context={"folder": folder})
+        checked: Skin = _adapter(cast(Hashable, load(name))).validate_python(table, context={"folder": folder})
     except ValidationError as error:
         if name in BUILT_IN:
             raise
@@ -77,7 +84,7 @@ def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
 
 def redacted(name: str, skin: Skin) -> dict[str, Any]:
     """A codec's settings as they may be printed: the texts of another package are secrets."""
-    table: dict[str, Any] = TypeAdapter(type(skin)).dump_python(skin, mode="json")
+    table: dict[str, Any] = _adapter(cast(Hashable, type(skin))).dump_python(skin, mode="json")
     return table if name in BUILT_IN else show(seal(table))
 
 

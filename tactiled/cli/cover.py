@@ -72,8 +72,7 @@ def cover(
     kernel = solve(stack, model, accuracy, rise, perf_counter, budget)
     seconds, summary = perf_counter() - start, summarise(kernel, array, noise)
     if q is None:
-        low, high = np.searchsorted(ROUND_FREQUENCIES, (summary.half_gain / 8, 2 * summary.tenth_gain))
-        q = ROUND_FREQUENCIES[low:high]
+        q = _round_frequencies(summary)
     if footprint is not None:
         press = pressed(stack, footprint, accuracy, rise, lambda: perf_counter() > start + budget)
     if as_json:
@@ -85,6 +84,12 @@ def cover(
             _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
+
+
+def _round_frequencies(summary: CoverSummary) -> Floats:
+    """Round frequencies (1/mm) over which the gain falls."""
+    low, high = np.searchsorted(ROUND_FREQUENCIES, (summary.half_gain / 8, 2 * summary.tenth_gain))
+    return np.asarray(ROUND_FREQUENCIES[low:high])
 
 
 def _numbers(option: str, text: str, form: str = "", count: int | None = None) -> list[float]:
