@@ -36,7 +36,7 @@ class Bounds:
         return handler(core) | {"minimum": low, "maximum": self.high}
 
     def _checked(self, value: float) -> float:
-        """Refuse a number past either end, and one that is none."""
+        """Refuse a number past either end, and NaN."""
         size = abs(value) if self.signed else value
         if not (self.low <= size <= self.high or (self.zero and value == 0)):
             raise PydanticCustomError("out_of_bounds", "give {bounds}", {"bounds": str(self)})

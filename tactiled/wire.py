@@ -107,7 +107,7 @@ def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
 
 
 def unpack_all(data: bytes) -> list[Unpacked]:
-    """Read a message of one image or, with `together=1`, several; ValueError where it is none of this version."""
+    """Read a message of one image or, with `together=1`, several; ValueError if it is not of this version."""
     images: list[Unpacked] = []
     at = 0
     while at < len(data) or not images:
@@ -127,7 +127,7 @@ def _size(data: bytes, at: int) -> int:
 
 
 def unpack(data: bytes) -> Unpacked:
-    """Read one image; ValueError where it is none of this version."""
+    """Read one image; ValueError if it is not of this version."""
     if len(data) < HEADER.size or data[:4] != MAGIC or data[4] != VERSION:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
     _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)

@@ -81,7 +81,7 @@ class Assembler:
 
     A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
-    one that it always comes before, begins a newer frame. A sender that begins its sequence numbers anew after a
+    one that it always comes before, begins a newer frame. A sender that restarts its sequence numbers after a
     silence is followed at once. Of a segment that came twice and not the same neither is used: nobody knows which
     of two senders is right. A codec's fault, of whatever kind, is a malformed message.
 

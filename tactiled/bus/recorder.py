@@ -205,7 +205,7 @@ class Recorder:
 
 
 def _ending(path: Path) -> str:
-    """The format of a file by its name; ConfigError where there is none."""
+    """The format of a file by its name; ConfigError if it is not supported."""
     ending = next((each for each in WRITERS if path.name.lower().endswith(each)), None)
     if ending is None:
         raise ConfigError(f"{path}: unsupported format; use one of {', '.join(WRITERS)}")

@@ -23,7 +23,7 @@ def names() -> tuple[str, ...]:
 
 
 def path(name: str) -> Path:
-    """Where a recording of the package is; ConfigError, with those there are, where there is none of that name."""
+    """Where a recording of the package is; ConfigError names those that exist."""
     if name not in names():
         raise ConfigError(f"recording {name!r}: no such recording: choose one of {', '.join(names())}")
     (file,) = SHIPPED.glob(f"*/{name}.log")
@@ -42,7 +42,7 @@ class Pace:
         self._origin: float | None = None  # s, the recording's time at 0
 
     def go(self, time: float) -> str | None:
-        """Go on to the next message, of `time` (s); returns a description of a step, None where there is none."""
+        """Go on to the next message, of `time` (s); returns a description of a step of the clock, or None."""
         self._count += 1
         self._origin = time if self._origin is None else self._origin
         ahead = time - self._origin - self.now
@@ -64,7 +64,7 @@ def read(path: Path) -> Iterator[Message]:
         with open_log(path) as log:
             for count, each in enumerate(log, 1):
                 if not 0 <= each.timestamp < MAX_TIME_S:
-                    raise ValueError(f"message {count}: time {each.timestamp:g} s is none from 1970 to 2106")
+                    raise ValueError(f"message {count}: time {each.timestamp:g} s is outside 1970 to 2106")
                 if not (each.is_error_frame or each.is_remote_frame):
                     data = bytes(each.data)
                     yield Message(each.timestamp, each.arbitration_id, data, each.is_extended_id, each.is_fd)

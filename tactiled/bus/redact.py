@@ -37,7 +37,7 @@ class Secret:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Secret) and self._value == other._value
 
-    __hash__ = None  # type: ignore[assignment]  # a table is none either
+    __hash__ = None  # type: ignore[assignment]  # a table has no hash either
 
 
 def seal(settings: Mapping[str, Any], harmless: Collection[str] = ()) -> dict[str, Any]:

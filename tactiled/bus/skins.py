@@ -107,7 +107,7 @@ def _try_out(codec: Codec) -> None:
     covered = np.zeros(codec.size, int)
     for message in codec.encode(counts, 0, 0.0):
         if (message.id, message.extended) not in codec.ids:
-            raise ConfigError(f"encode made a message on id {message.id:#x}, which is none of its ids")
+            raise ConfigError(f"encode made a message with id {message.id:#x}, which the codec does not list")
         reading = codec.decode(message)
         payloads[reading.segment] = reading.payload
         covered[codec.span(reading.segment)] += 1

@@ -59,5 +59,5 @@ def _bus(config: Config | None, bus: str | None, interface: str | None, keys: di
     if interface is None:
         raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
     if bus is not None:
-        raise ConfigError(f"--bus {bus}: names a bus of a --config, and there is none")
+        raise ConfigError(f"--bus {bus}: give --config, the file that has this bus")
     return {"interface": interface} | keys

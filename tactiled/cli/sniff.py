@@ -115,7 +115,7 @@ def report(result: Survey, count: int, seconds: float) -> list[str]:
 
 
 def configuration(result: Survey, settings: dict[str, Any]) -> str:
-    """A configuration of every sender, as TOML; ConfigError where there is none."""
+    """A configuration of every sender, as TOML; ConfigError if none was recognised."""
     if not result.senders:
         raise ConfigError("no known skin sends on this bus: nothing to write a configuration for")
     bus = str(settings.get("channel", ""))

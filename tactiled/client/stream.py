@@ -182,7 +182,7 @@ class Stream:
         self.inbox = Inbox(self._kinds)
 
     def ask(self) -> None:
-        """The loop asks for an image: patience begins anew."""
+        """The loop asks for an image: the time of `patience_s` starts again."""
         self.inbox.ask()
         self._since = time.monotonic()
 
@@ -196,7 +196,7 @@ class Stream:
         return None if wait == math.inf else wait
 
     def take(self, data: str | bytes) -> None:
-        """Take a message; TactileError where it is none of this version's."""
+        """Take a message; TactileError if it is not of this version."""
         self._error = ""
         try:
             name = self.inbox.take(data)

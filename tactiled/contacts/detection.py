@@ -14,7 +14,7 @@ Labels = NDArray[np.int64]
 
 # `python -m tests.study contacts` measures what these bounds find and split.
 BEGIN_SIGMAS = 5.0  # noise standard deviations from which a contact begins
-CONTINUE_SIGMAS = 3.0  # down to which it may fall and go on; and of a dip that is none by chance
+CONTINUE_SIGMAS = 3.0  # down to which it may fall and go on; and depth of a dip that is not chance
 NEAR_PITCHES = 8.0  # within which a peak counts in full, and restoration may ring round it
 FAR_PEAK_SHARE = 0.2  # of a peak further off that counts
 SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
@@ -46,7 +46,7 @@ class Contact:
 class Finder:
     """Finds the contacts in the restored images of one array, whose surface has these cells.
 
-    It searches a picture of squares: a cell is one square of a grid, or several of a layout that is none.
+    It searches a picture of squares: a cell is one square of a grid, or several of another layout.
     """
 
     def __init__(self, array: Array, cells: Cells) -> None:

@@ -12,7 +12,7 @@ from tactiled.restore.wiener import Wiener
 # All chosen on the scenes of `python -m tests.study restore`.
 PENALTY = 0.3  # ADMM's: against a blur whose largest gain is 1
 SPARSE_WEIGHT = 0.25  # of the sum of pressures, in noise standard deviations, on an image pressed all over
-MIN_SHARE = 0.002  # of the cells pressed: smaller shares are not told apart
+MIN_SHARE = 0.002  # of the cells pressed: smaller shares count as this one
 SPARSE_SHARE = 0.025  # of the cells pressed: a mean over all modes then says little about the pressed ones
 SPARSE_GAUSSIAN = 0.3  # of the Gaussian's weight remains there
 MAX_ITERATIONS = 30

@@ -74,7 +74,7 @@ class Points:
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
 
-        A fit that leaves more than noise, or points whose place, force or smallness is uncertain, is none.
+        A fit is refused if it leaves more than noise, or if a point's place, force or smallness is uncertain.
         """
         self.loads = None
         if self._fitter is None:

@@ -46,7 +46,7 @@ class Service:
         ]
 
     def sensor(self, name: str) -> Sensor:
-        """The sensor of that name; UnknownSensorError where there is none."""
+        """The sensor of that name; UnknownSensorError if it is not configured."""
         try:
             return self.sensors[name]
         except KeyError as error:

@@ -96,7 +96,7 @@ def test_a_half_received_frame_is_closed_when_its_sender_falls_silent():
 
 
 @pytest.mark.parametrize("again", [0, 7, 8])  # 7: its last message was the very frame that it begins with
-def test_a_sender_that_begins_anew_after_a_silence_is_followed_at_once(again):
+def test_sender_that_restarts_after_a_pause_is_followed_at_once(again):
     before = [each._replace(time=each.time / 100) for n in range(8) for each in frame_of(n)]
     after = [each._replace(time=1.0 + each.time / 100) for n in range(again, again + 3) for each in frame_of(n)]
     frames, loss = run([*before, *after])

@@ -140,7 +140,7 @@ def refused(path, reason):
         ("a.log", LINE + b"nonsense\n" + LINE + LINE[:-5], "give a recording in a format"),  # its end is cut, too
         *(
             (f"a.log{packed}", LINE * 2 + LINE.replace(b"1.000000", number.encode()) + LINE,
-             rf"message 3: time {float(number):g} s is none from 1970 to 2106".replace("+", r"\+"))
+             rf"message 3: time {float(number):g} s is outside 1970 to 2106".replace("+", r"\+"))
             for number in ("inf", "nan", "1e300", "-1", "1e10") for packed in ("", ".gz")
         ),
     ],

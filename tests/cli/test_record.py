@@ -67,7 +67,7 @@ def test_the_free_space_to_leave_is_checked_before_anything_is_written(
         ("a.mf4 --interface virtual", "a.mf4: unsupported format; use"),
         ("gone/a.log --interface virtual", "gone/a.log: No such file or directory"),
         ("a.log --interface virtual --recordings-leave-mb inf", "recordings_leave_mb = inf: give 0"),
-        ("a.log --interface virtual --bus can0", "--bus can0: names a bus of a --config"),
+        ("a.log --interface virtual --bus can0", "--bus can0: give --config"),
         ("a.log --interface virtual --config a.toml", "--config: says how to open the bus: leave out --interface"),
         ("a.log --fd --config a.toml", "--config: says how to open the bus: leave out --interface"),
         ("a.log --config gone.toml", "gone.toml: No such file"),

@@ -147,7 +147,7 @@ def test_resolution_is_finer_with_less_noise_and_never_beyond_the_cells(covered,
 
 
 @pytest.mark.parametrize("noise", [0.0, -1.0, np.nan, np.inf])
-def test_a_noise_that_is_none_is_refused(covered, noise):
+def test_invalid_noise_is_refused(covered, noise):
     with pytest.raises(ConfigError, match=r"noise = .*: give a taxel's standard deviation"):
         make("auto", covered(), noise)
 

@@ -37,7 +37,7 @@ class Barrett(ClassicSkin):
         """4 bits of segment, five taxels of 12 bits, all big-endian."""
         data = message.data
         if message.fd or len(data) != 8 or data[0] >> 4 >= self.segments:
-            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is none of a pad's five")
+            raise CodecError(f"message {message.id:#x} of {len(data)} bytes does not belong to the pad")
         return Reading(message.time, data[0] >> 4, data)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:

@@ -31,7 +31,7 @@ class CySkin(ClassicSkin):
     def decode(self, message: Message) -> Reading:
         """Four taxels, little-endian."""
         if message.fd or len(message.data) != 8 or message.id not in IDS:
-            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is none of a finger's four")
+            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes does not belong to the finger")
         return Reading(message.time, IDS.index(message.id), message.data)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:

@@ -63,7 +63,7 @@ class Dbc(Codec):
         """One message; a float that is not finite, or past float32, makes its taxel bad."""
         segments = self._of.get((message.id, message.extended))
         if segments is None or len(message.data) != _length(self._parts[segments[0]].layout):
-            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is none of the DBC file's map")
+            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is not in the DBC file")
         raw = _decoded(self._parts[segments[0]].layout, message.data)
         for segment in segments:
             part = self._parts[segment]

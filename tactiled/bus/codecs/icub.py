@@ -107,7 +107,7 @@ class Icub(ClassicSkin):
         """A head, or a tail with or without diagnostics, of a configured triangle."""
         data, triangle = message.data, message.id & 0xF
         if message.fd or triangle not in self.triangles:
-            raise CodecError(f"message {message.id:#x} is no classic message of a configured triangle")
+            raise CodecError(f"message {message.id:#x} is not a classic message of a configured triangle")
         place = self.triangles.index(triangle)
         if len(data) == 8 and data[0] == HEAD:
             return Reading(message.time, 2 * place, data[1:])

@@ -69,7 +69,7 @@ class Linker(ClassicSkin):
         """The finger, the row in the high digit, six taxels."""
         data = message.data
         if message.fd or len(data) != 8 or data[1] & 0xF or data[1] >> 4 >= ROWS:
-            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is no row of a finger")
+            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is not a row of a finger")
         if data[0] - FINGER not in self.fingers:
             raise CodecError(f"message {message.id:#x} is of finger {data[0] - FINGER}, which is not configured")
         place = self.fingers.index(data[0] - FINGER)

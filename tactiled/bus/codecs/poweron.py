@@ -38,7 +38,7 @@ class PowerOn(ClassicSkin):
         """The low bytes of three taxels, then their high digits."""
         data, segment = message.data, message.id - self.base_id
         if message.fd or len(data) != 8 or not 0 <= segment < self.segments:
-            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is none of an array's twelve")
+            raise CodecError(f"message {message.id:#x} of {len(data)} bytes does not belong to the array")
         return Reading(message.time, segment, data[:PAYLOAD])
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:

@@ -106,7 +106,7 @@ class Xela(ClassicSkin, ShearCodec):
     def decode(self, message: Message) -> Reading:
         """A taxel's status, X, Y, Z and status, eight bytes."""
         if message.fd or len(message.data) != 8 or message.id not in self._segments:
-            raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is no taxel's classic eight")
+            raise CodecError(f"message {message.id:#x}: not a classic message of 8 bytes of a taxel")
         return Reading(message.time, self._segments[message.id], message.data[1:7])
 
     def axes(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:

@@ -37,7 +37,7 @@ class RateLimit:
             raise Problem(429, f"more than {60 * self._rate:g} a minute: wait", retry)
 
     def take(self, client: str) -> float:
-        """Take a token; gives the time (s) until there is one where there is none, else 0."""
+        """Take a token and return 0, or return the time (s) until there is one."""
         if not self._rate:
             return 0.0
         now = self._clock()
@@ -128,7 +128,7 @@ def client_of(scope: Scope) -> str:
 
 
 def network(host: str) -> str:
-    """An IPv4 address as it is, the network of an IPv6 address, "" for what is none."""
+    """An IPv4 address as it is, the network of an IPv6 address, "" for anything else."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:  # a socket without one, or what a proxy's header says

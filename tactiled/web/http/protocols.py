@@ -160,7 +160,7 @@ class WebSocket(WebSocketsSansIOProtocol):
             super().handle_cont(event)
 
     def send_receive_event_to_app(self) -> None:
-        """Close a client whose text is none: uvicorn would log it as a failure of its own."""
+        """Close a client whose text is not UTF-8: uvicorn would log a failure of the service."""
         if self.curr_msg_data_type == "text":
             try:
                 b"".join(self.frames).decode()

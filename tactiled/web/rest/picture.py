@@ -77,7 +77,7 @@ def _peak_kpa(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> 
 def _map(
     axes: "Axes", sensor: Sensor, values: NDArray[np.float32], extent: tuple[float, float, float, float]
 ) -> "ScalarMappable":
-    """Cells of a grid, or the apertures of a layout that is none; kPa; extent: left, right, bottom, top, mm."""
+    """Cells of a grid, or the apertures of another layout; kPa; extent: left, right, bottom, top, mm."""
     from matplotlib import colormaps
     from matplotlib.collections import EllipseCollection
 

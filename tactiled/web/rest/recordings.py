@@ -204,7 +204,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def _size(path: Path) -> int | None:
-    """The size of a file in bytes; None where there is none, or a link."""
+    """The size of a file in bytes; None if it is missing, or a link."""
     try:
         status = path.lstat()
     except OSError:

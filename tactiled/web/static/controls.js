@@ -78,7 +78,7 @@ function range(viewer, targets) {
 }
 
 /**
- * Fix the range, or say why that is none.
+ * Fix the range, or say why the range is refused.
  * @param {number} low kPa; NaN where no number stands there
  * @param {number} high
  * @param {Viewer} viewer
