@@ -87,12 +87,12 @@ class Rig:
                 self.send(pressed(self.sequence % 6))
 
         with ThreadPoolExecutor(1) as other:
-            sent = other.submit(play)
+            playback = other.submit(play)
             try:
                 yield self
             finally:
                 stop.set()
-        sent.result()
+        playback.result()
 
 
 class Clock:
