@@ -18,7 +18,7 @@ CLEAR = np.zeros(4, np.uint8)
         (Calibration(-1.0, 240, 60), (240, 100, 60, 12), 0, (0, 140, 180, 228), (0, 0, SATURATED, SATURATED)),
         (Calibration(1.0, saturation=4095), COUNTS, 0, COUNTS, (0, 0, SATURATED, 0)),
         (Calibration(), COUNTS, (0, MISSING, 0, BAD), (100, NAN, 4095, NAN), (0, MISSING, 0, BAD)),
-        (Calibration(dead=(3,)), COUNTS, 0, (100, 300, 4095, NAN), (0, 0, 0, DEAD)),
+        (Calibration(dead=(0, 3)), COUNTS, 0, (NAN, 300, 4095, NAN), (DEAD, 0, 0, DEAD)),
     ],
 )
 def test_counts_become_kpa_and_what_is_wrong_with_a_taxel_is_flagged(calibration, counts, flags, kpa, flagged):
