@@ -11,6 +11,7 @@ from tactiled.bus.recording import Pace, Recording
 from tactiled.bus.router import Router
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message, RawFrame
+from tactiled.threads import join_started
 
 GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
 LOG = logging.getLogger(__name__)
@@ -62,8 +63,7 @@ class Replay:
     def stop(self) -> None:
         """Stop playing."""
         self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
+        join_started(self._thread)
 
     def _run(self) -> None:
         try:

@@ -15,6 +15,7 @@ from tactiled.bus.router import Frames, Router
 from tactiled.errors import BusError
 from tactiled.frames import Loss
 from tactiled.runtime.sensor import Sensor
+from tactiled.threads import join_started
 
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
 BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
@@ -48,8 +49,7 @@ class BusThread:
     def stop(self) -> None:
         """Stop reading and close the bus, whether it was started or not."""
         self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
+        join_started(self._thread)
         if self._reader is not None:
             self._poller.stop(self._reader.send)
             self._reader.close()

@@ -8,6 +8,7 @@ from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder, Tracker
 from tactiled.frames import Image
 from tactiled.geometry import Array, Cells
 from tactiled.runtime.hub import Hub
+from tactiled.threads import join_started
 
 LOOK_S = 0.05  # from one look to the next
 ASKED_S = 5.0  # that looking goes on after somebody has asked
@@ -36,7 +37,7 @@ class ContactTracking:
         with self._wake:
             self._stopping = True
             self._wake.notify()
-        self._thread.join()
+        join_started(self._thread)
 
     def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
         """The newest image and the contacts in it; any thread."""

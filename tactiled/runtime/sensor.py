@@ -17,6 +17,7 @@ from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
 from tactiled.runtime.hub import Hub
 from tactiled.runtime.pipeline import Pipeline
+from tactiled.threads import join_started
 
 State = Literal["live", "stale", "silent", "down"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
@@ -118,8 +119,7 @@ class Sensor:
         with self._wake:
             self._stopping = True
             self._wake.notify()
-        if self._thread.ident is not None:
-            self._thread.join()
+        join_started(self._thread)
         self._tracking.stop()
 
     def offer(self, frame: RawFrame) -> None:

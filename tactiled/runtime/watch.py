@@ -7,6 +7,7 @@ from collections.abc import Hashable, Iterable
 from tactiled.frames import FrameWarning
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults, Kind
 from tactiled.runtime.sensor import Sensor, State
+from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
 STATE_EVENTS: dict[State, Kind] = {
@@ -31,8 +32,7 @@ class Watch:
     def stop(self) -> None:
         """Stop, whether it was started or not."""
         self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
+        join_started(self._thread)
 
     def _run(self) -> None:
         while not self._stop.wait(LOOK_EVERY_S):

@@ -33,6 +33,12 @@ def test_several_sensors_on_several_buses(request):
         service.sensor("toe")
 
 
+def test_service_that_was_never_started_can_be_stopped():
+    threads = threading.active_count()
+    Service(parse(CONFIG.format(channel="none"))).stop()
+    assert threading.active_count() == threads
+
+
 def test_a_bus_that_cannot_be_opened_leaves_no_thread_running():
     service = Service(parse(CONFIG.format(channel="none").replace('"virtual"', '"slcan"')))
     threads = threading.active_count()
