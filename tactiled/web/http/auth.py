@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import Literal
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, cookie_parser
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -69,11 +69,7 @@ def _token(headers: Headers, query: QueryParams) -> str:
         return token.strip()
     if "token" in query:
         return query["token"]
-    for part in headers.get("cookie", "").split(";"):
-        name, _, value = part.strip().partition("=")
-        if name == COOKIE:
-            return value
-    return ""
+    return cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
 
 
 class AccessControl:
