@@ -1,0 +1,14 @@
+"""Frames of one array in counts, as a calibration takes them: out of a recording, or collected live."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Film:
+    """Frames in the order of their times."""
+
+    times: NDArray[np.float64]  # (T,) s, of each frame's first message
+    counts: NDArray[np.float32]  # (T, N); NaN where a taxel is unknown
