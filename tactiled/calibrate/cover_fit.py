@@ -1,0 +1,27 @@
+"""What presses say of a cover: its thickness over the configured one, with its interval and its reasons."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Method = Literal["tip", "edge", "blind"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoverFit:
+    """A fitted cover. Thickness is that of all layers over the sensing plane, which are scaled alike."""
+
+    method: Method
+    factor: float  # fitted thickness over the configured one
+    interval: tuple[float, float]  # of the factor, 95 %
+    thickness_mm: float
+    interval_mm: tuple[float, float]  # 95 %
+    presses: int  # presses, edges or frames that were used
+    residual: float = np.nan  # root mean square of presses that were left out of the fit, over the noise
+    reason: str = ""  # why the presses cannot tell the thickness; "" where they can
+    notes: tuple[str, ...] = ()  # what these presses cannot tell, and what was not used
+    line: Floats | None = None  # (3, n): x (mm), measured and fitted response over the peak, for the plot
+    kernel: Floats | None = None  # (2, m): q (cycles/mm, 0 first) and gain of the free radial kernel
