@@ -18,7 +18,7 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
-from tactiled.frames import FrameWarning
+from tactiled.frames import CONFIGURED, FrameWarning
 from tactiled.geometry import Array, Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
@@ -45,6 +45,8 @@ class SensorPlan:
     method: str
     stale_after_s: float
     warnings: tuple[FrameWarning, ...]  # that hold for every image
+    calibrated: bool  # whether pressures are in kPa; else one count is shown as one kPa
+    calibration_id: str = CONFIGURED  # of the calibration file
 
     @property
     def cell_mm(self) -> float:
@@ -96,6 +98,7 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
         warnings=_constant_warnings(sensor, summarise(kernel, array), array),
+        calibrated=sensor.calibration.kpa_per_count is not None,
     )
 
 

@@ -10,6 +10,14 @@ MISSING = 1  # the taxel's message did not come
 BAD = 2  # the sensor itself calls the taxel out of range or not connected
 DEAD = 4  # the configuration or the calibration says that the taxel does not work
 SATURATED = 8  # the taxel is at its ceiling: its pressure is a lower bound, not a value
+OUT_OF_RANGE = 16  # the reading is beyond the calibrated range: its pressure is extrapolated
+FAULTY = 32  # the service has found, while running, that the taxel does not work
+FLAG_BITS = {
+    "MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED, "OUT_OF_RANGE": OUT_OF_RANGE,
+    "FAULTY": FAULTY,
+}  # fmt: skip
+UNKNOWN = MISSING | BAD | DEAD | FAULTY  # of such a taxel there is no pressure
+CONFIGURED = "configured"  # the calibration of an image where there is no calibration file
 
 
 Counts: TypeAlias = NDArray[np.uint16 | np.float32]  # floats where a skin sends more than 16 bits, or a sign
@@ -85,7 +93,7 @@ class Image:
     time: float  # s, of the frame's first message
     raw: NDArray[np.float32]  # kPa, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
     restored: NDArray[np.float32]  # kPa, (R k, C k) for a grid refined k times, (N,) otherwise; never NaN
-    flags: NDArray[np.uint8]  # the raw image's shape: MISSING | BAD | DEAD | SATURATED
+    flags: NDArray[np.uint8]  # the raw image's shape: of FLAG_BITS
     method: str  # what ran: idle, raw, wiener, rl, nnls, ...
     why: str  # why it was chosen
     iterations: int
@@ -99,3 +107,4 @@ class Image:
         None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
     )
     arrived: float = 0.0  # s, as of its frame
+    calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits

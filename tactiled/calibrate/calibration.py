@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Counts
+from tactiled.frames import DEAD, SATURATED, UNKNOWN, Counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,5 +67,5 @@ class Calibrator:
             full = np.sign(gain) * (counts - np.float32(self.calibration.saturation)) >= 0
             flags = flags | np.where(full, SATURATED, 0).astype(np.uint8)
         pressure = (counts.astype(np.float32) - self._no_load) * np.float32(gain)
-        pressure[flags & (MISSING | BAD | DEAD) > 0] = np.nan
+        pressure[flags & UNKNOWN > 0] = np.nan
         return pressure, flags

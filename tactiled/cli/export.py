@@ -24,7 +24,7 @@ from tactiled.cli.export_mcap import McapExport
 from tactiled.cli.replay import one_bus
 from tactiled.config import Config
 from tactiled.errors import ConfigError
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, Message
+from tactiled.frames import FLAG_BITS, Message
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.units import LENGTH, PRESSURE
 
@@ -121,10 +121,11 @@ def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
             "end_cut_off": recording.torn,
         },
         "sensor": {"name": plan.name, "bus": plan.bus, "codec": plan.codec_name, "method": plan.method},
+        "calibration": plan.calibration_id,
         "cover": {"model": plan.kernel.model, "gain_error": plan.kernel.error_estimate},
         "cell_mm": plan.cell_mm,
         "units": UNITS | ({"shear": SHEAR} if plan.shears else {}),
-        "flag_bits": {"MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED},
+        "flag_bits": FLAG_BITS,
         "loss_kinds": LOSS_KINDS,
         "warnings": [asdict(each) for each in plan.warnings],
     }

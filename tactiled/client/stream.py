@@ -43,7 +43,7 @@ class Image:
 
     raw: NDArray[np.float32]  # kPa, (rows, columns); one row where the layout is no grid; NaN: unknown
     restored: NDArray[np.float32]  # kPa
-    flags: NDArray[np.uint8]  # of raw's shape: 1 missing | 2 bad | 4 dead | 8 saturated
+    flags: NDArray[np.uint8]  # of raw's shape, as `frames.FLAG_BITS`
     sequence: int
     timestamp: float  # s, Unix, of the frame's first CAN message
     noise_kpa: float

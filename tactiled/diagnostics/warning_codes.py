@@ -6,7 +6,7 @@ from tactiled.frames import FrameWarning
 
 WarningCode = Literal[
     "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
-    "outliers", "negative", "offset", "noise_low", "plateau", "edge",
+    "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa",
@@ -16,6 +16,8 @@ TEXTS: dict[WarningCode, str] = {
     "bad": "{taxels} called faulty by the sensor: restored from {their} neighbours",
     "dead": "{taxels} dead: restored from {their} neighbours",
     "saturated": "{taxels} saturated: {their} pressure is a lower bound",
+    "out_of_range": "{taxels} beyond the calibrated range: {their} pressure is extrapolated",
+    "faulty": "{taxels} found not to work: restored from {their} neighbours",
     "cover_mismatch": "the image does not match the data: check the cover settings and look for faulty taxels",
     "outliers": "single taxels disagree with their neighbours: list dead or damaged ones in calibration.dead",
     "negative": "readings are negative: unload and tare, or check noise_kpa",

@@ -35,7 +35,7 @@ BUS = {"id": INTEGER, "extended": BOOLEAN, "fd": BOOLEAN, "data": STRING | {"con
 STATUS = {
     "sequence": INTEGER, "method": STRING, "why": STRING, "iterations": INTEGER, "noise_kpa": NUMBER,
     "noise_gain": NUMBER, "resolution_mm": NUMBER, "force_n": NUMBER, "peak_kpa": NUMBER, "loss": OBJECT,
-    "warnings": {"type": "array", "items": WARNING},
+    "warnings": {"type": "array", "items": WARNING}, "calibration": STRING,
 }  # fmt: skip
 STATE = {
     "state": STRING, "detail": STRING, "age_s": NUMBER, "rate_hz": NUMBER, "method": STRING, "loss": OBJECT

@@ -3,12 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED
+from tactiled.frames import SATURATED, UNKNOWN
 from tactiled.restore.modes import Image, Modes
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.solvers import conjugate_gradients
 
-UNKNOWN = MISSING | BAD | DEAD
 MAX_ITERATIONS = 12  # of conjugate gradients: a lone dead taxel needs two or three
 SPECTRUM = (0.04, 1.5, 1e4)  # corner (cycles a cell), power and level over the noise of the pressure that fills
 

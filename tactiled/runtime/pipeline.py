@@ -3,6 +3,7 @@
 from functools import cached_property
 from threading import Lock
 from time import perf_counter
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.tare import load_description
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning, Image, RawFrame
+from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
@@ -21,7 +22,7 @@ from tactiled.units import N_PER_KPA_MM2
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
 NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
 TARE_FRAMES = 16  # that a tare averages
-FLAG_CODES: dict[WarningCode, int] = {"missing": MISSING, "bad": BAD, "dead": DEAD, "saturated": SATURATED}
+FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
 
 
 class Pipeline:
@@ -132,6 +133,7 @@ class Pipeline:
             warnings=self._plan.warnings + self.noise.warning + _flag_warnings(flags) + check_warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
+            calibration=self._plan.calibration_id,
         )
 
     def _apply_tare(self, frame: RawFrame) -> None:
@@ -152,7 +154,7 @@ class Pipeline:
         if shear is None:
             return None
         tared = shear - np.nan_to_num(self._shear_zero)
-        tared[:, flags.ravel() & (MISSING | BAD | DEAD) > 0] = np.nan
+        tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
         return tared.reshape((2, *flags.shape))
 
 
@@ -219,7 +221,7 @@ class _TareMean:
         with self._lock:
             if not self._remaining:
                 return None
-            known_taxels = frame.flags & (MISSING | BAD) == 0
+            known_taxels = frame.flags & UNKNOWN == 0
             values = (frame.counts, *(() if frame.shear is None else frame.shear))
             for total, each in zip(self._sums, values, strict=False):
                 total[known_taxels] += each[known_taxels]

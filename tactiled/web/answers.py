@@ -167,7 +167,7 @@ def calibration(sensor: Sensor) -> schemas.SensorCalibration:
     return schemas.SensorCalibration(
         **schemas.SensorCalibration.shared(sensor.plan.calibration)
         | {
-            "calibrated": all(each.code != "uncalibrated" for each in sensor.plan.warnings),
+            "calibrated": sensor.plan.calibrated,
             "no_load": sensor.pipeline.calibrator.no_load.tolist(),
             "tared": sensor.pipeline.tared,
             "noise_kpa": sensor.pipeline.noise.kpa,

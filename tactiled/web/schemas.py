@@ -21,7 +21,10 @@ Values = Annotated[
 ]
 Flags = Annotated[
     list[list[int]] | list[int],
-    Field(description="of the raw image: 1 missing + 2 bad + 4 dead + 8 saturated", examples=[[[0, 0], [0, 8]]]),
+    Field(
+        description="of the raw image: 1 missing + 2 bad + 4 dead + 8 saturated + 16 out of range + 32 faulty",
+        examples=[[[0, 0], [0, 8]]],
+    ),
 ]
 OptionalRows = Annotated[int | None, Field(description="null where the layout is no grid", examples=[32])]
 
@@ -120,6 +123,7 @@ class Restoration(Schema):
     noise_kpa: float = Field(description="standard deviation of a raw taxel", examples=[0.2])
     noise_gain: float = Field(description="restored noise over raw noise", examples=[1.4])
     resolution_mm: float = Field(description="finest half-period above the noise", examples=[1.2])
+    calibration: str = Field(description="id of the calibration file, or configured", examples=["3f9a0c52d1e7"])
 
 
 class FrameWarning(Schema):

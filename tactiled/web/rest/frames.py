@@ -39,6 +39,7 @@ SERIES_HEADERS = {
 IMAGE_HEADERS = SERIES_HEADERS | {
     "X-Tactiled-State": "live, stale, silent or down",
     "X-Tactiled-Age": "s since the last frame came in",
+    "X-Tactiled-Calibration": "id of the calibration file, or configured",
 }
 TAGGED = {"ETag": "for If-None-Match: the image in its present state"} | IMAGE_HEADERS
 NEWEST = success("the newest image", "npy", "png", headers=TAGGED) | success(
@@ -225,6 +226,7 @@ def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
         "X-Tactiled-Timestamp": f"{image.time:.6f}",
         "X-Tactiled-State": status.state,
         "X-Tactiled-Age": "" if status.age_s is None else f"{status.age_s:.3f}",
+        "X-Tactiled-Calibration": image.calibration,
         "X-Tactiled-Unit": unit,
     }
 

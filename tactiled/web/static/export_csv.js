@@ -10,7 +10,7 @@ export function csvText(name, plane, frame) {
   const { sheared, shear } = frame;
   const lines = [
     `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.method}`,
-    "# kpa is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated",
+    "# kpa is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty",
     `image,row,column,x_mm,y_mm,kpa,flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
   for (let i = 0; i < plane.raw.count; i += 1) {

@@ -8,7 +8,7 @@ import { CONNECTING } from "./health.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
 import { lengthText, readingText, shearText } from "./units.js";
-import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
+import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -17,7 +17,7 @@ import { BAD, DEAD, MISSING, SATURATED } from "./wire.js";
 /** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
 
-const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"]]);
+const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };

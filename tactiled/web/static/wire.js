@@ -10,6 +10,8 @@ export const MISSING = 1;
 export const BAD = 2;
 export const DEAD = 4;
 export const SATURATED = 8;
+export const OUT_OF_RANGE = 16;
+export const FAULTY = 32;
 
 /** Methods by their number in a message; "" any other. */
 export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
