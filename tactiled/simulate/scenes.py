@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
 Scene: TypeAlias = Callable[[Floats, Floats, float, float, float], Floats]
+# Over the root of x^3 = x + 1, and its square: numbers times these, modulo 1, fill a square evenly.
+PLASTIC_STEPS = (0.7548776662466927, 0.5698402909980532)
 
 
 def _inside(distance: Floats, grain: float) -> Floats:
@@ -81,6 +83,34 @@ def fingertip(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floa
     return total
 
 
+def _press(t: float, period_s: float) -> tuple[int, float]:
+    """Number of the press at `t` s, and its load from 0 to 1: up and down in 0.15 s each, then a pause."""
+    number, phase = divmod(t, period_s)
+    return int(number), float(np.clip(min(phase, 2 / 3 * period_s - phase) / 0.15, 0, 1))
+
+
+def tip(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
+    """A flat round tip of 2 mm that presses at ever other places, for the calibration of a cover."""
+    number, load = _press(t, 1.2)
+    right, down = (np.modf((number + 0.5) * step)[0] - 0.5 for step in PLASTIC_STEPS)
+    return 400 * load * _inside(1.0 - np.hypot(x - 0.85 * size * right, y - 0.85 * size * down), grain)
+
+
+def straightedge(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
+    """A block with a straight edge, laid across the array at ever other slants, for the calibration of a cover."""
+    number, load = _press(t, 2.4)
+    slant, offset = (np.modf((number + 0.5) * step)[0] - 0.5 for step in PLASTIC_STEPS)
+    angle = np.pi / 2 * (number % 4) + np.radians(8) + np.radians(24) * (slant + 0.5)
+    return 60 * load * _inside(x * np.cos(angle) + y * np.sin(angle) - 0.3 * size * offset, grain)
+
+
+def steps(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
+    """The same pressure everywhere, 0, 20, 40, 60, 40 and 20 kPa for 8 s each, for the calibration of the gain."""
+    del y, size, grain
+    return np.full_like(x, (0.0, 20.0, 40.0, 60.0, 40.0, 20.0)[int(t / 8) % 6])
+
+
 SCENES: dict[str, Scene] = {
-    each.__name__: each for each in (ring, indenters, sphere, edge, fingertip, uniform, empty)
+    each.__name__: each
+    for each in (ring, indenters, sphere, edge, fingertip, uniform, empty, tip, straightedge, steps)
 }
