@@ -14,6 +14,7 @@ from tactiled.restore.point_response import PointResponse
 
 RANK_TOLERANCE = 1e-7  # of the largest separable part: float32 loses smaller ones anyway
 FINE = 4  # cells along each side of a taxel, of which one is the load of a point
+THICKNESS_ERROR = 0.03  # of a cover's thickness: better is hardly known without a calibration
 
 Array = NDArray[Any]  # float32 or float64: the result has the argument's kind
 Apply = Callable[[Array], Array]
@@ -28,6 +29,7 @@ class Blur:
     cell_mm: float
     forward: Apply  # H x
     adjoint: Apply  # H' y
+    thickness_error: float = THICKNESS_ERROR  # relative standard deviation of the cover's thickness
 
     @cached_property
     def modes(self) -> Modes:
@@ -106,7 +108,9 @@ class GridBlur(Blur):
             rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
             return stencil[rows, columns]
 
-        return GridBlur(middle, shape, self._refine, self.cell_mm)
+        part = GridBlur(middle, shape, self._refine, self.cell_mm)
+        part.thickness_error = self.thickness_error
+        return part
 
 
 def _product(right: Floats) -> Apply:

@@ -7,22 +7,21 @@ from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
 
 MISPLACED = 0.5  # pitches that a small spot may be from where it is drawn, and the share of it
-THICKNESS_ERROR = 0.03  # of a cover's thickness: better is hardly known
 MIN_GAIN = 1e-12  # keeps the logarithm finite
 
 
 def deviation(scene: Scene, image: Image | None = None) -> Floats:
     """Give it for an image of the scene, the linear one or any that knows more.
 
-    Of the noise, of what the filter leaves out, and of the model: a cover known to THICKNESS_ERROR of its
-    thickness, whose gain falls by as many octaves for a wave, and pressure finer than the grid; all given the
-    spectrum picked for the scene, which is the same everywhere. That says too little of a few small spots: what
-    may be elsewhere of `image` is added.
+    Of the noise, of what the filter leaves out, and of the model: a cover known to the blur's `thickness_error`,
+    whose gain falls by as many octaves for a wave, and pressure finer than the grid; all given the spectrum picked
+    for the scene, which is the same everywhere. That says too little of a few small spots: what may be elsewhere
+    of `image` is added.
     """
     modes, spectrum = scene.modes, scene.spectrum
     variance = spectrum.ratio.copy()
     S, h = variance[modes.head], modes.gain
-    model = (THICKNESS_ERROR * h * np.log(np.maximum(h, MIN_GAIN))) ** 2
+    model = (scene.blur.thickness_error * h * np.log(np.maximum(h, MIN_GAIN))) ** 2
     if scene.blur.aliasing:
         model = model + scene.blur.aliasing.variance(spectrum.fall)
     variance[modes.head] = S / (h**2 * S + 1) * (1 + h**2 * S / (h**2 * S + 1) * S * model)

@@ -1,5 +1,7 @@
 """The deviation and the noise gain of an image against its true error, under a cover not quite as believed."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 
@@ -12,12 +14,16 @@ SIZE = 12
 SIGMA = 0.5
 
 
-def ratios(method, noise, thicker=1.0, thicknesses=(0.5, 1.0, 2.0), repeats=1, points=False, only=None):
+def ratios(
+    method, noise, thicker=1.0, thicknesses=(0.5, 1.0, 2.0), repeats=1, points=False, only=None, wrong=None
+):
     """True errors over deviations, root mean squares; scenes are blurred exactly and drawn off the grid."""
     values = []
     for press in presses(SIZE, thicknesses, (noise,), repeats, seed=9):
         if (press.scene == "points") is points:
-            restorer = make(method, rubber(thicker * press.thickness, SIZE).blur, press.sigma)
+            blur = copy(rubber(thicker * press.thickness, SIZE).blur)
+            blur.thickness_error = wrong or blur.thickness_error
+            restorer = make(method, blur, press.sigma)
             done = restorer(press.frame)
             if done.method == (only or done.method):
                 values.append(np.linalg.norm(done.image - press.truth) / np.linalg.norm(restorer.deviation()))
@@ -31,6 +37,13 @@ def test_deviation_counts_what_the_model_misses(noise, thicker):
     values = ratios("wiener", noise, thicker)
     assert 0.7 < np.median(values) < 1.3
     assert np.quantile(values, 0.9) < 3
+
+
+@pytest.mark.parametrize("thicker", [1 / 1.15, 1.15])
+def test_deviation_grows_with_what_the_thickness_may_be_wrong_by(thicker):
+    narrow, wide = (np.median(ratios("wiener", 0.002, thicker, wrong=wrong)) for wrong in (0.03, 0.15))
+    assert narrow > 1.35
+    assert 0.8 < wide < 1.2
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.01, 0.05])
