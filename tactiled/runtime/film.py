@@ -1,0 +1,35 @@
+"""All frames of one sensor out of a recording, in counts, for a calibration."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tactiled.build import make_codec
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import frames
+from tactiled.bus.router import Router
+from tactiled.calibrate.film import Film
+from tactiled.config import Config
+from tactiled.errors import ConfigError
+from tactiled.frames import BAD, MISSING
+
+
+def read_film(path: Path, name: str, config: Config) -> Film:
+    """Every frame of sensor `name` (which `config` has), NaN where a taxel is missing or bad.
+
+    Where the recording's clock steps back, all times are instead those since its first message, steps left out.
+    ConfigError where the recording cannot be read or holds no frame of the sensor.
+    """
+    bus = config.sensor[name].bus
+    router = Router({key: make_codec(each) for key, each in config.sensor.items() if each.bus == bus})
+    recording, times, arrived, counts = Recording(path), [], [], []
+    for sensor, frame in frames(recording, router):
+        if sensor == name:
+            times.append(frame.time)
+            arrived.append(frame.arrived)
+            known = frame.flags & (MISSING | BAD) == 0
+            counts.append(np.where(known, frame.counts, np.nan).astype(np.float32))
+    if not times:
+        raise ConfigError(f"recording {path}: holds no frame of sensor {name} ({recording.summary()})")
+    ascending = bool((np.diff(times) >= 0).all())
+    return Film(np.array(times if ascending else arrived, np.float64), np.stack(counts))
