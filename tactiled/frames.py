@@ -73,6 +73,7 @@ class RawFrame:
     loss: Loss
     shear: NDArray[np.float32] | None = None  # counts from rest, (2, N) along x and y; None where none is felt
     arrived: float = 0.0  # s, when its newest message came, on a clock that never steps: for ages and windows
+    references: NDArray[np.float32] | None = None  # (M,) counts of pads that feel no pressure; NaN where missing
 
 
 @dataclass(frozen=True, slots=True)

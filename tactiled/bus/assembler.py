@@ -176,12 +176,14 @@ class Assembler:
         skew = frame.ended - frame.began
         try:
             counts, shear = unpacked(self.codec, frame.payloads)
+            references = self.codec.references(frame.payloads)
         except Exception:  # of another package's codec: none of ours raises here
             self.count("malformed", self.codec.segments - frame.missing)
             return ()
         flags = self._flags(frame)
         self.count("incomplete", int(None in frame.payloads))
-        return (RawFrame(self._sequence, frame.began, skew, counts, flags, self.loss, shear, frame.arrived),)
+        fields = self._sequence, frame.began, skew, counts, flags, self.loss, shear, frame.arrived, references
+        return (RawFrame(*fields),)
 
     def _flags(self, frame: _Open) -> NDArray[np.uint8]:
         flags = np.zeros(self.codec.size, np.uint8)

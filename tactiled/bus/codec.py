@@ -65,6 +65,11 @@ class Codec(ABC):
     def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
         """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
 
+    def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
+        """Counts (M,) of pads that follow temperature and not pressure, NaN where missing; None: it has none."""
+        del payloads
+        return None
+
     @abstractmethod
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,), the inverse of `decode` and `unpack`."""

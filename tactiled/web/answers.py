@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.error_frames import KINDS
 from tactiled.cover.summary import summarise
-from tactiled.frames import Image
+from tactiled.frames import Image, RawFrame
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.runtime.service import Service
@@ -36,8 +36,16 @@ def sensor_state(sensor: Sensor) -> schemas.SensorState:
         methods=tuple(METHODS),
         clock=sensor.clock,
         sequence=image.sequence if image else None,
+        references=_references(sensor.newest),
         error_kinds={kind: status.errors.get(kind, 0) for kind in KINDS},
     )
+
+
+def _references(frame: RawFrame | None) -> list[float | None] | None:
+    """Counts of a frame's reference pads, None where one is missing; None where there are none."""
+    if frame is None or frame.references is None:
+        return None
+    return [None if np.isnan(each) else float(each) for each in frame.references]
 
 
 def health(service: Service) -> schemas.Health:

@@ -82,6 +82,10 @@ class SensorState(Status):
     methods: tuple[str, ...] = Field(examples=[tuple(METHODS)])
     clock: str | None = Field(description="source of the frames' times; null before the bus was first open")
     sequence: int | None = Field(description="of the newest image", examples=[5123])
+    references: list[float | None] | None = Field(
+        description="counts of pads that follow temperature, not pressure; null: the skin has none",
+        examples=[[240.0, 241.0]],
+    )
     error_kinds: dict[str, int] = Field(description="error frames of the bus, by kind", examples=[{"other": 0}])
 
 

@@ -111,6 +111,15 @@ def test_counts_of_golden_messages(codec, texts, counts):
     assert counts_of(codec, *texts) == counts
 
 
+def test_icubs_thermal_pads_are_references_and_not_taxels():
+    assembler = Assembler(codec := Icub(0, (0, 1)))
+    for text in ("400#4000010203040506", "400#C00708090A0B0000", "401#40F0F1F2F3F4F5F6"):  # no tail of triangle 1
+        assembler.push(codec.decode(message(text)))
+    (frame,) = assembler.flush(1.0)
+    np.testing.assert_array_equal(frame.references, [6, 10, 0xF6, np.nan])
+    assert Icub(0, (0, 1), thermal_pads=False).references([None] * 4) is None
+
+
 @pytest.mark.parametrize(
     ("code", "bad"),
     [

@@ -120,9 +120,15 @@ class Icub(ClassicSkin):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        parts = (each or bytes(5 if at % 2 else 7) for at, each in enumerate(payloads))
-        pads = np.frombuffer(b"".join(parts), np.uint8).reshape(-1, PADS)
-        return pads[:, self.pads].astype(np.uint16).ravel()
+        return _pads(payloads)[:, self.pads].astype(np.uint16).ravel()
+
+    def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
+        """Counts (2 triangles,) of the thermal pads of each triangle, in order; NaN where a segment is None."""
+        if not self.thermal_pads:
+            return None
+        thermal = _pads(payloads)[:, THERMAL].astype(np.float32).ravel()
+        thermal[[each is None for each in payloads]] = np.nan  # pad 6 is in the head, pad 10 in the tail
+        return thermal
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
@@ -161,6 +167,12 @@ class Icub(ClassicSkin):
                     description = f"iCub MTB, {age}, board {board}, triangles {listed}"
                     settings = {"board": board, "triangles": list(triangles)}
                     yield Match(settings, codec, keys, None, description, (note,))
+
+
+def _pads(payloads: Sequence[bytes | None]) -> NDArray[np.uint8]:
+    """All pads (triangles, PADS) of a frame; 0 where a segment is None."""
+    parts = (each or bytes(5 if at % 2 else 7) for at, each in enumerate(payloads))
+    return np.frombuffer(b"".join(parts), np.uint8).reshape(-1, PADS)
 
 
 SKIN = Icub
