@@ -50,3 +50,11 @@ class NoShearError(TactileError):
 
 class StateError(TactileError):
     """The file of kept methods cannot be written."""
+
+
+class CalibrationStateError(TactileError):
+    """A calibration session does not allow this now."""
+
+
+class NoCalibrationError(TactileError):
+    """A sensor without a calibration session."""

@@ -16,6 +16,7 @@ Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
     "tare_asked", "tare_done", "tare_lapsed", "recording_started", "recording_ended",
+    "calibration_started", "calibration_ended",
     "fault_raised", "fault_cleared", "replay_stepped",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000

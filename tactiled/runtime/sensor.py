@@ -15,7 +15,7 @@ from tactiled.errors import LoadedError, NoShearError, NotLiveError
 from tactiled.frames import FrameWarning, Image, Loss, RawFrame
 from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
-from tactiled.runtime.hub import Hub
+from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.threads import join_started
 
@@ -49,6 +49,7 @@ class Sensor:
     ) -> None:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
         self.pipeline, self.hub = Pipeline(plan), Hub()
+        self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
@@ -153,6 +154,7 @@ class Sensor:
             weight = min(1.0, max(gap, MIN_RATE_WEIGHT))
             self._period_s += (gap - self._period_s) * weight if self._period_s else gap
         self._arrived_at = now
+        self.frames.publish(frame)
 
     def _work(self) -> None:
         while True:

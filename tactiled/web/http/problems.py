@@ -9,7 +9,16 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from tactiled.errors import ConfigError, LoadedError, NoShearError, NotLiveError, UnknownSensorError
+from tactiled.errors import (
+    CalibrationStateError,
+    ConfigError,
+    LoadedError,
+    NoCalibrationError,
+    NoShearError,
+    NotLiveError,
+    TactileError,
+    UnknownSensorError,
+)
 from tactiled.web import schemas
 
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -54,12 +63,14 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(UnknownSensorError)
     @app.exception_handler(NoShearError)
-    async def _unknown(_: Request, error: UnknownSensorError | NoShearError) -> Response:
+    @app.exception_handler(NoCalibrationError)
+    async def _unknown(_: Request, error: TactileError) -> Response:
         return response(404, str(error))
 
     @app.exception_handler(NotLiveError)
     @app.exception_handler(LoadedError)
-    async def _no_tare(_: Request, error: NotLiveError | LoadedError) -> Response:
+    @app.exception_handler(CalibrationStateError)
+    async def _not_now(_: Request, error: TactileError) -> Response:
         loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
         return response(409, str(error), **loaded)
 

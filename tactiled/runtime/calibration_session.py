@@ -1,0 +1,195 @@
+"""A guided calibration of one sensor: frames are collected, a fit is made of them, it is applied or discarded."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
+
+from tactiled.calibrate.film import Film
+from tactiled.errors import CalibrationStateError, TactileError
+from tactiled.frames import RawFrame
+from tactiled.runtime.frame_collector import FrameCollector
+from tactiled.runtime.sensor import Sensor
+
+State = Literal["collecting", "fitting", "fitted", "ended"]
+Action = Literal["mark", "fit", "fit_done", "fit_failed", "cancel", "apply", "discard"]
+NEXT_STATE: dict[tuple[State, Action], State] = {
+    ("collecting", "mark"): "collecting",
+    ("collecting", "fit"): "fitting",
+    ("collecting", "discard"): "ended",
+    ("fitting", "fit_done"): "fitted",
+    ("fitting", "fit_failed"): "collecting",
+    ("fitting", "cancel"): "collecting",
+    ("fitting", "discard"): "ended",
+    ("fitted", "mark"): "collecting",
+    ("fitted", "fit"): "fitting",
+    ("fitted", "apply"): "ended",
+    ("fitted", "discard"): "ended",
+}
+IDLE_S = 300.0  # without a request until a session ends: a client has gone away, a person only rests
+QUALITY_PERIOD_S = 0.5  # between two looks for presses
+MARK_S = 1.0  # of frames whose mean is taken as a known load: 100 at 100 Hz
+
+Outcome = TypeVar("Outcome", covariant=True)
+Report = Callable[[float], None]  # takes the share of a fit that is done; raises Cancelled
+
+
+class Cancelled(Exception):  # noqa: N818, no error
+    """The fit is no longer wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """What the frames so far are good for."""
+
+    advice: str  # one line: how many presses, where more are needed
+    enough: bool
+    presses: int = 0
+    presses_needed: int = 0
+    presses_saturated: int = 0
+    zones: tuple[tuple[int, ...], ...] = ()  # presses in 3 x 3 zones of the array, rows from the top
+    zone_presses_needed: int = 0
+
+
+class Procedure(Protocol[Outcome]):
+    """One way to calibrate: what it looks for in the frames, and what it makes of them."""
+
+    def mark(self, film: Film, value: float) -> None:
+        """Note that the newest frames are under a known load; ConfigError where they cannot be."""
+
+    def quality(self, collector: FrameCollector) -> Quality:
+        """Look at the frames so far."""
+
+    def fit(self, film: Film, report: Report) -> Outcome:
+        """Make a calibration of the frames; a TactileError says why that is impossible."""
+
+
+class CalibrationSession(Generic[Outcome]):
+    """One session; any thread may call it."""
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        procedure: Procedure[Outcome],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.sensor, self.procedure = sensor, procedure
+        self.collector = FrameCollector(sensor.array.size)
+        self.state: State = "collecting"
+        self.outcome: Outcome | None = None
+        self.error = ""  # why the last fit failed
+        self.progress: float | None = None  # share of the fit that is done; None unless it is known
+        self._clock, self._lock = clock, threading.RLock()
+        self._quality: tuple[float, int, Quality] | None = None  # when it was made, of how many frames
+        self._fit_number = 0  # of the newest fit: what an older one gives is dropped
+        self._touched_at = clock()
+        self._stop_collecting = sensor.frames.subscribe(self._take)
+
+    def touch(self) -> None:
+        """A client is here."""
+        self._touched_at = self._clock()
+
+    @property
+    def idle(self) -> bool:
+        """Whether its client has gone away."""
+        return self._clock() - self._touched_at > IDLE_S
+
+    def lapsed(self) -> bool:
+        """Whether it ended because its client has gone away."""
+        with self._lock:
+            if self.idle:
+                self.discard()
+            return self.state == "ended"
+
+    def quality(self) -> Quality:
+        """What the frames so far are good for, looked at twice a second at most."""
+        with self._lock:
+            now = self._clock()
+            known = self._quality
+            if known is None or (now - known[0] >= QUALITY_PERIOD_S and known[1] != len(self.collector)):
+                known = self._quality = now, len(self.collector), self.procedure.quality(self.collector)
+            return known[2]
+
+    def mark(self, value: float) -> None:
+        """Note that the frames of the last second are under a known load."""
+        with self._lock:
+            self._need("mark")
+            self.procedure.mark(self.collector.film(seconds=MARK_S), value)
+            self._go("mark")
+            self._quality = None
+
+    def fit(self) -> None:
+        """Start to fit what was collected, on a thread of its own."""
+        with self._lock:
+            self._go("fit")
+            self._fit_number += 1
+            self.error, self.progress, self.outcome = "", None, None
+            arguments = self._fit_number, self.collector.film()
+            threading.Thread(target=self._fit, args=arguments, name=f"fit {self.sensor.name}", daemon=True).start()
+
+    def cancel(self) -> None:
+        """Go on collecting instead of fitting."""
+        with self._lock:
+            self._go("cancel")
+
+    def apply(self, apply: Callable[[Outcome], None]) -> None:
+        """End by applying the outcome; where that fails, nothing has changed."""
+        with self._lock:
+            self._need("apply")
+            assert self.outcome is not None
+            apply(self.outcome)
+            self._end("apply")
+
+    def discard(self) -> None:
+        """End without a change."""
+        with self._lock:
+            if self.state != "ended":
+                self._end("discard")
+
+    def _end(self, action: Action) -> None:
+        self._go(action)
+        self._stop_collecting()
+        self.collector, self.outcome = FrameCollector(self.sensor.array.size), None  # the memory
+
+    def _need(self, action: Action) -> State:
+        """State after an action; CalibrationStateError where the present one does not allow it."""
+        try:
+            return NEXT_STATE[self.state, action]
+        except KeyError:
+            allowed = ", ".join(sorted({verb for state, verb in NEXT_STATE if state == self.state}))
+            text = f"{action}: the calibration is {self.state}: possible now: {allowed or 'nothing'}"
+            raise CalibrationStateError(f"sensor {self.sensor.name!r}: {text}") from None
+
+    def _go(self, action: Action) -> None:
+        self.state = self._need(action)
+
+    def _take(self, frame: RawFrame) -> None:
+        """Collect a frame, on the thread of the bus."""
+        if self.idle:
+            self.discard()
+        else:
+            self.collector.add(frame)
+
+    def _fit(self, number: int, film: Film) -> None:
+        """Fit on this thread, and keep what comes of it unless it is no longer wanted."""
+
+        def report(progress: float) -> None:
+            with self._lock:
+                if number != self._fit_number or self.state != "fitting":
+                    raise Cancelled
+                self.progress = progress
+
+        outcome, error = None, ""
+        try:
+            outcome = self.procedure.fit(film, report)
+        except Cancelled:
+            return
+        except TactileError as failure:
+            error = str(failure)
+        except Exception as failure:  # a fault of ours: it ends the fit, not the service
+            error = f"{type(failure).__name__}: {failure}"
+        with self._lock:
+            if number == self._fit_number and self.state == "fitting":
+                self.outcome, self.error, self.progress = outcome, error, None
+                self._go("fit_failed" if error else "fit_done")

@@ -1,0 +1,148 @@
+import threading
+
+import numpy as np
+import pytest
+
+from tactiled.errors import CalibrationStateError, ConfigError, PhysicsError
+from tactiled.runtime.calibration_session import IDLE_S, NEXT_STATE, CalibrationSession, Quality
+from tests.conftest import Clock, pressed, until
+
+
+class Scripted:
+    """A procedure whose fit waits for its script: an outcome, or an error."""
+
+    def __init__(self):
+        self.marks, self.films, self.looks = [], [], 0
+        self.script, self.turn = [], threading.Semaphore(0)
+
+    def mark(self, film, value):
+        if value < 0:
+            raise ConfigError("moving")
+        self.marks.append((len(film.times), value))
+
+    def quality(self, collector):
+        self.looks += 1
+        return Quality(f"{len(collector)} frames", enough=False)
+
+    def fit(self, film, report):
+        self.films.append(film)
+        self.turn.acquire()
+        report(0.5)
+        outcome = self.script.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def session(rig, clock):
+    rig.stale_after(600)
+    return CalibrationSession(rig.sensor, Scripted(), clock.monotonic)
+
+
+def finish(session, outcome):
+    session.procedure.script.append(outcome)
+    session.procedure.turn.release()
+    until(lambda: session.state != "fitting")
+
+
+def test_what_was_collected_is_fitted_and_applied_once(rig, session):
+    for n in range(3):
+        rig.show(pressed(n))
+    session.mark(20.0)
+    assert session.procedure.marks == [(3, 20.0)]
+    session.fit()
+    assert session.state == "fitting"
+    finish(session, "thickness")
+    assert (session.state, session.outcome, session.error) == ("fitted", "thickness", "")
+    np.testing.assert_array_equal(session.procedure.films[0].counts[2], pressed(2).ravel())
+    applied = []
+    session.apply(applied.append)
+    assert applied == ["thickness"]
+    assert (session.state, session.outcome, len(session.collector)) == ("ended", None, 0)
+    rig.show(pressed())
+    assert len(session.collector) == 0
+    with pytest.raises(
+        CalibrationStateError, match="'palm': apply: the calibration is ended: possible now: nothing"
+    ):
+        session.apply(applied.append)
+
+
+def test_a_fit_or_an_apply_that_fails_changes_nothing_and_more_can_be_collected(rig, session):
+    rig.show(pressed())
+    for error, text in ((PhysicsError("no press"), "no press"), (ZeroDivisionError("x"), "ZeroDivisionError: x")):
+        session.fit()
+        finish(session, error)
+        assert (session.state, session.outcome, session.error) == ("collecting", None, text)
+    rig.show(pressed())
+    assert len(session.collector) == 2
+    session.fit()
+    finish(session, 1.2)
+
+    def refuse(_):
+        raise ConfigError("disk")
+
+    with pytest.raises(ConfigError, match="disk"):
+        session.apply(refuse)
+    assert (session.state, session.outcome) == ("fitted", 1.2)
+    with pytest.raises(ConfigError, match="moving"):
+        session.mark(-1.0)
+    assert session.state == "fitted"
+
+
+def test_a_cancelled_fit_ends_at_its_next_report_and_its_outcome_is_dropped(session):
+    session.fit()
+    session.cancel()
+    assert session.state == "collecting"
+    session.fit()
+    session.procedure.script += ["first", "second"]
+    session.procedure.turn.release(2)
+    until(lambda: session.state == "fitted")
+    assert len(session.procedure.script) == 1  # the cancelled one came to its report, and no further
+    session.discard()
+    assert session.state == "ended"
+
+
+@pytest.mark.parametrize("state", ["collecting", "fitting", "fitted", "ended"])
+def test_every_action_is_refused_where_the_table_has_no_state_for_it(session, state):
+    session.state = state
+    actions = {"mark": lambda: session.mark(1.0), "fit": session.fit, "cancel": session.cancel}
+    actions["apply"] = lambda: session.apply(lambda _: None)
+    for name, action in actions.items():
+        if (state, name) not in NEXT_STATE:
+            with pytest.raises(CalibrationStateError, match=f"{name}: the calibration is {state}"):
+                action()
+            assert session.state == state
+
+
+def test_a_session_ends_when_its_client_has_gone_away_and_the_bus_goes_on(rig, session, clock):
+    rig.show(pressed())
+    clock.now += 0.9 * IDLE_S
+    session.touch()
+    clock.now += 0.9 * IDLE_S
+    rig.show(pressed())
+    assert (session.state, len(session.collector)) == ("collecting", 2)
+    clock.now += 0.2 * IDLE_S
+    rig.show(pressed())
+    assert session.lapsed()
+    assert (session.state, len(session.collector)) == ("ended", 0)
+    assert rig.show(pressed())
+
+
+def test_quality_is_looked_at_again_for_new_frames_only(rig, session, clock):
+    rig.show(pressed())
+    assert session.quality() == session.quality() == Quality("1 frames", enough=False)
+    clock.now += 1
+    session.quality()
+    assert session.procedure.looks == 1
+    rig.show(pressed())
+    clock.now += 1
+    assert session.quality().advice == "2 frames"
+    session.mark(1.0)
+    session.quality()
+    assert session.procedure.looks == 3
