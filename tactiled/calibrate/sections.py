@@ -1,0 +1,234 @@
+"""The sections of a calibration file, as they stand in its JSON: no load, gain, cover, health."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Annotated, Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from tactiled.calibrate.cover_fit import CoverFit, Method
+from tactiled.calibrate.curves import Curves, Form
+from tactiled.cover.stack import Layer, Stack
+from tactiled.errors import ConfigError, TactileError
+
+DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
+MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
+MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
+
+Value = Annotated[float, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}"))]
+Values = tuple[Value, ...]
+Known = tuple[Value | None, ...]  # None: unknown
+Made = TypeVar("Made", bound=BaseModel)
+Taxels = Annotated[int, Field(ge=1, le=1 << 20)]
+
+
+class Table(BaseModel):
+    """A JSON object: an unknown key is refused, and so is NaN."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Origin(Table):
+    """Where a section comes from."""
+
+    recording: Annotated[str, Field(max_length=255)]  # name of the file, or "live"
+    sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""  # of the recording; "": the frames were live
+    method: Annotated[str, Field(min_length=1, max_length=200)]  # such as tare, steps, force, weight, tip, edge
+    created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$")]  # UTC, 2026-11-22T23:31:12Z
+
+
+class Section(Table):
+    """One part of the file, replaced as a whole."""
+
+    origin: Origin
+
+
+class NoLoadSection(Section):
+    """Counts of the unloaded array."""
+
+    counts: Known  # of each taxel
+
+    @classmethod
+    def of(cls, counts: NDArray[np.floating], origin: Origin) -> Self:
+        """From counts (N,), NaN where unknown."""
+        return build(cls, origin=origin, counts=_known(counts))
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Counts (N,); NaN where unknown."""
+        return np.array(self.counts, float)
+
+
+class GainSection(Section):
+    """From counts over no load to kPa; each array has a value a taxel, of several parameters one array each."""
+
+    form: Form
+    parameters: tuple[Values, ...]
+    knots: Values
+    reach_counts: tuple[Values, Values]  # lower and upper end
+    deviation: Values
+    hysteresis: Known
+    individual: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, curves: Curves, origin: Origin) -> Self:
+        """From curves."""
+        return build(
+            cls,
+            origin=origin,
+            form=curves.form,
+            parameters=_rows(curves.parameters.T),
+            knots=tuple(curves.knots.tolist()),
+            reach_counts=_rows(curves.reach_counts.T),
+            deviation=tuple(curves.deviation.tolist()),
+            hysteresis=_known(curves.hysteresis),
+            individual=tuple(curves.individual.tolist()),
+        )
+
+    @cached_property
+    def curves(self) -> Curves:
+        """The curves."""
+        return Curves(
+            self.form, np.array(self.parameters, float).T, np.array(self.reach_counts, float).T,
+            np.array(self.deviation), np.array(self.hysteresis, float), np.array(self.individual),
+            np.array(self.knots),
+        )  # fmt: skip
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len({len(each) for each in (*self.parameters, *self.reach_counts)}) != 1:
+            raise ValueError("parameters and reach_counts have different numbers of taxels")
+        _attempt(lambda: self.curves)
+        return self
+
+
+class LayerTable(Table):
+    """A layer as configured."""
+
+    thickness_mm: float
+    young_mpa: float
+    poisson: float
+    bonded: bool
+
+
+class CoverSection(Section):
+    """The fitted cover, and the layers as configured when it was fitted."""
+
+    method: Method
+    factor: Annotated[Value, Field(ge=0.01, le=100)]
+    interval: tuple[Value, Value]
+    thickness_mm: Value
+    interval_mm: tuple[Value, Value]
+    presses: Annotated[int, Field(ge=1)]
+    residual: Annotated[Value, Field(ge=0)] | None = None
+    layers: Annotated[tuple[LayerTable, ...], Field(min_length=1, max_length=16)]
+    layers_above_taxels: int
+    kernel: tuple[Values, Values] | None = None  # frequency (cycles/mm) and gain
+
+    @classmethod
+    def of(cls, fit: CoverFit, stack: Stack, origin: Origin) -> Self:
+        """From a fit that can tell the thickness, and the stack as configured; ConfigError for one that cannot."""
+        if fit.reason:
+            raise ConfigError(f"cover: {fit.reason}")
+        return build(
+            cls,
+            origin=origin,
+            **{key: getattr(fit, key) for key in ("method", "factor", "interval", "thickness_mm", "interval_mm")},
+            presses=fit.presses,
+            residual=None if np.isnan(fit.residual) else fit.residual,
+            layers=tuple(
+                LayerTable(thickness_mm=each.thickness, young_mpa=each.young, poisson=each.poisson, bonded=bonded)
+                for each, bonded in zip(stack.layers, stack.bonds, strict=True)
+            ),
+            layers_above_taxels=stack.sensing,
+            kernel=None if fit.kernel is None else _rows(fit.kernel),
+        )
+
+    @cached_property
+    def fit(self) -> CoverFit:
+        """The fit, without its plot and its notes."""
+        return CoverFit(
+            self.method, self.factor, self.interval, self.thickness_mm, self.interval_mm, self.presses,
+            np.nan if self.residual is None else self.residual,
+            kernel=None if self.kernel is None else np.array(self.kernel),
+        )  # fmt: skip
+
+    @cached_property
+    def stack(self) -> Stack:
+        """The stack as configured when it was fitted."""
+        layers = tuple(Layer(each.thickness_mm, each.young_mpa, each.poisson) for each in self.layers)
+        return Stack(layers, self.layers_above_taxels, tuple(each.bonded for each in self.layers))
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.interval
+        if not 0 < low <= self.factor <= high:
+            raise ValueError(
+                f"interval is {low:g} to {high:g}: it must be positive and hold factor = {self.factor:g}"
+            )
+        _attempt(lambda: self.stack)
+        expected = self.stack.depth * np.array([self.factor, *self.interval])
+        if not np.allclose([self.thickness_mm, *self.interval_mm], expected, rtol=MAX_MISMATCH, atol=0):
+            raise ValueError(f"thickness_mm is {self.thickness_mm:g}: factor and layers give {expected[0]:g}")
+        if self.kernel is not None:
+            _check_kernel(*(np.array(each) for each in self.kernel))
+        return self
+
+
+class HealthSection(Section):
+    """Taxels that do not work, and the noise of those that do."""
+
+    dead: tuple[Annotated[int, Field(ge=0)], ...]
+    noise_counts: tuple[Annotated[Value, Field(ge=0)] | None, ...]  # standard deviation of each taxel
+
+    @classmethod
+    def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
+        """From indices of dead taxels and noise (N,), NaN where unknown."""
+        return build(cls, origin=origin, dead=dead, noise_counts=_known(noise_counts))
+
+
+def build(table: type[Made], **values: Any) -> Made:
+    """Make a table; ConfigError, one line, where a value is not valid."""
+    try:
+        return table(**values)
+    except ValidationError as error:
+        raise ConfigError(error_line(error)) from error
+
+
+def error_line(error: ValidationError) -> str:
+    """The first error in one line: the place, the value, what is wrong with it."""
+    first = error.errors()[0]
+    place = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in first["loc"]).lstrip(".")
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] in ("value_error", "missing", "extra_forbidden"):  # of a whole table, or of none
+        return f"{place}: {message}" if place else message
+    return f"{place} = {first['input']!r:.60}: {message}"
+
+
+def _attempt(make: Callable[[], object]) -> None:
+    """ValueError, as pydantic wants it, for an error of our own."""
+    try:
+        make()
+    except TactileError as error:
+        raise ValueError(str(error)) from error
+
+
+def _known(values: NDArray[np.floating]) -> tuple[float | None, ...]:
+    """Values with None for NaN."""
+    return tuple(None if np.isnan(each) else float(each) for each in np.asarray(values).ravel())
+
+
+def _rows(values: NDArray[np.floating]) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, values.tolist()))
+
+
+def _check_kernel(q: NDArray[np.float64], gain: NDArray[np.float64]) -> None:
+    """ValueError for what is no gain over frequency: 1 at 0, then of finite values over rising frequencies."""
+    if len(q) != len(gain) or len(q) < MIN_KERNEL_SIZE:
+        raise ValueError(f"kernel has {len(q)} frequencies and {len(gain)} gains: give {MIN_KERNEL_SIZE} or more")
+    if q[0] != 0 or (np.diff(q) <= 0).any():
+        raise ValueError("kernel: frequencies must rise from 0")
+    if gain[0] != 1:
+        raise ValueError(f"kernel: its gain at frequency 0 is {gain[0]:g}: a uniform load arrives whole: give 1")
