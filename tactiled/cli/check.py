@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -10,17 +11,33 @@ from threadpoolctl import threadpool_limits
 
 from tactiled.build import SensorPlan
 from tactiled.cli import options
-from tactiled.config import load, tls
+from tactiled.cli.sniff import listen, survey_lines
+from tactiled.config import Config, load, tls
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.interop.foxglove import need
+from tactiled.plausibility.settings import Finding, config_findings, unedited
+from tactiled.plausibility.traffic import bus_report
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile, default_path
 
+EXIT_DOUBTFUL = 1
 NO_GAP_MM = 1e3  # wider than any array
 
 
-def check(config: options.Config) -> None:
-    """Check a configuration, and print the effect of each cover on its array."""
+def check(
+    config: options.Config,
+    bus: Annotated[
+        bool, typer.Option("--bus", help="Listen to each bus, too, and hold what comes against the file.")
+    ] = False,
+    seconds: Annotated[float, typer.Option(help="How long to listen to each bus.", min=0.05, max=3600)] = 3.0,
+) -> None:
+    """Check a configuration, and print the effect of each cover on its array.
+
+    The exit code is 0 if all is well, 1 if a value is doubtful, and 2 if the file or a bus cannot be used.
+    `--bus` only listens: a skin that waits until the service asks or starts it stays silent.
+    """
+    findings = findings_of(config)
+    _print(findings)  # before a cover is solved: a slip may be why it cannot be
     with threadpool_limits(1):
         service = prepared(config)
     tls.context(service.config.server)
@@ -31,7 +48,39 @@ def check(config: options.Config) -> None:
         Console(soft_wrap=True, highlight=False).print(_table(plan, summarise(plan.kernel, plan.array)))
         for warning in plan.warnings:
             typer.echo(f"  {warning.text}")
+    for name in service.config.bus if bus else ():
+        findings += (more := _bus(service.config, name, seconds))
+        _print(more)
+    if count := sum(not each.hint for each in findings):
+        typer.echo(f"{config} is doubtful: {count} finding{'s' * (count > 1)}")
+        raise typer.Exit(EXIT_DOUBTFUL)
     typer.echo(f"{config} is valid: {_count(service.sensors, 'sensor')}, {_count(service.buses, 'bus')}")
+
+
+def findings_of(config: Path) -> list[Finding]:
+    """What is hard to believe of a configuration file."""
+    settings = load(config)
+    return unedited(config.read_text("utf-8")) + config_findings(settings)
+
+
+def _print(findings: list[Finding]) -> None:
+    for each in findings:
+        typer.echo(f"{'hint' if each.hint else 'doubtful'}: {each}")
+
+
+def _bus(config: Config, name: str, seconds: float) -> list[Finding]:
+    """Listen to a bus and print what comes; gives what is hard to believe of it."""
+    settings = config.bus[name].settings()
+    messages, errors = listen(settings | ({"fd": True} if settings["interface"] == "socketcan" else {}), seconds)
+    report = bus_report(config, name, messages, seconds)
+    typer.echo(f"bus {name}: {len(messages)} messages in {seconds:g} s")
+    for line in (*report.lines, *survey_lines(report.others)):
+        typer.echo(f"  {line}")
+    if errors:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in errors.items())
+        reason = f"error frames: {kinds}: check bit rate, wiring and termination"
+        report.findings.append(Finding(f"bus.{name}", "", reason))
+    return report.findings
 
 
 def prepared(config: Path) -> Service:

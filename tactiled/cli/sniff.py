@@ -22,7 +22,7 @@ MAX_MESSAGES = 1_000_000  # so that listening for long does not fill the memory
 MAX_UNKNOWN_LISTED = 8
 HEAD = """\
 # Written by `tactiled sniff` from the messages on the bus. What no bus can tell is a guess: go through every line
-# marked EDIT, then `tactiled check` this file.
+# marked EDIT and delete the mark, then `tactiled check` this file.
 
 [bus.{bus}]
 {settings}
@@ -75,26 +75,36 @@ def sniff(
     settings = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
     if interface == "socketcan":
         settings = {"channel": "can0"} | settings | {"fd": True}
-    messages = _listen(settings, seconds)
+    messages, _ = listen(settings, seconds)
     result = survey(messages)
     typer.echo("\n".join(report(result, len(messages), seconds)))
     if write is not None:
         options.write_configuration(write, configuration(result, settings))
 
 
-def _listen(settings: dict[str, Any], seconds: float) -> list[Message]:
-    """The messages on a bus in so many seconds, or until Ctrl-C."""
+def listen(settings: dict[str, Any], seconds: float) -> tuple[list[Message], dict[str, int]]:
+    """The messages on a bus in so many seconds, or until Ctrl-C, and its error frames by kind."""
     messages: list[Message] = []
     with closing(open_bus(**settings)) as reader, interrupted() as stop:
         end = time.monotonic() + seconds
         while not stop.is_set() and (rest := end - time.monotonic()) > 0 and len(messages) < MAX_MESSAGES:
             messages += reader.batch(min(rest, READ_S))
-    return messages
+    return messages, {kind: count for kind, count in reader.kinds.items() if count}
 
 
 def report(result: Survey, count: int, seconds: float) -> list[str]:
     """What to tell a person, line by line."""
-    lines = [f"{count} messages in {seconds:g} s"]
+    lines = [f"{count} messages in {seconds:g} s", *survey_lines(result)]
+    if not result.senders:
+        lines.insert(
+            1, "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"
+        )
+    return lines
+
+
+def survey_lines(result: Survey) -> list[str]:
+    """Known skins, then unknown ids."""
+    lines = []
     for one in result.senders:
         match, lost = one.match, f", {one.lost} messages lost" if one.lost else ""
         ids = [f"{id_:#x}" for id_, _ in match.keys]
@@ -102,10 +112,6 @@ def report(result: Survey, count: int, seconds: float) -> list[str]:
         size = f"{match.codec.size} taxels, {match.codec.segments} messages a frame on {on}"
         lines.append(f"{match.description}: {size}, {one.rate_hz:.1f} frames a second{lost}")
         lines += [f"  {note}" for note in match.notes]
-    if not result.senders:
-        lines.append(
-            "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"
-        )
     for each in result.unknown[:MAX_UNKNOWN_LISTED]:
         width = 8 if each.extended else 3
         lines.append(f"unknown id {each.id:0{width}x}: {each.messages} messages, {each.rate_hz:.1f} a second")

@@ -1,5 +1,10 @@
+import threading
+
+import numpy as np
 import pytest
 
+from tactiled.bus.reader import open_bus
+from tactiled.frames import Message
 from tests.cli.recordings import CONFIG, traffic, write
 
 
@@ -14,3 +19,29 @@ def config(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('[server]\ncontrol_token = "0123456789abcdef"  # secret\n' + CONFIG)
     return path
+
+
+@pytest.fixture
+def playing():
+    """Puts codecs' frames on a bus at 50 Hz until the test ends."""
+    stop, threads = threading.Event(), []
+
+    def play(settings, *codecs):
+        def go():
+            bus = open_bus(**settings)
+            sequence = 0
+            while not stop.wait(0.02):
+                for codec in codecs:
+                    for each in codec.encode(np.full(codec.size, 60, np.uint16), sequence, 0.0):
+                        bus.send(each)
+                bus.send(Message(0.0, 0x6A1, b"\x01"))
+                sequence += 1
+            bus.close()
+
+        threads.append(threading.Thread(target=go))
+        threads[-1].start()
+
+    yield play
+    stop.set()
+    for each in threads:
+        each.join()

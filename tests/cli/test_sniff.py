@@ -1,45 +1,15 @@
-import threading
-
-import numpy as np
 import pytest
 
 from tactiled.build import make_array, make_codec, sensor_plans
 from tactiled.bus import recording
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import survey
 from tactiled.cli.sniff import configuration, report
 from tactiled.config import load, parse
 from tactiled.frames import Message
 from tests.bus.skins import CODECS, traffic
 from tests.cli.commands import refusal, succeed
-
-
-@pytest.fixture
-def playing():
-    """Puts codecs' frames on a bus at 50 Hz until the test ends."""
-    stop, threads = threading.Event(), []
-
-    def play(settings, *codecs):
-        def go():
-            bus = open_bus(**settings)
-            sequence = 0
-            while not stop.wait(0.02):
-                for codec in codecs:
-                    for each in codec.encode(np.full(codec.size, 60, np.uint16), sequence, 0.0):
-                        bus.send(each)
-                bus.send(Message(0.0, 0x6A1, b"\x01"))
-                sequence += 1
-            bus.close()
-
-        threads.append(threading.Thread(target=go))
-        threads[-1].start()
-
-    yield play
-    stop.set()
-    for each in threads:
-        each.join()
 
 
 @pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])

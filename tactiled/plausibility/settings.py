@@ -1,0 +1,260 @@
+"""Settings that can be read and cannot be true, each with the slip that would explain it; pure.
+
+A bound here lies between what skins are made of and what a slip of units makes of that: `tests/plausibility` has
+a table of real skins and one of slips.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactiled.build import make_array, make_calibration, make_codec
+from tactiled.bus.assembler import unpacked
+from tactiled.bus.codec import Codec
+from tactiled.calibrate.calibration import Calibration
+from tactiled.config import schema
+from tactiled.errors import TactileError
+from tactiled.geometry import Array
+
+MIN_RUBBER_MM, MIN_PLASTIC_MM = 0.03, 0.003  # a coat of paint is 0.03 to 0.05 mm; parylene coats are 0.005 mm
+PLASTIC_MPA = 100.0  # Young's modulus: Shore A ends at about 50 MPa (Gent 1958), polyethylene begins at 200 MPa
+THIN_PITCHES = 0.05  # a cover that is thicker changes the image, so that it is worth configuring
+THICK_PITCHES = 30.0  # exp(-pi 30): nothing as fine as two taxels passes; skins have 0.1 to 6
+MIN_TAXELS_IN_A_PATCH = 4  # single taxels are often narrower than their cover is thick
+MIN_PITCH_MM = 0.04  # fingerprint sensors have 0.05 mm (500 dots an inch)
+WIDE_PITCH_MM, WIDE_PITCHES = 100.0, 0.004  # floors have 300 mm tiles under 2 mm of vinyl
+MIN_APERTURE_PITCHES = 0.004  # a Hall element of 0.1 mm every 15 mm has 0.007
+SOFTEST_MPA = 0.004  # Sylgard 527, the softest gel in common use: 0.005 MPa (Palchesko et al. 2012)
+RUBBER = 0.48, 200.0  # Poisson's ratio from which a solid is rubber, and MPa that no rubber has
+INCOMPRESSIBLE = 0.45, 5000.0  # gold and lead, the metals nearest to it, have 0.42 and 0.44; plastics are softer
+HARDEST_COVER_MPA = 250_000.0  # steel has 210 000 MPa
+PLATE_MPA = 10_000.0  # stiffer than the plastics of Shimojo's covers, 98 to 9807 MPa
+COMPRESSIBLE_RUBBER = 0.4, 20.0  # less than this ratio, softer than this (MPa): foam, or a ratio typed for rubber
+SHELL_RATIO, SHELL_THICKNESS = 1000.0, 0.25  # cover over substrate; leather on an insole's foam: 200 and 0.3
+MAX_RANGE_KPA = 70_000.0  # 16 bits of 1 kPa have 65 535; presses use films of 200 000, skins end near 5000
+MIN_RANGE_KPA = 1.0  # a gentle touch is up to 10 kPa (Mannsfeld et al. 2010)
+MIN_RANGE_FRACTION = 0.1  # of the full scale, from no load in the direction of pressure
+MAX_NOISE_FRACTION = 0.2  # of the range
+MAX_SHEAR_N = 1000.0  # on one taxel; XELA's uSkin ends at 0.9 N
+MAX_STALE_S = 60.0  # a skin that fell silent a minute ago must not pass for alive
+MESSAGE_S = 1e-4  # on the bus: 8 bytes at 1 Mbit/s are 111 bits, 64 bytes of CAN FD at 8 Mbit/s as long
+EDIT = re.compile(r"#\s*EDIT:")  # how `tactiled sniff` marks what a bus does not tell
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A setting that is hard to believe, or with `hint` only worth a look."""
+
+    place: str  # dotted key
+    value: str  # as configured; "" where it is not one value
+    reason: str  # why it cannot be, and the likely slip
+    hint: bool = False
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.place}{self.value and ' = '}{self.value}: {self.reason}"
+
+
+def config_findings(config: schema.Config) -> list[Finding]:
+    """What is hard to believe of a configuration; a sensor that `build` refuses is left to it."""
+    findings: list[Finding] = []
+    for name, sensor in config.sensor.items():
+        with suppress(TactileError):
+            findings += _sensor(f"sensor.{name}", sensor)
+    return findings
+
+
+def unedited(text: str) -> list[Finding]:
+    """The lines of a configuration's text that still have the mark of `tactiled sniff`."""
+    reason = "still marked EDIT: set what the bus does not tell, then delete the mark"
+    marked = ((n, line.split(" # ")[0]) for n, line in enumerate(text.splitlines(), 1) if EDIT.search(line))
+    return [Finding(f"line {n}: {line.strip('# ')}", "", reason) for n, line in marked]
+
+
+def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
+    array, codec, calibration = make_array(sensor), make_codec(sensor), make_calibration(sensor)
+    yield from _array(f"{place}.array", array, sum(each.thickness_mm for each in sensor.cover))
+    yield from _thickness(f"{place}.cover", sensor.cover, array)
+    if sensor.substrate:
+        yield from _thin(f"{place}.substrate", sensor.substrate, array)
+        yield from _shell(place, sensor)
+    for key in ("cover", "substrate"):
+        layers = getattr(sensor, key)
+        for n, layer in enumerate(layers):
+            yield from _layer(f"{place}.{key}" + (f"[{n}]" if len(layers) > 1 else ""), layer)
+    for n, layer in enumerate(sensor.cover):
+        yield from _hard_cover(f"{place}.cover" + (f"[{n}]" if len(sensor.cover) > 1 else ""), layer, array)
+    yield from _calibration(f"{place}.calibration", sensor.calibration, calibration, codec)
+    yield from _age(f"{place}.stale_after_s", sensor.stale_after_s, codec)
+
+
+def _slip(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> str:
+    """What `value` is in `unit` if it was given in others, where that lies between `low` and `high`."""
+    slips = [(value * factor, name) for name, factor in units.items() if low <= abs(value) * factor <= high]
+    return "".join(f"; {each:g} {unit} if it was given in {name}" for each, name in slips)
+
+
+def _array(place: str, array: Array, cover_mm: float) -> Iterator[Finding]:
+    pitch = array.pitch
+    if pitch < MIN_PITCH_MM:
+        slip = _slip(pitch, "mm", {"metres": 1e3}, 0.5, 1000)
+        yield Finding(f"{place}.pitch_mm", f"{pitch:g}", f"finer than a fingerprint sensor's taxels{slip}")
+    elif pitch >= WIDE_PITCH_MM and cover_mm < WIDE_PITCHES * pitch:
+        slip = _slip(pitch, "mm", {"µm": 1e-3}, 0.05, 1)
+        reason = f"taxels far wider apart than a cover of {cover_mm:g} mm spreads anything{slip}"
+        yield Finding(f"{place}.pitch_mm", f"{pitch:g}", reason)
+    elif array.width < MIN_APERTURE_PITCHES * pitch:
+        slip = _slip(array.width, "mm", {"metres": 1e3}, 0.05 * pitch, pitch)
+        yield Finding(f"{place}.aperture_mm", f"{array.width:g}", f"a point, at a pitch of {pitch:g} mm{slip}")
+
+
+def _thickness(place: str, layers: schema.Layers, array: Array) -> Iterator[Finding]:
+    """Of a cover, all layers together."""
+    yield from _thin(place, layers, array)
+    total, extent = sum(each.thickness_mm for each in layers), float(np.ptp(array.positions, axis=0).max())
+    bound = THICK_PITCHES * array.pitch
+    if array.size >= MIN_TAXELS_IN_A_PATCH:
+        bound = min(bound, extent + array.width)
+    if total > bound and array.pitch >= MIN_PITCH_MM:
+        slip = _slip(total, "mm", {"µm": 1e-3}, 0.01, bound)
+        size = f"{extent + array.width:g} mm, pitch {array.pitch:g} mm"
+        yield Finding(*_total(place, layers), f"too thick for any detail to reach this array ({size}){slip}")
+
+
+def _thin(place: str, layers: schema.Layers, array: Array) -> Iterator[Finding]:
+    total = sum(each.thickness_mm for each in layers)
+    plastic = min(each.young_mpa for each in layers) >= PLASTIC_MPA
+    if total < min(MIN_PLASTIC_MM if plastic else MIN_RUBBER_MM, THIN_PITCHES * array.pitch):
+        slip = _slip(total, "mm", {"metres": 1e3}, 0.5, 50)
+        yield Finding(*_total(place, layers), f"thinner than a coat of paint{slip}")
+
+
+def _total(place: str, layers: schema.Layers) -> tuple[str, str]:
+    """Place and value of a thickness of all layers together."""
+    total = sum(each.thickness_mm for each in layers)
+    one = len(layers) == 1
+    return (f"{place}.thickness_mm", f"{total:g}") if one else (place, f"{len(layers)} layers of {total:g} mm")
+
+
+def _shell(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
+    """A cover that is a shell on soft ground."""
+    depth = sum(each.thickness_mm for each in sensor.substrate)
+    young = depth / sum(each.thickness_mm / each.young_mpa for each in sensor.substrate)
+    for layer in sensor.cover:
+        if layer.young_mpa > SHELL_RATIO * young and layer.thickness_mm > SHELL_THICKNESS * depth:
+            slip = _slip(young, "MPa", {"GPa": 1e3}, PLASTIC_MPA, HARDEST_COVER_MPA)
+            reason = f"softer than the cover ({layer.young_mpa:g} MPa) by far: are the two exchanged?{slip}"
+            yield Finding(f"{place}.substrate.young_mpa", f"{young:g}", reason)
+            return
+
+
+def _layer(place: str, layer: schema.Layer) -> Iterator[Finding]:
+    """Stiffness and Poisson's ratio of any layer."""
+    young, poisson, reason = layer.young_mpa, layer.poisson, ""
+    if young < SOFTEST_MPA:
+        reason = "softer than any gel" + _slip(young, "MPa", {"GPa": 1e3}, 0.1, 10)
+    elif any(poisson >= ratio and young > limit for ratio, limit in (RUBBER, INCOMPRESSIBLE)):
+        reason = f"stiffer than any rubber, which Poisson's ratio of {poisson:g} says it is{_softer(young)}"
+    if reason:
+        yield Finding(f"{place}.young_mpa", f"{young:g}", reason)
+    elif poisson < COMPRESSIBLE_RUBBER[0] and young < COMPRESSIBLE_RUBBER[1]:
+        reason = f"right for foam; solid rubber as soft as {young:g} MPa has 0.45 to 0.4999"
+        yield Finding(f"{place}.poisson", f"{poisson:g}", reason, hint=True)
+
+
+def _softer(young: float) -> str:
+    return _slip(young, "MPa", {"kPa": 1e-3, "Pa": 1e-6}, 0.005, 50)
+
+
+def _hard_cover(place: str, layer: schema.Layer, array: Array) -> Iterator[Finding]:
+    """A layer of a cover that is no rubber, and harder than anything a skin is covered with."""
+    if layer.poisson >= INCOMPRESSIBLE[0]:
+        return
+    if layer.young_mpa > HARDEST_COVER_MPA:
+        reason = "harder than steel"
+    elif layer.young_mpa > PLATE_MPA and layer.thickness_mm > array.pitch:
+        reason = f"a plate that hides all detail, stiffer than any plastic and {layer.thickness_mm:g} mm thick"
+    else:
+        return
+    yield Finding(f"{place}.young_mpa", f"{layer.young_mpa:g}", reason + _softer(layer.young_mpa))
+
+
+def _calibration(
+    place: str, configured: schema.Calibration, calibration: Calibration, codec: Codec
+) -> Iterator[Finding]:
+    """No load and saturation within the counts of the codec, then what these say of the pressures."""
+    at_fault = False
+    for key, reason in _limits(calibration, codec):
+        at_fault = True
+        yield Finding(f"{place}.{key}", f"{getattr(calibration, key):g}", reason)
+    if not at_fault:
+        yield from _pressures(place, configured, calibration, codec)
+    shear_n = abs(configured.shear_n_per_count or 0.0) * codec.full_scale / 2
+    if shear_n > MAX_SHEAR_N:
+        value = configured.shear_n_per_count or 0.0
+        slip = _slip(value, "N", {"mN": 1e-3}, 0, MAX_SHEAR_N / codec.full_scale)
+        yield Finding(f"{place}.shear_n_per_count", f"{value:g}", f"{shear_n:g} N at the full scale{slip}")
+
+
+def _limits(calibration: Calibration, codec: Codec) -> Iterator[tuple[str, str]]:
+    """Key and reason of a limit that the counts of a codec do not have."""
+    lowest = 0 if whole_counts(codec) else -np.inf
+    highest, saturation = codec.full_scale, calibration.saturation
+    scale = f"the codec's counts are {'0 to' if whole_counts(codec) else 'up to'} {highest}"
+    if not lowest <= calibration.no_load <= highest:
+        yield "no_load", scale
+    elif saturation is None:
+        return
+    elif (saturation - calibration.no_load) * calibration.kpa_per_count <= 0:
+        side = "above" if calibration.kpa_per_count > 0 else "below"
+        yield "saturation", f"a taxel at rest is saturated: must be {side} no_load = {calibration.no_load:g}"
+    elif not lowest <= saturation <= highest:
+        yield "saturation", f"never reached: {scale}"
+
+
+def whole_counts(codec: Codec) -> bool:
+    """Whether counts are whole and never below zero."""
+    counts, _ = unpacked(codec, [None] * codec.segments)
+    return counts.dtype == np.uint16
+
+
+def _pressures(
+    place: str, configured: schema.Calibration, calibration: Calibration, codec: Codec
+) -> Iterator[Finding]:
+    """Highest pressure and noise; unknown where counts are wider than 16 bits, and no skin uses all of them."""
+    gain, no_load = calibration.kpa_per_count, calibration.no_load
+    end = calibration.saturation if calibration.saturation is not None else codec.full_scale if gain > 0 else 0
+    if not whole_counts(codec) and calibration.saturation is None:
+        return
+    counts = abs(end - no_load)
+    if calibration.saturation is None and counts < MIN_RANGE_FRACTION * codec.full_scale:
+        reason = (
+            f"leaves {counts:g} counts for pressure: if counts {'fall' if gain > 0 else 'rise'} under pressure"
+        )
+        sign = "negative" if gain > 0 else "positive"
+        yield Finding(f"{place}.no_load", f"{no_load:g}", f"{reason}, kpa_per_count is {sign}")
+        return
+    highest = counts * abs(gain)
+    if configured.kpa_per_count is not None and not MIN_RANGE_KPA <= highest <= MAX_RANGE_KPA:
+        units = {"Pa": 1e-3, "MPa": 1e3}
+        slip = _slip(gain, "kPa", units, 10 * MIN_RANGE_KPA / counts, MAX_RANGE_KPA / counts)
+        size = "more than any skin measures" if highest > MAX_RANGE_KPA else "less than a touch"
+        yield Finding(f"{place}.kpa_per_count", f"{gain:g}", f"{highest:.3g} kPa at most, {size}{slip}")
+    elif (noise := calibration.noise_kpa or 0.0) > MAX_NOISE_FRACTION * highest:
+        slip = _slip(noise, "kPa", {"Pa": 1e-3}, 0, MAX_NOISE_FRACTION * highest)
+        reason = f"drowns all that the array measures, {highest:.3g} kPa at most{slip}"
+        yield Finding(f"{place}.noise_kpa", f"{noise:g}", reason)
+
+
+def _age(place: str, stale_after_s: float, codec: Codec) -> Iterator[Finding]:
+    polls = codec.polling.polls
+    frame_s = max(each.period_s for each in polls) if polls else codec.segments * MESSAGE_S
+    if stale_after_s < frame_s:
+        what = "frames are polled every" if polls else f"the {codec.segments} messages of a frame take at least"
+        yield Finding(place, f"{stale_after_s:g}", f"every image is stale: {what} {frame_s:.2g} s")
+    if stale_after_s > MAX_STALE_S:
+        slip = _slip(stale_after_s, "s", {"ms": 1e-3}, 0.01, 5)
+        yield Finding(place, f"{stale_after_s:g}", f"a skin that fell silent passes for alive all that time{slip}")

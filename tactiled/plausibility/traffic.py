@@ -1,0 +1,120 @@
+"""Whether what comes on a bus is what a configuration expects; pure."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import make_calibration, make_codec
+from tactiled.bus.codec import Codec
+from tactiled.bus.router import Router
+from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
+from tactiled.config import schema
+from tactiled.frames import Message, RawFrame
+from tactiled.plausibility.settings import Finding, whole_counts
+
+MAX_LOST_FRACTION = 0.01  # of an array's messages
+MAX_REST_FRACTION = 0.05  # of the full scale between no load and an unloaded array; fingertips of an iCub: 0.02
+MIN_FRAMES_STUCK = 20  # a taxel with noise of a count repeats itself so often with a chance under 1e-8
+MAX_LISTED = 8  # taxels
+
+
+class BusReport(NamedTuple):
+    """What came on one bus."""
+
+    lines: list[str]  # one a sensor
+    findings: list[Finding]
+    others: Survey  # what belongs to no sensor
+
+
+def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], seconds: float) -> BusReport:
+    """Hold the messages of `seconds` on a bus against the sensors that the configuration has there."""
+    sensors = {name: each for name, each in config.sensor.items() if each.bus == bus}
+    router = Router({name: make_codec(each) for name, each in sensors.items()})
+    frames: defaultdict[str, list[RawFrame]] = defaultdict(list)
+    for message in messages:
+        for name, frame in router.push(message):
+            frames[name].append(frame)
+    report = BusReport([], [], survey(each for each in messages if (each.id, each.extended) not in router.ids))
+    if not (messages or all(_waits(each.codec) for each in router.assemblers.values())):
+        reason = f"no message in {seconds:g} s: nothing sends, or bit rate, channel or wiring are wrong"
+        report.findings.append(Finding(f"bus.{bus}", "", reason))
+    everything = survey(messages)
+    for name, assembler in router.assemblers.items():
+        own, loss, sensor = frames[name], assembler.loss, sensors[name]
+        if any(not each.flags.any() for each in own):
+            lost = loss.lost - own[:SETTLED_FRAMES][-1].loss.lost
+            rate = f"{mean_rate_hz([each.time for each in own]):.1f} frames a second"
+            report.lines.append(f"{name}: {rate}, {lost} messages lost, {loss.malformed} malformed")
+            report.findings.extend(_frames(f"sensor.{name}", sensor, own, lost))
+        elif _waits(assembler.codec):
+            report.lines.append(f"{name}: no frame: it waits until asked or started, and a check sends nothing")
+        else:
+            report.lines.append(f"{name}: no complete frame")
+            if messages:
+                report.findings.append(_silent(f"sensor.{name}", sensor, everything, assembler.codec))
+    return report
+
+
+def _waits(codec: Codec) -> bool:
+    return bool(codec.polling.polls or codec.polling.start)
+
+
+def _silent(place: str, sensor: schema.Sensor, result: Survey, codec: Codec) -> Finding:
+    """Why no whole frame came: the sensor's kind sends with other settings or another size, or not at all."""
+    configured = sensor.codec.settings
+    for sender in result.senders:
+        if sender.name == sensor.codec.name:
+            settings = sender.match.settings.items()
+            others = {key: each for key, each in settings if _differ(getattr(configured, key, each), each)}
+            sends = f"no complete frame: {sender.match.description} sends"
+            if others:
+                change = ", ".join(f"{key} = {str(each).lower()}" for key, each in others.items())
+                key = next(iter(others))
+                return Finding(f"{place}.codec.{key}", str(getattr(configured, key)).lower(), f"{sends}: {change}")
+            if set(sender.match.keys) & codec.ids:
+                sizes = f"{sender.match.codec.segments} messages a frame, and {codec.segments} are expected"
+                return Finding(f"{place}.array", "", f"{sends} {sizes}")
+    ids = ", ".join(f"{id_:#x}" for id_, _ in sorted(codec.ids)[:MAX_LISTED])
+    started = "; codec.start = true has the service start it" if hasattr(configured, "start") else ""
+    return Finding(f"{place}.codec", sensor.codec.name, f"no complete frame on ids {ids}{started}")
+
+
+def _differ(configured: Any, sender: Any) -> bool:
+    return bool((list(configured) if isinstance(configured, tuple) else configured) != sender)
+
+
+def _frames(place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int) -> Iterator[Finding]:
+    """Loss, pauses, counts at rest and taxels that do not move."""
+    codec, calibration = make_codec(sensor), make_calibration(sensor)
+    if (share := lost / (lost + len(frames) * codec.segments)) > MAX_LOST_FRACTION:
+        yield Finding(place, "", f"{100 * share:.2g} % of its messages are lost")
+    pause = max(np.diff([each.time for each in frames]), default=0.0)
+    if pause > sensor.stale_after_s:
+        yield Finding(f"{place}.stale_after_s", f"{sensor.stale_after_s:g}", f"frames come {pause:.2g} s apart")
+    if not whole_counts(codec):
+        return
+    counts = np.array([each.counts for each in frames if not each.flags.any()], np.float32)
+    level = np.median(counts, axis=0)
+    level[list(calibration.dead)] = np.nan
+    far = MAX_REST_FRACTION * codec.full_scale
+    if abs((rest := float(np.nanmedian(level))) - calibration.no_load) > far:
+        reason = f"half of the array is at {rest:g} or more: if nothing touches it, that is no_load"
+        yield Finding(f"{place}.calibration.no_load", f"{calibration.no_load:g}", reason)
+    if len(counts) >= MIN_FRAMES_STUCK and (stuck := _stuck(counts, level, rest, codec)).size:
+        listed = ", ".join(map(str, stuck[:MAX_LISTED])) + ", ..." * (stuck.size > MAX_LISTED)
+        reason = f"never change: taxels {listed}: list them if they do not work"
+        yield Finding(f"{place}.calibration.dead", str(list(calibration.dead)), reason)
+
+
+def _stuck(counts: NDArray[np.float32], level: NDArray[np.float32], rest: float, codec: Codec) -> NDArray[np.intp]:
+    """Taxels that never change where the others have noise, or at an end of the scale; `level` NaN: left out."""
+    still = (np.ptp(counts, axis=0) == 0) & np.isfinite(level)
+    if float(np.median(counts.std(axis=0))) >= 1:
+        return np.flatnonzero(still)
+    at_end = ((level == 0) | (level == codec.full_scale)) & (
+        abs(level - rest) > MAX_REST_FRACTION * codec.full_scale
+    )
+    return np.flatnonzero(still & at_end)

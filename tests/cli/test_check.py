@@ -1,0 +1,64 @@
+import re
+
+import pytest
+
+from tactiled.bus.codecs.packed import Packed
+from tactiled.config.example import EXAMPLE
+from tests.cli.commands import run, succeed
+
+CHANNEL = "checked"
+PALM = EXAMPLE.replace('"socketcan"', '"virtual"').replace('"can0"\nfd', f'"{CHANNEL}"\nfd')
+PALM = re.sub(r"rows = 32\ncolumns = 32", "rows = 8\ncolumns = 8", PALM).replace('"fem"  ', '"layered"')
+
+
+@pytest.fixture
+def palm(tmp_path):
+    def write(*change):
+        path = tmp_path / "palm.toml"
+        path.write_text(PALM.replace(*change) if change else PALM)
+        return path
+
+    return write
+
+
+def test_a_doubtful_value_ends_a_check_with_1_and_a_run_only_prints_it(palm, monkeypatch):
+    path = palm("thickness_mm = 1.2", "thickness_mm = 0.0012")
+    line = (
+        "doubtful: sensor.palm.cover.thickness_mm = 0.0012: thinner than a coat of paint; 1.2 mm if it was given"
+    )
+    done = run("check", path)
+    assert done.exit_code == 1
+    assert done.stdout.startswith(line)
+    assert done.stdout.endswith("palm.toml is doubtful: 1 finding\n")
+    served = []
+    monkeypatch.setattr("tactiled.cli.run.serve", lambda *arguments: served.append(arguments))
+    done = run("run", path)
+    assert (done.exit_code, len(served)) == (0, 1), done.output
+    assert done.stderr.startswith(f"tactiled: {line}")
+
+
+def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
+    assert "doubtful" not in succeed("check", palm())
+    output = succeed("check", palm("poisson = 0.48", "poisson = 0.3"))
+    assert output.startswith("hint: sensor.palm.cover.poisson = 0.3: right for foam")
+    assert output.endswith("palm.toml is valid: 1 sensor, 1 bus\n")
+
+
+@pytest.mark.parametrize(("no_load", "exit_code"), [(60, 0), (1000, 1)])
+def test_a_bus_is_listened_to(palm, playing, no_load, exit_code):
+    playing({"interface": "virtual", "channel": CHANNEL}, Packed(64, 12, fd=True))
+    done = run("check", palm("no_load = 80", f"no_load = {no_load}"), "--bus", "--seconds", 1)
+    assert done.exit_code == exit_code, done.output
+    assert re.search(
+        r"bus can0: \d+ messages in 1 s\n  palm: \d+\.\d frames a second, 0 messages lost", done.stdout
+    )
+    assert "  unknown id 6a1: " in done.stdout
+    assert ("no_load = 1000: half of the array is at 60" in done.stdout) == (exit_code == 1)
+
+
+def test_a_silent_bus_is_doubtful_and_one_that_cannot_be_opened_an_error(palm):
+    done = run("check", palm(), "--bus", "--seconds", 0.1)
+    assert done.exit_code == 1
+    assert "doubtful: bus.can0: no message in 0.1 s: nothing sends" in done.stdout
+    done = run("check", palm('"virtual"', '"socketcan"'), "--bus", "--seconds", 0.1)
+    assert str(done.exception).startswith(f"bus socketcan {CHANNEL}: ")

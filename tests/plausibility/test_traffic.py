@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+
+from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.packed import Packed
+from tactiled.config import parse
+from tactiled.frames import Message
+from tactiled.plausibility.traffic import bus_report
+from tests.bus.skins import traffic
+
+CONFIG = """
+[bus.can0]
+interface = "virtual"
+[sensor.a]
+bus = "can0"
+codec = {{ {codec} }}
+{array}
+cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
+calibration = {{ {calibration} }}
+"""
+GRID = "array = { rows = 5, columns = 6, pitch_mm = 2.0 }"
+FD = Packed(30, 12, fd=True)
+HEALTHY = list(traffic(FD))
+
+
+def report(messages, codec='name = "packed", fd = true', array=GRID, calibration="no_load = 80", more=""):
+    text = CONFIG.format(codec=codec, array=array + more, calibration=calibration)
+    return bus_report(parse(text), "can0", messages, 3.0)
+
+
+def findings(*arguments, **settings):
+    return [str(each) for each in report(*arguments, **settings).findings]
+
+
+def altered(change):
+    """The healthy frames, their counts (T, 30) changed."""
+    counts = np.array([FD.unpack([m.data[2:]]) for m in HEALTHY])
+    change(counts)
+    return [
+        each._replace(time=sequence / 50)
+        for sequence, frame in enumerate(counts)
+        for each in FD.encode(frame, sequence, 0.0)
+    ]
+
+
+def test_a_healthy_array_is_heard_and_foreign_ids_are_counted():
+    result = report([*HEALTHY, Message(0.1, 0x6A1, b"")])
+    assert result.lines == ["a: 50.0 frames a second, 0 messages lost, 0 malformed"]
+    assert not result.findings
+    assert [each.id for each in result.others.unknown] == [0x6A1]
+
+
+def stick(counts):
+    counts[:, [3, 7]] = 91
+
+
+def end(counts):
+    counts[:] = 80
+    counts[:, 29] = 4095
+
+
+# Messages, settings and the one finding that they give.
+FAULTS = {
+    "nothing": ([], {}, "bus.can0: no message in 3 s: nothing sends, or bit rate, channel or wiring are wrong"),
+    "another array": (
+        traffic(Packed(30, 12, fd=True, array_id=2)),
+        {},
+        "sensor.a.codec.array_id = 0: no complete frame: packed layout, CAN FD, array 2 at 0x500, 12 bits a taxel"
+        " sends: array_id = 2",
+    ),
+    "classic for CAN FD": (traffic(Packed(30, 12)), {}, "12 bits a taxel sends: fd = false"),
+    "CAN FD for classic": (HEALTHY, {"codec": 'name = "packed"'}, "12 bits a taxel sends: fd = true"),
+    "another size": (
+        traffic(Packed(300, 12, fd=True)), {}, "sends 8 messages a frame, and 1 are expected"
+    ),
+    "another board": (
+        traffic(Icub(3, (1,))),
+        {"codec": 'name = "icub", board = 4, triangles = [1]', "array": "", "calibration": ""},
+        "codec.board = 4: no complete frame: iCub MTB, class 0x400, board 3, triangles 1 sends: board = 3",
+    ),
+    "strangers": ([Message(0.1, 0x6A1, b"")], {}, "sensor.a.codec = packed: no complete frame on ids 0x500"),
+    "loss": ([each for n, each in enumerate(HEALTHY) if n % 10 != 9], {}, "7.7 % of its messages are lost"),
+    "pauses": (HEALTHY, {"more": "\nstale_after_s = 0.015"}, "stale_after_s = 0.015: frames come 0.02 s apart"),
+    "another zero": (HEALTHY, {"calibration": "no_load = 2048"}, "no_load = 2048: half of the array is at 80"),
+    "stuck": (altered(stick), {}, "dead = []: never change: taxels 3, 7: list them if they do not work"),
+    "at the end of the scale": (altered(end), {}, "never change: taxels 29: list them"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_one_finding_with_its_likely_reason(fault):
+    messages, settings, reason = FAULTS[fault]
+    (finding,) = findings(list(messages), **settings)
+    assert reason in finding
+
+
+def test_a_dead_taxel_that_is_configured_and_a_quiet_array_are_no_faults():
+    assert not findings(altered(stick), calibration="no_load = 80, dead = [3, 7]")
+    assert not findings(altered(lambda counts: counts.fill(80)))
+
+
+@pytest.mark.parametrize("messages", [[], [Message(0.1, 0x27, b"\xb1\xc6")]])
+def test_a_skin_that_waits_until_asked_is_no_fault(messages):
+    result = report(messages, 'name = "linker"', "array = { rows = 12, columns = 6, pitch_mm = 2.0 }", "")
+    assert result.lines == ["a: no frame: it waits until asked or started, and a check sends nothing"]
+    assert not result.findings
+
+
+def test_a_skin_that_another_node_polls_is_heard():
+    result = report(
+        list(traffic(Linker("right", (1,)))),
+        'name = "linker"',
+        "array = { rows = 12, columns = 6, pitch_mm = 2.0 }",
+    )
+    assert result.lines == ["a: 50.0 frames a second, 0 messages lost, 0 malformed"]
