@@ -123,12 +123,14 @@ class WebSocket(WebSocketsSansIOProtocol):
             await super().send(message)
             cast(Any, self.transport).update()
 
+    def keeps_up(self) -> bool:
+        """Whether the client has read what it was sent, but for the last few messages."""
+        return self._keeps_up.is_set() and self.writable.is_set()
+
     async def ready(self) -> None:
         """Wait until the client keeps up."""
-        if not self._keeps_up.is_set():
-            await self._keeps_up.wait()
-        if not self.writable.is_set():
-            await self.writable.wait()
+        await self._keeps_up.wait()
+        await self.writable.wait()
 
     def send_frames(self, frames: Sequence[bytes]) -> None:
         """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end."""

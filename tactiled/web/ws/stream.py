@@ -135,6 +135,7 @@ class Stream:
         self._protocol, self._loop = protocol(socket), asyncio.get_running_loop()
         self._lines = {line.feed.sensor.name: line for line in lines}
         self._due: dict[_Line, None] = {}  # lines that may have something to send
+        self._error: Exception | None = None  # that a line raised where no task could
         self._wake = asyncio.Event()
 
     async def run(self) -> None:
@@ -146,8 +147,15 @@ class Stream:
             await serve(self._socket, self._listen(), self._send())
 
     def _add(self, line: _Line) -> None:
+        """Send what is new of a sensor at once to a client that keeps up: a task's turn costs as much as that."""
         self._due[line] = None
-        self._wake.set()
+        if self._error is None and self._protocol.keeps_up():
+            try:
+                self._send_due()
+            except Exception as error:  # the task that serves the client ends with it
+                self._error = error
+        if self._due or self._error:
+            self._wake.set()
 
     async def _listen(self) -> None:
         while True:
@@ -160,16 +168,25 @@ class Stream:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            due, self._due = self._due, {}
-            for line in due:
-                await self._protocol.ready()
-                if len(self._lines) == 1:
-                    self._send_line(line)
-                    continue
-                with self._faults.turn(
-                    f"streams of {line.feed.sensor.name}", (WebSocketDisconnect, ClientDisconnected)
-                ):
-                    self._send_line(line)
+            if self._error is not None:
+                raise self._error
+            await self._protocol.ready()
+            self._send_due()
+            if self._due:
+                self._wake.set()
+
+    def _send_due(self) -> None:
+        """Send what is new of every line that is due, while the client keeps up."""
+        while self._due and self._protocol.keeps_up():
+            line = next(iter(self._due))
+            del self._due[line]
+            if len(self._lines) == 1:
+                self._send_line(line)
+                continue
+            with self._faults.turn(
+                f"streams of {line.feed.sensor.name}", (WebSocketDisconnect, ClientDisconnected)
+            ):
+                self._send_line(line)
 
     def _send_line(self, line: _Line) -> None:
         """Send what is new of a sensor."""
