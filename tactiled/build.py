@@ -22,6 +22,7 @@ from tactiled.frames import CONFIGURED, FrameWarning
 from tactiled.geometry import Array, Cells, grid, layout, tiling
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
+from tactiled.units import COUNTS, PRESSURE, Unit
 
 LOG = logging.getLogger(__name__)
 MAX_CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
@@ -52,6 +53,11 @@ class SensorPlan:
     def cell_mm(self) -> float:
         """Side of a surface cell, or of a square of their mean area."""
         return float(np.sqrt(self.cells.areas.mean()))
+
+    @property
+    def unit(self) -> Unit:
+        """Of its pressures."""
+        return PRESSURE if self.calibrated else COUNTS
 
     @property
     def shears(self) -> bool:

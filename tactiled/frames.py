@@ -6,6 +6,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.units import PRESSURE, Unit
+
 MISSING = 1  # the taxel's message did not come
 BAD = 2  # the sensor itself calls the taxel out of range or not connected
 DEAD = 4  # the configuration or the calibration says that the taxel does not work
@@ -87,19 +89,19 @@ class FrameWarning:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """One frame in kPa, as measured and as restored, with everything known against it."""
+    """One frame of pressures, as measured and as restored, with everything known against it."""
 
     sensor: str
     sequence: int
     time: float  # s, of the frame's first message
-    raw: NDArray[np.float32]  # kPa, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
-    restored: NDArray[np.float32]  # kPa, (R k, C k) for a grid refined k times, (N,) otherwise; never NaN
+    raw: NDArray[np.float32]  # in `unit`, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
+    restored: NDArray[np.float32]  # in `unit`, (R k, C k) for a grid refined k times, (N,) otherwise; never NaN
     flags: NDArray[np.uint8]  # the raw image's shape: of FLAG_BITS
     method: str  # what ran: idle, raw, wiener, rl, nnls, ...
     why: str  # why it was chosen
     iterations: int
     microseconds: float  # spent from counts to restored image
-    noise_kpa: float  # standard deviation of one raw taxel
+    noise: float  # standard deviation of one raw taxel, in `unit`
     noise_gain: float  # restored noise over raw noise
     resolution_mm: float  # the finest half-period that the restored image carries above its noise
     loss: Loss = field(default_factory=Loss)
@@ -108,4 +110,5 @@ class Image:
         None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
     )
     arrived: float = 0.0  # s, as of its frame
+    unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits

@@ -1,15 +1,25 @@
-"""The unit of each quantity.
+"""The unit of each quantity; that of pressure and force follows the calibration of their sensor.
 
-The viewer's are in `web/static/units.js`; names of keys and fields end in them, too (`force_n`, `noise_kpa`).
+The viewer's are in `web/static/units.js`; names of keys and fields end in them, too (`force_n`, `noise_kpa`),
+and hold nothing in counts.
 """
 
 from typing import Literal
 
 Pressure = Literal["kPa"]
+Unit = Literal["kPa", "counts"]  # of an image: counts of pressure without a calibration, and of shear
+ForceUnit = Literal["N", "counts mm2"]
 Shear = Literal["counts"]
-Unit = Literal[Pressure, Shear]  # of an image
 
-PRESSURE: Pressure = "kPa"
-SHEAR: Shear = "counts"
+PRESSURE: Pressure = "kPa"  # of a sensor that is calibrated
+COUNTS: Literal["counts"] = "counts"  # of pressure and shear that are not; above zero under a load
+SHEAR: Shear = COUNTS
 LENGTH, FORCE, STIFFNESS = "mm", "N", "MPa"
 N_PER_KPA_MM2 = 1e-3  # force of a pressure on an area
+FORCE_UNITS: dict[Unit, ForceUnit] = {PRESSURE: "N", COUNTS: "counts mm2"}
+FORCE_SCALES: dict[Unit, float] = {PRESSURE: N_PER_KPA_MM2, COUNTS: 1.0}  # force of a pressure of 1 on 1 mm2
+
+
+def if_calibrated(value: float, unit: Unit) -> float | None:
+    """A value for a key that ends in kPa or N; None where it is in counts."""
+    return None if unit == COUNTS else value

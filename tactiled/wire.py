@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
-from tactiled.units import PRESSURE, SHEAR, Unit
+from tactiled.units import COUNTS, PRESSURE, Unit
 
 Kind = Literal["raw", "restored", "shear"]
 KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
 PRESSURES = KINDS[:2]  # what every sensor has
-UNITS: dict[Kind, Unit] = {"raw": PRESSURE, "restored": PRESSURE, "shear": SHEAR}
+UNITS: tuple[Unit, ...] = (PRESSURE, COUNTS)  # of pressures, by their number
 METHOD_NAMES = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points")  # by their number
 MAGIC, VERSION = b"TCTL", 1
 HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
@@ -25,11 +25,11 @@ LAYOUT = (  # offset, type, meaning
     (8, "u16", "columns"),
     (10, "u16", "F, number of flags: one per taxel in a raw image, else 0"),
     (12, "u16", "N, bytes of the sensor's name; 0 on a stream of one sensor"),
-    (14, "u16", "reserved: 0"),
+    (14, "u16", "unit of pressure and noise: 0 kPa, 1 counts, if the sensor is uncalibrated"),
     (16, "u64", "sequence number of the frame; it does not wrap, and lost frames leave gaps"),
     (24, "f64", "time of the frame's first CAN message, Unix time in s"),
     (32, "f64", "time at which the service made this message, Unix time in s"),
-    (40, "f32", "noise: standard deviation of a raw taxel, kPa"),
+    (40, "f32", "noise: standard deviation of a raw taxel, in the unit of pressure"),
     (44, "f32", "noise gain: noise of the restored image divided by noise of the raw one"),
     (48, "f32", "resolution: finest half-period above the noise, mm"),
     (52, "f32", "time from counts to the restored image, microseconds"),
@@ -39,7 +39,7 @@ LAYOUT = (  # offset, type, meaning
         "u32",
         f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(METHOD_NAMES) if n)}; 0 any other",
     ),
-    (64, "f32 x rows x columns", "pressure in kPa, row by row, NaN if unknown; shear: counts along x"),
+    (64, "f32 x rows x columns", "pressure in its unit, row by row, NaN if unknown; shear: counts along x"),
     (None, "f32 x rows x columns", "shear only: counts along y"),
     (
         None,
@@ -60,14 +60,15 @@ class Unpacked(NamedTuple):
     made_at: float  # s, Unix, of the message
     values: NDArray[
         np.float32
-    ]  # kPa, (rows, columns), one row where the layout is no grid; shear (2, ...), counts
+    ]  # in `unit`, (rows, columns), one row where the layout is no grid; shear (2, ...), counts
     flags: NDArray[np.uint8]  # (taxels,) for a raw image, else empty
-    noise_kpa: float
+    noise: float  # in `unit`
     noise_gain: float
     resolution_mm: float
     microseconds: float
     iterations: int
     method: str  # that was used; "": unknown
+    unit: Unit  # of pressures
     sensor: str  # "" on a stream of one sensor
 
 
@@ -93,11 +94,11 @@ def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
         columns,
         len(flags),
         len(name),
-        0,
+        UNITS.index(image.unit),
         image.sequence,
         image.time,
         made_at,
-        image.noise_kpa,
+        image.noise,
         image.noise_gain,
         image.resolution_mm,
         image.microseconds,
@@ -131,16 +132,18 @@ def unpack(data: bytes) -> Unpacked:
     """Read one image; ValueError if it is not of this version."""
     if len(data) < HEADER.size or data[:4] != MAGIC or data[4] != VERSION:
         raise ValueError(f"{len(data)} bytes that begin with {data[:5]!r}: no stream message of version {VERSION}")
-    _, _, kind, rows, columns, flagged, named, _, *rest = HEADER.unpack_from(data)
-    sequence, timestamp, made_at, noise_kpa, noise_gain, resolution_mm, microseconds, iterations, method = rest
+    _, _, kind, rows, columns, flagged, named, unit, *rest = HEADER.unpack_from(data)
+    sequence, timestamp, made_at, noise, noise_gain, resolution_mm, microseconds, iterations, method = rest
     shape = (rows, columns) if kind < len(PRESSURES) else (2, rows, columns)
     end = HEADER.size + 4 * prod(shape)
+    if unit >= len(UNITS):
+        raise ValueError(f"unit {unit}: expected 0 or 1")
     if len(data) != end + flagged + named or kind >= len(KINDS):
         raise ValueError(f"{len(data)} bytes of kind {kind}: expected {end + flagged + named} of kind 0, 1 or 2")
     values = np.frombuffer(data, "<f4", prod(shape), HEADER.size).reshape(shape)
     flags = np.frombuffer(data, np.uint8, flagged, end)
     return Unpacked(
         KINDS[kind], sequence, timestamp, made_at, values, flags,
-        noise_kpa, noise_gain, resolution_mm, microseconds, iterations,
-        METHOD_NAMES[method] if method < len(METHOD_NAMES) else "", data[end + flagged :].decode(),
+        noise, noise_gain, resolution_mm, microseconds, iterations,
+        METHOD_NAMES[method] if method < len(METHOD_NAMES) else "", UNITS[unit], data[end + flagged :].decode(),
     )  # fmt: skip

@@ -45,7 +45,16 @@ def test_unpack_inverts_pack(grid):
     np.testing.assert_array_equal(restored.values, grid.restored)
     assert (raw.kind, restored.kind, restored.flags.size) == ("raw", "restored", 0)
     assert (raw.timestamp, raw.made_at) == (grid.time, 2.0)
-    for name in ("sequence", "method", "noise_kpa", "noise_gain", "resolution_mm", "microseconds", "iterations"):
+    for name in (
+        "sequence",
+        "method",
+        "noise",
+        "unit",
+        "noise_gain",
+        "resolution_mm",
+        "microseconds",
+        "iterations",
+    ):
         assert getattr(raw, name) == getattr(grid, name), name
 
 

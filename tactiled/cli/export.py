@@ -33,9 +33,6 @@ FORMATS: dict[str, type[Export]] = {".npz": NpzExport, ".h5": Hdf5Export, ".mcap
 EXTRAS = {".h5": ("hdf5", ["h5py"]), ".mcap": ("foxglove", ["mcap", "foxglove"])}  # and their packages
 SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
 UNITS = {
-    "raw": PRESSURE,
-    "restored": PRESSURE,
-    "noise_kpa": f"{PRESSURE}, standard deviation of one raw taxel",
     "time": "s, on the recording's clock, of a frame's first message",
     "sequence": "counts up without wrapping, lost frames included",
     "positions_mm": f"{LENGTH}, (x, y) of the taxels, in the order of raw",
@@ -110,6 +107,14 @@ def _sha256(recording: Path) -> str:
         raise ConfigError(f"recording {recording}: {error.strerror}") from error
 
 
+def _units(plan: SensorPlan) -> dict[str, str]:
+    """Unit of each array; pressure is in counts where the sensor is uncalibrated."""
+    noise = f"{plan.unit}, standard deviation of one raw taxel"
+    pressures = {"raw": plan.unit, "restored": plan.unit, "noise": noise}
+    calibrated = {"noise_kpa": noise} if plan.unit == PRESSURE else {}
+    return pressures | calibrated | UNITS | ({"shear": SHEAR} if plan.shears else {})
+
+
 def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
     """Where the arrays come from, and their units."""
     return {
@@ -124,7 +129,7 @@ def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
         "calibration": plan.calibration_id,
         "cover": {"model": plan.kernel.model, "gain_error": plan.kernel.error_estimate},
         "cell_mm": plan.cell_mm,
-        "units": UNITS | ({"shear": SHEAR} if plan.shears else {}),
+        "units": _units(plan),
         "flag_bits": FLAG_BITS,
         "loss_kinds": LOSS_KINDS,
         "warnings": [asdict(each) for each in plan.warnings],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.frames import Image, Loss, Message
+from tactiled.units import PRESSURE
 
 Arrays = dict[str, NDArray[Any]]
 LOSS_KINDS = tuple(each.name for each in fields(Loss))
@@ -119,13 +120,18 @@ class _DeferredErrors(io.FileIO):
 def row(image: Image) -> Arrays:
     """What an export has of one frame."""
     shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
-    return shear | {
-        "raw": image.raw.astype("<f4", copy=False),
-        "restored": image.restored.astype("<f4", copy=False),
-        "flags": image.flags,
-        "time": np.array(image.time, "<f8"),
-        "sequence": np.array(image.sequence, "<i8"),
-        "method": np.array(image.method, METHOD_NAME),
-        "noise_kpa": np.array(image.noise_kpa, "<f8"),
-        "loss": np.array(astuple(image.loss), "<i8"),
-    }
+    noise = {"noise_kpa": np.array(image.noise, "<f8")} if image.unit == PRESSURE else {}
+    return (
+        shear
+        | noise
+        | {
+            "raw": image.raw.astype("<f4", copy=False),
+            "restored": image.restored.astype("<f4", copy=False),
+            "flags": image.flags,
+            "time": np.array(image.time, "<f8"),
+            "sequence": np.array(image.sequence, "<i8"),
+            "method": np.array(image.method, METHOD_NAME),
+            "noise": np.array(image.noise, "<f8"),
+            "loss": np.array(astuple(image.loss), "<i8"),
+        }
+    )

@@ -20,7 +20,7 @@ class McapExport:
         self.close = self._file.close
         self._writer: Any = Writer(self._file)  # partly untyped
         self._writer.start(library=f"tactiled {__version__}")
-        self._topics = foxglove.Topics(plan)
+        self._topics = foxglove.Topics(plan, plan.unit)
         self._bus = self._channel(foxglove.bus_topic(plan.bus))
         self._channels = [self._channel(each) for each in self._topics.topics]
 

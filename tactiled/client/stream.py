@@ -20,6 +20,7 @@ from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
 from tactiled.errors import ConfigError, TactileError
+from tactiled.units import COUNTS, PRESSURE, Unit
 from tactiled.wire import PRESSURES, Kind, Unpacked, unpack
 
 LOG = logging.getLogger("tactiled.client")
@@ -41,16 +42,18 @@ REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attemp
 class Image:
     """One frame, raw and restored, and its shear if requested."""
 
-    raw: NDArray[np.float32]  # kPa, (rows, columns); one row where the layout is no grid; NaN: unknown
-    restored: NDArray[np.float32]  # kPa
+    raw: NDArray[np.float32]  # in `unit`, (rows, columns); one row where the layout is no grid; NaN: unknown
+    restored: NDArray[np.float32]  # in `unit`
     flags: NDArray[np.uint8]  # of raw's shape, as `frames.FLAG_BITS`
     sequence: int
     timestamp: float  # s, Unix, of the frame's first CAN message
-    noise_kpa: float
+    noise_kpa: float  # standard deviation of a raw taxel; NaN in counts
     resolution_mm: float
     status: dict[str, Any]  # the newest of the stream: state, method, ran, loss, warnings, ...
     sensor: str
     shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
+    noise: float = math.nan  # as noise_kpa, in `unit`
+    unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +140,8 @@ class Inbox:
         raw, shear = parts["raw"], parts.get("shear")
         image = Image(
             raw.values, parts["restored"].values, raw.flags.reshape(raw.values.shape), raw.sequence, raw.timestamp,
-            raw.noise_kpa, raw.resolution_mm, self.status[name], name, shear.values if shear else None,
+            math.nan if raw.unit == COUNTS else raw.noise, raw.resolution_mm, self.status[name], name,
+            shear.values if shear else None, raw.noise, raw.unit,
         )  # fmt: skip
         self._images[name] = image, self.requested.pop(name, 0.0)
         return name

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from tactiled.geometry import Array, Cells
-from tactiled.units import N_PER_KPA_MM2
+from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -35,9 +35,9 @@ class Contact:
     id: int  # the same while it lasts
     x_mm: float  # centre of pressure
     y_mm: float
-    force_n: float
+    force: float  # N, or counts mm2, as `units.FORCE_UNITS` has it for the image's unit
     area_mm2: float
-    peak_kpa: float
+    peak: float  # in the image's unit
     major_mm: float  # standard deviation of the pressure along its longer axis
     minor_mm: float
     angle_rad: float  # of the longer axis from x towards y, -pi/2 to pi/2
@@ -62,13 +62,15 @@ class Finder:
         self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares
 
-    def __call__(self, image: NDArray[np.float32], noise_kpa: float, faint: bool = False) -> list[Contact]:
-        """Contacts of an image (kPa), the strongest first, all with id 0; `noise_kpa` is a cell's.
+    def __call__(
+        self, image: NDArray[np.float32], noise: float, unit: Unit = PRESSURE, faint: bool = False
+    ) -> list[Contact]:
+        """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
         With `faint` also those too faint to begin, which one that has begun may have become.
         """
         pressure = np.asarray(image, float).ravel()
-        begin, go_on = BEGIN_SIGMAS * noise_kpa, CONTINUE_SIGMAS * noise_kpa
+        begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
         peak = float(pressure.max(initial=0.0))
         if peak <= (go_on if faint else begin):
             return []
@@ -84,16 +86,17 @@ class Finder:
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         pressed, skirts = parts[self._middle], expand_labels(parts, self._squares_a_cell)[self._middle]
+        scale = FORCE_SCALES[unit]
         contacts = [
-            self._measure(pressure, *(np.flatnonzero(each == n) for each in (pressed, skirts)))
+            self._measure(pressure, scale, *(np.flatnonzero(each == n) for each in (pressed, skirts)))
             for n in np.unique(pressed[pressed > 0])
         ]
-        return sorted(contacts, key=lambda contact: -contact.force_n)
+        return sorted(contacts, key=lambda contact: -contact.force)
 
-    def _measure(self, pressure: Floats, pressed: Labels, skirt: Labels) -> Contact:
+    def _measure(self, pressure: Floats, force_scale: float, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
         areas = self._cells.areas[skirt]
-        force = pressure[skirt] * areas  # kPa mm^2
+        force = pressure[skirt] * areas  # unit of pressure times mm^2
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
         centre = weight @ places
@@ -106,9 +109,9 @@ class Finder:
             id=0,
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
-            force_n=float(force.sum()) * N_PER_KPA_MM2,
+            force=float(force.sum()) * force_scale,
             area_mm2=float(self._cells.areas[pressed].sum()),
-            peak_kpa=float(pressure[pressed].max()),
+            peak=float(pressure[pressed].max()),
             major_mm=float(major),
             minor_mm=float(minor),
             angle_rad=float(angle),
@@ -193,12 +196,12 @@ class Tracker:
         """Whether there is a contact that may go on."""
         return bool(self._tracks)
 
-    def __call__(self, contacts: list[Contact], time: float, begin_kpa: float) -> list[Contact]:
-        """The contacts of an image at `time` (s), with ids; of those with a peak below `begin_kpa` none begins."""
+    def __call__(self, contacts: list[Contact], time: float, begin: float) -> list[Contact]:
+        """The contacts of an image at `time` (s), with ids; of those with a peak below `begin` none begins."""
         elapsed, self._time = max(0.0, time - self._time), time
         for each in self._tracks:
             each.age += elapsed
-        clear = np.array([each.peak_kpa > begin_kpa for each in contacts], bool)
+        clear = np.array([each.peak > begin for each in contacts], bool)
         places = np.array([(each.x_mm, each.y_mm) for each in contacts]).reshape(-1, 2)
         links = self._links(places, clear, elapsed)
         named = []

@@ -17,7 +17,7 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.units import N_PER_KPA_MM2
+from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, PRESSURE, Unit
 
 try:
     from foxglove import messages
@@ -33,10 +33,15 @@ INTEGER, NUMBER, STRING, BOOLEAN, OBJECT = (
 WARNING = OBJECT | {"properties": {"code": STRING, "taxels": INTEGER, "text": STRING}}
 BUS = {"id": INTEGER, "extended": BOOLEAN, "fd": BOOLEAN, "data": STRING | {"contentEncoding": "base64"}}
 STATUS = {
-    "sequence": INTEGER, "method": STRING, "why": STRING, "iterations": INTEGER, "noise_kpa": NUMBER,
-    "noise_gain": NUMBER, "resolution_mm": NUMBER, "force_n": NUMBER, "peak_kpa": NUMBER, "loss": OBJECT,
-    "warnings": {"type": "array", "items": WARNING}, "calibration": STRING,
+    "sequence": INTEGER, "method": STRING, "why": STRING, "iterations": INTEGER, "noise": NUMBER,
+    "noise_gain": NUMBER, "resolution_mm": NUMBER, "force": NUMBER, "peak": NUMBER, "unit": STRING,
+    "force_unit": STRING, "loss": OBJECT, "warnings": {"type": "array", "items": WARNING}, "calibration": STRING,
 }  # fmt: skip
+CALIBRATED = {
+    "noise_kpa": "noise",
+    "force_n": "force",
+    "peak_kpa": "peak",
+}  # more keys of the status, in kPa and N
 STATE = {
     "state": STRING, "detail": STRING, "age_s": NUMBER, "rate_hz": NUMBER, "method": STRING, "loss": OBJECT
 }  # fmt: skip
@@ -137,31 +142,41 @@ class _Surface:
 class Topics:
     """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear."""
 
-    def __init__(self, plan: SensorPlan) -> None:
+    def __init__(self, plan: SensorPlan, unit: Unit) -> None:
         name, array, shape = plan.name, plan.array, plan.blur.surface_shape
         cell_mm = array.pitch * array.frame_shape[0] / shape[0]
         taxels = array.frame_shape, array.positions, array.pitch
-        pressure = "pressure_kpa", "<f4"
+        self.unit = unit  # of pressure, which fields and keys name
+        self._pressure = "pressure_counts" if self.unit == COUNTS else "pressure_kpa"
+        pressure = self._pressure, "<f4"
         self._raw = _Surface(f"/{name}/raw", *taxels, pressure, ("flags", "u1"))
         self._restored = _Surface(f"/{name}/restored", shape, plan.cells.positions, cell_mm, pressure)
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
-        self._areas = N_PER_KPA_MM2 * plan.cells.areas.astype(np.float32)
-        status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
+        self._areas = FORCE_SCALES[self.unit] * plan.cells.areas.astype(np.float32)
+        status = _json_topic(
+            f"/{name}/status", "tactiled status", STATUS | self._calibrated(dict.fromkeys(CALIBRATED, NUMBER))
+        )
         self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [self._shear.topic] if self._shear else []
 
+    def _calibrated(self, keys: dict[str, Any]) -> dict[str, Any]:
+        """These keys, none where the sensor is uncalibrated."""
+        return keys if self.unit == PRESSURE else {}
+
     def messages(self, image: Image) -> list[bytes]:
-        """One image with all that is known of it: a message for each of the topics."""
+        """One image, which is in `unit`, with all that is known of it: a message for each of the topics."""
         status = {key: getattr(image, key) for key in STATUS if hasattr(image, key)} | {
-            "force_n": float(np.dot(self._areas, image.restored.reshape(-1))),
-            "peak_kpa": float(image.restored.max(initial=0)),
+            "force": float(np.dot(self._areas, image.restored.reshape(-1))),
+            "peak": float(image.restored.max(initial=0)),
+            "force_unit": FORCE_UNITS[self.unit],
             "loss": asdict(image.loss),
             "warnings": [asdict(each) for each in image.warnings],
         }
+        status |= self._calibrated({key: status[name] for key, name in CALIBRATED.items()})
         encoded = [
-            self._raw.message(image.time, pressure_kpa=image.raw, flags=image.flags),
-            self._restored.message(image.time, pressure_kpa=image.restored),
+            self._raw.message(image.time, **{self._pressure: image.raw}, flags=image.flags),
+            self._restored.message(image.time, **{self._pressure: image.restored}),
             json.dumps(status).encode(),
         ]
         if self._shear and image.shear is not None:
@@ -192,13 +207,13 @@ def contacts_topic(name: str) -> Topic:
     return _protobuf_topic(f"/{name}/contacts", messages.SceneUpdate)
 
 
-def contacts_message(name: str, time: float, contacts: tuple[Contact, ...]) -> bytes:
-    """The contacts (mm, N) of a time (s), in place of those before: an ellipse each, its force beside it."""
+def contacts_message(name: str, time: float, unit: Unit, contacts: tuple[Contact, ...]) -> bytes:
+    """The contacts of an image of a time (s), in place of those before: an ellipse each, its force beside it."""
     at = _timestamp(time)
     deletion = messages.SceneEntityDeletion(timestamp=at, type=messages.SceneEntityDeletionType.All)
     entities = [
         messages.SceneEntity(
-            timestamp=at, frame_id=name, id=str(each.id), cylinders=[_ellipse(each)], texts=[_label(each)]
+            timestamp=at, frame_id=name, id=str(each.id), cylinders=[_ellipse(each)], texts=[_label(each, unit)]
         )
         for each in contacts
     ]
@@ -216,11 +231,11 @@ def _ellipse(contact: Contact) -> Any:
     )
 
 
-def _label(contact: Contact) -> Any:
+def _label(contact: Contact, unit: Unit) -> Any:
     return messages.TextPrimitive(
         pose=_pose(contact.x_mm, contact.y_mm),
         billboard=True,
         font_size=M_PER_MM * LABEL_MM,
         color=messages.Color(r=1, g=1, b=1, a=1),
-        text=f"{contact.force_n:.2f} N",
+        text=f"{contact.force:.{2 if unit == PRESSURE else 0}f} {FORCE_UNITS[unit]}",
     )

@@ -12,6 +12,7 @@ from tactiled.frames import Image
 from tactiled.interop import foxglove
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
+from tactiled.units import Unit
 
 with suppress(ImportError):  # `foxglove.need` says so
     import foxglove as sdk
@@ -29,17 +30,27 @@ class _SensorChannels:
             schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
             return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=context)
 
-        self._sensor, self._topics = sensor, foxglove.Topics(sensor.plan)
-        self._images = [channel(topic) for topic in self._topics.topics]
+        self._sensor, self._channel = sensor, channel
+        self._images: list[sdk.Channel] = []
+        self._advertise_images(sensor.plan.unit)
         self._state = channel(foxglove.state_topic(sensor.name))
         self._contacts = channel(foxglove.contacts_topic(sensor.name))
         self._image: Image | None = None  # the last one sent
         self._state_sent = ""
         self._state_sent_at = self._contacts_sent_at = -STATE_EVERY_S
 
+    def _advertise_images(self, unit: Unit) -> None:
+        """Advertise the topics of images, whose schemas name the unit of pressure."""
+        for each in self._images:
+            each.close()
+        self._topics = foxglove.Topics(self._sensor.plan, unit)
+        self._images = [self._channel(topic) for topic in self._topics.topics]
+
     def send(self, now: float) -> None:
         """Send what is new at `now` (s, monotonic) to whoever has subscribed."""
         image = self._sensor.hub.latest()
+        if image is not None and image.unit != self._topics.unit:
+            self._advertise_images(image.unit)
         images_subscribed = any(channel.has_sinks() for channel in self._images)
         contacts_subscribed = self._contacts.has_sinks()
         if image is not None and image is not self._image and (images_subscribed or contacts_subscribed):
@@ -56,7 +67,7 @@ class _SensorChannels:
     def _send_contacts(self) -> None:
         image, contacts = self._sensor.contacts()
         if image is not None:
-            message = foxglove.contacts_message(self._sensor.name, image.time, contacts)
+            message = foxglove.contacts_message(self._sensor.name, image.time, image.unit, contacts)
             self._contacts.log(message, log_time=foxglove.nanoseconds(image.time))
 
     def _send_state(self, now: float) -> None:

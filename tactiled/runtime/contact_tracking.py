@@ -51,8 +51,8 @@ class ContactTracking:
             self._due = time.monotonic() + LOOK_S
             image = self._hub.latest()
             if image is not None and image is not self._image:
-                noise = image.noise_kpa * max(image.noise_gain, 1.0)
-                contacts = self._finder(image.restored, noise, faint=self._tracker.holds)
+                noise = image.noise * max(image.noise_gain, 1.0)
+                contacts = self._finder(image.restored, noise, image.unit, faint=self._tracker.holds)
                 self._contacts = tuple(self._tracker(contacts, image.arrived, BEGIN_SIGMAS * noise))
                 self._image = image
             return image, self._contacts

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
+from tactiled.units import COUNTS, PRESSURE, Unit
 
 MAX_RATE_HZ = 200  # of frames that there is memory for; of a faster sensor it is a shorter time
-BYTES_BESIDE = 8 + 8 + 8 + 8  # of a frame's sequence number, time, arrival and method
+BYTES_BESIDE = 8 + 8 + 8 + 8 + 1  # of a frame's sequence number, time, arrival, method and unit
 
 
 class Page(NamedTuple):
@@ -18,11 +19,12 @@ class Page(NamedTuple):
     sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
     time: NDArray[np.float64]  # (T,) s, of the frame's first message
     method: tuple[str, ...]  # T, that restored each
-    values: NDArray[np.float32]  # (T, *image) kPa; of shear (T, 2, *raw image) counts
+    values: NDArray[np.float32]  # (T, *image) in `unit`; of shear (T, 2, *raw image) counts
     flags: NDArray[np.uint8]  # (T, *raw image)
     older: bool  # whether the window has images before these
     since: float  # s, where the window begins, by arrival; whole microseconds
-    cut: bool  # whether images at the window's beginning may have been overwritten
+    cut: bool  # whether images at the window's beginning may have been overwritten, or are in another unit
+    unit: Unit | None  # of the newest image's pressure, and of all these; None where there is none
 
 
 class History:
@@ -46,6 +48,7 @@ class History:
         self._sequence = np.zeros(slots, np.int64)
         self._time, self._arrived = np.zeros(slots), np.zeros(slots)
         self._method = [""] * slots
+        self._in_counts = np.zeros(slots, bool)
         self._count = 0
 
     def add(self, image: Image) -> None:
@@ -58,7 +61,7 @@ class History:
         self._flags[slot] = image.flags
         self._sequence[slot] = image.sequence
         self._time[slot], self._arrived[slot] = image.time, image.arrived
-        self._method[slot] = image.method
+        self._method[slot], self._in_counts[slot] = image.method, image.unit == COUNTS
         self._count += 1
 
     def page(
@@ -74,7 +77,7 @@ class History:
 
         Fewer, but at least one, where they hold more than `max_values` numbers. The window ends at the newest
         image, or begins at `since` (s, of a page before) whatever has come meanwhile. It is by arrival: the clock
-        of the bus may step.
+        of the bus may step. Images in another unit than the newest are left out.
         """
         count, images = self._count, self._images[kind]
         numbers = np.arange(max(0, count - self.capacity), count)
@@ -82,7 +85,9 @@ class History:
         sequence, arrived = self._sequence[slots], self._arrived[slots]
         if since is None:
             since = floor((arrived[-1] - seconds) * 1e6) / 1e6 if count else 0.0
-        window = np.flatnonzero(arrived >= since)
+        in_counts = self._in_counts[slots]
+        comparable = (in_counts == in_counts[-1:]) | (kind == "shear")
+        window = np.flatnonzero((arrived >= since) & comparable)
         if before is not None:
             window = window[sequence[window] < before]
         page = window[-min(max_frames, max(1, max_values // prod(images.shape[1:]))) :]
@@ -98,5 +103,8 @@ class History:
             flags[overwritten:],
             older=len(window) > len(page) and not overwritten,
             since=since,
-            cut=overwritten > 0 or (count > self.capacity and bool(arrived[0] > since)),
+            cut=overwritten > 0
+            or (count > self.capacity and bool(arrived[0] > since))
+            or bool((arrived >= since)[~comparable].any()),
+            unit=(COUNTS if in_counts[-1] else PRESSURE) if len(in_counts) else None,
         )

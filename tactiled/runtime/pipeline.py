@@ -68,7 +68,7 @@ class Pipeline:
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation (kPa) of every cell of `image.restored`, this pipeline's newest."""
-        wanted_by = self._made_for[0], image.noise_kpa
+        wanted_by = self._made_for[0], image.noise
         with self._deviation_lock:
             if self._deviation is None or self._deviation[0] != wanted_by:
                 self._deviation = wanted_by, make(wanted_by[0], self._plan.blur, wanted_by[1])
@@ -126,13 +126,14 @@ class Pipeline:
             why=done.why,
             iterations=done.iterations,
             microseconds=(perf_counter() - began) * 1e6,
-            noise_kpa=self.noise.kpa,
+            noise=self.noise.kpa,
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
             warnings=self._plan.warnings + self.noise.warning + _flag_warnings(flags) + check_warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
+            unit=self._plan.unit,
             calibration=self._plan.calibration_id,
         )
 

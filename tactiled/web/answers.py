@@ -1,5 +1,6 @@
 """What the API answers on images, sensors and the service: the schemas, filled in."""
 
+from dataclasses import asdict
 from io import BytesIO
 from typing import Any
 
@@ -12,6 +13,7 @@ from tactiled.frames import Image, RawFrame
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.runtime.service import Service
+from tactiled.units import FORCE_UNITS, if_calibrated
 from tactiled.web import schemas
 from tactiled.web.schemas import PressureKind
 
@@ -32,6 +34,7 @@ def sensor_state(sensor: Sensor) -> schemas.SensorState:
         taxels=sensor.array.size,
         pitch_mm=sensor.array.pitch,
         shear=sensor.plan.shears,
+        unit=sensor.plan.unit,
         method=sensor.method,
         methods=tuple(METHODS),
         clock=sensor.clock,
@@ -72,7 +75,7 @@ def npy(values: NDArray[np.float32]) -> bytes:
 
 
 def pressures(sensor: Sensor, image: Image, kind: PressureKind) -> NDArray[np.float32]:
-    """An image of this kind, kPa."""
+    """An image of this kind, in its unit."""
     if kind == "deviation":
         return sensor.pipeline.deviation(image)
     return image.raw if kind == "raw" else image.restored
@@ -88,12 +91,17 @@ def _message(image: Image, status: Status) -> dict[str, Any]:
     }
 
 
+def _restoration(image: Image) -> dict[str, Any]:
+    """How an image was made."""
+    return schemas.Restoration.shared(image) | {"noise_kpa": if_calibrated(image.noise, image.unit)}
+
+
 def frame(sensor: Sensor, image: Image, kind: PressureKind) -> schemas.Frame:
     """One image, with the sensor's present state."""
     status = sensor.status()
     return schemas.Frame(
         **_message(image, status),
-        **schemas.Restoration.shared(image),
+        **_restoration(image),
         kind=kind,
         age_s=status.age_s,
         values=numbers(pressures(sensor, image, kind)),
@@ -115,14 +123,24 @@ def contacts(sensor: Sensor) -> schemas.Contacts | None:
     image, contacts = sensor.contacts()
     if image is None:
         return None
-    return schemas.Contacts(**_message(image, sensor.status()), contacts=contacts)
+    unit = image.unit
+    listed = [
+        asdict(each) | {"force_n": if_calibrated(each.force, unit), "peak_kpa": if_calibrated(each.peak, unit)}
+        for each in contacts
+    ]
+    units = {"unit": unit, "force_unit": FORCE_UNITS[unit]}
+    return schemas.Contacts(**_message(image, sensor.status()), **units, contacts=listed)
 
 
 def stream_status(sensor: Sensor, image: Image | None, status: Status) -> schemas.StreamStatus:
     """A sensor's state and how its newest image was made."""
-    fields = schemas.Status.shared(status) | {"sensor": sensor.name, "method": sensor.method}
+    fields = schemas.Status.shared(status) | {
+        "sensor": sensor.name,
+        "method": sensor.method,
+        "unit": sensor.plan.unit,
+    }
     if image is not None:
-        fields |= _message(image, status) | schemas.Restoration.shared(image)
+        fields |= _message(image, status) | _restoration(image)
         fields |= {"ran": image.method, "warnings": image.warnings}
     return schemas.StreamStatus(**fields)
 

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from tactiled import units
-from tactiled.contacts.detection import Contact
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Loss
 from tactiled.restore.methods import METHODS
@@ -25,6 +24,9 @@ Flags = Annotated[
         description="of the raw image: 1 missing + 2 bad + 4 dead + 8 saturated + 16 out of range + 32 faulty",
         examples=[[[0, 0], [0, 8]]],
     ),
+]
+Unit = Annotated[
+    units.Unit, Field(description="of pressures; counts: the sensor is uncalibrated", examples=["kPa"])
 ]
 OptionalRows = Annotated[int | None, Field(description="null where the layout is no grid", examples=[32])]
 
@@ -78,6 +80,7 @@ class SensorState(Status):
     taxels: int = Field(examples=[1024])
     pitch_mm: float = Field(examples=[1.0])
     shear: bool = Field(description="whether the skin feels it", examples=[False])
+    unit: Unit
     method: str = Field(description="selected method", examples=["auto"])
     methods: tuple[str, ...] = Field(examples=[tuple(METHODS)])
     clock: str | None = Field(description="source of the frames' times; null before the bus was first open")
@@ -124,7 +127,9 @@ class Restoration(Schema):
     why: str = Field(description="why this method was used", examples=["selected by hand"])
     iterations: int = Field(examples=[3])
     microseconds: float = Field(description="from counts to the restored image", examples=[62.0])
-    noise_kpa: float = Field(description="standard deviation of a raw taxel", examples=[0.2])
+    unit: Unit
+    noise: float = Field(description="standard deviation of a raw taxel, in `unit`", examples=[0.2])
+    noise_kpa: float | None = Field(description="the same; null in counts", examples=[0.2])
     noise_gain: float = Field(description="restored noise over raw noise", examples=[1.4])
     resolution_mm: float = Field(description="finest half-period above the noise", examples=[1.2])
     calibration: str = Field(description="id of the calibration file, or configured", examples=["3f9a0c52d1e7"])
@@ -143,7 +148,6 @@ class Frame(Restoration, FrameId, Message):
 
     type: Literal["frame"] = "frame"
     kind: PressureKind
-    unit: units.Pressure = units.PRESSURE
     age_s: float | None = Field(description="since the last frame came in", examples=[0.004])
     values: Values
     flags: Flags
@@ -165,15 +169,34 @@ class StreamStatus(_or_null(Restoration), _or_null(FrameId), Status, Message):  
     """A sensor's state, at least once a second and on every change, and how its newest image was made."""
 
     type: Literal["status"] = "status"
+    unit: Unit
     method: str = Field(description="selected method", examples=["auto"])
     ran: str | None = Field(None, description="method used", examples=["nnls"])
     warnings: tuple[FrameWarning, ...] = ()
+
+
+class Contact(Schema):
+    """One contact; x to the right and y down, in the array's own coordinates."""
+
+    id: int = Field(description="the same while it lasts")
+    x_mm: float = Field(description="centre of pressure")
+    y_mm: float
+    force: float = Field(description="in `force_unit`", examples=[0.52])
+    force_n: float | None = Field(description="the same; null in counts", examples=[0.52])
+    area_mm2: float
+    peak: float = Field(description="in `unit`", examples=[34.0])
+    peak_kpa: float | None = Field(description="the same; null in counts", examples=[34.0])
+    major_mm: float = Field(description="standard deviation of the pressure along its longer axis")
+    minor_mm: float
+    angle_rad: float = Field(description="of the longer axis from x towards y, -pi/2 to pi/2")
 
 
 class Contacts(FrameId, Message):
     """The contacts in the newest restored image."""
 
     type: Literal["contacts"] = "contacts"
+    unit: Unit
+    force_unit: units.ForceUnit = Field(examples=["N"])
     contacts: tuple[Contact, ...]
 
 

@@ -46,8 +46,9 @@ def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, c
     for name in ("raw", "restored", "flags"):
         assert got[name].shape == (FRAMES, 8, 8)
         assert got[name].tobytes() == np.stack([getattr(each, name) for each in replayed]).tobytes()
-    for name in ("time", "sequence", "method", "noise_kpa"):
+    for name in ("time", "sequence", "method", "noise"):
         assert got[name].tolist() == [getattr(each, name) for each in replayed]
+    assert got["noise_kpa"].tolist() == got["noise"].tolist()
     assert np.count_nonzero(got["flags"][7] & MISSING) == 41
     np.testing.assert_array_equal(got["positions_mm"][9], (1, 1))
     np.testing.assert_allclose(got["cells_mm"], got["positions_mm"], atol=1e-9)

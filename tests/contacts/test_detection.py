@@ -55,8 +55,8 @@ def test_place_and_force_of_a_contact_are_those_of_the_press(find, press, place)
     frame, restored, noise, force = press(place)
     (raw,), (contact,) = find(frame, NOISE), find(restored, noise)
     assert (contact.x_mm, contact.y_mm) == pytest.approx(place[:2], abs=0.05)
-    assert contact.force_n == pytest.approx(force, rel=0.05)
-    assert abs(contact.force_n - force) < abs(raw.force_n - force)  # the raw one loses its skirt
+    assert contact.force == pytest.approx(force, rel=0.05)
+    assert abs(contact.force - force) < abs(raw.force - force)  # the raw one loses its skirt
     assert contact.area_mm2 < raw.area_mm2
     assert contact.id == 0
 
@@ -87,7 +87,7 @@ def test_axes_and_angle_on_refined_cells():
     assert (contact.x_mm, contact.y_mm) == pytest.approx((8, 9), abs=0.02)
     assert contact.angle_rad == pytest.approx(0.5, abs=0.02)
     assert 2 < contact.major_mm / contact.minor_mm < 3.5
-    assert contact.force_n == pytest.approx(100 * 2 * np.pi * 3 * 1e-3, rel=0.11)  # less the skirt under a tenth
+    assert contact.force == pytest.approx(100 * 2 * np.pi * 3 * 1e-3, rel=0.11)  # less the skirt under a tenth
 
 
 def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(find):
@@ -97,7 +97,7 @@ def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(find):
     (contact,) = find(image, 0.1)
     assert (contact.x_mm, contact.y_mm) == (10.5, 10.5)
     assert contact.major_mm == pytest.approx(2 / 12**0.5)  # of a square of 2 mm
-    assert contact.force_n == pytest.approx(1e-3 * (4 * 20 - 8 * 6))
+    assert contact.force == pytest.approx(1e-3 * (4 * 20 - 8 * 6))
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 3), (4, 2)])
@@ -116,7 +116,7 @@ def test_contacts_on_a_layout_that_is_no_grid():
     image = np.zeros(12, np.float32)
     image[[0, 1, 8]] = 10, 10, 30
     strong, weak = Finder(array, Cells(array.positions, 3.0, np.arange(12)))(image, 0.1)
-    assert (strong.x_mm, strong.force_n) == pytest.approx((18.5, 30 * 9e-3))
+    assert (strong.x_mm, strong.force) == pytest.approx((18.5, 30 * 9e-3))
     assert (weak.x_mm, weak.area_mm2) == pytest.approx((2.25, 18))
 
 
@@ -150,7 +150,7 @@ def test_two_contacts_with_a_dip_between_are_two_on_every_layout(array):
     contacts = by_x(find(image.reshape(array.frame_shape).astype(np.float32), 0.1))
     assert [each.x_mm for each in contacts] == pytest.approx([6.3, 13.1], abs=0.2)
     forces = [kpa * 2 * np.pi * 1.5**2 * 1e-3 for kpa in (80, 70)]
-    assert [each.force_n for each in contacts] == pytest.approx(forces, rel=0.05)  # with their skirts
+    assert [each.force for each in contacts] == pytest.approx(forces, rel=0.05)  # with their skirts
     image = bumps(array.positions, (8.3, 9.6, 80), (10.1, 10.2, 70), width=1.5)
     assert len(find(image.reshape(array.frame_shape).astype(np.float32), 0.1)) == 1
 
@@ -224,7 +224,8 @@ def test_a_contact_at_the_threshold_of_the_noise_has_one_id(find):
     track = Tracker(1.0)
     image = bumps(ARRAY.positions, (7.3, 7.6, 5 * NOISE)).reshape(SIDE, SIDE)
     named = [
-        track(find(noisy(image, NOISE, seed), NOISE, track.holds), 0.05 * seed, 5 * NOISE) for seed in range(30)
+        track(find(noisy(image, NOISE, seed), NOISE, faint=track.holds), 0.05 * seed, 5 * NOISE)
+        for seed in range(30)
     ]
     assert {each.id for contacts in named for each in contacts} == {1}
     assert sum(len(contacts) == 1 for contacts in named) > 25

@@ -99,7 +99,7 @@ def test_images_are_those_of_rest_and_contacts_lie_to_scale_on_them(rig, url):
     assert disc.pose.position.y == pytest.approx(contact.y_mm * 1e-3)
     assert (disc.size.x, disc.size.y) == pytest.approx((contact.major_mm * 4e-3, contact.minor_mm * 4e-3))
     assert 2 * np.arctan2(disc.pose.orientation.z, disc.pose.orientation.w) == pytest.approx(contact.angle_rad)
-    assert label.text == f"{contact.force_n:.2f} N"
+    assert label.text == f"{contact.force:.2f} N"
 
 
 def test_a_skin_that_feels_shear_has_a_topic_of_it(request):

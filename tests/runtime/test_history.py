@@ -9,7 +9,7 @@ from tactiled.frames import Image
 from tactiled.runtime.history import MAX_RATE_HZ, History
 
 RAW, RESTORED = (4, 4), (8, 8)
-FRAME_BYTES = 5 * 16 + 4 * 64 + 32
+FRAME_BYTES = 5 * 16 + 4 * 64 + 33
 SHEAR_BYTES = 8 * 16
 UNLIMITED = 10**9
 
@@ -19,7 +19,7 @@ def image(n, **fields):
     made = Image(
         sensor="palm", sequence=n, time=n / 100, raw=np.full(RAW, n, np.float32),
         restored=np.full(RESTORED, 10 * n, np.float32), flags=np.full(RAW, n % 2, np.uint8), method="nnls", why="",
-        iterations=0, microseconds=0, noise_kpa=1, noise_gain=1, resolution_mm=1, arrived=n / 100, shear=shear,
+        iterations=0, microseconds=0, noise=1, noise_gain=1, resolution_mm=1, arrived=n / 100, shear=shear,
     )  # fmt: skip
     return replace(made, **fields)
 

@@ -48,7 +48,7 @@ def test_an_image_has_what_is_known_of_its_frame_and_keeps_it(make):
     image = pipeline.process(frame(7))
     restored = image.restored.copy()
     assert (image.sensor, image.sequence, image.time, image.loss.lost) == ("palm", 7, 12.5, 3)
-    assert (image.method, image.noise_kpa, image.warnings[0].code) == ("wiener", 0.5, "uncalibrated")
+    assert (image.method, image.noise, image.warnings[0].code) == ("wiener", 0.5, "uncalibrated")
     assert image.raw.shape == image.restored.shape == SHAPE
     assert image.raw[3, 3] == 200
     assert image.restored[3, 3] > image.raw[3, 3]
@@ -95,10 +95,10 @@ def test_noise_is_measured_and_louder_than_configured_is_a_warning(make, configu
     noisy = (np.round(pressed() + random.normal(0, 8, SHAPE)) for _ in range(NOISE_FRAMES + 1))
     images = [pipeline.process(frame(n, counts)) for n, counts in enumerate(noisy)]
     if configured is None:
-        assert images[0].noise_kpa == pytest.approx(GAIN * 12**-0.5)
-        assert images[-1].noise_kpa == pytest.approx(8 * GAIN, rel=0.15)
+        assert images[0].noise == pytest.approx(GAIN * 12**-0.5)
+        assert images[-1].noise == pytest.approx(8 * GAIN, rel=0.15)
         return
-    assert images[-1].noise_kpa == configured
+    assert images[-1].noise == configured
     assert "noise_high" not in [each.code for each in images[-3].warnings]
     raised = images[-1].warnings[0]
     assert raised.code == "noise_high"

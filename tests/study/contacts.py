@@ -80,7 +80,7 @@ def measure(thickness, noise, repeats, seed=1):
 def _accuracy(one, two, image):
     detected = [(centre, force, each[image][0]) for centre, force, each in one if len(each[image]) == 1]
     off = [np.hypot(*(centre - (got.x_mm, got.y_mm))) for centre, _, got in detected] or [np.nan]
-    force = [abs(got.force_n / force - 1) for _, force, got in detected] or [np.nan]
+    force = [abs(got.force / force - 1) for _, force, got in detected] or [np.nan]
     shares = [np.mean([len(each[image]) == 2 for _, _, each in same]) for same in two]
     widest = max((n for n, share in enumerate(shares) if share < RESOLVED_SHARE), default=-1)  # not resolved
     gap = float(GAPS_MM[widest + 1]) if widest + 1 < len(GAPS_MM) else np.inf

@@ -42,10 +42,10 @@ test("a message that is none of the service's is refused with the reason", () =>
 test("one packet takes messages of every size and kind", () => {
   const into = packet();
   const take = (...of) => parse(new Uint8Array(message(...of)), into);
-  assert.deepEqual([...take(RESTORED, 2 ** 33).kpa], [1, NaN]);
+  assert.deepEqual([...take(RESTORED, 2 ** 33).values], [1, NaN]);
   assert.equal(into.sequence, 2 ** 33);
   assert.deepEqual([...take(SHEAR, 1, { values: [1, 2, 3, 4] }).shear], [1, 2, 3, 4]);
-  assert.equal(into.kpa.length, 0);
+  assert.equal(into.values.length, 0);
   assert.equal(take(RAW, 2, { flags: [1, 2] }).shear.length, 0);
   assert.deepEqual([...take(RAW, 2, { flags: [4, 8] }).flags], [4, 8]);
 });

@@ -17,9 +17,9 @@ TSC = Path(sys.prefix) / "lib/tsc/node_modules/.bin/tsc"
 DECODE = f"""
 import {{ METHODS, packet, parse }} from "{STATIC}/wire.js";
 const messages = JSON.parse(process.argv[1]).map(hex => Uint8Array.from(Buffer.from(hex, "hex")));
-const fields = ({{ kind, rows, columns, sequence, timestamp, sent, noiseKpa, noiseGain, resolutionMm, microseconds,
-  iterations, method, kpa, flags }}) => [kind, rows, columns, sequence, timestamp, sent, noiseKpa, noiseGain,
-  resolutionMm, microseconds, iterations, METHODS[method], [...kpa], flags && [...flags]];
+const fields = ({{ kind, rows, columns, sequence, timestamp, sent, noise, noiseGain, resolutionMm, microseconds,
+  iterations, method, values, flags }}) => [kind, rows, columns, sequence, timestamp, sent, noise, noiseGain,
+  resolutionMm, microseconds, iterations, METHODS[method], [...values], flags && [...flags]];
 console.log(JSON.stringify([METHODS, ...messages.map(each => fields(parse(each, packet())))]));
 """
 
@@ -57,7 +57,7 @@ def test_messages_are_decoded_as_the_service_packs_them(rig):
     )
     methods, raw, restored = json.loads(run.stdout)
     assert tuple(methods) == METHOD_NAMES
-    numbers = [image.noise_kpa, image.noise_gain, image.resolution_mm, image.microseconds]
+    numbers = [image.noise, image.noise_gain, image.resolution_mm, image.microseconds]
     for kind, fields in enumerate((raw, restored)):
         assert fields[:6] == [kind, 8, 8, image.sequence, image.time, 12.5]
         np.testing.assert_allclose(fields[6:10], numbers, rtol=1e-6)

@@ -14,14 +14,14 @@ from starlette.concurrency import run_in_threadpool
 from tactiled.frames import Image
 from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Sensor, Status
-from tactiled.units import PRESSURE, Unit
+from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
 from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
-from tactiled.wire import UNITS, Kind
+from tactiled.wire import Kind
 
 NewestFormat = Literal["json", "npy", "png"]
 PageFormat = Literal["json", "npy", "npz"]
@@ -34,7 +34,7 @@ MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 <
 SERIES_HEADERS = {
     "X-Tactiled-Sequence": "number of the image; of several as ranges: 5-9,12 where 10 and 11 were lost",
     "X-Tactiled-Timestamp": "s, of the frame's first CAN message; of several images, of the first and the last",
-    "X-Tactiled-Unit": "kPa; of shear counts",
+    "X-Tactiled-Unit": "kPa, or counts of an uncalibrated sensor; of shear counts",
 }
 IMAGE_HEADERS = SERIES_HEADERS | {
     "X-Tactiled-State": "live, stale, silent or down",
@@ -86,7 +86,7 @@ class Frames(schemas.Schema):
     type: Literal["frames"] = "frames"
     sensor: schemas.SensorName
     kind: Kind = Field(examples=["restored"])
-    unit: Unit = Field(description="counts of shear", examples=["kPa"])
+    unit: Unit = Field(description="counts of shear, and of an uncalibrated sensor", examples=["kPa"])
     before: str | None = Field(description="`before` of the next page; null: no older images in the window")
     cut: bool = Field(description="whether images of the window's beginning may have been discarded")
     frames: list[KeptFrame] | list[KeptShear]
@@ -108,7 +108,7 @@ async def page(
     query: Annotated[PageQuery, Query()],
     form: Annotated[PageFormat, format_of(PageFormat)],
 ) -> Response:
-    """The images of the last seconds in kPa, or their shear in counts, for up to `history_s` seconds.
+    """The images of the last seconds, in `unit`, or their shear in counts, for up to `history_s` seconds.
 
     The first page has the newest images, each page is in order, and `before` leads to the next page of the same
     window; `cut` reports that images at the window's start may have been discarded.
@@ -132,7 +132,11 @@ async def page(
 
 
 def _page(sensor: Sensor, kind: Kind, form: PageFormat, images: Page) -> Response:
-    headers = {"X-Tactiled-Unit": UNITS[kind], "X-Tactiled-Sequence": _ranges(images.sequence), "Vary": "Accept"}
+    headers = {
+        "X-Tactiled-Unit": _unit(sensor, kind, images),
+        "X-Tactiled-Sequence": _ranges(images.sequence),
+        "Vary": "Accept",
+    }
     if len(images.time):
         headers["X-Tactiled-Timestamp"] = f"{images.time[0]:.6f},{images.time[-1]:.6f}"
     if before := _before(images):
@@ -151,6 +155,10 @@ def _page(sensor: Sensor, kind: Kind, form: PageFormat, images: Page) -> Respons
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 
+def _unit(sensor: Sensor, kind: Kind, images: Page) -> Unit:
+    return SHEAR if kind == "shear" else images.unit or sensor.plan.unit
+
+
 def _before(images: Page) -> str | None:
     """Where the next page begins: the number that it stays below, and the beginning of the window."""
     return f"{images.sequence[0]}@{images.since:.6f}" if images.older else None
@@ -158,7 +166,7 @@ def _before(images: Page) -> str | None:
 
 def _json(sensor: Sensor, kind: Kind, images: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
-    before, unit = _before(images), UNITS[kind]
+    before, unit = _before(images), _unit(sensor, kind, images)
     head = Frames(sensor=sensor.name, kind=kind, unit=unit, before=before, cut=images.cut, frames=[])
     yield head.model_dump_json().encode().removesuffix(b"]}")
     for n in range(len(images.time)):
@@ -204,7 +212,7 @@ async def newest(
         ),
     ] = None,
 ) -> Response:
-    """The newest image in kPa: raw, restored, or the standard deviation of the restored one.
+    """The newest image, in `unit`: raw, restored, or the standard deviation of the restored one.
 
     The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
     """
@@ -240,7 +248,7 @@ def _newest(
         raise no_frame(sensor)
     status = sensor.status()
     tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ''}"
-    return image, image_headers(image, status, PRESSURE) | {"ETag": f'W/"{tag}"'}
+    return image, image_headers(image, status, image.unit) | {"ETag": f'W/"{tag}"'}
 
 
 def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None) -> Response:

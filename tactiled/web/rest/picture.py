@@ -71,7 +71,7 @@ def _peak_kpa(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> 
     if kind == "deviation":
         return peak_kpa
     gain = max(1.0, image.noise_gain) if np.isfinite(image.noise_gain) else 1.0
-    return max(peak_kpa, MIN_TOP_SIGMAS * gain * image.noise_kpa)
+    return max(peak_kpa, MIN_TOP_SIGMAS * gain * image.noise)
 
 
 def _map(

@@ -21,7 +21,7 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {number} sequence
  * @property {number} timestamp Unix s
  * @property {number} sent Unix s
- * @property {number} noiseKpa
+ * @property {number} noise
  * @property {number} noiseGain
  * @property {number} resolutionMm
  * @property {number} microseconds
@@ -57,7 +57,7 @@ export class FrameHistory {
       restored: restored.subarray(i * m, (i + 1) * m),
       flags: flags.subarray(i * n, (i + 1) * n),
       // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
-      sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
+      sequence: 0, timestamp: NaN, sent: NaN, noise: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
       iterations: 0, method: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
       shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
@@ -80,7 +80,7 @@ export class FrameHistory {
    */
   fits(raw, restored, shear) {
     const { raw: { count }, restored: { count: cells } } = this._plane;
-    return raw.kpa.length === count && restored.kpa.length === cells && (!shear || shear.shear.length === 2 * count);
+    return raw.values.length === count && restored.values.length === cells && (!shear || shear.shear.length === 2 * count);
   }
 
   /**
@@ -94,8 +94,8 @@ export class FrameHistory {
     const frame = this._frames[this._head];
     this._head = (this._head + 1) % this.capacity;
     this.length = Math.min(this.capacity, this.length + 1);
-    frame.raw.set(raw.kpa);
-    frame.restored.set(restored.kpa);
+    frame.raw.set(raw.values);
+    frame.restored.set(restored.values);
     frame.sheared = shear !== null;
     if (shear) frame.shear.set(shear.shear);
     const flags = raw.flags ?? NO_FLAGS;
@@ -107,13 +107,13 @@ export class FrameHistory {
     frame.sequence = restored.sequence;
     frame.timestamp = restored.timestamp;
     frame.sent = restored.sent;
-    frame.noiseKpa = restored.noiseKpa;
+    frame.noise = restored.noise;
     frame.noiseGain = restored.noiseGain;
     frame.resolutionMm = restored.resolutionMm;
     frame.microseconds = restored.microseconds;
     frame.iterations = restored.iterations;
     frame.method = METHODS[restored.method] ?? "";
-    const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
+    const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw);
     measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored);

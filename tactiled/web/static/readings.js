@@ -105,7 +105,7 @@ export class Readings {
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
     setText(at.resolution, frame ? lengthText(frame.resolutionMm, 2) : "\u2013");
-    setText(at.noise, frame ? pressureText(frame.noiseKpa, 2) : "\u2013");
+    setText(at.noise, frame ? pressureText(frame.noise, 2) : "\u2013");
     setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }

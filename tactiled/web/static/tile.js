@@ -150,7 +150,7 @@ export class Tile {
   _takeImage(image) {
     const plane = this._plane;
     if (!plane) return;
-    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.kpa.length === this._kpa.length;
+    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.values.length === this._kpa.length;
     if (!ours) {
       this._plane = null;
       this.start();
@@ -169,11 +169,11 @@ export class Tile {
 
   /** @param {Packet} image of pressures @param {Plane} plane */
   _takePressures(image, plane) {
-    this._kpa.set(image.kpa);
+    this._kpa.set(image.values);
     this._sent = image.sent;
     this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
-    this.noise = (image.noiseKpa || 0) * Math.max(1, image.noiseGain || 1);
+    this.noise = (image.noise || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._kpa, plane.restored, this.noise, this._of);
     this.peak = this._of.peak || 0;
   }

@@ -246,7 +246,7 @@ export class Viewer {
 
   /** @param {Frame} frame */
   _take(frame) {
-    const noise = Number.isFinite(frame.noiseKpa) ? frame.noiseKpa : 0;
+    const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
     const peak = Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
     this.range.follow(peak, noise * Math.max(1, gain), frame.timestamp);

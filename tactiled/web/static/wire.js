@@ -31,13 +31,14 @@ const NO_BYTES = new Uint8Array(0);
  * @property {number} sequence
  * @property {number} timestamp Unix time, s, of the frame's first bus message
  * @property {number} sent Unix time, s, at which the service sent this
- * @property {number} noiseKpa
+ * @property {number} noise in `unit`
+ * @property {number} unit of pressures, index in UNITS
  * @property {number} noiseGain
  * @property {number} resolutionMm
  * @property {number} microseconds
  * @property {number} iterations
  * @property {number} method index in METHODS
- * @property {Float32Array} kpa rows * columns; NaN without data; of SHEAR empty
+ * @property {Float32Array} values pressures in `unit`, rows * columns; NaN without data; of SHEAR empty
  * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
  * @property {Uint8Array} bytes the whole message
@@ -49,8 +50,8 @@ const NO_BYTES = new Uint8Array(0);
 /** @returns {Packet} an empty packet for `parse` to fill */
 export function packet() {
   return {
-    kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, noiseKpa: NaN, noiseGain: NaN,
-    resolutionMm: NaN, microseconds: NaN, iterations: 0, method: 0, kpa: NONE, shear: NONE, flags: null,
+    kind: RAW, rows: 0, columns: 0, sequence: 0, timestamp: NaN, sent: NaN, unit: 0, noise: NaN, noiseGain: NaN,
+    resolutionMm: NaN, microseconds: NaN, iterations: 0, method: 0, values: NONE, shear: NONE, flags: null,
     bytes: NO_BYTES, view: new DataView(NO_BYTES.buffer), nameAt: 0, nameBytes: 0,
   };
 }
@@ -81,10 +82,11 @@ export function parse(bytes, into) {
   into.rows = view.getUint16(6, true);
   into.columns = view.getUint16(8, true);
   const flagsBytes = view.getUint16(10, true);
+  into.unit = view.getUint16(14, true);
   into.sequence = view.getUint32(16, true) + view.getUint32(20, true) * 2 ** 32;
   into.timestamp = view.getFloat64(24, true);
   into.sent = view.getFloat64(32, true);
-  into.noiseKpa = view.getFloat32(40, true);
+  into.noise = view.getFloat32(40, true);
   into.noiseGain = view.getFloat32(44, true);
   into.resolutionMm = view.getFloat32(48, true);
   into.microseconds = view.getFloat32(52, true);
@@ -96,7 +98,7 @@ export function parse(bytes, into) {
   if (bytes.length < into.nameAt + into.nameBytes) {
     throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${bytes.length} bytes`);
   }
-  const values = into.kind === SHEAR ? into.shear : into.kpa;
+  const values = into.kind === SHEAR ? into.shear : into.values;
   const flagged = into.flags ? into.flags.length : 0;
   if (resized || values.length !== count || flagged !== flagsBytes) makeViews(into, count, flagsBytes);
   return into;
@@ -111,7 +113,7 @@ export function parse(bytes, into) {
 function makeViews(into, count, flagged) {
   const { buffer } = into.bytes;
   const values = new Float32Array(buffer, HEADER_BYTES, count);
-  into.kpa = into.kind === SHEAR ? NONE : values;
+  into.values = into.kind === SHEAR ? NONE : values;
   into.shear = into.kind === SHEAR ? values : NONE;
   into.flags = flagged ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagged) : null;
 }

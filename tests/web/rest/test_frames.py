@@ -57,8 +57,9 @@ def test_the_newest_image_is_the_same_in_every_format(rig, client):
     assert (frame["unit"], frame["sequence"], frame["kind"], frame["state"]) == ("kPa", 0, "raw", "live")
     assert (frame["type"], frame["sensor"], frame["method"]) == ("frame", "palm", "wiener")
     np.testing.assert_allclose(frame["values"], (pressed() - NO_LOAD) * GAIN)
-    made = ("why", "iterations", "microseconds", "noise_kpa", "noise_gain", "resolution_mm")
+    made = ("why", "iterations", "microseconds", "noise", "noise_gain", "resolution_mm")
     assert [frame[each] for each in made] == [getattr(image, each) for each in made]
+    assert frame["noise_kpa"] == frame["noise"]
     assert (frame["timestamp"], frame["loss"]["lost"], frame["warnings"]) == (image.time, 0, [])
     npy = client.get("/sensors/palm/frames/restored", headers={"Accept": "application/x-npy"})
     np.testing.assert_array_equal(load(npy), image.restored)
