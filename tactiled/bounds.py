@@ -1,9 +1,10 @@
-"""Bounds of the numbers of the configuration, with their units in the error."""
+"""Bounds of the numbers of the configuration, with their units in the error; paths beside it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainSerializer, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -43,6 +44,14 @@ class Bounds:
         return value
 
 
+def _beside(file: Path, info: ValidationInfo) -> Path:
+    folder: Path = (info.context or {}).get("folder", Path())
+    return folder / file
+
+
+FileBeside = Annotated[  # relative to the folder of the configuration; printed without its folder
+    Path, AfterValidator(_beside), PlainSerializer(lambda path: path.name, when_used="json", return_type=str)
+]
 Port = Annotated[int, Bounds(0, 65535)]
 Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
 Pitch = Annotated[float, Bounds(0.01, 1000.0, LENGTH)]  # from an etched sensor's taxels to a floor's tiles

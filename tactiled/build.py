@@ -9,9 +9,12 @@ import numpy as np
 from tactiled.bus import skins
 from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.bus.router import Router
+from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.sections import CoverSection
 from tactiled.config import schema
-from tactiled.cover.kernel import Kernel, cached
+from tactiled.cover.kernel import Kernel, cached, radial
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
 from tactiled.cover.stack import Layer, Stack
@@ -47,7 +50,7 @@ class SensorPlan:
     stale_after_s: float
     warnings: tuple[FrameWarning, ...]  # that hold for every image
     calibrated: bool  # whether pressures are in kPa; else one count is shown as one kPa
-    calibration_id: str = CONFIGURED  # of the calibration file
+    file: CalibrationFile | None = None  # that it is calibrated with
 
     @property
     def cell_mm(self) -> float:
@@ -58,6 +61,11 @@ class SensorPlan:
     def unit(self) -> Unit:
         """Of its pressures."""
         return PRESSURE if self.calibrated else COUNTS
+
+    @property
+    def calibration_id(self) -> str:
+        """Id of the calibration file, or `configured`."""
+        return self.file.id if self.file else CONFIGURED
 
     @property
     def shears(self) -> bool:
@@ -73,24 +81,41 @@ def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
     return plans
 
 
-def sensor_plan(name: str, sensor: schema.Sensor) -> SensorPlan:
-    """Solve the cover and build the operator of one sensor; a TactileError names the sensor."""
+def sensor_plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None = None) -> SensorPlan:
+    """Solve the cover and build the operator of one sensor; a TactileError names the sensor.
+
+    With `file` it is calibrated by that one, else by the configured one where it is there.
+    """
     try:
-        return _plan(name, sensor)
+        return _plan(name, sensor, file or configured_file(sensor))
     except TactileError as error:
         raise type(error)(f"sensor.{name}: {error}") from error
 
 
-def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
+def configured_file(sensor: schema.Sensor) -> CalibrationFile | None:
+    """The calibration file of a sensor; None where none is configured, or it is not there yet."""
+    path = sensor.calibration.file
+    return None if path is None else calibration_file.load(path)
+
+
+def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> SensorPlan:
     array, codec = make_array(sensor), make_codec(sensor)
     if codec.size != array.size:
         raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
     require(sensor.method)
-    calibration = make_calibration(sensor)
-    _check_forces(sensor.calibration, codec)
+    stack = make_stack(sensor)
+    if file:
+        _check_file(name, sensor, file, array.size, stack)
+    calibration = make_calibration(sensor, file)
+    calibrated = sensor.calibration.kpa_per_count is not None or calibration.curves is not None
+    _check_forces(sensor.calibration, codec, calibrated)
     Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
     _check_cells(array, sensor.refine)
-    kernel = cached(make_stack(sensor), sensor.kernel.model, sensor.kernel.accuracy, report=LOG.warning)
+    cover = file.cover if file else None
+    kernel = make_kernel(sensor.kernel, stack, cover)
+    blur = make_blur(kernel, array, sensor.refine)
+    if cover:
+        blur.thickness_error = cover.thickness_error
     return SensorPlan(
         name=name,
         bus=sensor.bus,
@@ -98,14 +123,30 @@ def _plan(name: str, sensor: schema.Sensor) -> SensorPlan:
         codec=codec,
         array=array,
         kernel=kernel,
-        blur=make_blur(kernel, array, sensor.refine),
+        blur=blur,
         cells=tiling(array, sensor.refine),
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
-        warnings=_constant_warnings(sensor, summarise(kernel, array), array),
-        calibrated=sensor.calibration.kpa_per_count is not None,
+        warnings=_constant_warnings(calibrated, summarise(kernel, array), array),
+        calibrated=calibrated,
+        file=file,
     )
+
+
+def _check_file(name: str, sensor: schema.Sensor, file: CalibrationFile, size: int, stack: Stack) -> None:
+    """ConfigError where a file is of another array, or where the configuration says otherwise than it."""
+    path = sensor.calibration.file
+    place = "calibration" if path is None else str(path)
+    try:
+        file.need_fit(name, sensor.codec.name, size, stack)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from error
+    if path is None:  # applied until the end of the service: it replaces what is configured
+        return
+    for key, section in (("kpa_per_count", file.gain), ("no_load", file.no_load)):
+        if section is not None and (value := getattr(sensor.calibration, key)) is not None:
+            raise ConfigError(f"calibration.{key} = {value:g}: {place} holds it, too: take one of them out")
 
 
 def _check_cells(array: Array, refine: int) -> None:
@@ -118,20 +159,20 @@ def _check_cells(array: Array, refine: int) -> None:
         )
 
 
-def _check_forces(calibration: schema.Calibration, codec: Codec) -> None:
+def _check_forces(calibration: schema.Calibration, codec: Codec, calibrated: bool) -> None:
     """ConfigError where shear is to be in newtons, but the skin measures none or pressure is not in kPa."""
     if calibration.shear_n_per_count is None:
         return
     setting = f"calibration.shear_n_per_count = {calibration.shear_n_per_count:g}"
     if not isinstance(codec, ShearCodec):
         raise ConfigError(f"{setting}: the codec carries no shear: leave it out")
-    if calibration.kpa_per_count is None:
+    if not calibrated:
         raise ConfigError(f"{setting}: forces need kpa_per_count, too: give both")
 
 
-def _constant_warnings(sensor: schema.Sensor, summary: CoverSummary, array: Array) -> tuple[FrameWarning, ...]:
+def _constant_warnings(calibrated: bool, summary: CoverSummary, array: Array) -> tuple[FrameWarning, ...]:
     """Warnings of every image of a sensor."""
-    warnings = [] if sensor.calibration.kpa_per_count else [warning("uncalibrated")]
+    warnings = [] if calibrated else [warning("uncalibrated")]
     if summary.smallest_gap > THICK_FROM_PITCHES * array.pitch:
         gap = f"finer than {summary.smallest_gap:.2g} mm" if np.isfinite(summary.smallest_gap) else "at all"
         warnings.append(warning("thick_cover", pitch_mm=array.pitch, gap=gap))
@@ -179,8 +220,29 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     return MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
 
 
-def make_calibration(sensor: schema.Sensor) -> Calibration:
-    """Calibration as configured, over what the codec knows of its skin."""
-    skin, configured = sensor.codec.settings, sensor.calibration.model_dump(exclude_none=True)
+def make_kernel(settings: schema.Kernel, stack: Stack, cover: CoverSection | None) -> Kernel:
+    """The cover as configured and as thick as it was fitted, or as measured; ConfigError where it was not."""
+    if settings.model != "measured":
+        stack = stack.thickened(cover.factor) if cover else stack
+        return cached(stack, settings.model, settings.accuracy, report=LOG.warning)
+    if cover is None or cover.kernel is None:
+        raise ConfigError('kernel.model = "measured": the calibration file holds no kernel: give fem or layered')
+    q, gain = (np.array(each) for each in cover.kernel)
+    error = cover.thickness_error * float(np.abs(np.gradient(gain[1:], np.log(q[1:]))).max())
+    return Kernel(stack.thickened(cover.factor), "measured", q, gain, *radial(q, gain), error_estimate=error)
+
+
+def make_calibration(sensor: schema.Sensor, file: CalibrationFile | None = None) -> Calibration:
+    """Calibration as in a file, else as configured, else as the codec knows it of its skin."""
+    skin, settings = sensor.codec.settings, sensor.calibration.model_dump(exclude_none=True, exclude={"file"})
     defaults = {"kpa_per_count": skin.kpa_per_count, "no_load": skin.no_load}
-    return Calibration(**({key: value for key, value in defaults.items() if value is not None} | configured))
+    settings = {key: value for key, value in defaults.items() if value is not None} | settings
+    if file and file.gain:
+        curves = file.gain.curves
+        settings |= {"curves": curves, "kpa_per_count": float(np.median(curves.gain))}
+    if file and file.no_load:
+        values = file.no_load.values
+        settings["no_loads"] = np.where(np.isnan(values), settings.get("no_load", 0.0), values)
+    if file and file.health:
+        settings["dead"] = tuple(sorted({*sensor.calibration.dead, *file.health.dead}))
+    return Calibration(**settings)

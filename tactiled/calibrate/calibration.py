@@ -1,24 +1,29 @@
-"""Counts to kPa: offset, gain, tare, and faulty taxels."""
+"""Counts to kPa: offset, gain or curve, tare, and faulty taxels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.calibrate.curves import Curves
 from tactiled.errors import ConfigError
-from tactiled.frames import DEAD, SATURATED, UNKNOWN, Counts
+from tactiled.frames import DEAD, OUT_OF_RANGE, SATURATED, UNKNOWN, Counts
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """pressure = (counts - no_load) * kpa_per_count; a negative gain: counts fall as pressure rises."""
+    """pressure = (counts - no_load) * kpa_per_count, or by curves; a negative gain: counts fall under pressure."""
 
-    kpa_per_count: float = 1.0  # kPa
+    kpa_per_count: float = 1.0  # kPa; with curves the median of their gains
     no_load: float = 0.0  # counts
     saturation: float | None = None  # counts from which (falling gain: down to which) a taxel is at its ceiling
     noise_kpa: float | None = None  # standard deviation of one taxel; None: to be estimated from the frames
     dead: tuple[int, ...] = ()  # taxel indices that do not work
     shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
+    curves: Curves | None = field(default=None, compare=False)  # of each taxel
+    no_loads: NDArray[np.float64] | None = field(
+        default=None, compare=False
+    )  # (N,) counts; None: `no_load` for all
 
     def __post_init__(self) -> None:
         """Refuse a gain or a noise that is impossible."""
@@ -34,8 +39,16 @@ class Calibration:
 
     @property
     def floor_kpa(self) -> float:
-        """Noise that no taxel goes under: rounding to whole counts, one step / sqrt(12)."""
-        return abs(self.kpa_per_count) / 12**0.5
+        """Noise that no taxel goes under: rounding to whole counts, one step / sqrt(12); of curves the median."""
+        step = self.kpa_per_count
+        if self.curves is not None:
+            step = float(np.median(self.curves.slope(np.zeros(self.curves.size))))
+        return abs(step) / 12**0.5
+
+    def counts(self, pressure: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Counts (..., N) under `pressure` (..., N) in kPa, not rounded."""
+        over = pressure / self.kpa_per_count if self.curves is None else self.curves.counts(pressure)
+        return over + (self.no_load if self.no_loads is None else self.no_loads)
 
 
 class Calibrator:
@@ -43,7 +56,15 @@ class Calibrator:
 
     def __init__(self, calibration: Calibration, size: int) -> None:
         self.calibration = calibration
+        curves = calibration.curves
+        if curves is not None and curves.size != size:
+            raise ConfigError(f"gain has {curves.size} taxels: the array has {size}")
         self._no_load = np.full(size, calibration.no_load, np.float32)
+        if calibration.no_loads is not None:
+            self.tare(calibration.no_loads)
+        gain = calibration.kpa_per_count if curves is None else curves.gain
+        self._gain, self._direction = np.asarray(gain, np.float32), np.sign(gain)
+        self._curves = None if curves is None or curves.form == "linear" else curves
         self._dead = np.zeros(size, np.uint8)
         beyond = [taxel for taxel in calibration.dead if not 0 <= taxel < size]
         if beyond:
@@ -59,13 +80,22 @@ class Calibrator:
         """Take `counts` (N,), a mean over frames of the unloaded array, as no load; NaN keeps the taxel's own."""
         self._no_load = np.where(np.isfinite(counts), counts, self._no_load).astype(np.float32)
 
+    def pressure(self, counts: NDArray[np.number]) -> NDArray[np.float32]:
+        """Pressure (..., N) in kPa of counts (..., N), whatever the taxel's state."""
+        return self._kpa(counts.astype(np.float32) - self._no_load)
+
+    def _kpa(self, over: NDArray[np.float32]) -> NDArray[np.float32]:
+        return over * self._gain if self._curves is None else self._curves.pressure(over).astype(np.float32)
+
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Pressure (N,) in kPa, NaN for a missing or bad taxel, and the flags with DEAD and SATURATED added."""
-        gain = self.calibration.kpa_per_count
-        flags = flags | self._dead
+        """Pressure (N,) in kPa, NaN for an unknown taxel; the flags with DEAD, SATURATED, OUT_OF_RANGE added."""
+        flags, over = flags | self._dead, counts.astype(np.float32) - self._no_load
         if self.calibration.saturation is not None:
-            full = np.sign(gain) * (counts - np.float32(self.calibration.saturation)) >= 0
+            full = self._direction * (counts - np.float32(self.calibration.saturation)) >= 0
             flags = flags | np.where(full, SATURATED, 0).astype(np.uint8)
-        pressure = (counts.astype(np.float32) - self._no_load) * np.float32(gain)
+        if self.calibration.curves is not None:
+            beyond = self.calibration.curves.out_of_range(over)
+            flags = flags | np.where(beyond, OUT_OF_RANGE, 0).astype(np.uint8)
+        pressure = self._kpa(over)
         pressure[flags & UNKNOWN > 0] = np.nan
         return pressure, flags

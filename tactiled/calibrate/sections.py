@@ -14,12 +14,13 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
+NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
 
 Value = Annotated[float, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}"))]
 Values = tuple[Value, ...]
-Known = tuple[Value | None, ...]  # None: unknown
+OptionalValues = tuple[Value | None, ...]  # None: unknown
 Made = TypeVar("Made", bound=BaseModel)
 Taxels = Annotated[int, Field(ge=1, le=1 << 20)]
 
@@ -48,12 +49,12 @@ class Section(Table):
 class NoLoadSection(Section):
     """Counts of the unloaded array."""
 
-    counts: Known  # of each taxel
+    counts: OptionalValues  # of each taxel
 
     @classmethod
     def of(cls, counts: NDArray[np.floating], origin: Origin) -> Self:
         """From counts (N,), NaN where unknown."""
-        return build(cls, origin=origin, counts=_known(counts))
+        return build(cls, origin=origin, counts=_optional(counts))
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -69,7 +70,7 @@ class GainSection(Section):
     knots: Values
     reach_counts: tuple[Values, Values]  # lower and upper end
     deviation: Values
-    hysteresis: Known
+    hysteresis: OptionalValues
     individual: tuple[bool, ...]
 
     @classmethod
@@ -83,7 +84,7 @@ class GainSection(Section):
             knots=tuple(curves.knots.tolist()),
             reach_counts=_rows(curves.reach_counts.T),
             deviation=tuple(curves.deviation.tolist()),
-            hysteresis=_known(curves.hysteresis),
+            hysteresis=_optional(curves.hysteresis),
             individual=tuple(curves.individual.tolist()),
         )
 
@@ -161,6 +162,12 @@ class CoverSection(Section):
         layers = tuple(Layer(each.thickness_mm, each.young_mpa, each.poisson) for each in self.layers)
         return Stack(layers, self.layers_above_taxels, tuple(each.bonded for each in self.layers))
 
+    @property
+    def thickness_error(self) -> float:
+        """Relative standard deviation of the thickness: half of the 95 % interval is 1.96 of them."""
+        low, high = self.interval
+        return (high - low) / (2 * NORMAL_95 * self.factor)
+
     @model_validator(mode="after")
     def _check(self) -> Self:
         low, high = self.interval
@@ -186,7 +193,7 @@ class HealthSection(Section):
     @classmethod
     def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
         """From indices of dead taxels and noise (N,), NaN where unknown."""
-        return build(cls, origin=origin, dead=dead, noise_counts=_known(noise_counts))
+        return build(cls, origin=origin, dead=dead, noise_counts=_optional(noise_counts))
 
 
 def build(table: type[Made], **values: Any) -> Made:
@@ -215,7 +222,7 @@ def _attempt(make: Callable[[], object]) -> None:
         raise ValueError(str(error)) from error
 
 
-def _known(values: NDArray[np.floating]) -> tuple[float | None, ...]:
+def _optional(values: NDArray[np.floating]) -> tuple[float | None, ...]:
     """Values with None for NaN."""
     return tuple(None if np.isnan(each) else float(each) for each in np.asarray(values).ravel())
 

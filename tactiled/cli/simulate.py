@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
 from tactiled.bus.codecs.packed import Settings as Packed
 from tactiled.bus.reader import open_bus
 from tactiled.cli import options
@@ -78,5 +78,5 @@ def _bus(settings: Config, sensor: Sensor, interface: str | None) -> dict[str, A
 def simulated(sensor: Sensor, scene: str, noise_kpa: float) -> Player:
     """A scene under the cover as the exact solution has it, which is not the kernel that restores."""
     exact = solve(make_stack(sensor), "layered")
-    calibration = make_calibration(sensor)
+    calibration = make_calibration(sensor, configured_file(sensor))
     return player(make_array(sensor), exact, make_codec(sensor), calibration, scene, noise_kpa)

@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from tactiled.bounds import Bounds, Counts, Pitch, Place, Port
+from tactiled.bounds import Bounds, Counts, FileBeside, Pitch, Place, Port
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
 from tactiled.bus.redact import HARMLESS, reveal
@@ -171,8 +171,8 @@ Layers = Annotated[tuple[Layer, ...], Field(max_length=8), BeforeValidator(_list
 class Kernel(Section):
     """How the cover is solved."""
 
-    model: Literal["fem", "layered"] = "fem"
-    """Finite elements, or the exact solution for flat layers."""
+    model: Literal["fem", "layered", "measured"] = "fem"
+    """Finite elements, the exact solution for flat layers, or the kernel of the calibration file."""
     accuracy: Annotated[float, Bounds(1e-4, 0.1)] = (
         1e-3  # of the gain; finer needs more elements than there may be
     )
@@ -199,6 +199,8 @@ class Array(Section):
 class Calibration(Section):
     """Counts to kPa."""
 
+    file: FileBeside | None = None
+    """Calibration file; a relative path starts at the folder of the configuration."""
     kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, PRESSURE, signed=True)] | None = (
         None  # 2^30 counts a Pa to 1 GPa
     )

@@ -1,7 +1,5 @@
 """A cover as a family of one parameter: every layer over the sensing plane thicker or thinner by one factor."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
@@ -32,9 +30,7 @@ class CoverFamily:
 
     def stack(self, factor: float) -> Stack:
         """The stack whose cover is `factor` times as thick as configured."""
-        layers, sensing = self.configured.layers, self.configured.sensing
-        scaled = [replace(each, thickness=each.thickness * factor) for each in layers[:sensing]]
-        return replace(self.configured, layers=(*scaled, *layers[sensing:]))
+        return self.configured.thickened(factor)
 
     def gain(self, q: Floats | float, factor: Floats | float) -> Floats:
         """Give G at q (cycles/mm) under a cover `factor` times as thick; q and factor broadcast.

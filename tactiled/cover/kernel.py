@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tactiled.cover import fem
 
 Floats = NDArray[np.float64]
-Model = Literal["fem", "layered"]
+Model = Literal["fem", "layered", "measured"]
 
 TABLE_SIZE = 512  # frequencies of a tabulated gain
 NEGLIGIBLE = 1e-9  # a gain that is as good as 0, and a loss of gain that is as good as none

@@ -1,6 +1,6 @@
 """What lies over and under the sensing plane: layers from the top down to a rigid base."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
@@ -82,6 +82,11 @@ class Stack:
     def depth(self) -> float:
         """Depth (mm) of the sensing plane."""
         return self.faces[self.sensing]
+
+    def thickened(self, factor: float) -> "Stack":
+        """The stack with every layer over the sensing plane `factor` times as thick."""
+        above = [replace(each, thickness=each.thickness * factor) for each in self.layers[: self.sensing]]
+        return replace(self, layers=(*above, *self.layers[self.sensing :]))
 
 
 @dataclass(frozen=True, slots=True)

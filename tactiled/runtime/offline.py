@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
+from tactiled.calibrate.calibration import Calibrator
 from tactiled.errors import ConfigError
 from tactiled.files import atomic_write
 from tactiled.frames import DEAD, SATURATED
@@ -89,16 +90,16 @@ class Offline:
         self, plan: SensorPlan, frames: Frames, method: str = "auto", noise_kpa: float | None = None
     ) -> None:
         self._frames, self._shape = frames, plan.blur.surface_shape
-        calibration = plan.calibration
+        calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
         gain = abs(calibration.kpa_per_count)
         self.noise_kpa = measured_noise(frames, (gain, 1.0)) if noise_kpa is None else noise_kpa
         self._restorer = make(method, plan.blur, self.noise_kpa)
         self._dead = np.zeros(plan.array.frame_shape, np.uint8)
         self._dead.flat[list(calibration.dead)] = DEAD
-        self._ceiling_kpa = np.inf
+        self._ceiling_kpa: float | NDArray[np.float32] = np.inf
         if calibration.saturation is not None:  # less half a count: the pressures were rounded on their way here
-            span = (calibration.saturation - calibration.no_load) * calibration.kpa_per_count
-            self._ceiling_kpa = span - gain / 2
+            ceiling = calibrator.pressure(np.full(plan.array.size, calibration.saturation))
+            self._ceiling_kpa = (ceiling - gain / 2).reshape(plan.array.frame_shape)
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.float32], list[FrameInfo]]]:
         """Restore in pieces: images (up to PIECE_FRAMES, *surface), valid until the next."""

@@ -58,8 +58,7 @@ class Taxels:
     def count(self, pressure: NDArray[np.float64]) -> NDArray[np.uint16]:
         """Counts (N,) of taxels under `pressure` (N,) in kPa."""
         noisy = pressure + self._random.normal(0, self._noise, pressure.shape)
-        counts = np.round(noisy / self._calibration.kpa_per_count + self._calibration.no_load)
-        return np.clip(counts, 0, self._full_scale).astype(np.uint16)
+        return np.clip(np.round(self._calibration.counts(noisy)), 0, self._full_scale).astype(np.uint16)
 
     def shear(self, traction: NDArray[np.float64]) -> NDArray[np.float32]:
         """Counts (2, N) from rest of taxels under `traction` (2, N) in kPa, as many to a kPa as of pressure."""

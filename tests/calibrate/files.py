@@ -17,9 +17,9 @@ def origin(method="steps", created=CREATED):
 
 
 def gain_section(gains, reach=4000.0):
-    """Lines of `gains` (N,), kPa per count."""
+    """Lines of `gains` (N,), kPa per count, over a reach for all or one each (N, 2)."""
     size = len(gains)
-    reaches = np.tile([0.0, reach], (size, 1))
+    reaches = np.tile([0.0, reach], (size, 1)) if np.isscalar(reach) else reach
     curves = Curves(
         "linear",
         np.reshape(gains, (-1, 1)),

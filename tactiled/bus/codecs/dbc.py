@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import Field
 
+from tactiled.bounds import FileBeside
 from tactiled.bus.codec import Codec, Skin
 from tactiled.bus.codecs.packed import LENGTHS
 from tactiled.errors import CodecError, ConfigError
@@ -91,17 +92,11 @@ class Dbc(Codec):
         return [_encoded(part, counts, time) for part in self._parts]
 
 
-def _beside(file: Path, info: ValidationInfo) -> Path:
-    """A path of the configuration file, relative to the folder it lies in."""
-    folder: Path = (info.context or {}).get("folder", Path())
-    return folder / file
-
-
 @dataclass(frozen=True)
 class Settings(Skin):
     """Any array whose signals a DBC file describes."""
 
-    file: Annotated[Path, AfterValidator(_beside)]
+    file: FileBeside
     """DBC file; a relative path starts at the folder of the configuration file."""
     taxels: Annotated[str | tuple[str, ...], Field(min_length=1)]
     """`Message.Signal` of every taxel in a list, or one template with {row}, {column} or {taxel}."""
