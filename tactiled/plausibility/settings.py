@@ -25,7 +25,6 @@ THIN_PITCHES = 0.05  # a cover that is thicker changes the image, so that it is 
 THICK_PITCHES = 30.0  # exp(-pi 30): nothing as fine as two taxels passes; skins have 0.1 to 6
 MIN_TAXELS_IN_A_PATCH = 4  # single taxels are often narrower than their cover is thick
 MIN_PITCH_MM = 0.04  # fingerprint sensors have 0.05 mm (500 dots an inch)
-WIDE_PITCH_MM, WIDE_PITCHES = 100.0, 0.004  # floors have 300 mm tiles under 2 mm of vinyl
 MIN_APERTURE_PITCHES = 0.004  # a Hall element of 0.1 mm every 15 mm has 0.007
 SOFTEST_MPA = 0.004  # Sylgard 527, the softest gel in common use: 0.005 MPa (Palchesko et al. 2012)
 RUBBER = 0.48, 200.0  # Poisson's ratio from which a solid is rubber, and MPa that no rubber has
@@ -38,8 +37,7 @@ MAX_RANGE_KPA = 70_000.0  # 16 bits of 1 kPa have 65 535; presses use films of 2
 MIN_RANGE_KPA = 1.0  # a gentle touch is up to 10 kPa (Mannsfeld et al. 2010)
 MIN_RANGE_FRACTION = 0.1  # of the full scale, from no load in the direction of pressure
 MAX_NOISE_FRACTION = 0.2  # of the range
-MAX_SHEAR_N = 1000.0  # on one taxel; XELA's uSkin ends at 0.9 N
-MAX_STALE_S = 60.0  # a skin that fell silent a minute ago must not pass for alive
+MAX_STALE_S = 60.0  # robots react within seconds; slow surveys may want more
 MESSAGE_S = 1e-4  # on the bus: 8 bytes at 1 Mbit/s are 111 bits, 64 bytes of CAN FD at 8 Mbit/s as long
 EDIT = re.compile(r"#\s*EDIT:")  # how `tactiled sniff` marks what a bus does not tell
 
@@ -76,17 +74,15 @@ def unedited(text: str) -> list[Finding]:
 
 def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
     array, codec, calibration = make_array(sensor), make_codec(sensor), make_calibration(sensor)
-    yield from _array(f"{place}.array", array, sum(each.thickness_mm for each in sensor.cover))
-    yield from _thickness(f"{place}.cover", sensor.cover, array)
-    if sensor.substrate:
-        yield from _thin(f"{place}.substrate", sensor.substrate, array)
-        yield from _shell(place, sensor)
+    yield from _array(f"{place}.array", array)
+    yield from _depth(f"{place}.cover", sensor.cover, array)
     for key in ("cover", "substrate"):
-        layers = getattr(sensor, key)
-        for n, layer in enumerate(layers):
-            yield from _layer(f"{place}.{key}" + (f"[{n}]" if len(layers) > 1 else ""), layer)
-    for n, layer in enumerate(sensor.cover):
-        yield from _hard_cover(f"{place}.cover" + (f"[{n}]" if len(sensor.cover) > 1 else ""), layer, array)
+        if layers := getattr(sensor, key):
+            yield from _thin(f"{place}.{key}", layers, array)
+            for n, layer in enumerate(layers):
+                where = f"{place}.{key}" + f"[{n}]" * (len(layers) > 1)
+                yield from _stiffness(where, layer, array if key == "cover" else None)
+    yield from _shell(place, sensor)
     yield from _calibration(f"{place}.calibration", sensor.calibration, calibration, codec)
     yield from _age(f"{place}.stale_after_s", sensor.stale_after_s, codec)
 
@@ -97,67 +93,57 @@ def _slip(value: float, unit: str, units: Mapping[str, float], low: float, high:
     return "".join(f"; {each:g} {unit} if it was given in {name}" for each, name in slips)
 
 
-def _array(place: str, array: Array, cover_mm: float) -> Iterator[Finding]:
+def _array(place: str, array: Array) -> Iterator[Finding]:
     pitch = array.pitch
     if pitch < MIN_PITCH_MM:
         slip = _slip(pitch, "mm", {"metres": 1e3}, 0.5, 1000)
         yield Finding(f"{place}.pitch_mm", f"{pitch:g}", f"finer than a fingerprint sensor's taxels{slip}")
-    elif pitch >= WIDE_PITCH_MM and cover_mm < WIDE_PITCHES * pitch:
-        slip = _slip(pitch, "mm", {"µm": 1e-3}, 0.05, 1)
-        reason = f"taxels far wider apart than a cover of {cover_mm:g} mm spreads anything{slip}"
-        yield Finding(f"{place}.pitch_mm", f"{pitch:g}", reason)
     elif array.width < MIN_APERTURE_PITCHES * pitch:
         slip = _slip(array.width, "mm", {"metres": 1e3}, 0.05 * pitch, pitch)
         yield Finding(f"{place}.aperture_mm", f"{array.width:g}", f"a point, at a pitch of {pitch:g} mm{slip}")
 
 
-def _thickness(place: str, layers: schema.Layers, array: Array) -> Iterator[Finding]:
-    """Of a cover, all layers together."""
-    yield from _thin(place, layers, array)
-    total, extent = sum(each.thickness_mm for each in layers), float(np.ptp(array.positions, axis=0).max())
+def _total_mm(layers: schema.Layers) -> float:
+    return sum(each.thickness_mm for each in layers)
+
+
+def _thickness(place: str, layers: schema.Layers) -> tuple[str, str]:
+    """Place and value of the thickness of all layers together."""
+    if len(layers) == 1:
+        return f"{place}.thickness_mm", f"{_total_mm(layers):g}"
+    return place, f"{len(layers)} layers of {_total_mm(layers):g} mm"
+
+
+def _depth(place: str, layers: schema.Layers, array: Array) -> Iterator[Finding]:
+    extent = float(np.ptp(array.positions, axis=0).max()) + array.width
     bound = THICK_PITCHES * array.pitch
     if array.size >= MIN_TAXELS_IN_A_PATCH:
-        bound = min(bound, extent + array.width)
-    if total > bound and array.pitch >= MIN_PITCH_MM:
-        slip = _slip(total, "mm", {"µm": 1e-3}, 0.01, bound)
-        size = f"{extent + array.width:g} mm, pitch {array.pitch:g} mm"
-        yield Finding(*_total(place, layers), f"too thick for any detail to reach this array ({size}){slip}")
+        bound = min(bound, extent)
+    if _total_mm(layers) > bound and array.pitch >= MIN_PITCH_MM:
+        slip = _slip(_total_mm(layers), "mm", {"µm": 1e-3}, 0.01, bound)
+        size = f"{extent:g} mm, pitch {array.pitch:g} mm"
+        yield Finding(*_thickness(place, layers), f"too thick for any detail to reach this array ({size}){slip}")
 
 
 def _thin(place: str, layers: schema.Layers, array: Array) -> Iterator[Finding]:
-    total = sum(each.thickness_mm for each in layers)
     plastic = min(each.young_mpa for each in layers) >= PLASTIC_MPA
-    if total < min(MIN_PLASTIC_MM if plastic else MIN_RUBBER_MM, THIN_PITCHES * array.pitch):
-        slip = _slip(total, "mm", {"metres": 1e3}, 0.5, 50)
-        yield Finding(*_total(place, layers), f"thinner than a coat of paint{slip}")
+    if _total_mm(layers) < min(MIN_PLASTIC_MM if plastic else MIN_RUBBER_MM, THIN_PITCHES * array.pitch):
+        slip = _slip(_total_mm(layers), "mm", {"metres": 1e3}, 0.5, 50)
+        yield Finding(*_thickness(place, layers), f"thinner than a coat of paint{slip}")
 
 
-def _total(place: str, layers: schema.Layers) -> tuple[str, str]:
-    """Place and value of a thickness of all layers together."""
-    total = sum(each.thickness_mm for each in layers)
-    one = len(layers) == 1
-    return (f"{place}.thickness_mm", f"{total:g}") if one else (place, f"{len(layers)} layers of {total:g} mm")
-
-
-def _shell(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
-    """A cover that is a shell on soft ground."""
-    depth = sum(each.thickness_mm for each in sensor.substrate)
-    young = depth / sum(each.thickness_mm / each.young_mpa for each in sensor.substrate)
-    for layer in sensor.cover:
-        if layer.young_mpa > SHELL_RATIO * young and layer.thickness_mm > SHELL_THICKNESS * depth:
-            slip = _slip(young, "MPa", {"GPa": 1e3}, PLASTIC_MPA, HARDEST_COVER_MPA)
-            reason = f"softer than the cover ({layer.young_mpa:g} MPa) by far: are the two exchanged?{slip}"
-            yield Finding(f"{place}.substrate.young_mpa", f"{young:g}", reason)
-            return
-
-
-def _layer(place: str, layer: schema.Layer) -> Iterator[Finding]:
-    """Stiffness and Poisson's ratio of any layer."""
+def _stiffness(place: str, layer: schema.Layer, covered: Array | None) -> Iterator[Finding]:
+    """Young's modulus and Poisson's ratio of a layer; `covered` is what a layer of a cover lies on."""
     young, poisson, reason = layer.young_mpa, layer.poisson, ""
+    softer = _slip(young, "MPa", {"kPa": 1e-3, "Pa": 1e-6}, 0.005, 50)
     if young < SOFTEST_MPA:
         reason = "softer than any gel" + _slip(young, "MPa", {"GPa": 1e3}, 0.1, 10)
     elif any(poisson >= ratio and young > limit for ratio, limit in (RUBBER, INCOMPRESSIBLE)):
-        reason = f"stiffer than any rubber, which Poisson's ratio of {poisson:g} says it is{_softer(young)}"
+        reason = f"stiffer than any rubber, which Poisson's ratio of {poisson:g} says it is{softer}"
+    elif covered and young > HARDEST_COVER_MPA:
+        reason = f"harder than steel{softer}"
+    elif covered and young > PLATE_MPA and layer.thickness_mm > covered.pitch:
+        reason = f"a plate that hides all detail, stiffer than any plastic{softer}"
     if reason:
         yield Finding(f"{place}.young_mpa", f"{young:g}", reason)
     elif poisson < COMPRESSIBLE_RUBBER[0] and young < COMPRESSIBLE_RUBBER[1]:
@@ -165,21 +151,17 @@ def _layer(place: str, layer: schema.Layer) -> Iterator[Finding]:
         yield Finding(f"{place}.poisson", f"{poisson:g}", reason, hint=True)
 
 
-def _softer(young: float) -> str:
-    return _slip(young, "MPa", {"kPa": 1e-3, "Pa": 1e-6}, 0.005, 50)
-
-
-def _hard_cover(place: str, layer: schema.Layer, array: Array) -> Iterator[Finding]:
-    """A layer of a cover that is no rubber, and harder than anything a skin is covered with."""
-    if layer.poisson >= INCOMPRESSIBLE[0]:
+def _shell(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
+    """A cover that is a shell on soft ground."""
+    if not sensor.substrate:
         return
-    if layer.young_mpa > HARDEST_COVER_MPA:
-        reason = "harder than steel"
-    elif layer.young_mpa > PLATE_MPA and layer.thickness_mm > array.pitch:
-        reason = f"a plate that hides all detail, stiffer than any plastic and {layer.thickness_mm:g} mm thick"
-    else:
-        return
-    yield Finding(f"{place}.young_mpa", f"{layer.young_mpa:g}", reason + _softer(layer.young_mpa))
+    depth = _total_mm(sensor.substrate)
+    young = depth / sum(each.thickness_mm / each.young_mpa for each in sensor.substrate)
+    hardest = max(sensor.cover, key=lambda layer: layer.young_mpa)
+    if hardest.young_mpa > SHELL_RATIO * young and hardest.thickness_mm > SHELL_THICKNESS * depth:
+        slip = _slip(young, "MPa", {"GPa": 1e3}, PLASTIC_MPA, HARDEST_COVER_MPA)
+        reason = f"softer than the cover ({hardest.young_mpa:g} MPa) by far: are the two exchanged?{slip}"
+        yield Finding(f"{place}.substrate.young_mpa", f"{young:g}", reason)
 
 
 def _calibration(
@@ -192,11 +174,6 @@ def _calibration(
         yield Finding(f"{place}.{key}", f"{getattr(calibration, key):g}", reason)
     if not at_fault:
         yield from _pressures(place, configured, calibration, codec)
-    shear_n = abs(configured.shear_n_per_count or 0.0) * codec.full_scale / 2
-    if shear_n > MAX_SHEAR_N:
-        value = configured.shear_n_per_count or 0.0
-        slip = _slip(value, "N", {"mN": 1e-3}, 0, MAX_SHEAR_N / codec.full_scale)
-        yield Finding(f"{place}.shear_n_per_count", f"{value:g}", f"{shear_n:g} N at the full scale{slip}")
 
 
 def _limits(calibration: Calibration, codec: Codec) -> Iterator[tuple[str, str]]:
@@ -257,4 +234,5 @@ def _age(place: str, stale_after_s: float, codec: Codec) -> Iterator[Finding]:
         yield Finding(place, f"{stale_after_s:g}", f"every image is stale: {what} {frame_s:.2g} s")
     if stale_after_s > MAX_STALE_S:
         slip = _slip(stale_after_s, "s", {"ms": 1e-3}, 0.01, 5)
-        yield Finding(place, f"{stale_after_s:g}", f"a skin that fell silent passes for alive all that time{slip}")
+        reason = f"a skin that fell silent passes for alive all that time{slip}"
+        yield Finding(place, f"{stale_after_s:g}", reason, hint=True)

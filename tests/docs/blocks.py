@@ -4,7 +4,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-from tests.docs import examples, tables  # noqa: F401  # whose blocks register
+from tests.docs import covers, examples, tables  # noqa: F401  # whose blocks register
 from tests.docs.markdown import BLOCKS
 
 ROOT = Path(__file__).parents[2]

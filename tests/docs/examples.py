@@ -3,6 +3,7 @@
 import contextlib
 import re
 import tempfile
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.sniff import survey
 from tactiled.cli.sniff import report
+from tactiled.config.example import EXAMPLE
 from tactiled.frames import MISSING, SATURATED, Image, Message
 from tactiled.wire import HEADER, LAYOUT, pack
 from tests.cli.commands import run
@@ -64,6 +66,27 @@ def check():
             done = run(verb, "palm.toml", env={"COLUMNS": "100"})
             assert done.exit_code == 0, done.output
     return [line.rstrip() for line in done.output.splitlines()]
+
+
+@fenced
+def check_slips():
+    """What `tactiled check` prints of the same file with three slips, but for its table."""
+    slips = {
+        "1.2": "0.0012",
+        "young_mpa = 0.6": "young_mpa = 600000",
+        "0.05\n": "50\n",
+        "no_load = 80": "no_load = 4100",
+    }
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        text = EXAMPLE
+        for right, wrong in slips.items():
+            text = text.replace(right, wrong, 1)
+        Path("palm.toml").write_text(text)
+        done = run("check", "palm.toml")
+        assert done.exit_code == 1, done.output
+    return [
+        line for line in done.output.splitlines() if " doubtful: " in f" {line}" or line.startswith("palm.toml")
+    ]
 
 
 @fenced
