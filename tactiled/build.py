@@ -49,7 +49,7 @@ class SensorPlan:
     method: str
     stale_after_s: float
     warnings: tuple[FrameWarning, ...]  # that hold for every image
-    calibrated: bool  # whether pressures are in kPa; else one count is shown as one kPa
+    calibrated: bool  # whether pressures are in kPa; else they are in counts
     file: CalibrationFile | None = None  # that it is calibrated with
 
     @property

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
+from tactiled.units import PRESSURE, Unit
 
 MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
 ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
@@ -15,8 +16,8 @@ UNPRESSED_FRACTION = 0.1  # of the taxels: if so many read zero, zero is right
 Floats = NDArray[np.float64]
 
 
-def load_description(frames: Sequence[NDArray[np.float32]], noise_kpa: float) -> str:
-    """The load in the newest frames (kPa, NaN: unknown), in words; "" where there is only an offset.
+def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: Unit = PRESSURE) -> str:
+    """The load in the newest frames (in `unit`, NaN: unknown), in words; "" where there is only an offset.
 
     An offset stands still and is all over the array, scattered as far below the array's median as above it. So a
     load is what stands above the median by more than the noise, and the scatter below the median, can reach, or
@@ -29,19 +30,19 @@ def load_description(frames: Sequence[NDArray[np.float32]], noise_kpa: float) ->
     if not values.size:
         return ""
     level = np.nanmean(values, axis=0)
-    above = level - _unloaded(level, noise_kpa)
+    above = level - _unloaded(level, noise)
     scatter = MAD_TO_SIGMA * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
-    taxels = np.count_nonzero(above > detection_threshold(max(noise_kpa, scatter), level.size))
+    taxels = np.count_nonzero(above > detection_threshold(max(noise, scatter), level.size))
     if taxels:
-        return f"contact of {above.max():.3g} kPa on {taxels} taxel{'s' if taxels > 1 else ''}"
+        return f"contact of {above.max():.3g} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
     moved = float(np.nanmax(np.abs(values - level)))
-    return f"readings that move by {moved:.3g} kPa" if moved > detection_threshold(noise_kpa, values.size) else ""
+    return f"readings that move by {moved:.3g} {unit}" if moved > detection_threshold(noise, values.size) else ""
 
 
-def _unloaded(level: Floats, noise_kpa: float) -> float:
-    """Reading (kPa) of a taxel without a load."""
-    median, reach = float(np.median(level)), detection_threshold(noise_kpa, level.size)
-    at_zero = np.count_nonzero(np.abs(level) < max(ZERO_SIGMAS * noise_kpa, SKIRT_FRACTION * level.max()))
+def _unloaded(level: Floats, noise: float) -> float:
+    """Reading of a taxel without a load."""
+    median, reach = float(np.median(level)), detection_threshold(noise, level.size)
+    at_zero = np.count_nonzero(np.abs(level) < max(ZERO_SIGMAS * noise, SKIRT_FRACTION * level.max()))
     pressed = (
         median > MAX_DRIFT_FACTOR * reach and level.min() > -reach and at_zero >= UNPRESSED_FRACTION * level.size
     )

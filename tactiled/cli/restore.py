@@ -28,12 +28,12 @@ PROGRESS = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainin
 
 
 def restore(
-    frames: Annotated[Path, typer.Argument(help="Frames (T, rows, columns) or (T, taxels) in kPa, NaN: unknown.")],
+    frames: Annotated[Path, typer.Argument(help="Frames (T, rows, columns) or (T, taxels), NaN: unknown.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where the restored frames go (.npy, float32).")],
     config: Annotated[Path, typer.Option(help="Configuration that describes the sensor (TOML).")],
     sensor: options.Sensor = None,
     method: Annotated[str, typer.Option(help="One of " + ", ".join(METHODS) + ".")] = "auto",
-    noise: Annotated[float | None, typer.Option(help="A taxel's standard deviation (kPa); else measured.")] = None,
+    noise: Annotated[float | None, typer.Option(help="A taxel's standard deviation, in the frames' unit.")] = None,
     stats: Annotated[Path | None, typer.Option(help="File for method and time of each frame (JSON).")] = None,
 ) -> None:
     """Restore the frames of a .npy file, however many, with bounded memory."""
@@ -54,7 +54,9 @@ def restore(
         images = _counted(iter(offline), stop, methods, file)
         write(images, shape, out, lambda count: progress.advance(task, count))
     summary = ", ".join(f"{name} {count}" for name, count in methods.most_common()) or "no frames"
-    typer.echo(f"{out}: {' x '.join(map(str, shape))}, noise {offline.noise_kpa:.3g} kPa: {summary}", err=True)
+    typer.echo(
+        f"{out}: {' x '.join(map(str, shape))}, noise {offline.noise_kpa:.3g} {plan.unit}: {summary}", err=True
+    )
 
 
 def _refuse_same(path: Path, option: str, others: dict[str, Path]) -> None:

@@ -43,7 +43,7 @@ poisson = 0.48
 
 [sensor.{name}.calibration]
 no_load = {one.no_load}  # median of what came: right if most of the array was not touched
-# kpa_per_count = 0.05  # EDIT: without it one count is shown as one kPa
+# kpa_per_count = 0.05  # EDIT: without it pressure is in counts
 """
 ARRAY = """
 [sensor.{name}.array]                  # EDIT: what the bus does not tell

@@ -9,9 +9,9 @@ WarningCode = Literal[
     "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
-    "uncalibrated": "uncalibrated: no kpa_per_count is configured, so one count is shown as one kPa",
+    "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count",
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
-    "noise_high": "noise is {measured_kpa:.2g} kPa, and {noise_kpa:.2g} kPa was {source}",
+    "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
     "missing": "{taxels} did not arrive: restored from {their} neighbours",
     "bad": "{taxels} called faulty by the sensor: restored from {their} neighbours",
     "dead": "{taxels} dead: restored from {their} neighbours",

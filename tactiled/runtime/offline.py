@@ -40,9 +40,11 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
     try:
         frames = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or 'no .npy file'}: give frames in kPa as .npy") from error
+        raise ConfigError(
+            f"{path}: {error.strerror or 'no .npy file'}: give frames in {plan.unit} as .npy"
+        ) from error
     except Exception as error:  # numpy reads the header as Python's text, which goes wrong in many ways
-        raise ConfigError(f"{path}: no .npy file of numbers: give frames in kPa as .npy") from error
+        raise ConfigError(f"{path}: no .npy file of numbers: give frames in {plan.unit} as .npy") from error
     if not isinstance(frames, np.ndarray):
         frames.close()
         raise ConfigError(f"{path}: several arrays in one file: give one array of frames as .npy")
@@ -51,7 +53,7 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
         needed = ", ".join(map(str, shape))
         raise ConfigError(f"{path}: shape {frames.shape} for sensor {plan.name}: give (T, {needed})")
     if frames.dtype.kind not in "fiu":
-        raise ConfigError(f"{path}: dtype {frames.dtype}: give real numbers, in kPa")
+        raise ConfigError(f"{path}: dtype {frames.dtype}: give real numbers, in {plan.unit}")
     return frames
 
 

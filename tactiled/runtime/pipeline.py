@@ -17,7 +17,7 @@ from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
-from tactiled.units import N_PER_KPA_MM2
+from tactiled.units import N_PER_KPA_MM2, Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
 NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
@@ -36,7 +36,7 @@ class Pipeline:
         self._plan = plan
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
-        self.noise = Noise(plan.calibration)
+        self.noise = Noise(plan.calibration, plan.unit)
         self._tare_mean = _TareMean(size)
         self._shear_zero = np.full((2, size), np.nan, np.float32)  # counts; NaN until tared
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
@@ -58,7 +58,7 @@ class Pipeline:
 
     def load_description(self) -> str:
         """What of a load the newest frames show, in words; "" for none."""
-        return load_description(self._recent, self.noise.kpa)
+        return load_description(self._recent, self.noise.kpa, self._plan.unit)
 
     def lapse_tare(self) -> None:
         """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
@@ -67,7 +67,7 @@ class Pipeline:
             self.lapsed += 1
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
-        """Standard deviation (kPa) of every cell of `image.restored`, this pipeline's newest."""
+        """Standard deviation of every cell of `image.restored`, in its unit, this pipeline's newest."""
         wanted_by = self._made_for[0], image.noise
         with self._deviation_lock:
             if self._deviation is None or self._deviation[0] != wanted_by:
@@ -84,7 +84,7 @@ class Pipeline:
         saturated one it is the least that it can be.
         """
         scale = self._plan.calibration.shear_n_per_count
-        if scale is None or frame.shear is None:
+        if scale is None or frame.shear is None or not self._plan.calibrated:
             return None
         pressure, _ = self.calibrator(frame.counts, frame.flags)
         tangential = (frame.shear - self._shear_zero) * scale
@@ -168,9 +168,10 @@ def _flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
 
 
 class Noise:
-    """Standard deviation (kPa) of a taxel: as configured, else of the first frames; measured now and then."""
+    """Standard deviation of a taxel, in `unit`: as configured, else of the first frames; measured now and then."""
 
-    def __init__(self, calibration: Calibration) -> None:
+    def __init__(self, calibration: Calibration, unit: Unit) -> None:
+        self._unit = unit
         self._floor, self._configured = calibration.floor_kpa, calibration.noise_kpa
         self.kpa = self._configured or self._floor
         self.warning: tuple[FrameWarning, ...] = ()
@@ -194,7 +195,8 @@ class Noise:
         self.warning = ()
         if measured > NOISE_RATIO * self.kpa:
             source = "configured" if self._configured else "measured at the start"
-            self.warning = (warning("noise_high", measured_kpa=measured, noise_kpa=self.kpa, source=source),)
+            raised = warning("noise_high", measured=measured, noise=self.kpa, unit=self._unit, source=source)
+            self.warning = (raised,)
 
 
 class _TareMean:

@@ -190,12 +190,18 @@ def method(service: Service, sensor: Sensor) -> schemas.Method:
 
 def calibration(sensor: Sensor) -> schemas.SensorCalibration:
     """A sensor's calibration as it is now."""
+    plan, noise = sensor.plan, sensor.pipeline.noise.kpa
+    gain = plan.calibration.kpa_per_count
     return schemas.SensorCalibration(
-        **schemas.SensorCalibration.shared(sensor.plan.calibration)
+        **schemas.SensorCalibration.shared(plan.calibration)
         | {
-            "calibrated": sensor.plan.calibrated,
+            "calibrated": plan.calibrated,
             "no_load": sensor.pipeline.calibrator.no_load.tolist(),
             "tared": sensor.pipeline.tared,
-            "noise_kpa": sensor.pipeline.noise.kpa,
+            "unit": plan.unit,
+            "gain": gain,
+            "kpa_per_count": if_calibrated(gain, plan.unit),
+            "noise": noise,
+            "noise_kpa": if_calibrated(noise, plan.unit),
         }
     )

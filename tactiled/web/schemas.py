@@ -266,14 +266,17 @@ class Tare(Schema):
 
 
 class SensorCalibration(Schema):
-    """From counts to kPa: (counts - no_load) * kpa_per_count."""
+    """From counts to pressure: (counts - no_load) * gain."""
 
-    calibrated: bool = Field(description="false: one count is shown as one kPa", examples=[True])
-    kpa_per_count: float = Field(description="negative where counts fall under pressure", examples=[0.05])
+    calibrated: bool = Field(description="false: pressure is in counts", examples=[True])
+    unit: Unit
+    gain: float = Field(description="`unit` a count; negative where counts fall under pressure", examples=[0.05])
+    kpa_per_count: float | None = Field(description="the same; null in counts", examples=[0.05])
     no_load: list[float] = Field(description="counts of each taxel, as last tared", examples=[[80.0, 81.5]])
     tared: int = Field(description="times since the start", examples=[0])
     saturation: float | None = Field(description="counts of the ceiling; null: none", examples=[4095.0])
-    noise_kpa: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
+    noise: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
+    noise_kpa: float | None = Field(description="the same; null in counts", examples=[0.2])
     dead: list[int] = Field(description="taxels that do not work", examples=[[17]])
     shear_n_per_count: float | None = Field(description="null: unknown, or the skin feels no shear")
 

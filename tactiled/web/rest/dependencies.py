@@ -8,8 +8,10 @@ from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
 from starlette.requests import HTTPConnection
 
+from tactiled.build import SensorPlan
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
+from tactiled.units import PRESSURE
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.negotiation import like
@@ -74,6 +76,16 @@ def _accepted(request: Request, offered: tuple[str, ...]) -> str:
             if weight > 0 and media_range in (media, f"{media.partition('/')[0]}/*", "*/*"):
                 return form
     raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
+
+
+def in_unit(plan: SensorPlan, name: str, value: float | None, value_kpa: float | None) -> float | None:
+    """A parameter in the unit of the sensor's pressure, sent as `name`, else in kPa as `name`_kpa.
+
+    Problem 409 where kPa is sent of a sensor that is uncalibrated.
+    """
+    if value_kpa is not None and plan.unit != PRESSURE:
+        raise Problem(409, f"{name}_kpa: sensor {plan.name!r} is uncalibrated: give {name}, in {plan.unit}")
+    return value_kpa if value is None else value
 
 
 def no_frame(sensor: Sensor) -> Problem:

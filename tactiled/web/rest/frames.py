@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import partial
 from io import BytesIO
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -17,7 +17,7 @@ from tactiled.runtime.sensor import Sensor, Status
 from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import picture
-from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, no_frame
+from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
@@ -30,6 +30,8 @@ WINDOW = r"^[0-9]{1,6}(\.[0-9]{1,6})?s$"
 BEFORE = r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$"
 OLDER = "continue with older images: `before` of the previous answer, or a sequence number"
 MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
+TOP: dict[str, Any] = {"ge": 1e-6, "le": 1e9, "allow_inf_nan": False}
+TOP_OF = "end of the colour scale of a PNG"
 
 SERIES_HEADERS = {
     "X-Tactiled-Sequence": "number of the image; of several as ranges: 5-9,12 where 10 and 11 were lost",
@@ -195,31 +197,29 @@ def _ranges(numbers: NDArray[np.int64]) -> str:
 @router.get(
     "/{kind}",
     response_model=schemas.Frame,
-    responses=problems(404, 406, 429, 503) | NEWEST,
+    responses=problems(404, 406, 409, 429, 503) | NEWEST,
 )
 async def newest(
     sensor: NamedSensor,
     kind: PressureKind,
     request: Request,
     form: Annotated[NewestFormat, format_of(NewestFormat)],
+    top: Annotated[
+        float | None, Query(**TOP, description=f"{TOP_OF}, in `unit`; left out: from the image")
+    ] = None,
     top_kpa: Annotated[
-        float | None,
-        Query(
-            ge=1e-6,
-            le=1e9,
-            allow_inf_nan=False,
-            description="kPa at the end of the colour scale of a PNG; left out: from the image",
-        ),
+        float | None, Query(**TOP, description=f"{TOP_OF} of a calibrated sensor, kPa, unless `top` is given")
     ] = None,
 ) -> Response:
     """The newest image, in `unit`: raw, restored, or the standard deviation of the restored one.
 
     The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
     """
-    _, headers = _newest(sensor, kind, form, top_kpa)
+    top = in_unit(sensor.plan, "top", top, top_kpa)
+    _, headers = _newest(sensor, kind, form, top)
     if named(headers["ETag"], request.headers.get("if-none-match", "")):
         return Response(status_code=304, headers=headers)  # polling an unchanged image costs nothing
-    answer = partial(_newest_image, sensor, kind, form, top_kpa)
+    answer = partial(_newest_image, sensor, kind, form, top)
     if form == "png" or kind == "deviation":
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
@@ -240,21 +240,21 @@ def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
 
 
 def _newest(
-    sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None
+    sensor: Sensor, kind: PressureKind, form: NewestFormat, top: float | None
 ) -> tuple[Image, dict[str, str]]:
     """The newest image and its headers."""
     image = sensor.hub.latest()
     if image is None:
         raise no_frame(sensor)
     status = sensor.status()
-    tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top_kpa or ''}"
+    tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top or ''}"
     return image, image_headers(image, status, image.unit) | {"ETag": f'W/"{tag}"'}
 
 
-def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top_kpa: float | None) -> Response:
-    image, headers = _newest(sensor, kind, form, top_kpa)
+def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top: float | None) -> Response:
+    image, headers = _newest(sensor, kind, form, top)
     if form == "png":
-        content = picture.png(sensor, image, kind, top_kpa)
+        content = picture.png(sensor, image, kind, top)
     elif form == "npy":
         content = answers.npy(answers.pressures(sensor, image, kind))
     else:

@@ -1,4 +1,4 @@
-"""An image as a picture for people: colours, a legend in kPa, axes in mm."""
+"""An image as a picture for people: colours, a legend in their unit, axes in mm."""
 
 from io import BytesIO
 from typing import TYPE_CHECKING
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from tactiled.frames import Image
 from tactiled.runtime.sensor import Sensor
-from tactiled.units import PRESSURE
 from tactiled.web import answers
 from tactiled.web.schemas import PressureKind
 
@@ -21,7 +20,7 @@ COLORS = "magma"  # even in lightness, and readable for the colour-blind
 UNKNOWN_COLOR = "#8a8a8a"
 BETWEEN_TAXELS_COLOR = "#dfe3e6"  # of a layout that is no grid
 MIN_TOP_SIGMAS = 15.0  # the scale reaches at least so far above the noise, as in the viewer
-MIN_TOP_KPA = 1e-6
+MIN_TOP = 1e-6  # kPa, or counts
 WIDE_BELOW = 0.6  # height over width, below which the legend goes under the map
 
 
@@ -33,14 +32,14 @@ def colors() -> list[list[int]]:
     return table
 
 
-def png(sensor: Sensor, image: Image, kind: PressureKind, top_kpa: float | None) -> bytes:
-    """Draw one image, from 0 to `top_kpa` (default: its own peak, where that stands out of the noise)."""
+def png(sensor: Sensor, image: Image, kind: PressureKind, top: float | None) -> bytes:
+    """Draw one image, from 0 to `top`, in its unit (default: its own peak, where that stands out of the noise)."""
     out = BytesIO()
-    draw(sensor, image, kind, top_kpa).savefig(out, format="png")
+    draw(sensor, image, kind, top).savefig(out, format="png")
     return out.getvalue()
 
 
-def draw(sensor: Sensor, image: Image, kind: PressureKind, top_kpa: float | None) -> "Figure":
+def draw(sensor: Sensor, image: Image, kind: PressureKind, top: float | None) -> "Figure":
     """Lay the picture out; the map comes first among its axes, the legend second."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -55,29 +54,29 @@ def draw(sensor: Sensor, image: Image, kind: PressureKind, top_kpa: float | None
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(facecolor=UNKNOWN_COLOR)
     colored = _map(axes, sensor, values, (west, east, south, north))
-    colored.set_clim(0, top_kpa or _peak_kpa(image, kind, values))
+    colored.set_clim(0, top or _peak(image, kind, values))
     status = sensor.status()
     age = "" if status.state == "live" else f"\n{status.state.upper()}: {status.age_s or 0.0:.1f} s old"
     title = f"{image.sensor}, {kind}, frame {image.sequence}{age}"
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
-    label = f"{'standard deviation' if kind == 'deviation' else 'pressure'} ({PRESSURE})"
+    label = f"{'standard deviation' if kind == 'deviation' else 'pressure'} ({image.unit})"
     figure.colorbar(colored, label=label, location="bottom" if wide else "right")
     return figure
 
 
-def _peak_kpa(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> float:
+def _peak(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> float:
     """End of the scale, on which noise alone is dark."""
-    peak_kpa = max(float(np.nanmax(values, initial=0.0)), MIN_TOP_KPA)
+    peak = max(float(np.nanmax(values, initial=0.0)), MIN_TOP)
     if kind == "deviation":
-        return peak_kpa
+        return peak
     gain = max(1.0, image.noise_gain) if np.isfinite(image.noise_gain) else 1.0
-    return max(peak_kpa, MIN_TOP_SIGMAS * gain * image.noise)
+    return max(peak, MIN_TOP_SIGMAS * gain * image.noise)
 
 
 def _map(
     axes: "Axes", sensor: Sensor, values: NDArray[np.float32], extent: tuple[float, float, float, float]
 ) -> "ScalarMappable":
-    """Cells of a grid, or the apertures of another layout; kPa; extent: left, right, bottom, top, mm."""
+    """Cells of a grid, or the apertures of another layout; extent: left, right, bottom, top, mm."""
     from matplotlib import colormaps
     from matplotlib.collections import EllipseCollection
 

@@ -19,17 +19,17 @@ from starlette.types import Message, Receive, Scope, Send
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.runtime.offline import Offline, open_frames, write
-from tactiled.units import PRESSURE
 from tactiled.web.http.limits import client_of
 from tactiled.web.http.problems import Problem
-from tactiled.web.rest.dependencies import CurrentService, without_path
+from tactiled.web.rest.dependencies import CurrentService, in_unit, without_path
 from tactiled.web.rest.openapi import CONTROL, MEDIA, problems, success
 from tactiled.web.schemas import MethodName
 
 MAX_IMAGE_BYTES = 256 << 20  # of the answer
 MAX_TRANSFERS = 4  # requests whose frames or images come in or go out, and lie on the disk meanwhile
-RESPONSES = success("restored images, float32 kPa", "npy") | problems(404, 408, 413, *CONTROL)
+RESPONSES = success("restored images, float32", "npy") | problems(404, 408, 409, 413, *CONTROL)
 BODY = {"required": True, "content": {MEDIA["npy"]: {"schema": {"type": "string", "format": "binary"}}}}
+NOISE: dict[str, Any] = {"ge": 1e-6, "le": 1e6, "allow_inf_nan": False}
 
 router = APIRouter(prefix="/api/v1")
 
@@ -94,12 +94,11 @@ class RestoreQuery(BaseModel):
 
     sensor: str = Field(description="a sensor, as in the configuration", examples=["palm"])
     method: MethodName = Field("auto", description="restoration method")
+    noise: float | None = Field(
+        None, **NOISE, description="a taxel's standard deviation, in the sensor's `unit`; measured if left out"
+    )
     noise_kpa: float | None = Field(
-        None,
-        ge=1e-6,
-        le=1e6,
-        allow_inf_nan=False,
-        description="a taxel's standard deviation; measured if left out",
+        None, **NOISE, description="the same of a calibrated sensor, kPa, unless `noise` is given"
     )
 
 
@@ -109,9 +108,10 @@ class RestoreQuery(BaseModel):
 async def restore(
     request: Request, service: CurrentService, query: Annotated[RestoreQuery, Query()]
 ) -> FileResponse:
-    """Restore frames, `.npy` of (T, rows, columns) or (T, taxels) in kPa, NaN: unknown, with the sensor's kernel.
+    """Restore frames, `.npy` of (T, rows, columns) or (T, taxels), NaN: unknown, with the sensor's kernel.
 
-    The headers of the answer give the noise (kPa) and the number of frames for each method.
+    Frames and images are in the sensor's `unit`. The headers of the answer give the noise
+    and the number of frames for each method.
     """
     transfers: Transfers = request.app.state.transfers
     plan = service.sensor(query.sensor).plan
@@ -139,7 +139,8 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
     if 4 * prod(shape) > MAX_IMAGE_BYTES:
         bound = f"{MAX_IMAGE_BYTES >> 20} MiB"
         raise Problem(413, f"{len(frames)} frames make images of more than {bound}: send them in parts")
-    offline, methods = Offline(plan, frames, query.method, query.noise_kpa), Counter[str]()
+    noise = in_unit(plan, "noise", query.noise, query.noise_kpa)
+    offline, methods = Offline(plan, frames, query.method, noise), Counter[str]()
 
     def pieces() -> Iterator[NDArray[Any]]:
         for restored, infos in offline:
@@ -150,5 +151,5 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
     return {
         "X-Tactiled-Noise": f"{offline.noise_kpa:.6g}",
         "X-Tactiled-Methods": json.dumps(methods),
-        "X-Tactiled-Unit": PRESSURE,
+        "X-Tactiled-Unit": plan.unit,
     }

@@ -71,7 +71,7 @@ def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=problems(404))
 def calibration(sensor: NamedSensor) -> schemas.SensorCalibration:
-    """The present calibration from counts to kPa: as configured, with `no_load` from the last tare."""
+    """The present calibration from counts to pressure: as configured, with `no_load` from the last tare."""
     return answers.calibration(sensor)
 
 

@@ -149,7 +149,7 @@ def test_wrong_paths_and_parameters_are_named(rig, client):
         ("/sensors/palm/frames/blurred", 422, "kind = 'blurred'"),
         ("/sensors/palm/frames/raw?format=tiff", 422, "format = 'tiff'"),
         ("/sensors/palm/frames/raw?top_kpa=-1", 422, "top_kpa = '-1'"),
-        ("/sensors/palm/frames/raw?fromat=npy", 422, "fromat: no such parameter: there are top_kpa, format"),
+        ("/sensors/palm/frames/raw?fromat=npy", 422, "fromat: no such parameter: there are top, top_kpa, format"),
         ("/sensors/palm/frames/raw?format=npy&format=npy", 422, "format: given 2 times: give it once"),
         ("/events?limit=1&limit=2", 422, "limit: given 2 times"),
         ("/events?wait=31", 422, "wait = '31'"),
