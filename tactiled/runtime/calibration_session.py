@@ -29,7 +29,7 @@ NEXT_STATE: dict[tuple[State, Action], State] = {
 }
 IDLE_S = 300.0  # without a request until a session ends: a client has gone away, a person only rests
 QUALITY_PERIOD_S = 0.5  # between two looks for presses
-MARK_S = 1.0  # of frames whose mean is taken as a known load: 100 at 100 Hz
+MARK_S = 2.0  # of frames at most, whose mean is taken as a known load
 
 Outcome = TypeVar("Outcome", covariant=True)
 Report = Callable[[float], None]  # takes the share of a fit that is done; raises Cancelled
@@ -82,6 +82,7 @@ class CalibrationSession(Generic[Outcome]):
         self.progress: float | None = None  # share of the fit that is done; None unless it is known
         self._clock, self._lock = clock, threading.RLock()
         self._quality: tuple[float, int, Quality] | None = None  # when it was made, of how many frames
+        self._marked_frames = 0  # by the last mark
         self._fit_number = 0  # of the newest fit: what an older one gives is dropped
         self._touched_at = clock()
         self._stop_collecting = sensor.frames.subscribe(self._take)
@@ -112,11 +113,13 @@ class CalibrationSession(Generic[Outcome]):
             return known[2]
 
     def mark(self, value: float) -> None:
-        """Note that the frames of the last second are under a known load."""
+        """Note that the newest frames, MARK_S of them at most, are under a known load."""
         with self._lock:
             self._need("mark")
-            self.procedure.mark(self.collector.film(seconds=MARK_S), value)
+            frames = len(self.collector)
+            self.procedure.mark(self.collector.film(self._marked_frames, MARK_S), value)
             self._go("mark")
+            self._marked_frames = frames
             self._quality = None
 
     def fit(self) -> None:

@@ -93,7 +93,7 @@ def tip(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
     """A flat round tip of 2 mm that presses at ever other places, for the calibration of a cover."""
     number, load = _press(t, 1.2)
     right, down = (np.modf((number + 0.5) * step)[0] - 0.5 for step in PLASTIC_STEPS)
-    return 400 * load * _inside(1.0 - np.hypot(x - 0.85 * size * right, y - 0.85 * size * down), grain)
+    return 250 * load * _inside(1.0 - np.hypot(x - 0.85 * size * right, y - 0.85 * size * down), grain)
 
 
 def straightedge(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:

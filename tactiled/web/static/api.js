@@ -53,6 +53,49 @@ const TIMEOUT_MS = 8000;
  * }} Event
  */
 
+/**
+ * `load` is what of a load the newest frames show, "" for none; `session` the guided calibration that is open.
+ * @typedef {{
+ *   calibrated: boolean, kpa_per_count: number, dead: number[], load: string, tare_age_s: number|null,
+ *   can_undo_tare: boolean, session: Way|null
+ * }} Calibration
+ */
+
+/** @typedef {"uniform"|"weight"|"tip"|"edge"|"blind"} Way */
+
+/**
+ * What the frames so far are good for; `zones` has the presses in 3 x 3 zones, or is empty where places do not matter.
+ * @typedef {{
+ *   advice: string, enough: boolean, presses: number, presses_needed: number, presses_saturated: number,
+ *   zones: number[][], zone_presses_needed: number
+ * }} Quality
+ */
+
+/**
+ * @typedef {{
+ *   form: string, kpa_per_count: number, interval_kpa_per_count: [number, number],
+ *   before_kpa_per_count: number|null, spread_percent: number|null, hysteresis_percent: number|null, notes: string[],
+ *   line: {counts: (number|null)[], measured_kpa: (number|null)[], fitted_kpa: (number|null)[]}
+ * }} GainResult
+ */
+
+/**
+ * `reason` says why the presses cannot tell the thickness; "" where they can.
+ * @typedef {{
+ *   thickness_mm: number, interval_mm: [number, number], before_mm: number, presses: number, residual: number|null,
+ *   reason: string, notes: string[],
+ *   line: {x_mm: (number|null)[], measured: (number|null)[], fitted: (number|null)[]}|null
+ * }} CoverResult
+ */
+
+/**
+ * @typedef {{
+ *   sensor: string, way: Way, tip_mm: number|null, state: "collecting"|"fitting"|"fitted"|"ended", frames: number,
+ *   seconds: number, seconds_limit: number, full: boolean, load: string, quality: Quality, progress: number|null,
+ *   error: string, gain: GainResult|null, cover: CoverResult|null
+ * }} CalibrationSession
+ */
+
 /** An answer that is not a success, with the service's own text if it gave one. */
 export class ApiError extends Error {
   /**
@@ -140,6 +183,37 @@ export const setMethod = (name, method) =>
 
 /** @param {string} name @param {boolean} force even where a load is seen @returns {Promise<unknown>} */
 export const tare = (name, force) => request(`${at(name)}/tare${force ? "?force=true" : ""}`, { method: "POST" });
+
+/** @param {string} name @returns {Promise<unknown>} */
+export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE" });
+
+/** @param {string} name @returns {Promise<Calibration>} */
+export const calibration = (name) => request(`${at(name)}/calibration`);
+
+/** @param {string} name @returns {string} the path of a sensor's guided calibration */
+const atSession = (name) => `${at(name)}/calibration/session`;
+
+/** @param {string} name @returns {Promise<CalibrationSession|null>} the one that is open; null for none */
+export async function calibrationSession(name) {
+  try {
+    return await request(atSession(name));
+  } catch (error) {
+    if (error instanceof ApiError && error.status === 404) return null;
+    throw error;
+  }
+}
+
+/** @param {string} name @param {Way} way @param {number|null} tip_mm @returns {Promise<CalibrationSession>} */
+export const startCalibration = (name, way, tip_mm) => request(atSession(name), sending("POST", { way, tip_mm }));
+
+/** @param {string} name @param {{pressure_kpa?: number, weight_n?: number}} load @returns {Promise<CalibrationSession>} */
+export const markLoad = (name, load) => request(`${atSession(name)}/mark`, sending("POST", load));
+
+/** @param {string} name @param {"fit"|"cancel"|"apply"} action @returns {Promise<CalibrationSession|null>} */
+export const calibrationAction = (name, action) => request(`${atSession(name)}/${action}`, { method: "POST" });
+
+/** @param {string} name @returns {Promise<null>} */
+export const discardCalibration = (name) => request(atSession(name), { method: "DELETE" });
 
 /**
  * @param {string} name

@@ -1,6 +1,7 @@
 /** The page: which sensors there are, which is shown, and what the service offers beside them. @module */
 
 import * as api from "./api.js";
+import { CalibrationPage } from "./calibration_page.js";
 import { Colormap } from "./colormap.js";
 import { controls } from "./controls.js";
 import { byId } from "./dom.js";
@@ -29,6 +30,7 @@ const log = new EventLog();
 const viewer = new Viewer({ onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer) });
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
+const calibration = new CalibrationPage(viewer);
 /** @type {Sensor[]} */
 let sensors = [];
 let last = ""; // sensor that was shown before all of them
@@ -85,6 +87,7 @@ function showSensor() {
 async function loadOffers() {
   const offered = await api.offered();
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
+  calibration.offer(offered.has("/sensors/{name}/calibration/session"));
   log.offer(offered.has("/events"));
   viewer.colormap = new Colormap((await api.colormap()).colors);
 }
@@ -132,6 +135,7 @@ async function poll() {
 controls(viewer, {
   screen,
   recorder,
+  calibration,
   sensors: () => tabs.names,
   choose,
   toggleWall: () => {
@@ -140,6 +144,7 @@ controls(viewer, {
   nextTheme: theme(byId("theme"), () => {
     viewer.restyle();
     wall.restyle();
+    calibration.restyle();
   }),
 });
 

@@ -12,7 +12,7 @@ import { decadeTicks, labelledTicks } from "./ticks.js";
  * @property {number} length points in use
  * @property {number} zero the x that is drawn as 0
  * @property {"raw"|"restored"|"accent"} ink
- * @property {"plain"|"steps"|"dots"} style
+ * @property {"plain"|"steps"|"dots"|"points"} style points have no line between them
  * @property {number} step how wide one of the steps is, in units of x
  * @property {Float64Array|null} spread half the height of the band about the line, at each point; null for none
  */
@@ -20,7 +20,7 @@ import { decadeTicks, labelledTicks } from "./ticks.js";
 /**
  * @param {number} capacity
  * @param {"raw"|"restored"|"accent"} ink
- * @param {"plain"|"steps"|"dots"} style
+ * @param {"plain"|"steps"|"dots"|"points"} style
  * @param {number} step
  * @returns {Line}
  */
@@ -231,9 +231,9 @@ export class Chart {
     }
     const dashed = this._ink.forced && of.ink === "raw";
     if (dashed) draw.setLineDash(DASHES);
-    draw.stroke();
+    if (of.style !== "points") draw.stroke();
     if (dashed) draw.setLineDash([]);
-    if (of.style === "dots") this._dots(of, axes, sx, sy);
+    if (of.style === "dots" || of.style === "points") this._dots(of, axes, sx, sy);
   }
 
   /** @param {Line} of @param {Axes} axes @param {number} sx fine units a unit of x @param {number} sy */

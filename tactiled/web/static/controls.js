@@ -9,9 +9,11 @@ import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
 import { notice } from "./notice.js";
 import { methodTitle } from "./readings.js";
+import { tare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
 import { withToken } from "./token_dialog.js";
 
+/** @import { CalibrationPage } from "./calibration_page.js" */
 /** @import { PageText } from "./page_text.js" */
 /** @import { Recorder } from "./recorder.js" */
 /** @import { Viewer } from "./viewer.js" */
@@ -21,6 +23,7 @@ import { withToken } from "./token_dialog.js";
  * @typedef {object} Targets
  * @property {PageText} screen
  * @property {Recorder} recorder
+ * @property {CalibrationPage} calibration
  * @property {() => string[]} sensors names of them
  * @property {(name: string) => void} choose a sensor, or all of them
  * @property {() => void} toggleWall
@@ -28,7 +31,6 @@ import { withToken } from "./token_dialog.js";
  */
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
-const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
 
 /** Wire everything that can be pressed. @param {Viewer} viewer @param {Targets} targets */
@@ -49,7 +51,8 @@ function buttons(viewer, targets) {
   press("back", () => viewer.step(-1));
   press("forward", () => viewer.step(1));
   press("section-turn", () => turn(viewer));
-  press("tare", () => tare(viewer));
+  press("tare", () => tare(viewer.name));
+  press("calibrate-open", () => targets.calibration.open());
   press("save-png", () => save("png", viewer, targets));
   press("save-csv", () => save("csv", viewer, targets));
   press("help-open", showHelp);
@@ -108,34 +111,6 @@ async function chooseMethod(viewer) {
   else picker.value = viewer.session?.status?.method ?? picker.value;
 }
 
-/** @param {Viewer} viewer */
-async function tare(viewer) {
-  const { name } = viewer;
-  if (!name) return;
-  let seen = "";
-  const begin = (/** @type {boolean} */ force) => withToken(() => api.tare(name, force).catch((error) => {
-    if (error.code !== "loaded") throw error;
-    ({ seen } = error);
-  }), "Tare failed");
-  let begun = await begin(false);
-  if (seen) begun = await confirmTare(name, seen) && await begin(true);
-  if (begun) notice("Tare: the next frames are taken as the unloaded array.");
-}
-
-/**
- * Show what a tare would take for zero, and ask.
- * @param {string} name
- * @param {string} seen
- * @returns {Promise<boolean>} to tare anyway
- */
-async function confirmTare(name, seen) {
-  setText(byId("loaded-seen"), `${name}: ${seen}.`);
-  loaded.returnValue = "";
-  loaded.showModal();
-  await new Promise((resolve) => { loaded.addEventListener("close", resolve, { once: true }); });
-  return loaded.returnValue === "force";
-}
-
 /** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} targets */
 function save(kind, viewer, targets) {
   const { session, colormap } = viewer;
@@ -192,7 +167,8 @@ function keyboard(viewer, targets) {
     a: () => setAuto(!viewer.range.auto, viewer, targets),
     o: () => contacts.click(),
     v: () => viewer.session?.hasShear && shear.click(),
-    t: () => tare(viewer),
+    t: () => tare(viewer.name),
+    k: () => targets.calibration.open(),
     r: () => targets.recorder.toggle(),
     s: () => save("png", viewer, targets),
     c: () => save("csv", viewer, targets),

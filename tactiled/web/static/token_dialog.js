@@ -8,9 +8,10 @@ import { messageOf, notice } from "./notice.js";
  * Do something; where the service wants a token for it, ask for one and do it again.
  * @param {() => Promise<unknown>} action
  * @param {string} failed what to say where it fails
+ * @param {(text: string, bad: boolean) => void} [report] where to say it: a dialog hides the notice
  * @returns {Promise<boolean>} it was done
  */
-export async function withToken(action, failed) {
+export async function withToken(action, failed, report = notice) {
   for (;;) {
     try {
       await action();
@@ -18,7 +19,7 @@ export async function withToken(action, failed) {
     } catch (error) {
       const refused = error instanceof ApiError && (error.status === 401 || error.status === 403);
       if (refused && await askForToken(error.message)) continue;
-      notice(`${failed}: ${messageOf(error)}`, true);
+      report(`${failed}: ${messageOf(error)}`, true);
       return false;
     }
   }

@@ -203,6 +203,12 @@ export class Viewer {
       notice(`${name}: ${messageOf(error)}`, true);
       return;
     }
+    await this.loadKernel();
+  }
+
+  /** Show the cover as it is now. */
+  async loadKernel() {
+    const { name, _selection: mine } = this;
     try {
       const kernel = await api.kernel(name);
       if (mine === this._selection) this.kernel.use(kernel);

@@ -1,0 +1,325 @@
+/** The guided calibration: unload and tare, gain, cover. @module */
+
+import * as api from "./api.js";
+import { CalibrationResult } from "./calibration_result.js";
+import { tareText, WAYS, zoneText } from "./calibration_text.js";
+import { byId, element, setText } from "./dom.js";
+import { DisplayRange } from "./display_range.js";
+import { Heatmap } from "./heatmap.js";
+import { messageOf } from "./notice.js";
+import { tare } from "./tare.js";
+import { withToken } from "./token_dialog.js";
+import { readingText } from "./units.js";
+
+/** @import { CalibrationSession, Way } from "./api.js" */
+/** @import { Step } from "./calibration_text.js" */
+/** @import { Viewer } from "./viewer.js" */
+
+const POLL_MS = 500; // between two looks at the session
+const MAP_MS = 60; // between two paintings of the map
+const MAP_PX = 300; // of its height, at most
+const MAP_SHARE = 0.4; // of the window's height, at most
+const PANELS = ["tare", "choose", "collect", "fitting", "result"];
+const STEP_QUESTIONS = { tare: "", gain: "What presses the array?", cover: "What will you press with?" };
+
+const dialog = /** @type {HTMLDialogElement} */ (byId("calibrate"));
+const steps = /** @type {HTMLButtonElement[]} */ ([...dialog.querySelectorAll("[data-step]")]);
+const tip = /** @type {HTMLInputElement} */ (byId("calibrate-tip-mm"));
+const tipLine = byId("calibrate-tip");
+const value = /** @type {HTMLInputElement} */ (byId("calibrate-value"));
+const fit = /** @type {HTMLButtonElement} */ (byId("calibrate-fit"));
+
+export class CalibrationPage {
+  /** @param {Viewer} viewer */
+  constructor(viewer) {
+    this._viewer = viewer;
+    this._name = ""; // of the sensor that is calibrated
+    /** @type {Step} */
+    this._step = "tare";
+    /** @type {CalibrationSession|null} */
+    this._session = null;
+    this._panel = "";
+    this._result = new CalibrationResult();
+    this._heatmap = new Heatmap(/** @type {HTMLCanvasElement} */ (byId("calibrate-raw")), byId("calibrate-frame"));
+    this._range = new DisplayRange();
+    /** @type {import("./geometry.js").Plane|null} */
+    this._plane = null;
+    this._busy = false;
+    this._wire();
+  }
+
+  _wire() {
+    const press = (/** @type {string} */ id, /** @type {() => unknown} */ action) => byId(id).addEventListener("click", action);
+    for (const each of steps) each.addEventListener("click", () => this._go(/** @type {Step} */ (each.dataset.step)));
+    press("calibrate-close", () => dialog.close());
+    press("calibrate-next", () => this._go("gain"));
+    press("calibrate-tare-now", () => tare(this._name, (text, bad = false) => this._say(text, bad)));
+    press("calibrate-tare-undo", () => this._undoTare());
+    press("calibrate-fit", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
+    press("calibrate-again", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
+    press("calibrate-cancel", () => this._act("Not cancelled", () => api.calibrationAction(this._name, "cancel")));
+    press("calibrate-apply", () => this._apply());
+    for (const each of dialog.querySelectorAll(".discard")) each.addEventListener("click", () => this._discard());
+    byId("calibrate-choose").addEventListener("submit", (event) => this._start(event));
+    byId("calibrate-mark").addEventListener("submit", (event) => this._mark(event));
+    byId("calibrate-ways").addEventListener("change", () => this._showTip());
+    dialog.addEventListener("close", () => this._leave());
+  }
+
+  /** @param {boolean} offered whether the service calibrates */
+  offer(offered) {
+    byId("calibrate-open").hidden = !offered;
+  }
+
+  /** Open it for the sensor that is shown. */
+  async open() {
+    if (byId("calibrate-open").hidden || !this._viewer.name || dialog.open) return;
+    this._name = this._viewer.name;
+    setText(byId("calibrate-title"), `Calibrate ${this._name}`);
+    this._plane = null;
+    this._session = null;
+    this._say("");
+    this._go("tare");
+    dialog.showModal();
+    await this._poll();
+    const session = this._anySession();
+    if (session) this._go(WAYS[session.way].step);
+    this._focus();
+    this._pollTimer = setInterval(() => this._poll(), POLL_MS);
+    this._mapTimer = setInterval(() => this._paint(), MAP_MS);
+  }
+
+  _leave() {
+    clearInterval(this._pollTimer);
+    clearInterval(this._mapTimer);
+  }
+
+  /** Take the colours of the theme as it is now. */
+  restyle() {
+    this._result.restyle();
+  }
+
+  /** Look at what the service knows. */
+  async _poll() {
+    if (this._busy) return;
+    this._busy = true;
+    const name = this._name;
+    try {
+      const calibration = await api.calibration(name);
+      const session = calibration.session ? await api.calibrationSession(name) : null;
+      if (name !== this._name || !dialog.open) return;
+      this._showTare(calibration);
+      this._take(session);
+    } catch (error) {
+      this._say(messageOf(error), true);
+    } finally {
+      this._busy = false;
+    }
+  }
+
+  /** @param {CalibrationSession|null} session */
+  _take(session) {
+    if (this._session && !session) this._say("The calibration has ended.");
+    this._session = session;
+    this._show();
+  }
+
+  /** @param {Step} step */
+  _go(step) {
+    this._step = step;
+    const ways = /** @type {Way[]} */ (Object.keys(WAYS)).filter((each) => WAYS[each].step === step);
+    setText(byId("calibrate-question"), STEP_QUESTIONS[step]);
+    byId("calibrate-ways").replaceChildren(...ways.flatMap((each, i) => [choice(each, i === 0), ...(each === "tip" ? [tipLine] : [])]));
+    this._showTip();
+    this._show();
+  }
+
+  /** @returns {CalibrationSession|null} the one that is open */
+  _anySession() {
+    return this._session;
+  }
+
+  /** @returns {CalibrationSession|null} the one that belongs to the step that is shown */
+  get _own() {
+    return this._session && WAYS[this._session.way].step === this._step ? this._session : null;
+  }
+
+  _show() {
+    const own = this._own;
+    const ofState = { collecting: "collect", fitting: "fitting", fitted: "result", ended: "choose" };
+    const panel = this._step === "tare" ? "tare" : own ? ofState[own.state] : "choose";
+    for (const each of PANELS) byId(`calibrate-${each}`).hidden = each !== panel;
+    for (const each of steps) {
+      if (each.dataset.step === this._step) each.setAttribute("aria-current", "step");
+      else each.removeAttribute("aria-current");
+    }
+    if (own) this._showSession(own);
+    const zones = own && panel !== "result" ? own.quality : null;
+    this._showZones(zones?.zones ?? [], zones?.zone_presses_needed ?? 0);
+    if (panel !== this._panel) {
+      this._panel = panel;
+      const focused = document.activeElement;
+      if (dialog.open && !(focused && dialog.contains(focused) && focused.checkVisibility())) this._focus();
+    }
+  }
+
+  /** Let the focus stand where the work goes on. */
+  _focus() {
+    const places = byId(`calibrate-${this._panel}`).querySelectorAll("input:checked, input[type=number], button");
+    const all = /** @type {HTMLElement[]} */ ([...places]).filter((each) => each.checkVisibility() && each.matches(":enabled"));
+    (all.find((each) => each.matches("input, .main")) ?? all[0])?.focus();
+  }
+
+  /** @param {import("./api.js").Calibration} calibration */
+  _showTare({ load, tare_age_s: age, can_undo_tare: undo, calibrated, kpa_per_count: gain, dead }) {
+    setText(byId("calibrate-load"), load || "none");
+    byId("calibrate-load").classList.toggle("some", Boolean(load));
+    setText(byId("calibrate-tared"), tareText(age));
+    byId("calibrate-tare-undo").hidden = !undo;
+    setText(byId("calibrate-gain-now"), calibrated ? `${Number(gain.toPrecision(3))} kPa per count` : "unknown: counts are shown");
+    setText(byId("calibrate-taxels"), dead.length ? `${dead.length} do not work` : "all work");
+  }
+
+  /** @param {CalibrationSession} session */
+  _showSession(session) {
+    const { quality, state } = session;
+    const way = WAYS[session.way];
+    setText(byId("calibrate-do"), way.instruction);
+    setText(byId("calibrate-advice"), quality.advice);
+    byId("calibrate-advice").classList.toggle("good", quality.enough);
+    progress("calibrate-presses", quality.presses_needed ? quality.presses / quality.presses_needed : 0);
+    byId("calibrate-mark").hidden = way.mark === null;
+    setText(byId("calibrate-unit"), way.unit);
+    setText(byId("calibrate-load-now"), session.load || "none");
+    byId("calibrate-of-presses").hidden = way.step === "gain";
+    const saturated = byId("calibrate-saturated");
+    setText(saturated, quality.presses_saturated ? `${quality.presses_saturated}, not used` : "none");
+    saturated.classList.toggle("some", quality.presses_saturated > 0);
+    setText(byId("calibrate-frames"), `${Math.round(session.seconds)} of ${session.seconds_limit} s${session.full ? ", full" : ""}`);
+    fit.disabled = quality.presses === 0;
+    progress("calibrate-progress", session.progress);
+    if (session.error) this._say(session.error, true);
+    if (state === "fitted") this._result.show(session);
+  }
+
+  /** @param {number[][]} zones presses in each @param {number} needed */
+  _showZones(zones, needed) {
+    const list = byId("calibrate-zones");
+    list.hidden = !zones.length;
+    const cells = zones.flat();
+    if (list.children.length !== cells.length) list.replaceChildren(...cells.map(() => element("li", "")));
+    cells.forEach((presses, i) => {
+      const { text, done } = zoneText(presses, needed);
+      setText(list.children[i], text);
+      list.children[i].classList.toggle("done", done);
+    });
+  }
+
+  _showTip() {
+    tipLine.hidden = this._way !== "tip";
+    tip.disabled = this._way !== "tip";
+  }
+
+  /** @returns {Way} that is chosen */
+  get _way() {
+    const checked = /** @type {HTMLInputElement|null} */ (dialog.querySelector("#calibrate-ways input:checked"));
+    return /** @type {Way} */ (checked?.value ?? "tip");
+  }
+
+  /** @param {string} text @param {boolean} [bad] */
+  _say(text, bad = false) {
+    const line = byId("calibrate-message");
+    setText(line, text);
+    line.classList.toggle("bad", bad);
+  }
+
+  /**
+   * Do something, then look at what came of it.
+   * @param {string} failed what to say where it fails
+   * @param {() => Promise<CalibrationSession|null>} action
+   * @returns {Promise<boolean>}
+   */
+  async _act(failed, action) {
+    this._say("");
+    /** @type {CalibrationSession|null} */
+    let session = null;
+    const done = await withToken(async () => { session = await action(); }, failed, (text, bad) => this._say(text, bad));
+    if (done) {
+      this._session = session;
+      this._show();
+    }
+    return done;
+  }
+
+  async _undoTare() {
+    const say = (/** @type {string} */ text, /** @type {boolean} */ bad) => this._say(text, bad);
+    if (await withToken(() => api.undoTare(this._name), "Not undone", say)) this._say("The zero before is back.");
+  }
+
+  /** @param {Event} event */
+  _start(event) {
+    event.preventDefault();
+    const open = this._session;
+    if (open) this._say(`A calibration by ${WAYS[open.way].title.toLowerCase()} is open: finish or discard it first.`, true);
+    else this._act("Not started", () => api.startCalibration(this._name, this._way, this._way === "tip" ? tip.valueAsNumber : null));
+  }
+
+  /** @param {Event} event */
+  async _mark(event) {
+    event.preventDefault();
+    const own = this._own;
+    const key = own && WAYS[own.way].mark;
+    const load = value.valueAsNumber;
+    if (!key || !Number.isFinite(load)) return;
+    if (await this._act("Not taken", () => api.markLoad(this._name, { [key]: load }))) {
+      this._say(`Taken: ${load} ${byId("calibrate-unit").textContent}.`);
+      value.select();
+    }
+  }
+
+  async _apply() {
+    const step = this._step;
+    if (!await this._act("Not applied", () => api.calibrationAction(this._name, "apply"))) return;
+    if (step === "gain") this._go("cover");
+    this._say(step === "gain" ? "The gain is applied. Next: the cover." : "The cover is applied: images are restored with it.");
+    this._viewer.loadKernel();
+  }
+
+  async _discard() {
+    if (await this._act("Not discarded", () => api.discardCalibration(this._name))) this._say("Discarded: nothing was changed.");
+  }
+
+  /** Paint the newest raw image. */
+  _paint() {
+    const { session, colormap } = this._viewer;
+    if (!session?.frame || !colormap || this._viewer.name !== this._name) return;
+    if (this._plane !== session.plane) {
+      this._plane = session.plane;
+      this._heatmap.use(session.plane, session.plane.raw);
+      const { width, height } = session.plane;
+      const tall = Math.min(MAP_PX, MAP_SHARE * window.innerHeight);
+      this._heatmap.resize(Math.min(byId("calibrate-map").clientWidth / width, tall / height));
+    }
+    const { ofRaw, raw, noise, timestamp } = session.frame;
+    this._range.follow(ofRaw.peak || 0, noise || 0, timestamp);
+    this._heatmap.paint(raw, this._range, colormap);
+    setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak)}`);
+  }
+}
+
+/** @param {string} id @param {number|null} share null: unknown */
+function progress(id, share) {
+  const bar = /** @type {HTMLProgressElement} */ (byId(id));
+  if (share === null) bar.removeAttribute("value");
+  else bar.value = Math.min(1, share);
+}
+
+/** @param {Way} way @param {boolean} checked @returns {HTMLElement} */
+function choice(way, checked) {
+  const radio = element("input", "");
+  radio.type = "radio";
+  radio.name = "way";
+  radio.value = way;
+  radio.checked = checked;
+  return element("label", "", radio, element("span", "", element("b", "", WAYS[way].title), element("span", "sub", WAYS[way].hint)));
+}

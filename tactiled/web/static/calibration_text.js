@@ -1,0 +1,97 @@
+/** What the calibration page says: ways, instructions, results. @module */
+
+import { duration, fixed, number } from "./format.js";
+
+/** @import { CalibrationSession, CoverResult, GainResult, Way } from "./api.js" */
+
+/** @typedef {"tare"|"gain"|"cover"} Step */
+
+/**
+ * @typedef {object} WayText
+ * @property {Step} step that it belongs to
+ * @property {string} title
+ * @property {string} hint for choosing it
+ * @property {string} instruction while frames are collected
+ * @property {"pressure_kpa"|"weight_n"|null} mark what is entered meanwhile
+ * @property {string} unit of that
+ */
+
+/** @type {Record<Way, WayText>} */
+export const WAYS = {
+  uniform: {
+    step: "gain", title: "Even pressure", hint: "An air bag or a plenum presses all taxels alike. Scales every taxel, with its curve.",
+    instruction: "Set a pressure, wait until it is steady, enter it and take it. Three steps or more, up to the highest that you need.",
+    mark: "pressure_kpa", unit: "kPa",
+  },
+  weight: {
+    step: "gain", title: "Known weight", hint: "One weight, wholly on the array. One scale for all taxels.",
+    instruction: "Put the weight on the array, wait until it is steady, enter it and take it. Other places and weights make it more exact.",
+    mark: "weight_n", unit: "N",
+  },
+  tip: {
+    step: "cover", title: "Round tip", hint: "A flat tip smaller than the cover is thick, pressed at about 20 places. Most exact.",
+    instruction: "Press the tip straight down for half a second, lift it, and press at another place.",
+    mark: null, unit: "",
+  },
+  edge: {
+    step: "cover", title: "Straight edge", hint: "A block with a straight edge, laid across the array at a slant five times.",
+    instruction: "Lay the edge across the array at a slant, neither along rows nor columns. Press evenly, lift it, and turn it a little.",
+    mark: null, unit: "",
+  },
+  blind: {
+    step: "cover", title: "Anything", hint: "Use the skin for a minute: small and sharp contacts tell most. Least exact.",
+    instruction: "Touch the array with small and sharp things, at ever other places.",
+    mark: null, unit: "",
+  },
+};
+
+/** Rows of a result: name and unit, fitted, interval, before. @typedef {[string, string, string, string]} Row */
+
+const between = (/** @type {[number, number]} */ [low, high], /** @type {(value: number) => string} */ text) => `${text(low)} to ${text(high)}`;
+
+/** @param {CoverResult} cover @returns {Row[]} */
+export const coverRows = (cover) => {
+  const text = (/** @type {number} */ value) => fixed(value, 2);
+  return [["thickness, mm", text(cover.thickness_mm), between(cover.interval_mm, text), text(cover.before_mm)]];
+};
+
+/** @param {GainResult} gain @returns {Row[]} */
+export function gainRows(gain) {
+  const digits = (/** @type {number} */ value) => Number(value.toPrecision(4)).toString().replace("-", "\u2212");
+  const { before_kpa_per_count: before, spread_percent: spread, hysteresis_percent: hysteresis } = gain;
+  /** @type {Row[]} */
+  const rows = [["gain, kPa per count", digits(gain.kpa_per_count), between(gain.interval_kpa_per_count, digits), before === null ? "none" : digits(before)]];
+  if (spread !== null) rows.push(["spread over taxels, %", number(spread, 2), "", ""]);
+  if (hysteresis !== null) rows.push(["hysteresis, % of full scale", number(hysteresis, 2), "", ""]);
+  return rows;
+}
+
+/** @param {CalibrationSession} session that is fitted @returns {string} the result in a sentence */
+export function verdict({ cover, gain }) {
+  if (cover?.reason) return `These presses cannot tell the thickness: ${cover.reason}.`;
+  if (cover) {
+    const [low, high] = cover.interval_mm;
+    const agrees = cover.before_mm >= low && cover.before_mm <= high;
+    return agrees ? "The thickness agrees with the one before." : `The cover is ${cover.thickness_mm > cover.before_mm ? "thicker" : "thinner"} than the one before.`;
+  }
+  return gain ? `Each count is worth ${Number(gain.kpa_per_count.toPrecision(3))} kPa in the middle of all taxels, by a ${gain.form} curve.` : "";
+}
+
+/** @param {CoverResult} cover @returns {string[]} */
+export function coverNotes({ presses, residual, reason, notes }) {
+  if (reason) return notes;
+  const check = residual === null ? "" : `, and predicts presses left out to ${number(residual, 2)} × the noise`;
+  return [`Made of ${presses} presses${check}.`, ...notes];
+}
+
+/** @param {number|null} age s @returns {string} */
+export const tareText = (age) => (age === null ? "none since the start" : `${duration(age)} ago`);
+
+/**
+ * What a zone shows: presses of those it needs.
+ * @param {number} presses
+ * @param {number} needed
+ * @returns {{text: string, done: boolean}}
+ */
+export const zoneText = (presses, needed) =>
+  presses >= needed ? { text: `✓ ${presses}`, done: true } : { text: `${presses} of ${needed}`, done: false };

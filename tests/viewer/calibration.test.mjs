@@ -1,0 +1,46 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { chartOf } from "../../tactiled/web/static/calibration_result.js";
+import { coverNotes, coverRows, gainRows, tareText, verdict, zoneText } from "../../tactiled/web/static/calibration_text.js";
+
+const cover = {
+  thickness_mm: 1.183, interval_mm: [1.151, 1.214], before_mm: 1.5, presses: 20, residual: 1.07, reason: "", notes: ["a note"],
+  line: { x_mm: [2, -1, 0, 1], measured: [0.1, 0.5, 1, null], fitted: [0.1, 0.52, 0.98, 0.5] },
+};
+const gain = {
+  form: "power", kpa_per_count: -0.05123, interval_kpa_per_count: [-0.0519, -0.0505], before_kpa_per_count: null,
+  spread_percent: 18.34, hysteresis_percent: null, notes: [], line: { counts: [0, 100], measured_kpa: [0, 5], fitted_kpa: [0, 5.1] },
+};
+
+test("a result stands beside its interval and what was before", () => {
+  assert.deepEqual(coverRows(cover), [["thickness, mm", "1.18", "1.15 to 1.21", "1.50"]]);
+  assert.deepEqual(gainRows(gain), [
+    ["gain, kPa per count", "−0.05123", "−0.0519 to −0.0505", "none"], ["spread over taxels, %", "18", "", ""],
+  ]);
+});
+
+test("the verdict says what changed, or why nothing can be told", () => {
+  assert.match(verdict({ cover }), /thinner than/);
+  assert.match(verdict({ cover: { ...cover, before_mm: 1.1 } }), /thicker than/);
+  assert.match(verdict({ cover: { ...cover, before_mm: 1.2 } }), /agrees/);
+  assert.equal(verdict({ cover: { ...cover, reason: "nothing sharp" } }), "These presses cannot tell the thickness: nothing sharp.");
+  assert.deepEqual(coverNotes({ ...cover, reason: "nothing sharp" }), ["a note"]);
+  assert.deepEqual(coverNotes(cover), ["Made of 20 presses, and predicts presses left out to 1.1 × the noise.", "a note"]);
+});
+
+test("a chart has the fitted line and the measured points in the order of their places, unknown ones left out", () => {
+  const { axes, lines: [fitted, measured] } = chartOf({ cover, gain: null });
+  assert.deepEqual([...fitted.x], [-1, 0, 1, 2]);
+  assert.deepEqual([...fitted.y], [0.52, 0.98, 0.5, 0.1]);
+  assert.deepEqual([[...measured.x], measured.style], [[-1, 0, 2], "points"]);
+  assert.ok(axes.left < -1 && axes.right > 2 && axes.bottom <= 0 && axes.top > 1);
+  assert.deepEqual([...chartOf({ cover: null, gain }).lines[1].y], [0, 5]);
+  assert.equal(chartOf({ cover: { ...cover, line: null }, gain: null }), null);
+});
+
+test("a zone and a tare say how far they are", () => {
+  assert.deepEqual(zoneText(1, 2), { text: "1 of 2", done: false });
+  assert.deepEqual(zoneText(3, 2), { text: "✓ 3", done: true });
+  assert.deepEqual([tareText(null), tareText(200)], ["none since the start", "3 min ago"]);
+});
