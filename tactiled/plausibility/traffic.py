@@ -41,7 +41,6 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
     if not (messages or all(_waits(each.codec) for each in router.assemblers.values())):
         reason = f"no message in {seconds:g} s: nothing sends, or bit rate, channel or wiring are wrong"
         report.findings.append(Finding(f"bus.{bus}", "", reason))
-    everything = survey(messages)
     for name, assembler in router.assemblers.items():
         own, loss, sensor = frames[name], assembler.loss, sensors[name]
         if any(not each.flags.any() for each in own):
@@ -54,7 +53,7 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
         else:
             report.lines.append(f"{name}: no complete frame")
             if messages:
-                report.findings.append(_silent(f"sensor.{name}", sensor, everything, assembler.codec))
+                report.findings.append(_silent(f"sensor.{name}", sensor, survey(messages), assembler.codec))
     return report
 
 

@@ -62,3 +62,10 @@ def test_a_silent_bus_is_doubtful_and_one_that_cannot_be_opened_an_error(palm):
     assert "doubtful: bus.can0: no message in 0.1 s: nothing sends" in done.stdout
     done = run("check", palm('"virtual"', '"socketcan"'), "--bus", "--seconds", 0.1)
     assert str(done.exception).startswith(f"bus socketcan {CHANNEL}: ")
+
+
+def test_error_frames_are_doubtful(palm, monkeypatch):
+    monkeypatch.setattr("tactiled.cli.check.listen", lambda *_: ([], {"bus_error": 3, "rx_passive": 1}))
+    done = run("check", palm(), "--bus")
+    assert "doubtful: bus.can0: error frames: 3 bus_error, 1 rx_passive: check bit rate, wiring" in done.stdout
+    assert done.stdout.endswith("palm.toml is doubtful: 2 findings\n")

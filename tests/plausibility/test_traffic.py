@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,14 @@ def test_a_fault_is_one_finding_with_its_likely_reason(fault):
 def test_a_dead_taxel_that_is_configured_and_a_quiet_array_are_no_faults():
     assert not findings(altered(stick), calibration="no_load = 80, dead = [3, 7]")
     assert not findings(altered(lambda counts: counts.fill(80)))
+
+
+def test_the_no_load_of_a_calibration_file_counts(monkeypatch):
+    file = SimpleNamespace(gain=None, health=None, no_load=SimpleNamespace(values=np.full(30, 80.0)))
+    monkeypatch.setattr("tactiled.plausibility.traffic.configured_file", lambda _: file)
+    assert not findings(HEALTHY, calibration="no_load = 2048")
+    file.no_load.values[:16] = 2048
+    assert findings(HEALTHY)
 
 
 @pytest.mark.parametrize("messages", [[], [Message(0.1, 0x27, b"\xb1\xc6")]])
