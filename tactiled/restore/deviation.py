@@ -4,10 +4,9 @@ import numpy as np
 
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
-from tactiled.restore.wiener import Wiener
+from tactiled.restore.wiener import Wiener, wiener_weight
 
 MISPLACED = 0.5  # pitches that a small spot may be from where it is drawn, and the share of it
-MIN_GAIN = 1e-12  # keeps the logarithm finite
 
 
 def deviation(scene: Scene, image: Image | None = None) -> Floats:
@@ -21,10 +20,11 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     modes, spectrum = scene.modes, scene.spectrum
     variance = spectrum.ratio.copy()
     S, h = variance[modes.head], modes.gain
-    model = (scene.blur.thickness_error * h * np.log(np.maximum(h, MIN_GAIN))) ** 2
+    model = modes.gain_variance(scene.blur.thickness_error**2)
     if scene.blur.aliasing:
         model = model + scene.blur.aliasing.variance(spectrum.fall)
-    variance[modes.head] = S / (h**2 * S + 1) * (1 + h**2 * S / (h**2 * S + 1) * S * model)
+    weight = wiener_weight(scene)
+    variance[modes.head] = S * (1 - h * weight) ** 2 + weight**2 * (1 + S * model)
     variance *= scene.noise**2
     squares = [basis**2 for basis in modes.surface]
     spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+MIN_GAIN = 1e-12  # keeps the logarithm finite
+
 
 class Transform:
     """x -> left x right for frames (m, n), or x -> left x for vectors (m,), on buffers of its own.
@@ -55,6 +57,13 @@ class Modes:
     def head(self) -> tuple[slice, ...]:
         """Where among the surface's modes those are that the taxels can see."""
         return tuple(slice(n) for n in self.gain.shape)
+
+    def gain_variance(self, thickness_variance: float) -> Floats:
+        """Variance of every gain under a cover whose thickness has a relative `thickness_variance`.
+
+        A gain falls by as many octaves as the cover is thick: dh / d(ln t) = h ln h.
+        """
+        return np.asarray(thickness_variance * (self.gain * np.log(np.maximum(self.gain, MIN_GAIN))) ** 2)
 
     def to_taxel_modes(self) -> Transform:
         """U': a frame to its coefficients."""

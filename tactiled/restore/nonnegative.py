@@ -26,11 +26,12 @@ class Step:
 
     def __init__(self, scene: Scene, slack: float, ones: Image) -> None:
         S = scene.spectrum.ratio
-        gain = np.zeros_like(S)
-        gain[scene.modes.head] = scene.modes.gain
-        inverse = 1 / (gain**2 + slack / S + PENALTY)
+        weight = 1 / (1 + scene.gain_variance * S[scene.modes.head])
+        square = np.zeros_like(S)
+        square[scene.modes.head] = weight * scene.modes.gain**2
+        inverse = 1 / (square + slack / S + PENALTY)
         self.again = np.asarray(PENALTY * inverse, np.float32)
-        self.data = np.asarray(scene.modes.gain * inverse[scene.modes.head], np.float32)
+        self.data = np.asarray(weight * scene.modes.gain * inverse[scene.modes.head], np.float32)
         self.sparse = np.asarray(-SPARSE_WEIGHT * scene.noise * inverse * ones, np.float32)
 
 

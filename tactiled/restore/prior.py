@@ -42,7 +42,8 @@ class Spectrum:
 class Prior:
     """The family of spectra for one blur and one noise; `pick` is allocation-free."""
 
-    def __init__(self, modes: Modes, noise: float) -> None:
+    def __init__(self, modes: Modes, noise: float, gain_variance: Floats) -> None:
+        """`gain_variance` of each taxel mode's gain, as the cover's model may be wrong."""
         self._first = [_half_octaves(n) for n in modes.gain.shape]
         indicators = [_indicator(n, first) for n, first in zip(modes.gain.shape, self._first, strict=True)]
         self._rows = indicators[0]
@@ -54,10 +55,10 @@ class Prior:
         for level, shape in product(LEVELS, shapes):
             spectrum = Spectrum(level, *shape)
             S = spectrum.ratio[modes.head]
-            amplification = float((modes.gain * S / (modes.gain**2 * S + 1)).max())
+            amplification = float((modes.gain * S / (modes.gain**2 * S + 1 + gain_variance * S)).max())
             if amplification > MAX_AMPLIFICATION and costs:
                 continue
-            v = noise**2 * (modes.gain**2 * S + 1)
+            v = noise**2 * (modes.gain**2 * S + 1 + gain_variance * S)
             # The logarithms ride along as one more block, whose power is always 1.
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self.spectra.append(spectrum)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.modes import Image
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
 
@@ -38,7 +38,11 @@ class Scene:
     def __init__(self, blur: Blur, noise: float) -> None:
         self.blur, self.noise = blur, noise
         self.modes = blur.modes
-        self.prior = Prior(self.modes, noise)
+        excess = max(
+            blur.thickness_error**2 - THICKNESS_ERROR**2, 0.0
+        )  # the filters' constants allow for the rest
+        self.gain_variance = self.modes.gain_variance(excess)  # of the cover's model, that filters are to count
+        self.prior = Prior(self.modes, noise, self.gain_variance)
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
         self.follows = False  # whether a method starts from the frame before
@@ -121,7 +125,8 @@ class Scene:
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""
         if self.spectrum not in self._resolution:
-            clear = self.modes.gain**2 * self.spectrum.ratio[self.modes.head] > 1
+            S = self.spectrum.ratio[self.modes.head]
+            clear = self.modes.gain**2 * S > 1 + self.gain_variance * S
             finest = float(self.modes.frequency[self.modes.head][clear].max(initial=0.0))
             half_period = 0.5 * self.blur.cell_mm / finest if finest else self.widest_mm
             self._resolution[self.spectrum] = min(self.widest_mm, half_period)

@@ -1,15 +1,22 @@
 """The linear answer: Wiener's filter in the blur's own modes, for the spectrum that the frame itself shows.
 
-The filter minimises E|x - W y|^2 for pressure x of spectrum S and white noise: W = h S / (h^2 S + sigma^2).
+The filter minimises E|x - W y|^2 for pressure x of spectrum S, white noise and a gain h whose model has the
+variance m: W = h S / (h^2 S + sigma^2 + m S).
 """
 
 from math import prod, sqrt
 
 import numpy as np
 
-from tactiled.restore.modes import Image
+from tactiled.restore.modes import Floats, Image
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
+
+
+def wiener_weight(scene: Scene) -> Floats:
+    """W of every taxel mode for the scene's spectrum, in units of the noise."""
+    h, S = scene.modes.gain, scene.spectrum.ratio[scene.modes.head]
+    return np.asarray(h * S / (h**2 * S + 1 + scene.gain_variance * S))
 
 
 class Filter:
@@ -17,8 +24,7 @@ class Filter:
 
     def __init__(self, scene: Scene) -> None:
         modes = scene.modes
-        S = scene.spectrum.ratio[modes.head]
-        weight = modes.gain * S / (modes.gain**2 * S + 1)
+        weight = wiener_weight(scene)
         self.weight = np.asarray(weight, np.float32)
         self.missed = np.asarray(scene.ones - scene.reach * weight.ravel(), np.float32)
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)

@@ -1,0 +1,50 @@
+"""A cover whose thickness is hardly known: on the tour's scenes, which shaped no constant of a filter."""
+
+from copy import copy
+
+import numpy as np
+import pytest
+
+from tactiled.restore.methods import make
+from tactiled.simulate.scenes import SCENES
+from tactiled.study.skin import nrmse, rubber, sense
+
+SIZE = 20
+
+
+def pressed(factors, thicknesses=(0.6, 1.5), noise=0.002):
+    """Blur of the configured cover, a taxel's noise, frame and truth under a cover `factors` times as thick."""
+    random = np.random.default_rng(0)
+    for thickness in thicknesses:
+        for factor in factors:
+            true = rubber(round(factor * thickness, 4), SIZE)
+            field = true.surface
+            for name in ("ring", "indenters", "sphere", "edge", "fingertip"):
+                clean, truth = sense(true, SCENES[name](field.x, field.y, 1.0, field.size, field.grain))
+                sigma = noise * clean.max()
+                frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
+                yield copy(rubber(thickness, SIZE).blur), sigma, frame, truth
+
+
+def errors(method, thickness_error, factors):
+    values = []
+    for blur, sigma, frame, truth in pressed(factors):
+        blur.thickness_error = thickness_error
+        values.append(nrmse(make(method, blur, sigma)(frame).image, truth))
+    return values
+
+
+@pytest.mark.parametrize(("method", "gain"), [("auto", 0.93), ("wiener", 0.98), ("nnls", 0.93)])
+def test_a_filter_that_knows_how_wrong_the_thickness_may_be_is_less_wrong(method, gain):
+    """Covers 15 % thinner and thicker than configured alike."""
+    aware, unaware = (np.mean(errors(method, known_to, (1 / 1.15, 1.15))) for known_to in (0.15, 0.03))
+    assert aware < gain * unaware
+
+
+def test_a_thickness_known_as_well_as_without_calibration_changes_no_image():
+    for blur, sigma, frame, _ in pressed((1.0,), (1.0,)):
+        images = []
+        for known_to in (0.03, 0.01):
+            blur.thickness_error = known_to
+            images.append(make("auto", blur, sigma)(frame).image)
+        np.testing.assert_array_equal(*images)
