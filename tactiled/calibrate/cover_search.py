@@ -1,0 +1,143 @@
+"""The search for a cover's thickness, whatever touches it: coarse, fine, without presses that do not fit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution
+from tactiled.calibrate.presses import Press
+from tactiled.calibrate.touch_response import Quadrature, quadrature
+from tactiled.cover.family import FACTORS, CoverFamily
+from tactiled.geometry import Array
+
+Floats = NDArray[np.float64]
+Spectrum = Callable[[Floats], Floats]  # shared (S,) -> gain times the load's transform (n,)
+
+COARSE_FACTORS = np.geomspace(*FACTORS, 13)
+COARSE_PRESSES = 6  # the strongest, which decide where the fine search starts
+COARSE_STEPS = 4
+BRACKET = 1.5  # tables hold for covers so many times thinner and thicker than the last estimate
+MAX_ROUNDS = 6  # of tables
+SETTLED = 0.2  # of the factor's logarithm: an estimate nearer to its tables' middle is the last
+MODEL_ERROR = 1e-3  # of a press's peak: finite elements' gain and the tables are no better
+MISFIT_RATIO = 3.0  # of a press's misfit over the median's and over 1: something else touched, or it slid
+REFERENCES = 3  # models one after the other that gain errors are proportional to
+STEP = 1e-4  # of finite differences in shared parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Presses of one kind. What they share begins with the logarithm of the factor of thickness."""
+
+    array: Array
+    family: CoverFamily
+    presses: tuple[Press, ...]
+    gain_error: Floats  # (N,) relative standard deviation
+    prior: Prior  # its `own` is where the search starts
+
+    def transform(self, q: Floats, shared: Floats) -> Floats:
+        """Transform of the load (n,), 1 at q = 0."""
+        raise NotImplementedError
+
+    def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> Model:
+        """The model of `readings`; a coarse one is fast."""
+        raise NotImplementedError
+
+    def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
+        """Readings (K, N) that the model holds for; a response ends at `reach` under a cover of `depth` (mm)."""
+        raise NotImplementedError
+
+    def only(self, presses: NDArray[np.intp]) -> Self:
+        """The same with some presses."""
+        own, deviation = self.prior.own[presses], self.prior.own_deviation[presses]
+        prior = replace(self.prior, own=own, own_deviation=deviation)
+        return replace(self, presses=tuple(self.presses[at] for at in presses), prior=prior)
+
+    def spectrum(self, nodes: Quadrature) -> Spectrum:
+        """The family's gain times the load's transform."""
+        low, high = np.log(FACTORS)
+        return lambda shared: (
+            self.family.gain(nodes.q, np.exp(np.clip(shared[0], low, high))) * self.transform(nodes.q, shared)
+        )
+
+    def readings(self, near: NDArray[np.bool_]) -> Readings:
+        """The known ones of `near` (K, N); MODEL_ERROR is part of their error."""
+        means, errors = (np.stack([getattr(each, name) for each in self.presses]) for name in ("mean", "error"))
+        press, taxel = np.nonzero(np.isfinite(means) & near)
+        errors = np.hypot(errors, MODEL_ERROR * np.nanmax(means, axis=1, keepdims=True))
+        return Readings(means[press, taxel], errors[press, taxel], press, taxel, self.gain_error)
+
+    def likelihood(self, factors: tuple[float, float], coarse: bool = False) -> Likelihood:
+        """Likelihood with tables for covers of `factors` (low, high), taxels' gains taken for exact."""
+        low, high = np.clip(factors, *FACTORS)
+        nodes, depth = quadrature(self.family, (low, high), 3 * self.array.pitch), self.family.configured.depth
+        readings = self.readings(self.near(np.inf if coarse else nodes.reach - self.array.pitch, depth * high))
+        model = self.model(nodes, self.spectrum(nodes), readings, coarse)
+        return Likelihood(readings, model, self.prior, np.zeros(len(readings.value)))
+
+
+def differences(value: Spectrum, shared: Floats) -> Floats:
+    """Give (n, 1 + S): a spectrum and its slopes in what is shared."""
+    steps = STEP * np.eye(len(shared))
+    slopes = [(value(shared + step) - value(shared - step)) / (2 * STEP) for step in steps]
+    return np.column_stack([value(shared), *slopes])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """The end of a search."""
+
+    touch: Touch  # without presses that do not fit
+    likelihood: Likelihood  # gain errors integrated out
+    solution: Solution
+    misfitting: tuple[Press, ...]
+
+
+def search(touch: Touch) -> Fitted:
+    """Find the most likely factor; presses that fit far worse than the others are put aside."""
+    fitted = _fine(touch, _coarse(touch).shared)
+    misfits = fitted.likelihood.misfits(fitted.solution)
+    fits = misfits <= MISFIT_RATIO * max(1.0, float(np.median(misfits)))
+    if fits.all():
+        return fitted
+    aside = tuple(each for each, fit in zip(touch.presses, fits, strict=True) if not fit)
+    return replace(_fine(touch.only(np.flatnonzero(fits)), fitted.solution.shared), misfitting=aside)
+
+
+def _coarse(touch: Touch) -> Solution:
+    """The best of COARSE_FACTORS for the strongest presses, the factor held there."""
+    peaks = np.array([np.nanmax(each.mean / each.error) for each in touch.presses])
+    strongest = touch.only(np.sort(np.argsort(-peaks)[:COARSE_PRESSES]))
+    solutions = []
+    for factor in COARSE_FACTORS:
+        start = np.concatenate([[np.log(factor)], touch.prior.shared[1:]])
+        likelihood = _with_gain_noise(strongest.likelihood((factor, factor), coarse=True))
+        solutions.append(likelihood.solve(start, strongest.prior.own, fixed=(0,), max_steps=COARSE_STEPS))
+    return min(solutions, key=lambda each: each.chi2)
+
+
+def _fine(touch: Touch, shared: Floats) -> Fitted:
+    """Solve for everything, with tables around the last estimate until it stays."""
+    own = touch.prior.own
+    for _ in range(MAX_ROUNDS):
+        middle = shared[0]
+        exact = touch.likelihood((np.exp(middle) / BRACKET, np.exp(middle) * BRACKET))
+        solution = _with_gain_noise(exact).solve(shared, own)
+        for _ in range(REFERENCES):
+            likelihood = Likelihood(exact.readings, exact.model, exact.prior, solution.model)
+            solution = likelihood.solve(solution.shared, solution.own)
+        shared = np.append(np.clip(solution.shared[:1], *np.log(FACTORS)), solution.shared[1:])
+        own = solution.own
+        if abs(shared[0] - middle) < SETTLED:
+            break
+    return Fitted(touch, likelihood, solution, ())
+
+
+def _with_gain_noise(likelihood: Likelihood) -> Likelihood:
+    """The same with each gain error as independent noise of its reading."""
+    readings = likelihood.readings
+    error = np.hypot(readings.error, readings.gain_error[readings.taxel] * readings.value)
+    return Likelihood(replace(readings, error=error), likelihood.model, likelihood.prior, likelihood.reference)

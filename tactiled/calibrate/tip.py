@@ -1,0 +1,116 @@
+"""Presses with a small tip; each one's force and place are solved for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.cover_search import Spectrum, Touch, differences
+from tactiled.calibrate.likelihood import Model, Prior, Readings
+from tactiled.calibrate.presses import Press
+from tactiled.calibrate.touch_response import HARMONICS, Quadrature, TipResponse, tip_transform
+from tactiled.cover.family import CoverFamily
+from tactiled.cover.stack import Stack
+from tactiled.errors import ConfigError
+from tactiled.geometry import Array
+
+Floats = NDArray[np.float64]
+
+UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
+PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given, by default
+MIN_PRESSES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Tip:
+    """What presses: evenly on a disc, or as a sphere does (Hertz), of a contact diameter (mm), None: unknown."""
+
+    diameter_mm: float | None = None
+    error_mm: float = 0.02  # standard deviation of the diameter: what a calliper is good for
+    sphere: bool = False
+
+    def radius_prior(self, pitch: float) -> tuple[float, float]:
+        """Mean and standard deviation of the logarithm of the radius (mm)."""
+        if self.diameter_mm is None:
+            return float(np.log(pitch / 2)), UNKNOWN_TIP_DEVIATION
+        return float(np.log(self.diameter_mm / 2)), self.error_mm / self.diameter_mm
+
+
+@dataclass(frozen=True, eq=False)
+class TipModel(Model):
+    """Readings under a tip of each press's own force (kPa mm^2) and place (mm)."""
+
+    response: TipResponse
+    spectrum: Spectrum
+
+    def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
+        """The model (M,), its slopes in what is shared (M, S), and in force and place (M, 3)."""
+        force, place = own[self.press, :1], own[self.press, 1:]
+        response, gradient = self.response(differences(self.spectrum, shared), self.positions - place)
+        return (
+            force[:, 0] * response[:, 0],
+            force * response[:, 1:],
+            np.hstack([response[:, :1], -force * gradient]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TipTouch(Touch):
+    """Presses with one tip; they share the logarithm of its radius (mm), too."""
+
+    tip: Tip
+
+    def transform(self, q: Floats, shared: Floats) -> Floats:
+        """Transform of the tip (n,)."""
+        return tip_transform(q, float(np.exp(shared[1])), self.tip.sphere)
+
+    def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> TipModel:
+        """The model of `readings`; a coarse one takes apertures for round."""
+        response = TipResponse(self.array, nodes, 1 if coarse else HARMONICS)
+        return TipModel(self.array.positions[readings.taxel], readings.press, response, spectrum)
+
+    def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
+        """Readings (K, N) within `reach` of a press's place."""
+        del depth
+        offsets = self.array.positions[None] - self.prior.own[:, None, 1:]
+        return np.asarray(np.linalg.norm(offsets, axis=-1) < reach)
+
+
+def tip_touch(
+    presses: Sequence[Press],
+    array: Array,
+    configured: Stack,
+    tip: Tip,
+    gain_error: Floats | float,
+    places_mm: Floats | None = None,
+    place_error_mm: float | None = None,
+) -> TipTouch:
+    """Make the usable `presses` ready to be fitted; ConfigError for too few, or a tip wider than the array.
+
+    `gain_error`: relative standard deviation of taxels' gains, (N,) or of all. `places_mm` (K, 2), of all presses,
+    where they are known to a standard deviation of `place_error_mm`.
+    """
+    usable = [at for at, each in enumerate(presses) if not each.reason]
+    if len(usable) < MIN_PRESSES:
+        reasons = "; ".join(sorted({each.reason for each in presses if each.reason}))
+        raise ConfigError(
+            f"{len(usable)} of {len(presses)} presses can be used{f' ({reasons})' if reasons else ''}: "
+            f"press at least {MIN_PRESSES} times, better 20"
+        )
+    width = float(np.ptp(array.positions, axis=0).min()) + array.pitch
+    if tip.diameter_mm is not None and not 0 < tip.diameter_mm < width:
+        raise ConfigError(
+            f"tip_mm is {tip.diameter_mm:g}: give more than 0 and less than the array's {width:g} mm"
+        )
+    own = np.array([(1e3 * presses[at].force_n, *presses[at].place_mm) for at in usable])
+    deviation = np.full(own.shape, np.inf)
+    if places_mm is not None:
+        if len(places_mm) != len(presses):
+            raise ConfigError(f"{len(places_mm)} places are given, and there are {len(presses)} presses")
+        own[:, 1:] = places_mm[usable]
+        deviation[:, 1:] = place_error_mm or PLACE_ERROR_PITCHES * array.pitch
+    radius, uncertainty = tip.radius_prior(array.pitch)
+    prior = Prior(np.array([0.0, radius]), np.array([np.inf, uncertainty]), own, deviation)
+    gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))
+    return TipTouch(array, CoverFamily(configured), tuple(presses[at] for at in usable), gain, prior, tip)

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from tactiled.calibrate.presses import find_presses
+from tactiled.errors import ConfigError
+from tactiled.geometry import grid
+from tests.touched import World, film, rubber
+
+ARRAY = grid(14, 14, 1.0)
+WORLD = World(ARRAY, rubber(1.0))
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(41)
+
+
+def test_presses_are_means_over_their_plateaus_whatever_drifts_meanwhile(random):
+    places = WORLD.places(6, random)
+    pressures = np.array([WORLD.tip(0.8, place) for place in places])
+    frames = film(pressures, random)
+    frames += np.linspace(0, 2, len(frames), dtype=np.float32)[:, None] * random.normal(size=ARRAY.size)
+    frames[:, 20] = np.nan
+    frames[random.random(frames.shape) < 0.01] = np.nan
+    presses = find_presses(frames, ARRAY, 1.0)
+    assert [each.reason for each in presses] == [""] * 6
+    for press, place, pressure in zip(presses, places, pressures, strict=True):
+        assert np.hypot(*(np.array(press.place_mm) - place)) < 0.15
+        assert 25 <= press.end - press.start <= 36
+        known = np.arange(ARRAY.size) != 20
+        scaled = ((press.mean - pressure) / press.error)[known]
+        assert np.isnan(press.mean[20])
+        assert 0.9 < np.sqrt(np.mean(scaled**2)) < 1.15
+        assert press.force_n == pytest.approx(pressure[known].sum() / 1e3, rel=0.03)
+
+
+def test_presses_that_cannot_be_used_are_listed_with_their_reason(random):
+    middle = WORLD.tip(0.8, np.array([6.2, 7.1]))
+    sliding = [WORLD.tip(0.8, np.array([x, 6.0])) for x in np.linspace(3, 11, 40)]
+    weak, border = 0.04 * WORLD.tip(0.8, np.array([4.0, 9.0])), WORLD.tip(0.8, np.array([-0.3, 6.0]))
+    frames = film(np.array([middle, weak, border, middle]), random)
+    slide = film(np.array([middle]), random)
+    slide[35:65] = 0
+    slide[32:72] = np.array(sliding)[: len(slide[32:72])]
+    frames = np.concatenate([frames, slide])
+    saturated = np.zeros(frames.shape, bool)
+    last = 4 * 70 - 20
+    saturated[last, :3] = True
+    reasons = [each.reason for each in find_presses(frames, ARRAY, 1.0, saturated)]
+    assert reasons[0] == ""
+    assert reasons[1].startswith("hardly leaves the noise: its peak is ")
+    assert reasons[2] == "reaches over the array's border"
+    assert reasons[3] == "saturated: 3 taxels at their ceiling, press less hard"
+    assert reasons[4].startswith("never stands still: ")
+    assert find_presses(frames, ARRAY, 1.0, border=True)[2].reason == ""
+
+
+def test_a_recording_of_nothing_has_no_press_and_one_without_a_pause_is_refused(random):
+    assert not find_presses(random.normal(0, 1, (3000, ARRAY.size)), ARRAY, 1.0)
+    steady = WORLD.tip(0.8, np.array([6.0, 6.0])) + random.normal(0, 1, (50, ARRAY.size))
+    with pytest.raises(ConfigError, match=r"no frame is without a load .*contact of .* kPa"):
+        find_presses(steady, ARRAY, 1.0)
