@@ -81,7 +81,7 @@ class Skin:
         return Press(0, 10, mean, np.full(self.size, self.noise), np.nansum(mean) * array.pitch**2 / 1e3, (x, y))
 
 
-def film(pressures, random, noise=1.0, frames=30):
+def recorded(pressures, random, noise=1.0, frames=30):
     """Frames (T, N): each of the pressures (K, N) for `frames`, up and down in a few, with pauses as long."""
     pause = np.zeros(frames)
     load = np.concatenate([pause, np.linspace(0, 1, 5), np.ones(frames), np.linspace(1, 0, 5)])

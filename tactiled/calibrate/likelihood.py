@@ -160,9 +160,9 @@ class Likelihood:
         of_taxel = self._shrink * (self._per_taxel @ residual)
         deviation = np.concatenate([prior.shared_deviation, prior.own_deviation.ravel()])
         weight = np.where(deviation > 0, np.maximum(deviation, 1e-12) ** -2.0, 0.0)
-        away = at - np.concatenate([prior.shared, prior.own.ravel()])
-        chi2 = residual @ residual - of_taxel @ of_taxel + weight @ away**2
-        gradient = slopes.T @ residual - by_taxel.T @ of_taxel - weight * away
+        offset = at - np.concatenate([prior.shared, prior.own.ravel()])
+        chi2 = residual @ residual - of_taxel @ of_taxel + weight @ offset**2
+        gradient = slopes.T @ residual - by_taxel.T @ of_taxel - weight * offset
         return float(chi2), gradient, slopes.T @ slopes - by_taxel.T @ by_taxel + np.diag(weight), model
 
 
@@ -189,14 +189,14 @@ def interval(
         return float(np.sqrt(max(chi2 - best.chi2, 1e-12) / dispersion))
 
     def end(bound: float) -> float:
-        room, side = abs(bound - best.shared[0]), np.sign(bound - best.shared[0])
+        limit, side = abs(bound - best.shared[0]), np.sign(bound - best.shared[0])
         ends, rises = [0.0], [0.0]
         for _ in range(MAX_SECANTS):
             slope = (rises[-1] - rises[-2]) / (ends[-1] - ends[-2]) if len(ends) > 1 else 1 / deviation
             step = np.clip((QUANTILE - rises[-1]) / max(slope, 1e-9), -ends[-1] / 2, ends[-1] + 3 * deviation)
-            ends.append(float(min(ends[-1] + step, room)))
+            ends.append(float(min(ends[-1] + step, limit)))
             rises.append(rise(best.shared[0] + side * ends[-1]) if ends[-1] != ends[-2] else rises[-1])
-            if abs(rises[-1] - QUANTILE) < 0.02 or (ends[-1] == room and rises[-1] < QUANTILE):
+            if abs(rises[-1] - QUANTILE) < 0.02 or (ends[-1] == limit and rises[-1] < QUANTILE):
                 break
         return float(best.shared[0] + side * ends[-1])
 

@@ -102,9 +102,9 @@ def _drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
         block = start + np.flatnonzero(quiet[start : start + DRIFT_FRAMES])
         block = block[totals[block] <= np.median(totals[block])] if len(block) else block
         if len(block) >= MIN_DRIFT_FRAMES:
-            known = np.isfinite(frames[block]).sum(axis=0)
+            counts = np.isfinite(frames[block]).sum(axis=0)
             middles.append(block.mean())
-            means.append(np.nansum(frames[block], axis=0) / np.maximum(known, 1))
+            means.append(np.nansum(frames[block], axis=0) / np.maximum(counts, 1))
     if not middles:
         return np.zeros_like(frames)
     at = np.interp(np.arange(len(frames)), middles, np.arange(len(middles)))
@@ -139,19 +139,19 @@ def _mean(
     if not len(plateau):
         return np.full_like(noise, np.nan), noise
     values = frames[plateau]
-    known = np.isfinite(values).sum(axis=0)
+    counts = np.isfinite(values).sum(axis=0)
     free = np.flatnonzero(~loaded)
     sides = free[free < plateau[0]][::-1], free[free > plateau[-1]]
     zeros = [frames[side[SETTLING_FRAMES:][:MAX_UNLOADED_FRAMES]] for side in sides]
     zeros = [each for each in zeros if len(each)]
     unloaded = [np.isfinite(each).sum(axis=0) for each in zeros]
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.nansum(values, axis=0) / known
+        mean = np.nansum(values, axis=0) / counts
         if zeros:
             mean = mean - sum(np.nansum(each, axis=0) / n for each, n in zip(zeros, unloaded, strict=True)) / len(
                 zeros
             )
-        variance = 1 / known + sum(1 / n for n in unloaded) / max(len(zeros), 1) ** 2
+        variance = 1 / counts + sum(1 / n for n in unloaded) / max(len(zeros), 1) ** 2
     mean[~np.isfinite(variance)] = np.nan
     return mean, np.where(np.isfinite(variance), noise * np.sqrt(variance), np.inf)
 

@@ -4,7 +4,7 @@ import pytest
 from tactiled.calibrate.presses import find_presses
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid
-from tests.touched import World, film, rubber
+from tests.touched import World, recorded, rubber
 
 ARRAY = grid(14, 14, 1.0)
 WORLD = World(ARRAY, rubber(1.0))
@@ -18,7 +18,7 @@ def random():
 def test_presses_are_means_over_their_plateaus_whatever_drifts_meanwhile(random):
     places = WORLD.places(6, random)
     pressures = np.array([WORLD.tip(0.8, place) for place in places])
-    frames = film(pressures, random)
+    frames = recorded(pressures, random)
     frames += np.linspace(0, 2, len(frames), dtype=np.float32)[:, None] * random.normal(size=ARRAY.size)
     frames[:, 20] = np.nan
     frames[random.random(frames.shape) < 0.01] = np.nan
@@ -27,19 +27,19 @@ def test_presses_are_means_over_their_plateaus_whatever_drifts_meanwhile(random)
     for press, place, pressure in zip(presses, places, pressures, strict=True):
         assert np.hypot(*(np.array(press.place_mm) - place)) < 0.15
         assert 25 <= press.end - press.start <= 36
-        known = np.arange(ARRAY.size) != 20
-        scaled = ((press.mean - pressure) / press.error)[known]
+        works = np.arange(ARRAY.size) != 20
+        scaled = ((press.mean - pressure) / press.error)[works]
         assert np.isnan(press.mean[20])
         assert 0.9 < np.sqrt(np.mean(scaled**2)) < 1.15
-        assert press.force_n == pytest.approx(pressure[known].sum() / 1e3, rel=0.03)
+        assert press.force_n == pytest.approx(pressure[works].sum() / 1e3, rel=0.03)
 
 
 def test_presses_that_cannot_be_used_are_listed_with_their_reason(random):
     middle = WORLD.tip(0.8, np.array([6.2, 7.1]))
     sliding = [WORLD.tip(0.8, np.array([x, 6.0])) for x in np.linspace(3, 11, 40)]
     weak, border = 0.04 * WORLD.tip(0.8, np.array([4.0, 9.0])), WORLD.tip(0.8, np.array([-0.3, 6.0]))
-    frames = film(np.array([middle, weak, border, middle]), random)
-    slide = film(np.array([middle]), random)
+    frames = recorded(np.array([middle, weak, border, middle]), random)
+    slide = recorded(np.array([middle]), random)
     slide[35:65] = 0
     slide[32:72] = np.array(sliding)[: len(slide[32:72])]
     frames = np.concatenate([frames, slide])
