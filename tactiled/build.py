@@ -68,6 +68,11 @@ class SensorPlan:
         return self.file.id if self.file else CONFIGURED
 
     @property
+    def no_load_time(self) -> float:
+        """When the calibration file's no load was measured, s, Unix; -inf where it has none."""
+        return self.file.no_load.origin.time if self.file and self.file.no_load else -np.inf
+
+    @property
     def shears(self) -> bool:
         """Whether the skin feels shear."""
         return isinstance(self.codec, ShearCodec)
@@ -137,7 +142,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
 def _check_file(name: str, sensor: schema.Sensor, file: CalibrationFile, size: int, stack: Stack) -> None:
     """ConfigError where a file is of another array, or where the configuration says otherwise than it."""
     path = sensor.calibration.file
-    place = "calibration" if path is None else str(path)
+    place = "calibration" if path is None else path.name
     try:
         file.need_fit(name, sensor.codec.name, size, stack)
     except ConfigError as error:

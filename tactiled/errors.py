@@ -49,7 +49,11 @@ class NoShearError(TactileError):
 
 
 class StateError(TactileError):
-    """The file of kept methods cannot be written."""
+    """The state file, or a calibration file, cannot be written."""
+
+
+class TareStateError(TactileError):
+    """There is no tare to undo."""
 
 
 class CalibrationStateError(TactileError):

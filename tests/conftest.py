@@ -73,6 +73,14 @@ class Rig:
         until(lambda: (image := self.sensor.hub.latest()) and image.sequence == self.sequence)
         return self.sensor.hub.latest()
 
+    def show_until_tared(self, counts):
+        """Show frames until the tare under way is done, or refused; returns the last image."""
+        pipeline, image = self.sensor.pipeline, None
+        before = pipeline.tared, pipeline.refused
+        while (pipeline.tared, pipeline.refused) == before:
+            image = self.show(counts)
+        return image
+
     def stale_after(self, seconds):
         """Let the palm be stale so long (s) after its newest frame, from now on."""
         self.sensor.plan = replace(self.sensor.plan, stale_after_s=seconds)

@@ -19,7 +19,7 @@ from tactiled.calibrate.sections import (
     error_line,
 )
 from tactiled.cover.stack import Stack
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write
 from tactiled.units import PRESSURE, Pressure
 
@@ -145,7 +145,7 @@ def load(path: Path) -> CalibrationFile | None:
 
 
 def save(path: Path, file: CalibrationFile) -> None:
-    """Write a file; the one before becomes PATH.1, and so on to PATH.10. ConfigError where it cannot be written.
+    """Write a file; the one before becomes PATH.1, and so on to PATH.10. StateError where it cannot be written.
 
     At any moment there is a whole file at `path`, whatever ends the process.
     """
@@ -155,13 +155,24 @@ def save(path: Path, file: CalibrationFile) -> None:
             if path.exists():
                 _keep(path)
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}: nothing was written") from error
+        raise StateError(f"{path}: {error.strerror}: nothing was written") from error
 
 
 def kept(path: Path) -> dict[int, Path]:
     """The former files of `path` by number, 1 the newest."""
     paths = {n: path.with_name(f"{path.name}.{n}") for n in range(1, FILES_KEPT + 1)}
     return {n: each for n, each in paths.items() if each.is_file()}
+
+
+def former(path: Path) -> dict[int, CalibrationFile | str]:
+    """The files of `kept`; of one that cannot be read, why."""
+    files: dict[int, CalibrationFile | str] = {}
+    for n, each in kept(path).items():
+        try:
+            files[n] = read(each.read_bytes())
+        except (OSError, ConfigError) as error:
+            files[n] = str(error)
+    return files
 
 
 def _keep(path: Path) -> None:

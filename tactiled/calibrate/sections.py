@@ -1,6 +1,7 @@
 """The sections of a calibration file, as they stand in its JSON: no load, gain, cover, health."""
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import cached_property
 from typing import Annotated, Any, Self, TypeVar
 
@@ -31,13 +32,28 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def utc(time: float) -> str:
+    """A time (s, Unix) as `Origin.created` has it: 2026-11-22T23:31:12Z."""
+    return f"{datetime.fromtimestamp(time, UTC):%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _check_date(text: str) -> str:
+    datetime.fromisoformat(text)
+    return text
+
+
 class Origin(Table):
     """Where a section comes from."""
 
     recording: Annotated[str, Field(max_length=255)]  # name of the file, or "live"
     sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""  # of the recording; "": the frames were live
     method: Annotated[str, Field(min_length=1, max_length=200)]  # such as tare, steps, force, weight, tip, edge
-    created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$")]  # UTC, 2026-11-22T23:31:12Z
+    created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$"), AfterValidator(_check_date)]
+
+    @property
+    def time(self) -> float:
+        """When it was created, s, Unix."""
+        return datetime.fromisoformat(self.created).timestamp()
 
 
 class Section(Table):
@@ -54,7 +70,7 @@ class NoLoadSection(Section):
     @classmethod
     def of(cls, counts: NDArray[np.floating], origin: Origin) -> Self:
         """From counts (N,), NaN where unknown."""
-        return build(cls, origin=origin, counts=_optional(counts))
+        return build(cls, origin=origin, counts=optional(counts))
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -84,7 +100,7 @@ class GainSection(Section):
             knots=tuple(curves.knots.tolist()),
             reach_counts=_rows(curves.reach_counts.T),
             deviation=tuple(curves.deviation.tolist()),
-            hysteresis=_optional(curves.hysteresis),
+            hysteresis=optional(curves.hysteresis),
             individual=tuple(curves.individual.tolist()),
         )
 
@@ -193,7 +209,7 @@ class HealthSection(Section):
     @classmethod
     def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
         """From indices of dead taxels and noise (N,), NaN where unknown."""
-        return build(cls, origin=origin, dead=dead, noise_counts=_optional(noise_counts))
+        return build(cls, origin=origin, dead=dead, noise_counts=optional(noise_counts))
 
 
 def build(table: type[Made], **values: Any) -> Made:
@@ -222,7 +238,7 @@ def _attempt(make: Callable[[], object]) -> None:
         raise ValueError(str(error)) from error
 
 
-def _optional(values: NDArray[np.floating]) -> tuple[float | None, ...]:
+def optional(values: NDArray[np.floating]) -> tuple[float | None, ...]:
     """Values with None for NaN."""
     return tuple(None if np.isnan(each) else float(each) for each in np.asarray(values).ravel())
 

@@ -1,6 +1,7 @@
-"""Whether an array is loaded, so that a tare would take the load for its zero."""
+"""The zero of an array: what it reads without a load; and whether a tare would take a load for it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,44 @@ ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
 SKIRT_FRACTION = 0.05  # of the highest reading: so little is a contact's skirt, and reads zero as well
 UNPRESSED_FRACTION = 0.1  # of the taxels: if so many read zero, zero is right
 
+SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike
+SPIKE_COUNTS = 1.5  # of whole counts: neighbouring counts are noise, even where most readings are the same
+MOVING_BLOCKS = 4  # of a tare's frames, whose means must agree
+
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Zero:
+    """What an array reads without a load."""
+
+    counts: NDArray[np.float32]  # (N,)
+    shear: NDArray[np.float32]  # (2, N) counts; NaN: not tared
+    time: float | None = None  # s, Unix, of its tare; None: as configured, or as in the calibration file
+
+
+def robust_mean(values: NDArray[np.floating]) -> Floats:
+    """Mean (...) over time of counts (T, ...) without spikes; NaN where no count is known.
+
+    A median of whole counts is only good to half a count, and a trimmed mean is biased where most readings are the
+    same count. A mean of what is near the median is as good as a mean, and keeps spikes out: of 50 frames at a
+    noise of 0.3 counts, with a spike of 300 counts in 2 %, it misses by 0.07 counts, a median by 0.29, a mean of
+    the middle 80 % by 0.21 (tests/calibrate/test_tare.py).
+    """
+    missing = np.isnan(values)
+    filled = np.where(missing.all(axis=0), 0.0, values)
+    off = np.abs(values - np.nanmedian(filled, axis=0))
+    spread = np.nanmedian(np.where(missing.all(axis=0), 0.0, off), axis=0)
+    integers = bool((missing | (values == np.round(values))).all())
+    near = off <= np.maximum(SPIKE_SIGMAS * MAD_TO_SIGMA * spread, SPIKE_COUNTS if integers else 0.0)
+    count = np.count_nonzero(near, axis=0)
+    total = np.where(near, values, 0.0).sum(axis=0, dtype=float)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def blocks(values: NDArray[np.floating]) -> list[Floats]:
+    """Means (...) of MOVING_BLOCKS runs of frames (T, ...): they differ where the readings move."""
+    return [robust_mean(each) for each in np.array_split(values, MOVING_BLOCKS)]
 
 
 def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: Unit = PRESSURE) -> str:

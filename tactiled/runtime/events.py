@@ -15,13 +15,22 @@ from tactiled.runtime.hub import Publisher
 Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
-    "tare_asked", "tare_done", "tare_lapsed", "recording_started", "recording_ended",
+    "tare_asked", "tare_done", "tare_lapsed", "tare_refused", "tare_undone", "tare_kept", "tare_ignored",
+    "calibration_applied", "calibration_missing", "recording_started", "recording_ended",
     "calibration_started", "calibration_ended",
     "fault_raised", "fault_cleared", "replay_stepped",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000
 CLEAR_AFTER_S = 1.0  # without a fault or a warning: one that flickers makes one event
 LOG = logging.getLogger(__name__)
+
+
+def duration(seconds: float) -> str:
+    """A time in words: 40 s, 12 min, 3.2 h, 2.5 days."""
+    for unit, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.2g} {unit}"
+    return f"{max(seconds, 0.0):.0f} s"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """One sensor's way from counts to the restored image: calibrate, restore, check."""
 
+from dataclasses import replace
 from functools import cached_property
 from threading import Lock
 from time import perf_counter
@@ -10,18 +11,18 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.calibrate.tare import load_description
+from tactiled.calibrate.tare import Zero, blocks, load_description, robust_mean
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
+from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.units import N_PER_KPA_MM2, Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
 NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
-TARE_FRAMES = 16  # that a tare averages
 FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
 
 
@@ -29,7 +30,7 @@ class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
     `set_method`, `tare` and `lapse_tare` may be called from any thread and take effect with the next frame;
-    `load_description`, `deviation` and `forces` may be called from any thread, too.
+    `load_description`, `deviation` and `forces` may be called from any thread, too; the rest between two frames.
     """
 
     def __init__(self, plan: SensorPlan) -> None:
@@ -37,10 +38,12 @@ class Pipeline:
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
         self.noise = Noise(plan.calibration, plan.unit)
-        self._tare_mean = _TareMean(size)
-        self._shear_zero = np.full((2, size), np.nan, np.float32)  # counts; NaN until tared
+        self._tare_frames = TareFrames()
+        self._zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))
+        self._zero_before: Zero | None = None  # the last tare
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
-        self.tared = self.lapsed = 0  # times that a tare was done, or given up
+        self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
+        self.load_in_tare = ""  # in words: what the last refused tare met
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self.method = plan.method
         self._restorer = self._make_restorer()
@@ -52,9 +55,12 @@ class Pipeline:
         require(name)
         self.method = name
 
-    def tare(self) -> None:
-        """Take the mean of the next frames as the unloaded array."""
-        self._tare_mean.start()
+    def tare(self, time: float, force: bool = False) -> None:
+        """Take the mean of the next frames as the unloaded array, at `time` (s, Unix).
+
+        A load that comes meanwhile, or readings that move, end it, unless it is by `force`.
+        """
+        self._tare_frames.start(time, force)
 
     def load_description(self) -> str:
         """What of a load the newest frames show, in words; "" for none."""
@@ -63,8 +69,47 @@ class Pipeline:
     def lapse_tare(self) -> None:
         """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
         self._recent = ()
-        if self._tare_mean.stop():
+        if self._tare_frames.stop():
             self.lapsed += 1
+
+    @property
+    def zero(self) -> Zero:
+        """What the unloaded array reads."""
+        return self._zero
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a zero from before the last tare."""
+        return self._zero_before is not None
+
+    def set_zero(self, zero: Zero) -> None:
+        """Take another zero; `undo_tare` takes the present one again."""
+        self._zero_before, self._zero = self._zero, zero
+        self._use_zero()
+
+    def undo_tare(self) -> None:
+        """Take the zero from before the last tare again, if there is one."""
+        if self._zero_before is not None:
+            self._zero, self._zero_before = self._zero_before, None
+            self._use_zero()
+
+    def _use_zero(self) -> None:
+        self.calibrator.tare(self._zero.counts.astype(float))
+        self._restorer.reset()
+        self._recent = ()
+
+    def take_over(self, other: "Pipeline") -> None:
+        """Go on from where `other`, of the same array and another calibration, is: method, tares, shear's zero.
+
+        Its tare is kept unless the calibration's no load is newer.
+        """
+        self.method, self._tare_frames = other.method, other._tare_frames
+        self.tared, self.lapsed, self.refused = other.tared, other.lapsed, other.refused
+        self.load_in_tare, self._zero_before = other.load_in_tare, other._zero_before
+        self._zero = replace(self._zero, shear=other.zero.shear)
+        if other.zero.time is not None and other.zero.time >= self._plan.no_load_time:
+            self._zero = other.zero
+        self._use_zero()
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation of every cell of `image.restored`, in its unit, this pipeline's newest."""
@@ -87,7 +132,7 @@ class Pipeline:
         if scale is None or frame.shear is None or not self._plan.calibrated:
             return None
         pressure, _ = self.calibrator(frame.counts, frame.flags)
-        tangential = (frame.shear - self._shear_zero) * scale
+        tangential = (frame.shear - self._zero.shear) * scale
         forces = np.column_stack([*tangential, pressure * self._areas * N_PER_KPA_MM2])
         return forces if np.isfinite(forces).all() else None
 
@@ -138,15 +183,29 @@ class Pipeline:
         )
 
     def _apply_tare(self, frame: RawFrame) -> None:
-        """Take a frame into a tare under way, and its zero over once it is complete."""
-        mean = self._tare_mean.add(frame)
-        if mean is None:
+        """Take a frame into a tare under way, and its zero once it is complete and has met no load."""
+        frames = self._tare_frames.add(frame)
+        if frames is None:
             return
-        self.calibrator.tare(mean[0])
-        self._shear_zero = np.where(np.isfinite(mean[1:]), mean[1:], self._shear_zero).astype(np.float32)
-        self._restorer.reset()
-        self._recent = ()
+        load = "" if self._tare_frames.force else self._load_during(frames[:, 0])
+        if load:
+            self.refused, self.load_in_tare = self.refused + 1, load
+            return
+        mean, zero = robust_mean(frames), self._zero
+        counts, shear = (
+            np.where(np.isfinite(new), new, old).astype(np.float32)
+            for new, old in ((mean[0], zero.counts), (mean[1:], zero.shear))
+        )
+        self.set_zero(Zero(counts, shear, self._tare_frames.time))
         self.tared += 1
+
+    def _load_during(self, counts: NDArray[np.float32]) -> str:
+        """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""
+        noise = self.noise.kpa
+        if not self.noise.settled:
+            noise = max(noise, estimate(self.calibrator.pressure(counts)))
+        means = [self.calibrator.pressure(each) for each in blocks(counts)]
+        return load_description(means, noise, self._plan.unit)
 
     def _tared_shear(
         self, shear: NDArray[np.float32] | None, flags: NDArray[np.uint8]
@@ -154,7 +213,7 @@ class Pipeline:
         """Shear in counts (2, ...), less the tare's; NaN where it is unknown, as in the raw image."""
         if shear is None:
             return None
-        tared = shear - np.nan_to_num(self._shear_zero)
+        tared = shear - np.nan_to_num(self._zero.shear)
         tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
         return tared.reshape((2, *flags.shape))
 
@@ -179,6 +238,11 @@ class Noise:
         self._frames: list[NDArray[np.float32]] = []
         self._pause = 0  # frames until frames are taken again
 
+    @property
+    def settled(self) -> bool:
+        """Whether it is configured or measured, not only that of rounding."""
+        return self._configured is not None or self._measured
+
     def add(self, raw: NDArray[np.float32]) -> None:
         """Take one more frame."""
         if self._pause:
@@ -197,39 +261,3 @@ class Noise:
             source = "configured" if self._configured else "measured at the start"
             raised = warning("noise_high", measured=measured, noise=self.kpa, unit=self._unit, source=source)
             self.warning = (raised,)
-
-
-class _TareMean:
-    """Mean of counts, and of shear where it is felt, over TARE_FRAMES frames; any thread may start and stop it."""
-
-    def __init__(self, taxels: int) -> None:
-        self._lock = Lock()
-        self._sums = np.zeros((3, taxels))  # of the counts, and of shear along x and y
-        self._counts = np.zeros(taxels)  # frames in which a taxel is known
-        self._remaining = 0  # frames; 0: no tare is under way
-
-    def start(self) -> None:
-        with self._lock:
-            self._sums[:], self._counts[:] = 0, 0
-            self._remaining = TARE_FRAMES
-
-    def stop(self) -> bool:
-        """Stop; returns whether it was under way."""
-        with self._lock:
-            under_way, self._remaining = self._remaining > 0, 0
-        return under_way
-
-    def add(self, frame: RawFrame) -> NDArray[np.float64] | None:
-        """Mean (3, N), NaN where a taxel was never known, once enough frames are in; else None."""
-        with self._lock:
-            if not self._remaining:
-                return None
-            known_taxels = frame.flags & UNKNOWN == 0
-            values = (frame.counts, *(() if frame.shear is None else frame.shear))
-            for total, each in zip(self._sums, values, strict=False):
-                total[known_taxels] += each[known_taxels]
-            self._counts += known_taxels
-            self._remaining -= 1
-            if self._remaining:
-                return None
-            return np.where(self._counts > 0, self._sums / np.maximum(self._counts, 1), np.nan)

@@ -10,8 +10,9 @@ from typing import Literal
 import numpy as np
 
 from tactiled.build import SensorPlan
+from tactiled.calibrate.tare import Zero
 from tactiled.contacts.detection import Contact
-from tactiled.errors import LoadedError, NoShearError, NotLiveError
+from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
 from tactiled.frames import FrameWarning, Image, Loss, RawFrame
 from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
@@ -36,6 +37,7 @@ class Status:
     jitter_s: float | None = None  # standard deviation of the last periods from frame to frame; None unless live
     skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
     errors: Mapping[str, int] = field(default_factory=dict)  # error frames of the bus, by kind
+    tared_at: float | None = None  # s, Unix, of the tare that holds; None: not tared
 
 
 class Sensor:
@@ -58,6 +60,7 @@ class Sensor:
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self._clock = clock
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
+        self._between_frames = threading.Lock()  # is held while a frame is processed
         self._wake = threading.Condition()
         self._waiting: RawFrame | None = None
         self._stopping = False
@@ -97,7 +100,30 @@ class Sensor:
             raise LoadedError(
                 f"sensor {self.name!r}: {load}: unload the array, or tare anyway with force=true", load
             )
-        self.pipeline.tare()
+        self.pipeline.tare(time.time(), force)
+
+    def undo_tare(self) -> None:
+        """Take the zero from before the last tare again; TareStateError where there is none."""
+        with self._between_frames:
+            if not self.pipeline.can_undo:
+                raise TareStateError(f"sensor {self.name!r}: no tare to undo")
+            self.pipeline.undo_tare()
+
+    def set_zero(self, zero: Zero) -> None:
+        """Take a zero from the next frame on."""
+        with self._between_frames:
+            self.pipeline.set_zero(zero)
+
+    def recalibrate(self, plan: SensorPlan, commit: Callable[[], None]) -> None:
+        """Go on by another plan of the same array from the next frame on; not where `commit` fails.
+
+        The new pipeline is made first, so that frames wait for the exchange alone.
+        """
+        pipeline = Pipeline(plan)
+        commit()
+        with self._between_frames:
+            pipeline.take_over(self.pipeline)
+            self.plan, self.pipeline = plan, pipeline
 
     def lapse_tare(self) -> None:
         """Give up a tare under way if frames no longer come: what lies there later is no zero."""
@@ -169,7 +195,8 @@ class Sensor:
     def _publish(self, frame: RawFrame) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
         try:
-            image = self.pipeline.process(frame)
+            with self._between_frames:
+                image = self.pipeline.process(frame)
             self.hub.publish(image)
             self.history.add(image)
             if image.warnings:
@@ -193,6 +220,7 @@ class Sensor:
             jitter_s=self._jitter_s if live else None,
             skew_s=self.newest.skew if self.newest else None,
             errors=self.errors(),
+            tared_at=self.pipeline.zero.time,
         )
 
     @property

@@ -1,12 +1,18 @@
-"""The state file: methods that clients set and keep, read at start."""
+"""The state file: methods that clients set and keep, and tares, read at start."""
 
 import hashlib
 import json
 import os
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from pydantic import ValidationError
+
+from tactiled.calibrate.sections import OptionalValues, Table, Values, optional
+from tactiled.calibrate.tare import Zero
 from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write
 
@@ -26,13 +32,39 @@ def default_path(config: Path) -> Path:
     return home / "tactiled" / f"{config.stem}-{digest}.json"
 
 
+class KeptTare(Table):
+    """A tare as it stands in the file."""
+
+    time: float  # s, Unix
+    codec: str
+    counts: Values  # of each taxel
+    shear: tuple[OptionalValues, OptionalValues]  # counts of each taxel along x and y; None: not tared
+
+    @classmethod
+    def of(cls, zero: Zero, codec: str) -> "KeptTare":
+        """Of a zero with a time."""
+        assert zero.time is not None, "a zero of no tare"
+        x, y = map(optional, zero.shear)
+        return cls(time=zero.time, codec=codec, counts=tuple(zero.counts.tolist()), shear=(x, y))
+
+    @property
+    def zero(self) -> Zero:
+        """The zero."""
+        return Zero(np.array(self.counts, np.float32), np.array(self.shear, np.float32), self.time)
+
+    def fits(self, codec: str, taxels: int) -> bool:
+        """Whether it is of an array of this codec and so many taxels."""
+        sizes = {len(each) for each in (self.counts, *self.shear)}
+        return codec == self.codec and sizes == {taxels}
+
+
 class StateFile:
-    """Methods kept by sensor; on the disk it is the old file or the new one, never half of one."""
+    """Methods and tares by sensor; on the disk it is the old file or the new one, never half of one."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self.methods = _read(path)
+        self.methods, self.tares = _read(path)
 
     def keep(self, sensor: str, method: str | None) -> None:
         """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""
@@ -41,24 +73,44 @@ class StateFile:
             if method is not None:
                 methods[sensor] = method
             if methods != self.methods:
-                _write(self.path, {"version": VERSION, "methods": methods})
+                _write(self.path, methods, self.tares)
             self.methods = methods
 
+    def keep_tare(self, sensor: str, tare: KeptTare | None) -> None:
+        """Keep a sensor's tare (None: as configured); StateError, and nothing kept, where that fails."""
+        with self._lock:
+            tares = {name: each for name, each in self.tares.items() if name != sensor}
+            if tare is not None:
+                tares[sensor] = tare
+            _write(self.path, self.methods, tares)
+            self.tares = tares
 
-def _read(path: Path) -> dict[str, str]:
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, KeptTare | None]]:
+    """Methods and tares by sensor; None: a tare that cannot be read."""
     try:
         content: Any = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
-        return {}
+        return {}, {}
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"state {path}: {error}: mend it or delete it") from error
     methods = content.get("methods") if isinstance(content, dict) and content.get("version") == VERSION else None
     if not isinstance(methods, dict) or not all(isinstance(each, str) for each in methods.values()):
         raise ConfigError(f"state {path}: no state file of version {VERSION}: delete it")
-    return methods
+    tares = content.get("tares")  # absent in files of 0.4.2
+    return methods, {name: _tare(each) for name, each in tares.items()} if isinstance(tares, dict) else {}
 
 
-def _write(path: Path, content: object) -> None:
+def _tare(content: object) -> KeptTare | None:
+    try:
+        return KeptTare.model_validate_json(json.dumps(content))
+    except ValidationError:
+        return None
+
+
+def _write(path: Path, methods: dict[str, str], tares: Mapping[str, KeptTare | None]) -> None:
+    kept = {name: each.model_dump() for name, each in tares.items() if each is not None}
+    content = {"version": VERSION, "methods": methods, "tares": kept}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path, replace=True) as part:

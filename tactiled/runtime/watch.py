@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 
 from tactiled.frames import FrameWarning
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults, Kind
@@ -18,8 +18,12 @@ STATE_EVENTS: dict[State, Kind] = {
 class Watch:
     """Looks at every sensor ten times a second, on a thread of its own."""
 
-    def __init__(self, sensors: Iterable[Sensor], events: Events, faults: Faults) -> None:
+    def __init__(
+        self, sensors: Iterable[Sensor], events: Events, faults: Faults, keep_tare: Callable[[Sensor], str]
+    ) -> None:
+        """`keep_tare` keeps a tare that is done, and says in words whether it could."""
         self._sensors, self._events, self._faults = tuple(sensors), events, faults
+        self._keep_tare = keep_tare
         self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
         self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
         self._stop = threading.Event()
@@ -84,6 +88,10 @@ class Watch:
         sensor.lapse_tare()
         pipeline = sensor.pipeline
         if self._changed("tared", sensor.name, pipeline.tared, 0):
-            self._events.add("tare_done", "the load of the last frames is the new zero", sensor.name)
+            text = f"the load of the last frames is the new zero; {self._keep_tare(sensor)}"
+            self._events.add("tare_done", text, sensor.name)
+        if self._changed("refused", sensor.name, pipeline.refused, 0):
+            text = f"given up, nothing changed: {pipeline.load_in_tare}"
+            self._events.add("tare_refused", text, sensor.name)
         if self._changed("lapsed", sensor.name, pipeline.lapsed, 0):
             self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)

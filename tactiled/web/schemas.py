@@ -8,8 +8,8 @@ from tactiled import units
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Loss
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.runtime.sensor import State
+from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 
 PressureKind = Literal["raw", "restored", "deviation"]
 SensorName = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
@@ -262,7 +262,8 @@ class Method(Schema):
 class Tare(Schema):
     """A tare that has begun."""
 
-    frames: int = Field(description="whose mean is taken as no load", examples=[TARE_FRAMES])
+    frames: int = Field(description="whose mean is taken as no load, at least", examples=[TARE_FRAMES])
+    seconds: float = Field(description="of frames, at least", examples=[TARE_S])
 
 
 class SensorCalibration(Schema):

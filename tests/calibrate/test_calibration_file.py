@@ -9,7 +9,7 @@ import pytest
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import FILES_KEPT, kept, load, read, save
 from tactiled.cover.stack import Layer, Stack
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, StateError
 from tests.calibrate.files import CREATED, STACK, cover_section, gain_section
 from tests.calibrate.files import calibration_file as made
 
@@ -128,7 +128,7 @@ def test_the_last_ten_files_are_kept_and_a_failed_write_changes_nothing(tmp_path
     assert [load(each) for each in kept(path).values()] == files[-2 : -FILES_KEPT - 2 : -1]
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
     monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
-    with pytest.raises(ConfigError, match=r"palm.json: No space left on device: nothing was written"):
+    with pytest.raises(StateError, match=r"palm.json: No space left on device: nothing was written"):
         save(path, file)
     monkeypatch.undo()
     assert load(path) == files[-1]

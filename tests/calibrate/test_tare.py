@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plans
-from tactiled.calibrate.tare import load_description
+from tactiled.calibrate.tare import blocks, load_description, robust_mean
 from tactiled.config import parse
 from tests.conftest import CONFIG
 
@@ -116,3 +116,28 @@ def test_an_unknown_taxel_is_left_out():
     assert load_description([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
     frame[2, 2] = 50
     assert load_description([frame, once], NOISE) == "contact of 25 kPa on 1 taxel"
+
+
+def zero_errors(estimate, noise, spikes, frames=50, taxels=20_000):
+    """Root mean square error of a zero (counts), of rounded counts with spikes of 300 counts."""
+    random = np.random.default_rng(5)
+    true = random.uniform(100, 101, taxels)
+    counts = np.round(true + random.normal(0, noise, (frames, taxels)))
+    counts[random.random(counts.shape) < spikes] += 300
+    return float(np.sqrt(np.mean((estimate(counts) - true) ** 2)))
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.3, 1.5, 5.0])
+def test_the_zero_is_as_good_as_a_mean_and_spikes_leave_it_alone(noise):
+    best = zero_errors(lambda counts: counts.mean(0), noise, spikes=0)
+    for spikes in (0, 0.02, 0.1):
+        assert zero_errors(robust_mean, noise, spikes) < 1.03 * best / np.sqrt(1 - spikes)  # of fewer frames
+        assert zero_errors(lambda counts: np.median(counts, 0), noise, spikes) > 1.25 * best
+    middle = zero_errors(lambda counts: np.sort(counts, 0)[5:-5].mean(0), 0.3, 0.02)
+    assert middle > 2.5 * zero_errors(robust_mean, 0.3, 0.02)
+
+
+def test_unknown_counts_are_left_out_of_a_zero():
+    counts = np.array([[1.0, np.nan, np.nan], [2.0, 5.0, np.nan], [3.0, 7.5, np.nan]], np.float32)
+    np.testing.assert_array_equal(robust_mean(counts), [2, 6.25, np.nan])
+    assert [each[0] for each in blocks(np.arange(8.0)[:, None])] == [0.5, 2.5, 4.5, 6.5]

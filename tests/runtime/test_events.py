@@ -17,7 +17,7 @@ class Watched(Timed):
         super().__init__(plan)
         self.events = Events()
         self.thumb = Sensor(replace(plan, name="thumb"), lambda: self.now)
-        self.watch = Watch([self.sensor, self.thumb], self.events, Faults(self.events))
+        self.watch = Watch([self.sensor, self.thumb], self.events, Faults(self.events), lambda _: "kept")
 
     def look(self):
         """New events."""
@@ -73,7 +73,7 @@ def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
 def test_a_fault_is_one_event_and_the_watch_clears_it_after_a_while(caplog):
     now, events = [0.0], Events()
     faults = Faults(events, lambda: now[0])
-    watch = Watch([], events, faults)
+    watch = Watch([], events, faults, str)
 
     def turn(error=None):
         last = events.newest

@@ -5,12 +5,15 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plan
+from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
-from tactiled.runtime.pipeline import NOISE_FRAMES, TARE_FRAMES, Pipeline
+from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
+from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.simulate.array import Surface
+from tests.calibrate.files import calibration_file, origin
 from tests.conftest import CONFIG, GAIN, NO_LOAD, SIDE, pressed
 from tests.runtime.conftest import frame
 
@@ -36,10 +39,14 @@ def flags_of(by_taxel):
     return flags
 
 
-def tare(pipeline, *frames):
-    pipeline.tare()
+TARED_AT = 1763.0  # s
+
+
+def tare(pipeline, *frames, force=False):
+    """Tare by frames in turn, as many as it takes; returns the last image."""
+    pipeline.tare(TARED_AT, force)
     for n in range(TARE_FRAMES):
-        image = pipeline.process(frames[n % len(frames)])
+        image = pipeline.process(replace(frames[n % len(frames)], arrived=n * TARE_S / (TARE_FRAMES - 1)))
     return image
 
 
@@ -116,15 +123,87 @@ def test_tare_takes_the_mean_of_the_next_frames(make):
 
 def test_a_tare_that_has_lapsed_takes_no_frame_and_the_next_starts_over(make):
     pipeline = make()
-    pipeline.tare()
+    pipeline.tare(TARED_AT)
     for _ in range(TARE_FRAMES - 1):
         pipeline.process(frame(counts=9 * UNLOADED))
     pipeline.lapse_tare()
     pipeline.lapse_tare()  # of none
     assert pipeline.process(frame()).raw[3, 3] == 200
-    tare(pipeline, frame())
+    tare(pipeline, frame(), force=True)
     assert pipeline.process(frame()).raw[3, 3] == 0
     assert (pipeline.tared, pipeline.lapsed) == (1, 1)
+
+
+def test_a_load_that_comes_while_a_tare_is_under_way_ends_it_unless_it_is_forced(make):
+    comes, moves = (UNLOADED, pressed()), (UNLOADED, UNLOADED + 40)
+    for first, then in (comes, moves, comes[::-1]):
+        pipeline, frames = make(), [frame(counts=first)] * 12 + [frame(counts=then)] * 4
+        before = pipeline.zero
+        tare(pipeline, *frames)
+        assert (pipeline.tared, pipeline.refused, pipeline.can_undo) == (0, 1, False)
+        assert re.match(r"contact of|readings that move by", pipeline.load_in_tare)
+        assert pipeline.zero is before
+        tare(pipeline, *frames, force=True)
+        assert (pipeline.tared, pipeline.refused, pipeline.can_undo) == (1, 1, True)
+
+
+def test_noise_that_is_not_measured_yet_is_no_load(make):
+    random = np.random.default_rng(1)
+    noisy = [frame(counts=np.round(UNLOADED + random.normal(0, 12, SHAPE))) for _ in range(TARE_FRAMES)]
+    pipeline = make(noise_kpa=None)
+    tare(pipeline, *noisy)
+    assert (pipeline.tared, pipeline.refused) == (1, 0)
+
+
+def test_a_tare_takes_as_long_as_it_must_and_no_longer(make):
+    def frames_until_tared(rate_hz):
+        pipeline = make()
+        pipeline.tare(TARED_AT)
+        for n in range(10**4):
+            pipeline.process(frame(counts=UNLOADED, arrived=n / rate_hz))
+            if pipeline.tared:
+                return n + 1
+        return None
+
+    assert [frames_until_tared(rate) for rate in (10, 100, 400, 10**4)] == [16, 51, 201, 256]
+
+
+def test_a_tare_is_undone_once(make):
+    pipeline = make()
+    tare(pipeline, sheared(UNLOADED + 5, 50, -30))
+    tare(pipeline, sheared(UNLOADED + 7, 50, -30))
+    assert pipeline.zero.time == TARED_AT
+    pipeline.undo_tare()
+    assert pipeline.process(frame(counts=UNLOADED + 5)).raw[0, 0] == 0
+    assert not pipeline.can_undo
+    pipeline.undo_tare()
+    assert pipeline.zero.counts[0] == NO_LOAD + 5
+
+
+def test_another_calibration_goes_on_with_the_tare_unless_its_no_load_is_newer(make, plan):
+    def tared():
+        pipeline = make("nnls")
+        tare(pipeline, sheared(UNLOADED + 5, 50, -30))
+        return pipeline
+
+    def with_no_load(time):
+        counts = np.full(64, 90.0)
+        section = NoLoadSection.of(counts, origin("tare", utc(time)))
+        calibration = replace(plan.calibration, kpa_per_count=2.0, no_loads=counts)
+        return Pipeline(replace(plan, calibration=calibration, file=calibration_file(no_load=section)))
+
+    for after, reading in ((-60, 2.0 * 5), (60, 2.0 * 20)):
+        pipeline, old = with_no_load(TARED_AT + after), tared()
+        pipeline.take_over(old)
+        assert pipeline.process(frame(counts=UNLOADED + 10)).raw[0, 0] == reading
+        assert (pipeline.method, pipeline.tared, pipeline.can_undo) == ("nnls", 1, True)
+        assert pipeline.zero.shear[0, 0] == 50
+    pipeline, old = with_no_load(TARED_AT + 60), tared()
+    old.tare(TARED_AT + 90)
+    pipeline.take_over(old)  # the tare under way, too
+    for n in range(TARE_FRAMES):
+        pipeline.process(frame(counts=UNLOADED, arrived=n * TARE_S / (TARE_FRAMES - 1)))
+    assert pipeline.zero.time == TARED_AT + 90
 
 
 def sheared(counts, x, y, flags=None):

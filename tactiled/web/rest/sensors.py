@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from tactiled.errors import StateError
-from tactiled.runtime.pipeline import TARE_FRAMES
+from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.web import answers, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest import picture
@@ -87,7 +87,7 @@ def tare(
     `force=true` tares anyway. If the sensor does not stay live, the tare lapses, and an event reports that.
     """
     service.tare(sensor.name, force)
-    return schemas.Tare(frames=TARE_FRAMES)
+    return schemas.Tare(frames=TARE_FRAMES, seconds=TARE_S)
 
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))

@@ -13,7 +13,9 @@ from tests.web.http.raw import plug
 
 
 def kinds(client):
-    return [each["kind"] for each in client.get("/events").json()["events"]]
+    """Kinds of events, those of warnings left out: when they come depends on the number of frames."""
+    everything = [each["kind"] for each in client.get("/events").json()["events"]]
+    return [each for each in everything if not each.startswith("warning_")]
 
 
 def test_events_of_a_sensor_come_in_order(rig, client):
@@ -23,21 +25,20 @@ def test_events_of_a_sensor_come_in_order(rig, client):
     client.put("/sensors/palm/method", json={"method": "raw"})
     client.put("/sensors/palm/method", json={"method": "sharpen"})
     client.post("/sensors/palm/tare?force=true")
-    for _ in range(16):
-        rig.show(pressed())
+    rig.show_until_tared(pressed())
     until(lambda: kinds(client)[-1] == "tare_done")
     client.post("/sensors/palm/tare?force=true")
     rig.stale_after(0.3)
     until(lambda: kinds(client)[-1] == "tare_lapsed")
     answer = client.get("/events").json()
     events = answer["events"]
-    assert [each["kind"] for each in events] == [
+    assert kinds(client) == [
         "sensor_live", "method_set", "tare_asked", "tare_done", "tare_asked", "sensor_stale", "tare_lapsed"
     ]  # fmt: skip
-    assert [each["id"] for each in events] == [1, 2, 3, 4, 5, 6, 7]
+    assert [each["id"] for each in events] == [*range(1, len(events) + 1)]
     assert {each["sensor"] for each in events} == {"palm"}
-    assert (answer["newest"], answer["missed"], events[1]["text"]) == (7, 0, "raw")
-    assert abs(events[5]["time"] - time.time()) < BUSY_S
+    assert (answer["newest"], answer["missed"], events[1]["text"]) == (len(events), 0, "raw")
+    assert abs(events[-1]["time"] - time.time()) < BUSY_S
 
 
 def test_pages_of_events_and_the_count_of_discarded_ones(rig, client):

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from tactiled.config import parse
-from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tactiled.web.server import running
@@ -91,8 +90,8 @@ def test_a_tare_is_refused_under_a_load_unless_it_is_forced(live, client):
     before = client.get("/sensors/palm/calibration").json()
     assert (before["kpa_per_count"], before["noise_kpa"], before["saturation"]) == (0.5, 0.5, 4000)
     assert (before["calibrated"], before["no_load"], before["tared"]) == (True, [100.0] * 64, 0)
-    assert client.post(f"{TARE}?force=true").json() == {"frames": TARE_FRAMES}
-    assert np.abs(show(live, TARE_FRAMES + 1).raw).max() == 0
+    assert client.post(f"{TARE}?force=true").json() == {"frames": 16, "seconds": 0.5}
+    assert np.abs(live.show_until_tared(pressed()).raw).max() == 0
     after = client.get("/sensors/palm/calibration").json()
     assert (after["no_load"], after["tared"]) == (pressed().ravel().tolist(), 1)
     until(lambda: live.service.events.after(0)[-1].kind == "tare_done")
@@ -103,9 +102,9 @@ def test_a_tare_is_refused_under_a_load_unless_it_is_forced(live, client):
 def test_loads_before_a_tare_or_a_pause_forbid_no_tare(live, client):
     live.show(pressed())
     client.post(f"{TARE}?force=true")
-    show(live, TARE_FRAMES)
+    live.show_until_tared(pressed())
     assert client.post(TARE).status_code == 202  # it reads zero now
-    show(live, TARE_FRAMES, force=0)
+    live.show_until_tared(pressed(force=0))
     live.show(pressed())
     assert problem(client.post(TARE), 409).startswith("sensor 'palm': contact of ")
     live.stale_after(0.05)

@@ -9,11 +9,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from tactiled.runtime.pipeline import TARE_FRAMES
 from tactiled.web.rest import frames
 from tactiled.web.server import running
 from tactiled.wire import unpack
-from tests.conftest import BUSY_S, HTTP, problem
+from tests.conftest import BUSY_S, HTTP, problem, until
 from tests.skin import PALM, X, Y, rigged
 from tests.web.ws.clients import stream
 
@@ -68,8 +67,7 @@ def test_shear_is_served_in_counts_with_the_image_it_belongs_to(skin, client):
 def test_a_tare_takes_shear_off_as_well(skin, client):
     skin.show(X, Y)
     assert client.post("/sensors/skin/tare").status_code == 202
-    for _ in range(TARE_FRAMES):
-        skin.show(X, Y)
+    until(lambda: skin.show(X, Y) and skin.sensor.pipeline.tared)
     skin.show(X + 10, Y - 20)
     shear, _ = npy(client)
     for axis, expected in zip(shear, (10.0, -20.0), strict=True):

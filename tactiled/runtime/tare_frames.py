@@ -1,0 +1,51 @@
+"""The frames of a tare, collected as they come."""
+
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.frames import UNKNOWN, RawFrame
+
+TARE_FRAMES = 16  # that a tare takes at least
+TARE_S = 0.5  # of frames that it takes at least: 25 periods of the mains, and 50 frames at 100 Hz
+MAX_TARE_FRAMES = 256  # that it takes at most: a skin of more than 512 Hz is tared in less time
+
+
+class TareFrames:
+    """Collects frames on one thread from `start` on until there are enough; any thread may start and stop it."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._frames: list[NDArray[np.float32]] | None = None  # (3, N) each: counts, shear; None: none under way
+        self._first_at = 0.0  # s, when the first frame came
+        self.time, self.force = 0.0, False  # of the tare under way, or the last
+
+    def start(self, time: float, force: bool) -> None:
+        """Start over, at `time` (s, Unix); with `force` it is of a loaded array, too."""
+        with self._lock:
+            self._frames, self.time, self.force = [], time, force
+
+    def stop(self) -> bool:
+        """Stop; returns whether it was under way."""
+        with self._lock:
+            under_way, self._frames = self._frames is not None, None
+        return under_way
+
+    def add(self, frame: RawFrame) -> NDArray[np.float32] | None:
+        """All frames (T, 3, N) of counts, and of shear along x and y, once they are enough; NaN: unknown."""
+        with self._lock:
+            if self._frames is None:
+                return None
+            self._first_at = self._first_at if self._frames else frame.arrived
+            values = np.full((3, len(frame.counts)), np.nan, np.float32)
+            values[0] = frame.counts
+            if frame.shear is not None:
+                values[1:] = frame.shear
+            values[:, frame.flags & UNKNOWN > 0] = np.nan
+            self._frames.append(values)
+            enough = len(self._frames) >= TARE_FRAMES and frame.arrived - self._first_at >= TARE_S
+            if not enough and len(self._frames) < MAX_TARE_FRAMES:
+                return None
+            frames, self._frames = np.stack(self._frames), None
+            return frames
