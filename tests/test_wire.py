@@ -56,6 +56,10 @@ def test_unpack_inverts_pack(grid):
         "iterations",
     ):
         assert getattr(raw, name) == getattr(grid, name), name
+    counted = pack(replace(grid, unit="counts"), "raw", 2.0)
+    assert (unpack(counted).unit, counted[:14], counted[14:16]) == ("counts", pack(grid, "raw", 2.0)[:14], b"\1\0")
+    with pytest.raises(ValueError, match="unit 2"):
+        unpack(counted[:14] + b"\2" + counted[15:])
 
 
 def test_a_message_of_several_images_is_unpacked(grid):

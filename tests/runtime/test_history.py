@@ -95,3 +95,13 @@ def test_a_page_that_is_copied_while_images_are_added_is_never_mixed():
             np.testing.assert_array_equal(copied.time, copied.sequence / 100)
             assert np.diff(copied.sequence).tolist() == [1] * max(len(n) - 1, 0)
     sys.setswitchinterval(interval)
+
+
+def test_images_in_another_unit_than_the_newest_are_left_out():
+    counts = [image(n, unit="counts") for n in range(3)]
+    history = ring(9, counts)
+    assert (page(history).unit, page(ring(9)).unit, page(history).cut) == ("counts", None, False)
+    history.add(image(3))  # a calibration was applied
+    got = page(history)
+    assert (got.sequence.tolist(), got.unit, got.cut, got.older) == ([3], "kPa", True, False)
+    assert not page(history, seconds=0.005).cut

@@ -17,7 +17,7 @@ const TIMEOUT_MS = 8000;
 /**
  * @typedef {{
  *   name: string, bus: string, codec: string, rows: number|null, columns: number|null, taxels: number,
- *   pitch_mm: number, shear: boolean, method: string, methods: string[], state: State, age_s: number|null,
+ *   pitch_mm: number, shear: boolean, unit: string, method: string, methods: string[], state: State, age_s: number|null,
  *   rate_hz: number, jitter_s: number|null, skew_s: number|null, clock: string|null, detail: string, loss: Loss,
  *   error_kinds: Record<string, number>, sequence: number|null
  * }} Sensor
@@ -217,11 +217,13 @@ export const discardCalibration = (name) => request(atSession(name), { method: "
 
 /**
  * @param {string} name
- * @returns {Promise<{timestamp: number, kpa: Float32Array}>} the newest image's standard deviation, kPa a cell
+ * @returns {Promise<{timestamp: number, unit: string, values: Float32Array}>} the newest image's standard deviation, a cell
  */
 export async function deviation(name) {
   const response = await succeed(`${at(name)}/frames/deviation?format=npy`);
-  return { timestamp: Number(response.headers.get("X-Tactiled-Timestamp")), kpa: npy(await response.arrayBuffer()) };
+  const { headers } = response;
+  const unit = headers.get("X-Tactiled-Unit") ?? "";
+  return { timestamp: Number(headers.get("X-Tactiled-Timestamp")), unit, values: npy(await response.arrayBuffer()) };
 }
 
 /** @returns {Promise<Set<string>>} the paths that this service has, below the API's root */

@@ -300,10 +300,10 @@ export class CalibrationPage {
       const tall = Math.min(MAP_PX, MAP_SHARE * window.innerHeight);
       this._heatmap.resize(Math.min(byId("calibrate-map").clientWidth / width, tall / height));
     }
-    const { ofRaw, raw, noise, timestamp } = session.frame;
+    const { ofRaw, raw, unit, noise, timestamp } = session.frame;
     this._range.follow(ofRaw.peak || 0, noise || 0, timestamp);
     this._heatmap.paint(raw, this._range, colormap);
-    setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak)}`);
+    setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak, unit)}`);
   }
 }
 

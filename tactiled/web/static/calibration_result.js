@@ -3,7 +3,7 @@
 import { coverNotes, coverRows, gainRows, verdict } from "./calibration_text.js";
 import { Chart, line } from "./chart.js";
 import { byId, element, setText } from "./dom.js";
-import { PRESSURE } from "./units.js";
+import { UNITS } from "./units.js";
 
 /** @import { CalibrationSession } from "./api.js" */
 /** @import { Axes, Line } from "./chart.js" */
@@ -63,7 +63,7 @@ export class CalibrationResult {
 export function chartOf({ cover, gain }) {
   const data = cover?.line
     ? { x: cover.line.x_mm, measured: cover.line.measured, fitted: cover.line.fitted, along: "mm from the press", up: "over the peak" }
-    : gain && { x: gain.line.counts, measured: gain.line.measured_kpa, fitted: gain.line.fitted_kpa, along: "counts over no load", up: PRESSURE };
+    : gain && { x: gain.line.counts, measured: gain.line.measured_kpa, fitted: gain.line.fitted_kpa, along: "counts over no load", up: UNITS[0] };
   if (!data) return null;
   const points = filled(data.x, data.measured, "raw", "points");
   const curve = filled(data.x, data.fitted, "restored", "plain");

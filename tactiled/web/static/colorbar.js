@@ -1,8 +1,8 @@
-/** The legend: the shared colour scale with its ticks in kPa. @module */
+/** The legend: the shared colour scale with its ticks. @module */
 
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { endsAndTicks, tickText } from "./ticks.js";
-import { PRESSURE } from "./units.js";
+import { UNITS } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -15,9 +15,10 @@ export class Colorbar {
   constructor(canvas) {
     this.canvas = canvas;
     this._pen = context2d(canvas);
-    /** What was drawn last: the range, kPa, and the size, CSS px. */
+    /** What was drawn last: the range, its unit, and the size, CSS px. */
     this._low = NaN;
     this._high = NaN;
+    this._unit = 0;
     this._width = 0;
     this._height = 0;
   }
@@ -39,15 +40,17 @@ export class Colorbar {
    * Draw, where the range or the size is another than the last time; tall boxes get a standing bar.
    * @param {DisplayRange} range
    * @param {Colormap} colormap
+   * @param {number} unit of the range
    */
-  draw(range, colormap) {
+  draw(range, colormap, unit) {
     const width = this.canvas.clientWidth;
     const height = this.canvas.clientHeight;
     if (!width || !height) return;
     const { low, high } = range;
-    if (low === this._low && high === this._high && width === this._width && height === this._height) return;
+    if (unit === this._unit && low === this._low && high === this._high && width === this._width && height === this._height) return;
     this._low = low;
     this._high = high;
+    this._unit = unit;
     this._width = width;
     this._height = height;
     this._draw(colormap);
@@ -56,7 +59,7 @@ export class Colorbar {
   /** @param {Colormap} colormap */
   _draw(colormap) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
-    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${PRESSURE}`);
+    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${UNITS[this._unit]}`);
     const ratio = fitCanvas(this.canvas, width, height);
     const draw = this._pen;
     const ink = themeColors();

@@ -1,7 +1,8 @@
 /** The contacts as a table: what the outlines on the maps say, in numbers. @module */
 
 import { element, setText } from "./dom.js";
-import { fixed, newtons } from "./format.js";
+import { fixed } from "./format.js";
+import { forceNumber } from "./units.js";
 
 /** @import { Contact } from "./sensor_stream.js" */
 
@@ -21,8 +22,9 @@ export class ContactTable {
    * @param {boolean} enabled whether they are requested
    * @param {number} taxels
    * @param {number} unknown of these, nothing is known
+   * @param {number} unit of their pressure
    */
-  show(contacts, enabled, taxels, unknown) {
+  show(contacts, enabled, taxels, unknown, unit) {
     const count = Math.min(MAX_ROWS, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
@@ -30,7 +32,7 @@ export class ContactTable {
     setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : "–");
     while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
-    for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i]);
+    for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i], unit);
   }
 }
 
@@ -52,11 +54,11 @@ function newRow() {
   return element("tr", "", head, ...Array.from({ length: COLUMNS - 1 }, () => element("td", "")));
 }
 
-/** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact */
-function fillRow(cells, contact) {
+/** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact @param {number} unit */
+function fillRow(cells, contact, unit) {
   setText(cells[0], String(contact.id));
-  setText(cells[1], newtons(contact.force_n));
-  setText(cells[2], fixed(contact.peak_kpa, 0));
+  setText(cells[1], forceNumber(contact.force, unit));
+  setText(cells[2], fixed(contact.peak, 0));
   setText(cells[3], fixed(contact.area_mm2, 0));
   setText(cells[4], fixed(contact.x_mm, 1));
   setText(cells[5], fixed(contact.y_mm, 1));

@@ -82,7 +82,7 @@ function range(viewer, targets) {
 
 /**
  * Fix the range, or say why the range is refused.
- * @param {number} low kPa; NaN where no number stands there
+ * @param {number} low NaN where no number stands there
  * @param {number} high
  * @param {Viewer} viewer
  * @param {Targets} targets

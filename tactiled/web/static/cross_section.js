@@ -2,7 +2,7 @@
 
 import { Chart, line } from "./chart.js";
 import { fixed } from "./format.js";
-import { PRESSURE } from "./units.js";
+import { UNITS } from "./units.js";
 import { ACROSS } from "./geometry.js";
 
 /** @import { Axes, Line } from "./chart.js" */
@@ -11,7 +11,7 @@ import { ACROSS } from "./geometry.js";
 /** @import { Cells, Plane } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
 
-const UNITS = { x: "x, mm", y: "y, mm" };
+const AXES = { x: "x, mm", y: "y, mm" };
 const BAND_DEVIATIONS = 2; // standard deviations to either side of the restored line
 const MARGIN = 0.06; // of the range, drawn below it
 const DEEP_MARGIN = 0.4; // of the range, drawn below it while something is there
@@ -29,7 +29,7 @@ export class CrossSection {
     this._lines = [this._raw, this._restored];
     this._deviation = line(0, "restored"); // along the same cells
     /** @type {Axes} */
-    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: UNITS.x, y: PRESSURE };
+    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: AXES.x, y: UNITS[0] };
   }
 
   /** @param {Plane} plane */
@@ -45,16 +45,18 @@ export class CrossSection {
    * @param {Frame|null} frame
    * @param {Marks} marks where the line and the probe are
    * @param {DisplayRange} range
-   * @param {Float32Array|null} deviation kPa, of each restored cell; null where it is not known
+   * @param {Float32Array|null} deviation of each restored cell; null where it is not known
+   * @param {number} unit of pressure
    */
-  draw(frame, marks, range, deviation) {
+  draw(frame, marks, range, deviation, unit) {
     const plane = this._plane;
     if (!plane) return;
     const { along } = marks;
     const span = range.high - range.low;
     this._axes.left = plane.start(along);
     this._axes.right = plane.start(along) + plane.extent(along);
-    this._axes.x = UNITS[along];
+    this._axes.x = AXES[along];
+    this._axes.y = UNITS[unit];
     this._axes.top = range.high;
     this._raw.length = this._restored.length = 0;
     if (frame) {
@@ -73,7 +75,7 @@ export class CrossSection {
    * @param {Plane} plane
    * @param {Float32Array} deviation
    * @param {Marks} marks
-   * @returns {Float64Array} kPa, half the height of the band
+   * @returns {Float64Array} half the height of the band
    */
   _spread(plane, deviation, marks) {
     sample(plane, plane.restored, deviation, marks, this._deviation);
@@ -101,16 +103,16 @@ const emptyLine = (plane, cells, ink) =>
  * The largest pressure along a cross-section.
  * @param {Plane} plane
  * @param {Marks} marks where it is
- * @param {Float32Array} kpa of the restored image
- * @returns {number} kPa
+ * @param {Float32Array} values of the restored image
+ * @returns {number}
  */
-export function highestAlong(plane, { along, lineAt }, kpa) {
+export function highestAlong(plane, { along, lineAt }, values) {
   const cells = plane.restored;
   const across = cells[ACROSS[along]];
   const reach = (plane.isGrid ? cells.side : plane.pitch) / 2;
   let top = -Infinity;
   for (let i = 0; i < cells.count; i += 1) {
-    if (kpa[i] > top && Math.abs(across[i] - lineAt) <= reach) top = kpa[i];
+    if (values[i] > top && Math.abs(across[i] - lineAt) <= reach) top = values[i];
   }
   return top;
 }
@@ -118,11 +120,11 @@ export function highestAlong(plane, { along, lineAt }, kpa) {
 /**
  * @param {Plane} plane
  * @param {Cells} cells
- * @param {Float32Array} kpa
+ * @param {Float32Array} values
  * @param {Marks} marks
  * @param {Line} into
  */
-export function sample(plane, cells, kpa, { along, lineAt }, into) {
+export function sample(plane, cells, values, { along, lineAt }, into) {
   const places = cells[along];
   const across = cells[ACROSS[along]];
   let n = 0;
@@ -135,14 +137,14 @@ export function sample(plane, cells, kpa, { along, lineAt }, into) {
     const step = upright ? columns : 1;
     for (let i = upright ? which : which * columns; n < count; i += step) {
       into.x[n] = places[i];
-      into.y[n] = kpa[i];
+      into.y[n] = values[i];
       n += 1;
     }
   } else {
     for (const i of plane.order[along]) {
       if (Math.abs(across[i] - lineAt) > plane.pitch / 2) continue;
       into.x[n] = places[i];
-      into.y[n] = kpa[i];
+      into.y[n] = values[i];
       n += 1;
     }
   }

@@ -9,7 +9,7 @@ const MAX_IMAGES = 32;
 const SHOWN_WITHIN_S = 1.5; // of the frame that it was computed for
 const INTERVAL_MS = 500; // between two requests: one costs the service more than the image itself
 
-/** @extends {Timeline<{timestamp: number, kpa: Float32Array}>} */
+/** @extends {Timeline<{timestamp: number, unit: string, values: Float32Array}>} */
 export class DeviationCache extends Timeline {
   /** @param {string} name of the sensor @param {number} cells of its restored image */
   constructor(name, cells) {
@@ -32,7 +32,7 @@ export class DeviationCache extends Timeline {
     this._requestedAt = now;
     try {
       const deviation = await api.deviation(this._name);
-      if (deviation.kpa.length === this._cells) this.push(deviation);
+      if (deviation.values.length === this._cells) this.push(deviation);
     } catch {
       this._requestedAt = now + 4 * INTERVAL_MS; // no band meanwhile; the page shows elsewhere that the link is down
     } finally {

@@ -4,7 +4,7 @@ const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
 const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
 const KEEP_ABOVE = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
-const MIN_TOP_KPA = 1;
+const MIN_TOP = 1; // kPa, or counts
 const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours must differ
 
 /** @param {number} value above 0 @returns {number} the least round number that is not below it */
@@ -28,10 +28,10 @@ export function steadyTop(top, needed) {
 
 export class DisplayRange {
   /** @param {number} [minTop] that the range reaches up to where it follows the data */
-  constructor(minTop = MIN_TOP_KPA) {
+  constructor(minTop = MIN_TOP) {
     this.auto = true;
     this._minTop = minTop;
-    /** Bottom and top of the range, kPa, or what else is shown on it. */
+    /** Bottom and top of the range, in its unit, or what else is shown on it. */
     this.low = 0;
     this.high = 10;
     this._peak = 0;
@@ -47,8 +47,8 @@ export class DisplayRange {
 
   /**
    * Follow a frame.
-   * @param {number} peak kPa, the largest of both images
-   * @param {number} noise kPa, of both images' noise the larger: noise alone never fills the range
+   * @param {number} peak the largest of both images
+   * @param {number} noise of both images' noise the larger: noise alone never fills the range
    * @param {number} time s, of the frame
    */
   follow(peak, noise, time) {
@@ -61,8 +61,8 @@ export class DisplayRange {
 
   /**
    * Fix the range.
-   * @param {number} low kPa
-   * @param {number} high kPa
+   * @param {number} low
+   * @param {number} high
    * @returns {string} why that is no range, with nothing changed; "" where it is one
    */
   fix(low, high) {

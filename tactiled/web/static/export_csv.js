@@ -1,6 +1,7 @@
 /** A frame as CSV, one line per cell. @module */
 
 import { isoTime } from "./download.js";
+import { UNITS } from "./units.js";
 
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
@@ -8,10 +9,11 @@ import { isoTime } from "./download.js";
 /** @param {string} name of the sensor @param {Plane} plane @param {Frame} frame @returns {string} */
 export function csvText(name, plane, frame) {
   const { sheared, shear } = frame;
+  const pressure = UNITS[frame.unit].toLowerCase();
   const lines = [
     `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.method}`,
-    "# kpa is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty",
-    `image,row,column,x_mm,y_mm,kpa,flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
+    `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty`,
+    `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
   for (let i = 0; i < plane.raw.count; i += 1) {
     const shears = sheared ? `,${decimal(shear[i])},${decimal(shear[plane.raw.count + i])}` : "";

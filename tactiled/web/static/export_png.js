@@ -4,7 +4,7 @@ import { context2d, themeColors } from "./dom.js";
 import { download, isoTime } from "./download.js";
 import { fixed } from "./format.js";
 import { endsAndTicks, tickText } from "./ticks.js";
-import { PRESSURE, forceText, lengthText, pressureText, shearText } from "./units.js";
+import { UNITS, forceText, lengthText, pressureText, shearText } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -41,7 +41,7 @@ export function savePng({ name, plane }, frame, maps, range, colormap, state, sh
   const title = `${name}, frame ${frame.sequence}`;
   const when = `${isoTime(frame.timestamp)}, ${state}`;
   const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
-  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map(summaryLines);
+  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map((each) => summaryLines(each, frame.unit));
   const column = Math.max(w, widest([...ofRaw, ...ofRestored], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const canvas = document.createElement("canvas");
@@ -56,14 +56,14 @@ export function savePng({ name, plane }, frame, maps, range, colormap, state, sh
   sheet.map("Restored", column + 2 * MARGIN_PX, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
   if (shear) sheet.arrow(maps.arrows, MARGIN_PX, TOP_PX + bodyHeight + 84 + SHEAR_KEY_PX, w);
   sheet.write(size, MARGIN_PX, TOP_PX + bodyHeight + 84, TEXT_PX, sheet.ink.muted);
-  sheet.legend(2 * column + 3 * MARGIN_PX, range, colormap);
+  sheet.legend(2 * column + 3 * MARGIN_PX, range, colormap, frame.unit);
   canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
 }
 
-/** @param {Measures} of an image @returns {string[]} what stands below its map, line by line */
-function summaryLines(of) {
+/** @param {Measures} of an image @param {number} unit of its pressure @returns {string[]} what stands below its map, line by line */
+function summaryLines(of, unit) {
   const centre = `centre ${fixed(of.x, 1)}, ${lengthText(of.y)}`;
-  return [`force ${forceText(of.force)}   peak ${pressureText(of.peak)}`, centre];
+  return [`force ${forceText(of.force, unit)}   peak ${pressureText(of.peak, unit)}`, centre];
 }
 
 /** @param {string[]} texts @param {number} size px, of their letters @returns {number} px, of the widest */
@@ -132,10 +132,10 @@ class Sheet {
     this.write(`shear of ${shearText(arrows.counts)}`, x + length + 10, y, 15, this.ink.muted);
   }
 
-  /** @param {number} x @param {DisplayRange} range @param {Colormap} colormap */
-  legend(x, range, colormap) {
+  /** @param {number} x @param {DisplayRange} range @param {Colormap} colormap @param {number} unit */
+  legend(x, range, colormap, unit) {
     const h = this._tall;
-    this.write(PRESSURE, x, TOP_PX - 14);
+    this.write(UNITS[unit], x, TOP_PX - 14);
     for (let i = 0; i < 256; i += 1) {
       this._pen.fillStyle = colormap.css[i];
       this._pen.fillRect(x, TOP_PX + h * (1 - (i + 1) / 256), 20, h / 256 + 1);

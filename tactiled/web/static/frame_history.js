@@ -15,13 +15,14 @@ const NO_FLAGS = new Uint8Array(0);
  * One frame as kept.
  * @typedef {object} Frame
  * @property {number} place in the history's rings
- * @property {Float32Array} raw kPa
- * @property {Float32Array} restored kPa
+ * @property {Float32Array} raw in `unit`
+ * @property {Float32Array} restored in `unit`
  * @property {Uint8Array} flags
  * @property {number} sequence
  * @property {number} timestamp Unix s
  * @property {number} sent Unix s
- * @property {number} noise
+ * @property {number} unit of pressures, index in UNITS; all kept frames have the same
+ * @property {number} noise in `unit`
  * @property {number} noiseGain
  * @property {number} resolutionMm
  * @property {number} microseconds
@@ -45,7 +46,7 @@ export class FrameHistory {
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
     const shear = new Float32Array(this.capacity * s);
-    /** Rings of what is drawn over time, one value a frame at its place: Unix s, N, N, and ms (NaN if never painted). */
+    /** Rings of what is drawn over time, one value a frame at its place: Unix s, forces, and ms (NaN if never painted). */
     this.times = new Float64Array(this.capacity);
     this.rawForces = new Float64Array(this.capacity);
     this.restoredForces = new Float64Array(this.capacity);
@@ -57,7 +58,7 @@ export class FrameHistory {
       restored: restored.subarray(i * m, (i + 1) * m),
       flags: flags.subarray(i * n, (i + 1) * n),
       // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
-      sequence: 0, timestamp: NaN, sent: NaN, noise: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
+      unit: 0, sequence: 0, timestamp: NaN, sent: NaN, noise: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
       iterations: 0, method: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
       shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
     }));
@@ -104,6 +105,7 @@ export class FrameHistory {
       frame.flags[i] = flags[i] | 0;
       if (flags[i] & 8) frame.saturated = true;
     }
+    frame.unit = restored.unit;
     frame.sequence = restored.sequence;
     frame.timestamp = restored.timestamp;
     frame.sent = restored.sent;
@@ -115,8 +117,8 @@ export class FrameHistory {
     frame.method = METHODS[restored.method] ?? "";
     const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
-    measure(frame.raw, this._plane.raw, noise, frame.ofRaw);
-    measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored);
+    measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit);
+    measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored, frame.unit);
     this.times[frame.place] = frame.timestamp;
     this.rawForces[frame.place] = frame.ofRaw.force;
     this.restoredForces[frame.place] = frame.ofRestored.force;

@@ -61,25 +61,25 @@ export class Heatmap {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
-  /** @param {Float32Array} kpa @param {DisplayRange} range @param {Colormap} colormap */
-  paint(kpa, range, colormap) {
-    if (this._image) this._paintGrid(kpa, range, colormap, this._image);
-    else this._paintScattered(kpa, range, colormap);
+  /** @param {Float32Array} values @param {DisplayRange} range @param {Colormap} colormap */
+  paint(values, range, colormap) {
+    if (this._image) this._paintGrid(values, range, colormap, this._image);
+    else this._paintScattered(values, range, colormap);
   }
 
   /**
-   * @param {Float32Array} kpa
+   * @param {Float32Array} values
    * @param {DisplayRange} range
    * @param {Colormap} colormap
    * @param {ImageData} image
    */
-  _paintGrid(kpa, range, colormap, image) {
+  _paintGrid(values, range, colormap, image) {
     const { rgba } = colormap;
     const out = this._pixels;
     const { low } = range;
     const slope = 256 / (range.high - low);
     for (let i = 0; i < out.length; i += 1) {
-      const p = kpa[i];
+      const p = values[i];
       if (p !== p) {
         out[i] = 0;
       } else {
@@ -90,8 +90,8 @@ export class Heatmap {
     this._pen.putImageData(image, 0, 0);
   }
 
-  /** @param {Float32Array} kpa @param {DisplayRange} range @param {Colormap} colormap */
-  _paintScattered(kpa, range, colormap) {
+  /** @param {Float32Array} values @param {DisplayRange} range @param {Colormap} colormap */
+  _paintScattered(values, range, colormap) {
     const plane = this._plane;
     const cells = this._cells;
     if (!plane || !cells) return;
@@ -101,7 +101,7 @@ export class Heatmap {
     const half = (cells.side / 2) * px;
     const slope = 256 / (range.high - range.low);
     for (let i = 0; i < cells.count; i += 1) {
-      const p = kpa[i];
+      const p = values[i];
       const x = (cells.x[i] - plane.left) * px;
       const y = (cells.y[i] - plane.top) * px;
       const level = (p - range.low) * slope;

@@ -1,13 +1,13 @@
 /** What one image amounts to: force, peak, place of contact. @module */
 
-import { N_PER_KPA_MM2 } from "./units.js";
+import { FORCE_SCALES } from "./units.js";
 
 /** @import { Cells } from "./geometry.js" */
 
 /**
  * @typedef {object} Measures
- * @property {number} force N, over every cell that is known
- * @property {number} peak kPa
+ * @property {number} force over every cell that is known
+ * @property {number} peak
  * @property {number} peakIndex -1 where nothing is known
  * @property {boolean} contact the peak stands clear of the noise
  * @property {number} x mm, pressure-weighted centre of contact; NaN without contact
@@ -25,19 +25,20 @@ export function measures() {
 
 /**
  * Measure an image.
- * @param {Float32Array} kpa
+ * @param {Float32Array} values
  * @param {Cells} cells
- * @param {number} noise kPa, standard deviation of one cell
+ * @param {number} noise standard deviation of one cell
  * @param {Measures} into
+ * @param {number} [unit] of the values, which force follows
  */
-export function measure(kpa, cells, noise, into) {
+export function measure(values, cells, noise, into, unit = 0) {
   const { count, x, y, area } = cells;
   let sum = 0;
   let peak = -Infinity;
   let peakIndex = -1;
   let unknown = 0;
   for (let i = 0; i < count; i += 1) {
-    const p = kpa[i];
+    const p = values[i];
     if (p !== p) {
       unknown += 1;
     } else {
@@ -48,7 +49,7 @@ export function measure(kpa, cells, noise, into) {
       }
     }
   }
-  into.force = sum * N_PER_KPA_MM2;
+  into.force = sum * FORCE_SCALES[unit];
   into.peak = peakIndex < 0 ? NaN : peak;
   into.peakIndex = peakIndex;
   into.unknown = unknown;
@@ -60,7 +61,7 @@ export function measure(kpa, cells, noise, into) {
   let mx = 0;
   let my = 0;
   for (let i = 0; i < count; i += 1) {
-    const p = kpa[i];
+    const p = values[i];
     if (p >= floor) {
       const force = p * area[i];
       weight += force;

@@ -7,7 +7,7 @@ import { ACROSS } from "./geometry.js";
 import { CONNECTING } from "./health.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
-import { lengthText, readingText, shearText } from "./units.js";
+import { FORCE_UNITS, UNITS, lengthText, readingText, shearText } from "./units.js";
 import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
@@ -33,6 +33,8 @@ export class PageText {
     this._shear = byId("shear-choice");
     this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
     this._high = /** @type {HTMLInputElement} */ (byId("range-high"));
+    this._pressures = document.querySelectorAll("#main .pressure-unit");
+    this._forces = document.querySelectorAll("#main .force-unit");
     this._pause = byId("pause");
     this._scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
   }
@@ -58,12 +60,19 @@ export class PageText {
     setText(byId("probe"), probeText(viewer, frame) || "Point at a map to read it; click or tap to pin.");
     this._playback(session, frame, live);
     this.range(viewer.range);
+    this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
-    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0);
+    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     this._section(viewer, frame);
+  }
+
+  /** Name the units of what is shown. @param {number} unit of pressure; -1 without a sensor */
+  _units(unit) {
+    for (const each of this._pressures) setText(each, UNITS[unit] ?? "");
+    for (const each of this._forces) setText(each, FORCE_UNITS[unit] ?? "");
   }
 
   /** @param {Viewer} viewer @param {Frame|null} frame */
@@ -166,12 +175,12 @@ function reading(plane, frame, x, y) {
   const s = plane.find(plane.restored, x, y);
   const place = `x ${fixed(x, 1)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
-  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : readingText(frame.raw[r]);
+  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : readingText(frame.raw[r], frame.unit);
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
   const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
-  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s])}${shear} (${taxel}${flags})`;
+  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s], frame.unit)}${shear} (${taxel}${flags})`;
 }
 
 /**

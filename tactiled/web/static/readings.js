@@ -1,9 +1,9 @@
 /** The side panel's numbers and texts. @module */
 
 import { byId, element, setText } from "./dom.js";
-import { fixed, newtons, number } from "./format.js";
+import { fixed, number } from "./format.js";
 import { measures } from "./measures.js";
-import { lengthText, pressureText } from "./units.js";
+import { forceNumber, lengthText, pressureText } from "./units.js";
 import { Warnings } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "./api.js" */
@@ -100,12 +100,13 @@ export class Readings {
   /** @param {Frame|null} frame */
   frame(frame) {
     const at = this._at;
-    showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES);
-    showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES);
+    const unit = frame?.unit ?? 0;
+    showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES, unit);
+    showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES, unit);
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
     setText(at.resolution, frame ? lengthText(frame.resolutionMm, 2) : "\u2013");
-    setText(at.noise, frame ? pressureText(frame.noise, 2) : "\u2013");
+    setText(at.noise, frame ? pressureText(frame.noise, unit, 2) : "\u2013");
     setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
   }
@@ -162,9 +163,9 @@ export class Readings {
 const measureCells = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
-/** @param {ReturnType<typeof measureCells>} at cells to fill @param {Measures} of an image */
-function showMeasures(at, of) {
-  setText(at.force, newtons(of.force));
+/** @param {ReturnType<typeof measureCells>} at cells to fill @param {Measures} of an image @param {number} unit of its pressure */
+function showMeasures(at, of, unit) {
+  setText(at.force, forceNumber(of.force, unit));
   setText(at.peak, fixed(of.peak, 1));
   setText(at.x, fixed(of.x, 1));
   setText(at.y, fixed(of.y, 1));

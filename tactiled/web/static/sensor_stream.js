@@ -11,7 +11,7 @@ import { kindOf, packet, parse } from "./wire.js";
  * @typedef {{
  *   type: "status", sensor: string, state: State, age_s: number|null, rate_hz: number, jitter_s: number|null,
  *   skew_s: number|null, detail: string, loss: Loss, method: string, sequence: number, timestamp: number, ran: string,
- *   why: string, iterations: number, microseconds: number, noise_kpa: number, noise_gain: number,
+ *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
  *   resolution_mm: number, warnings: Warning[]
  * }} Status
  */
@@ -19,12 +19,12 @@ import { kindOf, packet, parse } from "./wire.js";
 /**
  * One contact: its axes are standard deviations of the pressure, its angle goes from x towards y.
  * @typedef {{
- *   id: number, x_mm: number, y_mm: number, force_n: number, area_mm2: number, peak_kpa: number, major_mm: number,
+ *   id: number, x_mm: number, y_mm: number, force: number, area_mm2: number, peak: number, major_mm: number,
  *   minor_mm: number, angle_rad: number, label: string
  * }} Contact `label`, its number and force, is the page's own
  */
 
-/** @typedef {{type: "contacts", sequence: number, timestamp: number, contacts: Contact[]}} ContactsMessage strongest first */
+/** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[]}} ContactsMessage strongest first */
 
 /**
  * @typedef {object} Listener

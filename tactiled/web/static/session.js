@@ -7,7 +7,7 @@ import { Freshness } from "./freshness.js";
 import { healthOf } from "./health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "./timeline.js";
-import { forceText } from "./units.js";
+import { forceText, unitOf } from "./units.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 /** @import { Frame } from "./frame_history.js" */
@@ -55,6 +55,8 @@ export class Session {
     this.deviations = new DeviationCache(name, plane.restored.count);
     this.freshness = new Freshness();
     this.paused = false;
+    /** Unit of the kept frames' pressure, index in UNITS; before the first one as the list of sensors has it. */
+    this.unit = 0;
     /** Which kept frame is shown, 0 the newest. */
     this.back = 0;
     /** @type {Status|null} */
@@ -69,8 +71,8 @@ export class Session {
       onStatus: (status) => this._takeStatus(status),
       onLink: () => this._linked(),
       onContacts: (message) => {
-        if (this.paused) return;
-        for (const each of message.contacts) each.label = `${each.id}: ${forceText(each.force_n)}`;
+        if (this.paused || unitOf(message.unit) !== this.unit) return;
+        for (const each of message.contacts) each.label = `${each.id}: ${forceText(each.force, this.unit)}`;
         this.contacts.push(message);
         this._listener.onContacts();
       },
@@ -160,7 +162,9 @@ export class Session {
       return;
     }
     const newest = this.history.at(0);
-    if (newest && (restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + MAX_GAP_S)) {
+    const other = restored.unit !== this.unit; // a calibration was applied
+    this.unit = restored.unit;
+    if (newest && (other || restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + MAX_GAP_S)) {
       this.history.clear();
       this.contacts.clear();
       this._statuses.clear();

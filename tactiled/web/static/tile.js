@@ -39,10 +39,12 @@ export class Tile {
    */
   constructor(name, hasShear, streams, onImage, onChoose) {
     this.name = name;
-    /** Largest pressure of the newest image, kPa. */
+    /** Largest pressure of the newest image, in `unit`. */
     this.peak = 0;
-    /** Standard deviation of a restored cell, kPa. */
+    /** Standard deviation of a restored cell. */
     this.noise = 0;
+    /** Of pressure, index in UNITS. */
+    this.unit = 0;
     this._onImage = onImage;
     const canvas = layer();
     this._frame = element("span", "frame", canvas);
@@ -68,7 +70,7 @@ export class Tile {
     this._warnings = [];
     this._sent = NaN;
     this._unpainted = false;
-    this._kpa = new Float32Array(0);
+    this._values = new Float32Array(0);
     this._shear = new Float32Array(0);
     this._timestamp = NaN;
     /** @type {Plane|null} */
@@ -108,7 +110,7 @@ export class Tile {
       const plane = new Plane(await api.geometry(this.name));
       if (this._stopped) return;
       this._plane = plane;
-      this._kpa = new Float32Array(plane.restored.count).fill(NaN);
+      this._values = new Float32Array(plane.restored.count).fill(NaN);
       this._shear = new Float32Array(2 * plane.raw.count).fill(NaN);
       this._map.use(plane, plane.restored);
       this.layout();
@@ -150,7 +152,7 @@ export class Tile {
   _takeImage(image) {
     const plane = this._plane;
     if (!plane) return;
-    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.values.length === this._kpa.length;
+    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.values.length === this._values.length;
     if (!ours) {
       this._plane = null;
       this.start();
@@ -169,12 +171,13 @@ export class Tile {
 
   /** @param {Packet} image of pressures @param {Plane} plane */
   _takePressures(image, plane) {
-    this._kpa.set(image.values);
+    this._values.set(image.values);
     this._sent = image.sent;
     this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
+    this.unit = image.unit;
     this.noise = (image.noise || 0) * Math.max(1, image.noiseGain || 1);
-    measure(this._kpa, plane.restored, this.noise, this._of);
+    measure(this._values, plane.restored, this.noise, this._of, image.unit);
     this.peak = this._of.peak || 0;
   }
 
@@ -202,7 +205,7 @@ export class Tile {
   paint(range, colormap, rescaled) {
     if (this._freshness.heldBack || this._holdBack()) return;
     if (!this._fresh && !(rescaled && this._imageAt)) return;
-    this._map.paint(this._kpa, range, colormap);
+    this._map.paint(this._values, range, colormap);
     this._arrows?.draw(this._shear, this._timestamp);
     if (this._fresh) this._freshness.painted();
     this._fresh = this._unpainted = false;
@@ -218,7 +221,7 @@ export class Tile {
     this._warn(live ? this._warnings : []);
     setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
     if (!this._plane || (live && this._freshness.heldBack)) return;
-    setText(this._force, live ? forceText(this._imageAt ? this._of.force : NaN) : health.text);
+    setText(this._force, live ? this._imageAt ? forceText(this._of.force, this.unit) : "\u2013" : health.text);
   }
 
   /** @param {string[]} warnings that hold of what is shown */

@@ -25,6 +25,14 @@ export class TrendChart {
     this._lowest = 0;
   }
 
+  /** Another unit. @param {string} unit @param {number} minTop that the axis always reaches */
+  measure(unit, minTop) {
+    if (unit === this._axes.y) return;
+    this._axes.y = unit;
+    this._axes.top = 0;
+    this._minTop = minTop;
+  }
+
   /**
    * @param {FrameHistory} history
    * @param {["raw"|"restored"|"accent", Float64Array][]} rings the history's that are drawn, each with its ink

@@ -1,21 +1,33 @@
-/** Quantities as text, each with its unit; the service's units are in `tactiled/units.py`. @module */
+/**
+ * Quantities as text, each with its unit; the service's units are in `tactiled/units.py`. That of pressure, and with it
+ * that of force, follows the calibration of the sensor: it is an index in UNITS.
+ * @module
+ */
 
 import { fixed, newtons, number } from "./format.js";
 
-export const PRESSURE = "kPa";
-export const N_PER_KPA_MM2 = 1e-3;
+/** Units of pressure by their number in a message; counts where the sensor is uncalibrated. */
+export const UNITS = ["kPa", "counts"];
+export const FORCE_UNITS = ["N", "counts mm²"];
+export const FORCE_SCALES = [1e-3, 1]; // force of a pressure of 1 on 1 mm²
 
-/** @param {number} value kPa @param {number} digits significant ones @returns {string} */
-export const pressureText = (value, digits = 3) => `${number(value, digits)} ${PRESSURE}`;
+/** @param {string} name as the service's JSON has it @returns {number} index in UNITS */
+export const unitOf = (name) => Math.max(0, UNITS.indexOf(name));
 
-/** @param {number} value kPa @returns {string} with one decimal */
-export const readingText = (value) => `${fixed(value, 1)} ${PRESSURE}`;
+/** @param {number} value @param {number} unit @param {number} digits significant ones @returns {string} */
+export const pressureText = (value, unit, digits = 3) => `${number(value, digits)} ${UNITS[unit]}`;
+
+/** @param {number} value @param {number} unit @returns {string} with one decimal */
+export const readingText = (value, unit) => `${fixed(value, 1)} ${UNITS[unit]}`;
 
 /** @param {number} value mm @param {number} decimals @returns {string} */
 export const lengthText = (value, decimals = 1) => `${fixed(value, decimals)} mm`;
 
-/** @param {number} value N @returns {string} */
-export const forceText = (value) => `${newtons(value)} N`;
+/** @param {number} value @param {number} unit of pressure @returns {string} without its unit */
+export const forceNumber = (value, unit) => (unit ? fixed(value, 0) : newtons(value));
+
+/** @param {number} value @param {number} unit of pressure @returns {string} */
+export const forceText = (value, unit) => `${forceNumber(value, unit)} ${FORCE_UNITS[unit]}`;
 
 /** @param {number|string} value counts of shear @returns {string} */
 export const shearText = (value) => `${value} counts`;

@@ -12,7 +12,9 @@ import { notice, messageOf } from "./notice.js";
 import { Probe } from "./probe.js";
 import { Session } from "./session.js";
 import { TrendChart } from "./trend_chart.js";
+import { FORCE_SCALES, FORCE_UNITS, UNITS, unitOf } from "./units.js";
 
+/** @import { Sensor } from "./api.js" */
 /** @import { Colormap } from "./colormap.js" */
 /** @import { ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -21,6 +23,7 @@ import { TrendChart } from "./trend_chart.js";
 /** @import { Status } from "./sensor_stream.js" */
 
 const LINE_STAYS = 0.85; // of the peak that the cross-section must still reach where it is
+const MIN_FORCES = FORCE_SCALES.map((each) => 100 * each); // that the chart of forces reaches up to: 0.1 N
 const TREND_MS = 100; // between two drawings of what changes slowly
 
 /**
@@ -34,10 +37,11 @@ export class Viewer {
   /** @param {Listener} listener */
   constructor(listener) {
     this._listener = listener;
-    this.range = new DisplayRange();
+    /** By unit of pressure. */
+    this.ranges = UNITS.map(() => new DisplayRange());
     this.maps = new Maps();
     this.section = new CrossSection(byId("section"));
-    this.forces = new TrendChart(byId("forces"), "N", 0.1);
+    this.forces = new TrendChart(byId("forces"), FORCE_UNITS[0], MIN_FORCES[0]);
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
@@ -66,6 +70,16 @@ export class Viewer {
     this._paint = this._paint.bind(this);
   }
 
+  /** @returns {number} unit of pressure of the sensor that is watched, index in UNITS */
+  get unit() {
+    return this.session?.unit ?? 0;
+  }
+
+  /** @returns {DisplayRange} of the sensor that is watched */
+  get range() {
+    return this.ranges[this.unit];
+  }
+
   /** Paint at the screen's next turn. */
   refresh() {
     if (this._dirty) return;
@@ -86,12 +100,13 @@ export class Viewer {
     if (!session || !colormap) return;
     if (this._fresh && session.holdBack()) this._fresh = false;
     const { frame } = session;
-    this.maps.colorbar.draw(this.range, colormap);
+    this.maps.colorbar.draw(this.range, colormap, this.unit);
     if (frame) this._mark(frame, session);
     if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear);
-    this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now));
+    this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now), this.unit);
     if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
+      this.forces.measure(FORCE_UNITS[this.unit], MIN_FORCES[this.unit]);
       this.forces.draw(session.history, session.back);
       this.latencies.draw(session.history, session.back);
     }
@@ -125,12 +140,13 @@ export class Viewer {
    * @param {Frame} frame
    * @param {Session} session
    * @param {number} now ms
-   * @returns {Float32Array|null} kPa, of each restored cell
+   * @returns {Float32Array|null} of each restored cell
    */
   _deviation(frame, session, now) {
     if (!this.sectionSeen) return null;
     if (!session.paused) session.deviations.request(frame, now);
-    return session.deviations.at(frame.timestamp)?.kpa ?? null;
+    const deviation = session.deviations.at(frame.timestamp);
+    return deviation && unitOf(deviation.unit) === frame.unit ? deviation.values : null;
   }
 
   /** The window has another size. */
@@ -181,7 +197,7 @@ export class Viewer {
     this.marks.contacts = null;
     this.pace.reset();
     this.probe.clear();
-    this.range.reset();
+    for (const range of this.ranges) range.reset();
     this.maps.clear();
     for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
     this.kernel.use(null);
@@ -196,7 +212,7 @@ export class Viewer {
     const mine = this._selection;
     try {
       const [geometry, sensor] = await Promise.all([api.geometry(name), api.sensor(name)]);
-      if (mine === this._selection) this._open(name, new Plane(geometry), sensor.shear);
+      if (mine === this._selection) this._open(sensor, new Plane(geometry));
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
@@ -223,12 +239,12 @@ export class Viewer {
     this.select(name);
   }
 
-  /** @param {string} name @param {Plane} plane @param {boolean} hasShear shear */
-  _open(name, plane, hasShear) {
+  /** @param {Sensor} sensor @param {Plane} plane */
+  _open({ name, shear, unit }, plane) {
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
-    this.session = new Session(name, plane, hasShear, this.contacts, this.shear, {
+    this.session = new Session(name, plane, shear, this.contacts, this.shear, {
       onFrame: (frame, resumed) => {
         this._take(frame);
         if (resumed) this._listener.onChange();
@@ -243,6 +259,7 @@ export class Viewer {
       onContacts: () => this.refresh(),
       onOtherShape: () => this.reopen(name),
     });
+    this.session.unit = unitOf(unit);
     const { history } = this.session;
     this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
     this.latencies.use(history, [["accent", history.latencies]]);

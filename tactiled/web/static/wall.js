@@ -4,9 +4,12 @@ import { wallUrl } from "./api.js";
 import { Colorbar } from "./colorbar.js";
 import { byId } from "./dom.js";
 import { Tile } from "./tile.js";
+import { unitOf } from "./units.js";
 import { WallStream } from "./wall_stream.js";
 
 /** @import { Sensor } from "./api.js" */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { DisplayRange } from "./display_range.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 const READ_MS = 200; // between two updates of the texts
@@ -45,16 +48,16 @@ export class Wall {
     this._root = byId("wall");
     this._skipLink = /** @type {HTMLAnchorElement} */ (byId("skip"));
     this._grid = byId("tiles");
-    this._colorbar = new Colorbar(byId("wall-colorbar"));
+    /** By unit of pressure. */
+    this._colorbars = ["wall-colorbar", "wall-colorbar-counts"].map((id) => new Colorbar(/** @type {HTMLCanvasElement} */ (byId(id))));
     /** @type {Tile[]} */
     this._tiles = [];
     /** @type {WallStream|null} */
     this._streams = null;
     this._url = "";
     this._dirty = false;
-    /** Range of the maps as they were last painted, kPa. */
-    this._low = NaN;
-    this._high = NaN;
+    /** Ranges of the maps as they were last painted, by unit of pressure. */
+    this._painted = this._colorbars.map(() => ({ low: NaN, high: NaN }));
     this._paint = this._paint.bind(this);
     this._timer = 0;
   }
@@ -82,14 +85,20 @@ export class Wall {
     this._tiles = names.map(
       (name) => new Tile(name, sheared.includes(name), streams, () => this.refresh(), () => this._onChoose(name)),
     );
+    this._tiles.forEach((each, i) => { each.unit = unitOf(sensors[i].unit); });
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));
     this._arrange();
     for (const tile of this._tiles) tile.start();
     this._streams = streams;
     streams.open();
     this._timer = setInterval(() => this._read(), READ_MS);
-    this._colorbar.forget();
+    this._forgetLegends();
     this.refresh();
+  }
+
+  /** Draw every legend again. */
+  _forgetLegends() {
+    for (const each of this._colorbars) each.forget();
   }
 
   /** Show a single sensor's page again. */
@@ -109,7 +118,7 @@ export class Wall {
 
   /** Another size or theme. */
   restyle() {
-    this._colorbar.forget();
+    this._forgetLegends();
     this._arrange();
     for (const tile of this._tiles) tile.layout();
     this.refresh();
@@ -146,20 +155,39 @@ export class Wall {
 
   _paint() {
     this._dirty = false;
-    const { colormap, range } = this._viewer;
+    const { colormap, ranges } = this._viewer;
     if (!colormap || !this.open) return;
+    for (let unit = 0; unit < ranges.length; unit += 1) this._paintUnit(unit, ranges[unit], colormap);
+  }
+
+  /**
+   * Paint the sensors of one unit of pressure, on one scale.
+   * @param {number} unit
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
+   */
+  _paintUnit(unit, range, colormap) {
     let peak = 0;
     let noise = 0;
+    let count = 0;
     for (let i = 0; i < this._tiles.length; i += 1) {
+      if (this._tiles[i].unit !== unit) continue;
+      count += 1;
       peak = Math.max(peak, this._tiles[i].peak);
       noise = Math.max(noise, this._tiles[i].noise);
     }
+    const colorbar = this._colorbars[unit];
+    /** @type {HTMLElement} */ (colorbar.canvas.parentElement).hidden = !count;
+    if (!count) return;
     range.follow(peak, noise, performance.now() / 1000);
-    this._colorbar.draw(range, colormap);
-    const rescaled = range.low !== this._low || range.high !== this._high;
-    this._low = range.low;
-    this._high = range.high;
-    for (let i = 0; i < this._tiles.length; i += 1) this._tiles[i].paint(range, colormap, rescaled);
+    colorbar.draw(range, colormap, unit);
+    const painted = this._painted[unit];
+    const rescaled = range.low !== painted.low || range.high !== painted.high;
+    painted.low = range.low;
+    painted.high = range.high;
+    for (let i = 0; i < this._tiles.length; i += 1) {
+      if (this._tiles[i].unit === unit) this._tiles[i].paint(range, colormap, rescaled);
+    }
   }
 
   _read() {
