@@ -11,6 +11,7 @@ from tactiled.errors import ConfigError
 Form = Literal["linear", "power", "cubic", "spline"]
 FORMS: tuple[Form, ...] = get_args(Form)
 PARAMETERS = {"linear": 1, "power": 2, "cubic": 3}  # a taxel's; of a spline, as many as it has knots
+KNOTS = np.array([0.25, 0.5, 0.75, 1.0])  # relative counts of fitted splines
 CHORD_TO = 0.01  # relative counts up to which a power law is its chord: its slope at 0 is 0 or infinite
 BISECTIONS = 50  # of [0, 1], to below float64's resolution of the relative counts
 Floats = NDArray[np.float64]
@@ -28,7 +29,7 @@ class Curves:
     form: Form
     parameters: Floats  # (N, P)
     reach_counts: Floats  # (N, 2): calibrated range over no load, ascending; one end is 0
-    deviation: Floats  # (N,) standard error of the gain, relative to it
+    deviation: Floats  # (N,) standard error of the gain, relative to it; NaN: unknown
     hysteresis: Floats  # (N,) % of full scale; NaN: unknown
     individual: NDArray[np.bool_]  # (N,) false: the taxel has the array's common curve, not its own
     knots: Floats = field(default_factory=lambda: np.empty(0))  # (P,), of a spline only
@@ -45,7 +46,7 @@ class Curves:
         low, high = self.reach_counts.T
         valid = np.isfinite(high - low) & (low < high) & ((low == 0) | (high == 0))
         _require("reach_counts", valid, self.reach_counts, "give 0 and the range's other end, ascending")
-        _require("deviation", self.deviation >= 0, self.deviation, "give a standard error of 0 or more")
+        _require("deviation", ~(self.deviation < 0), self.deviation, "give a standard error of 0 or more")
         _require("hysteresis", ~(self.hysteresis < 0), self.hysteresis, "give % of full scale, 0 or more")
         object.__setattr__(self, "_end", low + high)
         _require("parameters", self._monotone(), self.parameters, f"a {self.form} curve must rise with pressure")
@@ -162,6 +163,13 @@ class Curves:
             raise ConfigError(
                 f"knots are {self.knots.tolist()}: give rising relative counts over 0, the last one 1"
             )
+
+
+def unit_curves(form: Form, parameters: Floats) -> Curves:
+    """Curves (N,) of relative counts: their range ends at 1."""
+    size = len(parameters)
+    zeros, knots = np.zeros(size), KNOTS if form == "spline" else np.empty(0)
+    return Curves(form, parameters, np.tile([0.0, 1.0], (size, 1)), zeros, zeros, zeros.astype(bool), knots)
 
 
 def cubic_slope(parameters: Floats) -> Floats:

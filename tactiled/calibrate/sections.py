@@ -85,7 +85,7 @@ class GainSection(Section):
     parameters: tuple[Values, ...]
     knots: Values
     reach_counts: tuple[Values, Values]  # lower and upper end
-    deviation: Values
+    deviation: OptionalValues
     hysteresis: OptionalValues
     individual: tuple[bool, ...]
 
@@ -99,7 +99,7 @@ class GainSection(Section):
             parameters=_rows(curves.parameters.T),
             knots=tuple(curves.knots.tolist()),
             reach_counts=_rows(curves.reach_counts.T),
-            deviation=tuple(curves.deviation.tolist()),
+            deviation=optional(curves.deviation),
             hysteresis=optional(curves.hysteresis),
             individual=tuple(curves.individual.tolist()),
         )
@@ -109,7 +109,7 @@ class GainSection(Section):
         """The curves."""
         return Curves(
             self.form, np.array(self.parameters, float).T, np.array(self.reach_counts, float).T,
-            np.array(self.deviation), np.array(self.hysteresis, float), np.array(self.individual),
+            np.array(self.deviation, float), np.array(self.hysteresis, float), np.array(self.individual),
             np.array(self.knots),
         )  # fmt: skip
 

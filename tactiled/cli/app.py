@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from typer.completion import completion_init  # type: ignore[attr-defined]  # not in its __all__
 
-from tactiled.cli.verbs import BenchVerbs, Verbs
+from tactiled.cli.verbs import BenchVerbs, CalibrateVerbs, Verbs
 from tactiled.errors import TactileError
 
 EXIT_REFUSED, EXIT_INTERRUPTED = 2, 130
@@ -27,6 +27,8 @@ app = typer.Typer(
 )
 bench = typer.Typer(cls=BenchVerbs, help="Measure speed and accuracy on this machine.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
+calibrate = typer.Typer(cls=CalibrateVerbs, help="Calibrate an array from recordings.", no_args_is_help=True)
+app.add_typer(calibrate, name="calibrate")
 
 
 def _print_version(requested: bool) -> None:

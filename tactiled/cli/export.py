@@ -1,6 +1,5 @@
 """`tactiled export`: a recording's images with their units and provenance."""
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -99,14 +98,6 @@ def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Me
         yield message
 
 
-def _sha256(recording: Path) -> str:
-    try:
-        with recording.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise ConfigError(f"recording {recording}: {error.strerror}") from error
-
-
 def _units(plan: SensorPlan) -> dict[str, str]:
     """Unit of each array; pressure is in counts where the sensor is uncalibrated."""
     noise = f"{plan.unit}, standard deviation of one raw taxel"
@@ -121,7 +112,7 @@ def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
         "made_by": f"tactiled {__version__}",
         "recording": {
             "file": recording.path.name,
-            "sha256": _sha256(recording.path),
+            "sha256": options.file_sha256(recording.path),
             "messages": recording.count,
             "end_cut_off": recording.torn,
         },

@@ -21,6 +21,10 @@ restore  Restore the frames of a .npy file, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
 sniff    Listen to a bus and list the known skins on it; sends nothing.
 """
+CALIBRATE_VERBS = """\
+gain     Find each taxel's gain and curve in a recording under known loads.
+show     Print what a calibration file holds.
+"""
 BENCH_VERBS = """\
 frontier  Chart error against time for every method of ours and for others', in one run on one thread.
 latency   Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback.
@@ -63,3 +67,9 @@ class BenchVerbs(Verbs):
     """The verbs of `tactiled bench`."""
 
     lines, file = BENCH_VERBS, "tactiled.cli.bench"
+
+
+class CalibrateVerbs(Verbs):
+    """The verbs of `tactiled calibrate`."""
+
+    lines, file = CALIBRATE_VERBS, "tactiled.cli.calibrate"

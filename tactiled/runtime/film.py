@@ -27,8 +27,8 @@ def read_film(path: Path, name: str, config: Config) -> Film:
         if sensor == name:
             times.append(frame.time)
             arrived.append(frame.arrived)
-            known = frame.flags & (MISSING | BAD) == 0
-            counts.append(np.where(known, frame.counts, np.nan).astype(np.float32))
+            valid = frame.flags & (MISSING | BAD) == 0
+            counts.append(np.where(valid, frame.counts, np.nan).astype(np.float32))
     if not times:
         raise ConfigError(f"recording {path}: holds no frame of sensor {name} ({recording.summary()})")
     ascending = bool((np.diff(times) >= 0).all())

@@ -82,7 +82,7 @@ def test_the_forms_are_the_textbook_ones():
         ("spline", {"parameters": [[5, 20, 50], [30, 30, 80]]}, "parameters of taxel 1 is [30.0, 30.0, 80.0]"),
         ("spline", {"knots": [0.5, 0.2, 1.0]}, "knots are [0.5, 0.2, 1.0]: give rising relative counts"),
         ("linear", {"reach_counts": [[0, 5], [3, 5]]}, "reach_counts of taxel 1 is [3.0, 5.0]"),
-        ("linear", {"deviation": [0.1, np.nan]}, "deviation of taxel 1 is nan"),
+        ("linear", {"deviation": [0.1, -0.2]}, "deviation of taxel 1 is -0.2"),
         ("linear", {"deviation": [0.1]}, "deviation has shape (1,): a linear curve of 2 taxels needs (2,)"),
         ("linear", {"hysteresis": [0.1, -1]}, "hysteresis of taxel 1 is -1.0"),
     ],

@@ -9,7 +9,7 @@ from pkgutil import iter_modules
 import pytest
 
 import tactiled.cli
-from tactiled.cli.verbs import BENCH_VERBS, VERBS
+from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
@@ -17,7 +17,11 @@ HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skima
 SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
     [(verb, file.format(verb), line) for verb, line in (each.split(maxsplit=1) for each in lines.splitlines())]
-    for lines, file in ((VERBS, "tactiled.cli.{}"), (BENCH_VERBS, "tactiled.cli.bench"))
+    for lines, file in (
+        (VERBS, "tactiled.cli.{}"),
+        (BENCH_VERBS, "tactiled.cli.bench"),
+        (CALIBRATE_VERBS, "tactiled.cli.calibrate"),
+    )
 ]
 
 
@@ -76,10 +80,10 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
     assert not of(names, "skfem", "skimage", "matplotlib", "scipy.ndimage", "tactiled.study")
 
 
-@pytest.mark.parametrize("group", [[], ["bench"]])
-def test_help_lists_every_verb_with_the_first_paragraph_of_its_docstring(group):
+@pytest.mark.parametrize(("table", "group"), [(0, []), (1, ["bench"]), (2, ["calibrate"])])
+def test_help_lists_every_verb_with_the_first_paragraph_of_its_docstring(table, group):
     listed = " ".join(succeed(*group, "--help").split())
-    for verb, module, line in TABLES[len(group)]:
+    for verb, module, line in TABLES[table]:
         function = getattr(importlib.import_module(module), verb)
         assert " ".join(inspect.getdoc(function).split("\n\n")[0].split()) == line
         assert f" {verb} {line}" in listed

@@ -1,0 +1,225 @@
+"""Gain and curve of each taxel from a recording under uniform pressure: in known steps, or beside a log."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.curve_fit import Points, fit, hysteresis
+from tactiled.calibrate.curves import KNOTS, Curves, Form
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.means import DEAD_BELOW, Means, Rails, mean_counts, require_response
+from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
+from tactiled.calibrate.reference import Alignment, Reference, align, resampled
+from tactiled.errors import ConfigError
+
+STEP_TOLERANCE = 0.07  # of the smallest step: a plateau's readings keep within
+MIN_HOLD = 0.15  # of the mean time of a step: a shorter hold is none
+MIN_RANGE_SIGMAS = 15.0  # of smoothed readings: of pure noise 500 reach 7
+SMOOTHED_FRAMES = 20
+BLOCKS = 600  # into which a recording beside a log is cut
+UNLOADED = 0.01  # of the log's largest value, and less
+STARTS_LOADED = 0.05  # of the log's largest value
+MAX_RAMP = 0.1  # of the log's largest value: a block in which it changes by more is left out
+MIN_POINTS = 10
+FOLDS = 10  # pieces of time, left out in turn
+PRESSURES_KPA = (0.01, 1e4)  # of a skin's largest: beyond, the log has another unit
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainFit:
+    """Curves of an array, and where they come from."""
+
+    curves: Curves
+    no_load: Floats  # (N,) counts where the recording starts
+    dead: tuple[int, ...]  # taxels without a response
+    spread: float  # of the taxels' gains, standard deviation over mean; NaN: unknown
+    scores: dict[Form, float]  # rms error of left-out points by form, over the largest pressure; NaN: not compared
+    points: Points  # (M, N, 1), of a force (M, 1, N)
+    residuals: Floats  # (M, N), of a force (M, 1): fitted less known pressure, kPa; NaN: left out
+    alignment: Alignment | None = None
+    notes: tuple[str, ...] = ()
+
+
+def fit_steps(film: Film, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
+    """Curves from pressures that the whole array bore one after another, the first of them 0."""
+    steps = _checked(steps_kpa)
+    holds = find_steps(response(film), steps)
+    sign = float(np.sign(np.polyfit(steps, [each.level for each in holds], 1)[0]))
+    _require_order(steps, [sign * each.level for each in holds])
+    means = mean_counts(film, [each.core for each in holds], steps == 0, sign, rails)
+    loaded = steps > 0
+    points = Points(
+        counts=means.over[loaded, :, None],
+        pressure=steps[loaded],
+        direction=np.sign(np.diff(steps, prepend=0.0)).astype(np.int8)[loaded],
+        cluster=np.arange(np.count_nonzero(loaded)),
+        fold=np.unique(steps[loaded], return_inverse=True)[1],
+    )
+    return _uniform(points, means, loaded)
+
+
+def fit_pressure(film: Film, log: Reference, rails: Rails) -> GainFit:
+    """Curves from a log of the pressure that the whole array bore."""
+    check_pressure(log, float(log.values.max()))
+    signal = response(film)
+    signal = signal * np.sign(signal.sum())
+    require_press(signal)
+    alignment = align(film.times, signal, log)
+    points, means, used = log_points(film, log, alignment, rails)
+    return _uniform(points, means, used, alignment)
+
+
+def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: Alignment | None = None) -> GainFit:
+    """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
+    require_response(means.over[used], means.noise[used])
+    end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
+    dead = ~(end >= DEAD_BELOW * np.median(end))
+    live = np.flatnonzero(~dead)
+    alive = points.of(live)
+    fitted = fit(alive, end[live])
+    offset = fitted.lever * means.no_load_noise[live] / end[live]
+    spread_over = _Spread(end.size, live)
+    curves = assembled(
+        fitted.form,
+        spread_over(fitted.parameters, fitted.parameters.mean(axis=0)),
+        means.sign * spread_over(end[live], end[live].mean()),
+        deviation=spread_over(np.sqrt(fitted.variance + offset**2), np.nan),
+        hysteresis=spread_over(hysteresis(fitted, alive), np.nan),
+        individual=~dead,
+    )
+    gains = curves.gain[live]
+    return GainFit(
+        curves=curves,
+        no_load=means.no_load,
+        dead=tuple(np.flatnonzero(dead).tolist()),
+        spread=float(gains.std() / abs(gains.mean())),
+        scores=fitted.scores,
+        points=points,
+        residuals=spread_over(fitted.residuals.T, np.nan).T,
+        alignment=alignment,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """Values of the live taxels among all."""
+
+    size: int
+    live: NDArray[np.int64]
+
+    def __call__(self, values: Floats, other: Floats | float) -> Floats:
+        """`values` (L, ...) in the places of the live taxels of (N, ...), `other` elsewhere."""
+        full = np.empty((self.size, *values.shape[1:]))
+        full[:] = other
+        full[self.live] = values
+        return full
+
+
+def assembled(
+    form: Form,
+    parameters: Floats,
+    end: Floats,
+    deviation: Floats,
+    hysteresis: Floats,
+    individual: NDArray[np.bool_],
+) -> Curves:
+    """Curves from parameters (N, P) over relative counts and the signed counts (N,) at the range's end."""
+    return Curves(
+        form=form,
+        parameters=parameters / end[:, None] if form == "linear" else parameters,
+        reach_counts=np.column_stack([np.minimum(end, 0), np.maximum(end, 0)]),
+        deviation=deviation,
+        hysteresis=hysteresis,
+        individual=individual,
+        knots=KNOTS if form == "spline" else np.empty(0),
+    )
+
+
+def _checked(steps_kpa: Sequence[float]) -> Floats:
+    """The pressures as an array; ConfigError names what is wrong with them."""
+    steps = np.array(steps_kpa, np.float64)
+    listing = ",".join(f"{each:g}" for each in steps)
+    if not (np.isfinite(steps) & (steps >= 0)).all() or steps.size < 2 or steps[0] != 0:
+        raise ConfigError(f"--steps-kpa {listing}: give two pressures or more, in kPa, the first of them 0")
+    if not np.diff(steps).all():
+        raise ConfigError(f"--steps-kpa {listing}: a pressure follows itself: give it once")
+    if not PRESSURES_KPA[0] <= steps.max() <= PRESSURES_KPA[1]:
+        raise ConfigError(
+            f"--steps-kpa {listing}: give kPa, the largest {PRESSURES_KPA[0]:g} to {PRESSURES_KPA[1]:g}"
+        )
+    return steps
+
+
+def _require_order(steps: Floats, levels: list[float]) -> None:
+    """ConfigError where readings fall from a step to a higher one, or rise to a lower one."""
+    for n, (step, change) in enumerate(zip(np.diff(steps), np.diff(levels), strict=True)):
+        if step * change < 0:
+            what = f"from {steps[n]:g} to {steps[n + 1]:g} kPa the readings {'rise' if change > 0 else 'fall'}"
+            raise ConfigError(f"--steps-kpa: {what}: give the pressures in the order of the recording")
+
+
+def require_press(signal: Floats) -> float:
+    """Range of a signal (T,) without outliers; ConfigError where it is no more than noise."""
+    width = min(SMOOTHED_FRAMES, max(signal.size // SMOOTHED_FRAMES, 1))
+    smooth = signal[: signal.size // width * width].reshape(-1, width).mean(axis=1)
+    size = float(np.diff(np.percentile(smooth, [0.5, 99.5]))[0])
+    if not size > MIN_RANGE_SIGMAS * float(noise(signal)) / width**0.5:
+        raise ConfigError("no press above the noise in the recording: press more, or check the sensor")
+    return size
+
+
+def find_steps(signal: Floats, steps: Floats) -> list[Plateau]:
+    """A plateau of `signal` (T,) for each step; ConfigError where their numbers differ."""
+    smallest = np.abs(np.diff(steps)).min() / np.ptp(steps)
+    tolerance = STEP_TOLERANCE * float(smallest) * require_press(signal)
+    holds = plateaus(signal, tolerance, round(MIN_HOLD * signal.size / steps.size))
+    if len(holds) != steps.size:
+        levels = ", ".join(f"{each.level:.0f}" for each in holds)
+        raise ConfigError(
+            f"--steps-kpa names {steps.size} pressures, and the recording holds {len(holds)}, at {levels} counts "
+            "(median taxel): give every pressure in its order, and hold each for the same time"
+        )
+    return holds
+
+
+def check_pressure(log: Reference, largest_kpa: float) -> None:
+    """ConfigError where a log's largest pressure is none that a skin bears."""
+    low, high = PRESSURES_KPA
+    if not low <= largest_kpa <= high:
+        raise ConfigError(
+            f"{log.path}: {log.quantity} up to {log.values.max():g} is {largest_kpa:.3g} kPa, "
+            f"outside {low:g} to {high:g}: check the unit"
+        )
+
+
+def log_points(
+    film: Film, log: Reference, alignment: Alignment, rails: Rails, blocks: int = BLOCKS
+) -> tuple[Points, Means, NDArray[np.bool_]]:
+    """Points of a recording cut into blocks of even time, the means of all blocks, and those that are points."""
+    values = resampled(log, film.times + alignment.offset_s)
+    full, width = float(np.nanmax(values)), max(1, -(-values.size // blocks))
+    starts = np.arange(0, values.size - width + 1, width)
+    within = values[: starts.size * width].reshape(-1, width)
+    level, ramp = within.mean(axis=1), np.ptp(within, axis=1)
+    inside = np.isfinite(level)
+    level, ramp, starts = level[inside], ramp[inside], starts[inside]
+    quiet = max(UNLOADED * full, 4 * float(noise(log.values)))
+    if level[0] > max(STARTS_LOADED * full, quiet):
+        raise ConfigError(f"{log.path}: {level[0]:.3g} {log.unit} where the recording starts: start unloaded")
+    unloaded = np.abs(level) <= quiet
+    unloaded[0] = True
+    unloaded[1:] &= unloaded[:-1]  # the first block after a press may still recover
+    used = (level > quiet) & (ramp <= MAX_RAMP * full)
+    if np.count_nonzero(used) < MIN_POINTS:
+        used = level > quiet
+    sign = float(np.sign((response(film, total=log.quantity == "force_n") * np.nan_to_num(values)).sum()))
+    means = mean_counts(film, [slice(each, each + width) for each in starts], unloaded, sign, rails)
+    direction = np.where(np.abs(change := np.gradient(level)) > UNLOADED * full / 2, np.sign(change), 0)
+    number = np.cumsum(np.diff(level > quiet, prepend=False) & (level > quiet))[used]
+    pieces = np.arange(number.size) * FOLDS // number.size
+    groups = np.unique(number, return_inverse=True)[1] if np.unique(number).size >= FOLDS // 2 else pieces
+    points = Points(means.over[used, :, None], level[used], direction.astype(np.int8)[used], groups, groups)
+    return points, means, used

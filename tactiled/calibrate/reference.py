@@ -1,0 +1,186 @@
+"""A force or pressure log beside a recording: its file, and its clock aligned with the recording's."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.errors import ConfigError
+
+Quantity = Literal["force_n", "pressure_kpa"]
+QUANTITIES = get_args(Quantity)
+ABSOLUTE_FROM_S = 1e8  # clocks that read more count from 1970, so two of them can be compared
+MAX_CLOCK_OFFSET_S = 30.0  # of two such clocks; more is another zone or day
+MIN_CORRELATION = 0.8  # of the log with the readings: chance reaches 0.5, 20 % of hysteresis leaves 0.97
+AMBIGUOUS = 0.97  # of the best correlation: an alignment as good as this may be the true one
+MAX_SAMPLES = 20_000  # of a clock's search
+MIN_ROWS = 20
+REFINEMENTS = 6  # Gauss-Newton steps of the offset
+CURVE_KNOTS = np.linspace(0, 1, 9)  # of readings over the log: any smooth curve to 1 %
+BLOCKS = 20  # of time, whose scatter is the offset's standard error
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A log of what pressed."""
+
+    path: Path
+    quantity: Quantity
+    times: Floats  # (T,) s, ascending
+    values: Floats  # (T,) N or kPa
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return "N" if self.quantity == "force_n" else "kPa"
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The log's clock less the recording's."""
+
+    offset_s: float
+    deviation_s: float  # standard error
+    correlation: float  # of readings and log, by a curve and a drift
+
+
+def read_reference(path: Path) -> Reference:
+    """Read a CSV file with the columns time_s and force_n or pressure_kpa; ConfigError names what is wrong."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            header, *rows = [row for row in csv.reader(file) if row] or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or 'no text'}: give a CSV file") from error
+    names = [each.strip() for each in header]
+    quantity = _quantity(path, names)
+    values = [
+        _numbers(path, line, row, (names.index("time_s"), names.index(quantity)))
+        for line, row in enumerate(rows, 2)
+    ]
+    if len(values) < MIN_ROWS:
+        raise ConfigError(f"{path}: {len(values)} rows: give {MIN_ROWS} or more")
+    times, readings = np.array(values).T
+    if (back := np.flatnonzero(np.diff(times) <= 0)).size:
+        raise ConfigError(f"{path}: time_s does not rise at line {back[0] + 3}: {times[back[0] + 1]:g}")
+    return Reference(path, quantity, times, readings)
+
+
+def _quantity(path: Path, names: list[str]) -> Quantity:
+    """The column of a known unit; ConfigError names a column of another one."""
+    present: list[Quantity] = [each for each in QUANTITIES if each in names]
+    if "time_s" in names and len(present) == 1:
+        return present[0]
+    if len(present) == 2:
+        raise ConfigError(f"{path}: columns force_n and pressure_kpa: give one of them")
+    stems = ("time",) if present else ("force", "pressure")
+    other = [each for each in names if each.lower().startswith(stems)]
+    expected = "time_s" if present else "force_n or pressure_kpa"
+    if other:
+        raise ConfigError(f"{path}: column {other[0]!r}: unknown unit; use {expected}")
+    raise ConfigError(f"{path}: columns {', '.join(names)[:80]!r}: give time_s and force_n or pressure_kpa")
+
+
+def _numbers(path: Path, line: int, row: list[str], columns: tuple[int, ...]) -> list[float]:
+    """Numbers of a row; ConfigError names the line."""
+    try:
+        numbers = [float(row[each]) for each in columns]
+        if not np.isfinite(numbers).all():
+            raise ValueError
+    except (ValueError, IndexError) as error:
+        raise ConfigError(f"{path}: line {line}: {','.join(row)[:80]!r}: give numbers") from error
+    return numbers
+
+
+def align(times: Floats, signal: Floats, log: Reference) -> Alignment:
+    """The log's clock less that of `times` (T,), at which the array reads `signal` (T,), loaded upwards.
+
+    First by cross-correlation over all offsets, then by Gauss-Newton on a curve of the log, to parts of a sample.
+    """
+    offset = _coarse(times, signal, log)
+    inside = (times + offset >= log.times[0]) & (times + offset <= log.times[-1])
+    for _ in range(REFINEMENTS):
+        step, deviation, correlation = _refine(times[inside] + offset, signal[inside], log)
+        offset += step
+    if not correlation > MIN_CORRELATION:
+        raise ConfigError(
+            f"{log.path}: correlates with the recording by {correlation:.2f} only: give the log of this recording"
+        )
+    return Alignment(offset, deviation, correlation)
+
+
+def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
+    """Offset (s) of the best cross-correlation, to one sample; ConfigError where there is none, or several."""
+    ends = times[[0, -1]], log.times[[0, -1]]
+    absolute = min(ends[0][0], ends[1][0]) > ABSOLUTE_FROM_S
+    if absolute and (max(times[0], log.times[0]) > min(times[-1], log.times[-1]) + MAX_CLOCK_OFFSET_S):
+        apart = max(log.times[0] - times[-1], times[0] - log.times[-1])
+        raise ConfigError(f"{log.path}: does not overlap the recording: {apart:.3g} s lie between them")
+    span = max(np.ptp(times), np.ptp(log.times))
+    step = max(float(np.median(np.diff(times))), float(span) / MAX_SAMPLES)
+    film, reference = (
+        np.interp(np.arange(a[0], a[-1], step), a, b - b[:MIN_ROWS].mean())
+        for a, b in ((times, signal), (log.times, log.values))
+    )
+    size = film.size + reference.size
+    product = np.fft.rfft(reference, size) * np.conj(np.fft.rfft(film, size))
+    shifts = np.arange(size)
+    shifts[shifts >= reference.size] -= size
+    offsets = log.times[0] - times[0] + step * shifts
+    correlation = np.fft.irfft(product, size) / max(
+        float(np.linalg.norm(film) * np.linalg.norm(reference)), 1e-300
+    )
+    if absolute:
+        correlation[np.abs(offsets) > MAX_CLOCK_OFFSET_S] = -1
+    order = np.argsort(shifts)
+    return _one_peak(offsets[order], correlation[order], absolute, log.path)
+
+
+def _one_peak(offsets: Floats, correlation: Floats, absolute: bool, path: Path) -> float:
+    """Offset of the highest peak; of several as high, that nearest 0 if both clocks count from 1970."""
+    best = int(correlation.argmax())
+    high = correlation > AMBIGUOUS * correlation[best]
+    starts = np.flatnonzero(high & ~np.concatenate([[False], high[:-1]]))
+    ends = np.flatnonzero(high & ~np.concatenate([high[1:], [False]]))
+    peaks = [a + int(correlation[a : b + 1].argmax()) for a, b in zip(starts, ends, strict=True)]
+    if len(peaks) > 1 and not absolute:
+        pair = f"{offsets[peaks[0]]:.3g} and {offsets[peaks[1]]:.3g} s"
+        raise ConfigError(f"{path}: its clock fits the recording's at offsets of {pair}: press with uneven pauses")
+    return float(offsets[min(peaks, key=lambda each: abs(offsets[each])) if absolute else best])
+
+
+def _refine(at: Floats, signal: Floats, log: Reference) -> tuple[float, float, float]:
+    """A step of the offset (s), its standard error, and the correlation with a curve of the log."""
+    force = np.interp(at, log.times, log.values) / np.abs(log.values).max()
+    drift = (at - at[0]) / np.ptp(at)
+    hats = [np.interp(force, CURVE_KNOTS, each) for each in np.eye(CURVE_KNOTS.size)]
+    model = np.column_stack([*hats, drift])
+    factors = np.linalg.lstsq(model, signal, rcond=None)[0]
+    fitted = model @ factors
+    slope = np.gradient(model[:, :-1] @ factors[:-1], at)
+    slope -= model @ np.linalg.lstsq(model, slope, rcond=None)[0]
+    residual = signal - fitted
+    block = (np.arange(at.size) * BLOCKS) // at.size
+    pull, weight = (np.bincount(block, each) for each in (slope * residual, slope**2))
+    step = pull.sum() / max(weight.sum(), 1e-300)
+    deviation = np.sqrt(((pull - step * weight) ** 2).sum()) / max(weight.sum(), 1e-300)
+    explained = 1 - residual.var() / max(float(signal.var()), 1e-300)
+    limit = float(np.median(np.diff(at)))
+    return float(np.clip(step, -limit, limit)), float(deviation), float(np.sqrt(max(explained, 0.0)))
+
+
+def resampled(log: Reference, at: Floats) -> Floats:
+    """The log at times `at` (T,) of its own clock, averaged over their spacing where it is finer; NaN outside."""
+    width = float(np.median(np.diff(at)))
+    if np.median(np.diff(log.times)) < width:
+        steps = np.diff(log.times) * (log.values[1:] + log.values[:-1]) / 2
+        integral = np.concatenate([[0.0], np.cumsum(steps)])
+        ends = np.clip([at - width / 2, at + width / 2], log.times[0], log.times[-1])
+        before, after = np.interp(ends, log.times, integral)
+        values = (after - before) / np.maximum(ends[1] - ends[0], width / 4)
+    else:
+        values = np.interp(at, log.times, log.values)
+    return np.where((at >= log.times[0]) & (at <= log.times[-1]), values, np.nan)

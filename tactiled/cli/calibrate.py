@@ -1,0 +1,181 @@
+"""`tactiled calibrate`: the calibration file of an array, from recordings."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+from threadpoolctl import threadpool_limits
+
+from tactiled.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.calibrate import calibration_file
+from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.means import Rails
+from tactiled.calibrate.plateaus import noise
+from tactiled.calibrate.reference import read_reference
+from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection, Origin, Section, build
+from tactiled.cli import options
+from tactiled.config import schema
+from tactiled.errors import ConfigError
+from tactiled.runtime.film import read_film
+
+if TYPE_CHECKING:
+    from tactiled.calibrate.film import Film
+    from tactiled.calibrate.gain import GainFit
+
+MAX_DEAD_LISTED = 12
+Out = Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write, or to bring up to date.")]
+
+
+def gain(
+    file: options.Recording,
+    config: options.RecordedConfig,
+    out: Out,
+    steps_kpa: Annotated[
+        str | None,
+        typer.Option(help="Pressures that the whole array bore, in their order, the first 0: 0,10,20,30,20,10,0."),
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Log beside the recording (CSV): time_s and force_n or pressure_kpa.")
+    ] = None,
+    weight_n: Annotated[float | None, typer.Option(help="Force of one weight laid on the array, N.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Chart of counts against pressure (.png, .svg, .pdf).")] = None,
+    sensor: options.Sensor = None,
+) -> None:
+    """Find each taxel's gain and curve in a recording under known loads."""
+    loads = options.present(steps_kpa=steps_kpa, reference=reference, weight_n=weight_n)
+    if len(loads) != 1:
+        raise ConfigError("give one of --steps-kpa, --reference and --weight-n")
+    settings, name, one = options.one_sensor(config, sensor)
+    before = existing(out, name, one)
+    with threadpool_limits(1):
+        film = read_film(file, name, settings)
+        fit = _fit(film, one, steps_kpa, reference, weight_n)
+    (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
+    origin = made_from(file, f"gain: {load}"[:200])
+    new: dict[str, Section] = {
+        "gain": GainSection.of(fit.curves, origin),
+        "no_load": NoLoadSection.of(fit.no_load, origin),
+        "health": HealthSection.of(fit.dead, noise(film.counts), origin),
+    }
+    if plot is not None:
+        from tactiled.study.gain_chart import draw  # matplotlib takes a second
+
+        draw(plot, fit)
+    update(out, before, name, one, new)
+    typer.echo("\n".join([f"{name}: {load}", *_lines(fit)]))
+    typer.echo(f"{out}: written; give it as calibration.file of the sensor, then calibrate the cover")
+
+
+def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> None:
+    """Print what a calibration file holds."""
+    content = calibration_file.load(file)
+    if content is None:
+        raise ConfigError(f"{file}: no such file")
+    typer.echo(f"{file}: {content.sensor}, {content.codec}, {content.taxels} taxels, id {content.id}")
+    for name, section in content.sections.items():
+        origin = section.origin
+        typer.echo(f"  {name:<9} {origin.created}  {origin.method}  ({origin.recording})")
+    if content.gain is not None:
+        curves = content.gain.curves
+        typer.echo(f"  gain      {curves.form}, {_spread(curves.gain)} kPa per count")
+        typer.echo(f"            standard error {_worst(100 * curves.deviation, '%')}")
+
+
+def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
+    """The calibration file that is to be brought up to date; ConfigError where it is of another array."""
+    before = calibration_file.load(out)
+    if before is not None:
+        try:
+            before.need_fit(name, sensor.codec.name, make_array(sensor).size, make_stack(sensor))
+        except ConfigError as error:
+            raise ConfigError(f"{out}: {error}: name another file") from error
+    return before
+
+
+def made_from(recording: Path, method: str) -> Origin:
+    """Origin of a section that is made now."""
+    created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    digest = options.file_sha256(recording)
+    return build(Origin, recording=recording.name[-255:], sha256=digest, method=method, created=created)
+
+
+def update(
+    out: Path, before: CalibrationFile | None, name: str, sensor: schema.Sensor, sections: dict[str, Section]
+) -> None:
+    """Write a calibration file with these sections, and the others that it had."""
+    if before is not None:
+        calibration_file.save(out, before.replaced(**sections))
+        return
+    head = {"sensor": name, "codec": sensor.codec.name, "taxels": make_array(sensor).size}
+    calibration_file.save(out, build(CalibrationFile, **head, **sections))
+
+
+def _fit(
+    film: "Film", sensor: schema.Sensor, steps_kpa: str | None, reference: Path | None, weight_n: float | None
+) -> "GainFit":
+    """Fit by the one load that is given."""
+    from tactiled.calibrate import force_gain
+    from tactiled.calibrate import gain as uniform
+
+    array, rails = make_array(sensor), _rails(sensor)
+    if steps_kpa is not None:
+        return uniform.fit_steps(film, _numbers(steps_kpa), rails)
+    if weight_n is not None:
+        return force_gain.fit_weight(film, weight_n, array, rails)
+    assert reference is not None
+    log = read_reference(reference)
+    if log.quantity == "force_n":
+        return force_gain.fit_force(film, log, array, rails)
+    return uniform.fit_pressure(film, log, rails)
+
+
+def _rails(sensor: schema.Sensor) -> Rails:
+    """Counts at which the taxels saturate: as configured, else the ends of what the codec carries."""
+    configured = make_calibration(sensor).saturation
+    if configured is not None:
+        return Rails(configured, configured)
+    return Rails(0, make_codec(sensor).full_scale)
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(each) for each in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--steps-kpa {text!r}: give numbers with commas between") from error
+
+
+def _lines(fit: "GainFit") -> list[str]:
+    """What was found, a line each."""
+    curves, live = fit.curves, np.setdiff1d(np.arange(fit.curves.size), fit.dead)
+    full = np.median(np.abs(curves.reach_counts).max(axis=1)[live])
+    scores = ", ".join(f"{form} {100 * each:.2g} %" for form, each in fit.scores.items() if np.isfinite(each))
+    own = np.count_nonzero(curves.individual)
+    dead = ", ".join(map(str, fit.dead[:MAX_DEAD_LISTED])) + (" ..." if len(fit.dead) > MAX_DEAD_LISTED else "")
+    rows = {
+        "curve": curves.form + (f" (rms error of left-out points: {scores})" if scores else ""),
+        "gain": f"{_spread(curves.gain[live])} kPa per count; {own} of {curves.size} taxels have their own",
+        "standard error": _worst(100 * curves.deviation, "%"),
+        "hysteresis": _worst(curves.hysteresis, "% of full scale"),
+        "calibrated": f"up to {fit.points.pressure.max():.3g} kPa, {full:.0f} counts over no load (median taxel)",
+        "dead": f"{len(fit.dead)} ({dead})" if fit.dead else "none",
+    }
+    if fit.alignment is not None:
+        clock = fit.alignment
+        rows["clocks"] = (
+            f"log {clock.offset_s:+.4g} s from the recording's, standard error {clock.deviation_s:.2g} s"
+        )
+    return [f"  {key:<15} {row}" for key, row in rows.items()] + [f"  {each}" for each in fit.notes]
+
+
+def _spread(gains: np.ndarray) -> str:
+    return f"{np.median(gains):.4g} (median; {gains.min():.4g} to {gains.max():.4g})"
+
+
+def _worst(values: np.ndarray, unit: str) -> str:
+    """Median and worst of values (N,), NaN: unknown."""
+    if not np.isfinite(values).any():
+        return "unknown"
+    worst = int(np.nanargmax(values))
+    return f"{np.nanmedian(values):.2g} {unit} (median), {values[worst]:.2g} (worst, taxel {worst})"
