@@ -133,7 +133,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
         calibration=calibration,
         method=sensor.method,
         stale_after_s=sensor.stale_after_s,
-        warnings=_constant_warnings(calibrated, summarise(kernel, array), array),
+        warnings=_constant_warnings(None if calibrated else sensor.calibration, summarise(kernel, array), array),
         calibrated=calibrated,
         file=file,
     )
@@ -175,9 +175,14 @@ def _check_forces(calibration: schema.Calibration, codec: Codec, calibrated: boo
         raise ConfigError(f"{setting}: forces need kpa_per_count, too: give both")
 
 
-def _constant_warnings(calibrated: bool, summary: CoverSummary, array: Array) -> tuple[FrameWarning, ...]:
-    """Warnings of every image of a sensor."""
-    warnings = [] if calibrated else [warning("uncalibrated")]
+def _constant_warnings(
+    uncalibrated: schema.Calibration | None, summary: CoverSummary, array: Array
+) -> tuple[FrameWarning, ...]:
+    """Warnings of every image of a sensor; `uncalibrated` are the settings of one that has no gain."""
+    warnings = []
+    if uncalibrated:
+        unused = "; noise_kpa is not used" if uncalibrated.noise_kpa else ""
+        warnings.append(warning("uncalibrated", unused=unused))
     if summary.smallest_gap > THICK_FROM_PITCHES * array.pitch:
         gap = f"finer than {summary.smallest_gap:.2g} mm" if np.isfinite(summary.smallest_gap) else "at all"
         warnings.append(warning("thick_cover", pitch_mm=array.pitch, gap=gap))
@@ -245,6 +250,8 @@ def make_calibration(sensor: schema.Sensor, file: CalibrationFile | None = None)
     if file and file.gain:
         curves = file.gain.curves
         settings |= {"curves": curves, "kpa_per_count": float(np.median(curves.gain))}
+    elif sensor.calibration.kpa_per_count is None:
+        settings.pop("noise_kpa", None)  # nothing is in kPa yet: the noise is measured, in counts
     if file and file.no_load:
         values = file.no_load.values
         settings["no_loads"] = np.where(np.isnan(values), settings.get("no_load", 0.0), values)

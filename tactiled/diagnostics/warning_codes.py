@@ -9,7 +9,7 @@ WarningCode = Literal[
     "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
-    "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count",
+    "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count{unused}",
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
     "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
     "missing": "{taxels} did not arrive: restored from {their} neighbours",

@@ -22,7 +22,8 @@ README = PAGES[0]
 FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
 WARNING_VALUES = {
-    "pitch_mm": 1, "gap": "finer than 3.1 mm", "measured": 0.5, "noise": 0.2, "unit": "kPa", "source": "configured"
+    "unused": "", "pitch_mm": 1, "gap": "finer than 3.1 mm",
+    "measured": 0.5, "noise": 0.2, "unit": "kPa", "source": "configured"
 }  # fmt: skip
 by_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
 

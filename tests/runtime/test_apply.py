@@ -48,6 +48,7 @@ def test_a_file_applies_from_the_next_frame_on_and_after_a_restart(make, tmp_pat
     assert kinds(service) == [("calibration_missing", "palm.json: not there yet: the configuration holds")]
     before = restored(service)
     assert (before.calibration, before.unit, before.raw[3, 3]) == ("configured", "counts", 500)
+    assert before.noise == pytest.approx(12**-0.5)  # the configured one is in kPa
     service.set_method("palm", "raw")
     service.apply_calibration("palm", file)
     after = restored(service, 1)

@@ -51,7 +51,7 @@ def tare(pipeline, *frames, force=False):
 
 
 def test_an_image_has_what_is_known_of_its_frame_and_keeps_it(make):
-    pipeline = make("wiener", (warning("uncalibrated"),))
+    pipeline = make("wiener", (warning("uncalibrated", unused=""),))
     image = pipeline.process(frame(7))
     restored = image.restored.copy()
     assert (image.sensor, image.sequence, image.time, image.loss.lost) == ("palm", 7, 12.5, 3)

@@ -1,0 +1,61 @@
+"""What the page says of an uncalibrated sensor is in counts, and in kPa and N as soon as it is calibrated."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from tests.calibrate.files import calibration_file, gain_section
+from tests.viewer.conftest import PHONE, THUMB, TILES, WATCH_TEXTS
+
+COUNTED = THUMB.replace("kpa_per_count = 0.5, ", "")
+CLAIM = re.compile(r"kPa|\bN\b")
+LABELS = (
+    "[...document.querySelectorAll('#main [aria-label], #main [title]')].map(e => e.ariaLabel + ' ' + e.title)"
+)
+LEGENDS = "[...document.querySelectorAll('#wall-legend .scale')].map(e => !e.hidden && e.innerText)"
+
+
+def seen(page):
+    """Every text of the page: of its elements, their labels, and what is drawn."""
+    page.evaluate("window.drawn = []")
+    size = page.viewport_size
+    page.resize(size["width"] - 40, size["height"])
+    page.resize(**size)
+    drawn = page.evaluate("window.drawn.map(each => each.text)")
+    return "\n".join([page.locator("#main").inner_text(), *page.evaluate(LABELS), *drawn])
+
+
+def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
+    rig, url = serve(COUNTED)
+    thumb = rig.service.sensor("thumb")
+    for sensor in (rig.sensor, thumb):
+        sensor.plan = replace(sensor.plan, stale_after_s=600)
+    _, image = rig.both()
+    assert image.unit == "counts"
+    page = open_page(f"{url}/#thumb", **PHONE)
+    page.evaluate(WATCH_TEXTS)
+    page.keep(rig.both, "document.querySelectorAll('#contact-list tbody tr').length === 2")
+    text = seen(page)
+    assert CLAIM.findall(text) == []
+    assert text.count("counts") > 12
+    assert text.count("counts mm²") > 5
+    assert page.text("peak-raw", "noise") == ["800.0", "0.3 counts"]
+    lines = page.download("c").read_text().splitlines()
+    assert lines[2].split(",")[5] == "counts"
+    page.press("1")
+    page.wait("document.getElementById('about').innerText.startsWith('8')")
+    page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
+    assert {"kPa", "N"} <= set(CLAIM.findall(seen(page)))
+    page.press("w")
+    page.keep(rig.both, f"{TILES}.every(each => /\\d (N|counts mm²)/.test(each))")
+    assert page.evaluate(LEGENDS) == ["kPa", "counts"]
+    page.press("2")
+    page.keep(rig.both, "Number(document.getElementById('scrub').max) > 2")
+    rig.service.apply_calibration(
+        "thumb", calibration_file(sensor="thumb", taxels=4, gain=gain_section(np.full(4, 0.25)))
+    )
+    rig.both()
+    page.wait("document.getElementById('scrub').max === '0'")  # no frame in counts is left
+    assert page.text("peak-raw") == ["200.0"]
+    assert page.locator("#readings-title + table .force-unit").inner_text() == "N"
