@@ -1,0 +1,122 @@
+"""The cover's thickness from the tour's scenes, which shaped no constant, blurred by the exact kernel."""
+
+import numpy as np
+import pytest
+
+from tactiled.calibrate.blind import find_scenes, fit_blind
+from tactiled.calibrate.deblur import REFINE, Convolution, deblurred
+from tactiled.cover.family import CoverFamily
+from tactiled.cover.operator import stencil
+from tactiled.cover.stack import Layer, Stack
+from tactiled.geometry import grid, layout
+from tactiled.simulate.array import Surface
+from tactiled.simulate.scenes import SCENES
+
+SIZE, NOISE = 20, 0.2
+ARRAY = grid(SIZE, SIZE, 1.0, 0.8)
+BOARD = Layer(1.0, 980.0, 0.3)
+SHARP = ("ring", "indenters", "edge", "sphere")
+
+
+def rubber(thickness):
+    return Stack((Layer(thickness, 0.6, 0.48), BOARD))
+
+
+def blobs():
+    """Presses without an edge, each of its own width (mm)."""
+
+    def blob(width):
+        return lambda x, y, *_: 90 * np.exp(-(x**2 + y**2) / (2 * width**2))
+
+    return [blob(width) for width in (1.8, 2.2, 2.7, 3.2)]
+
+
+def pressed(thickness, scenes, seed, gain_error=0.0):
+    """Frames (T, SIZE, SIZE) in kPa: four of each scene, 20 ms apart, and one without contact after each."""
+    surface, random = Surface(CoverFamily(rubber(thickness)).kernel(1.0), ARRAY), np.random.default_rng(seed)
+    start = random.uniform(0, 60)
+    frames = []
+    for n, scene in enumerate(scenes):
+        draw = SCENES[scene] if isinstance(scene, str) else scene
+        at = start + 8 * n + np.arange(4) / 50
+        frames += [surface.sense(draw(surface.x, surface.y, t, surface.size, surface.grain)) for t in at]
+        frames.append(np.zeros(ARRAY.size))
+    gains = 1 + gain_error * random.normal(size=ARRAY.size)
+    noisy = gains * np.array(frames) + random.normal(0, NOISE, (len(frames), ARRAY.size))
+    return noisy.reshape(-1, SIZE, SIZE)
+
+
+@pytest.mark.parametrize(("thickness", "factor", "dead"), [(1.5, 0.75, 0), (0.7, 1.35, 8)])
+def test_the_thickness_is_within_10_percent_and_its_interval_covers_it(thickness, factor, dead):
+    frames = pressed(thickness, SHARP, seed=dead, gain_error=0.01)
+    frames[:, np.random.default_rng(1).permutation(ARRAY.size).reshape(SIZE, SIZE) < dead] = np.nan
+    fit = fit_blind(frames, NOISE, CoverFamily(rubber(thickness / factor)), ARRAY)
+    assert fit.reason == ""
+    assert fit.factor == pytest.approx(factor, rel=0.1)
+    assert fit.interval[0] < factor < fit.interval[1]
+    assert fit.interval[1] < 1.4 * fit.interval[0]
+    assert fit.thickness_mm == pytest.approx(thickness, rel=0.1)
+    assert 0.5 < fit.residual < 1.1
+
+
+def test_scenes_without_a_sharp_edge_do_not_tell():
+    fit = fit_blind(pressed(1.0, blobs(), seed=2), NOISE, CoverFamily(rubber(1.0)), ARRAY)
+    assert fit.reason
+    assert not 0.9 < fit.factor < 1.1
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        (np.zeros((50, SIZE, SIZE)), "0 scenes with a clear contact"),
+        (pressed(1.0, ["ring", "edge"], seed=3), "2 scenes with a clear contact"),
+    ],
+)
+def test_too_few_scenes_do_not_tell(frames, message):
+    assert message in fit_blind(frames, NOISE, CoverFamily(rubber(1.0)), ARRAY).reason
+
+
+def test_a_layout_is_told_to_be_pressed_with_a_tip():
+    places = layout(np.random.default_rng(0).uniform(0, 9, (12, 2)))
+    assert "no grid" in fit_blind(np.zeros((4, 12)), NOISE, CoverFamily(rubber(1.0)), places).reason
+
+
+def test_scenes_end_where_nothing_touches_and_where_all_changes():
+    frames = np.random.default_rng(0).normal(0, 0.1, (9, 4, 4)).astype(np.float32)
+    frames[1:4, :2] += 10
+    frames[4:6, 3] += 10
+    frames[8, 1] += 10
+    frames[:, 0, 0] = np.nan
+    assert [scene.tolist() for scene in find_scenes(frames, 0.1)] == [[1, 2, 3], [4, 5], [8]]
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_the_convolution_is_the_exact_response_and_its_adjoint_fits(factor):
+    array, family, random = grid(7, 9, 1.2, 0.9, "round"), CoverFamily(rubber(1.0)), np.random.default_rng(4)
+    blur = Convolution(family, factor, array)
+    x, y = (random.random((2, *shape)).astype(np.float32) for shape in (blur.cells, array.frame_shape))
+    assert np.vdot(blur.forward(x), y) == pytest.approx(np.vdot(x, blur.adjoint(y)), rel=1e-5)
+    cell = np.zeros((1, *blur.cells), np.float32)
+    row, column = (n // 2 for n in blur.cells)
+    cell[0, row, column] = 1
+    exact = stencil(family.kernel(factor), array, REFINE)
+    margin = (blur.cells[0] - REFINE * 7) // 2
+    for taxel in ((2, 3), (3, 4), (5, 8)):
+        offset = tuple(
+            at - margin - REFINE * i + REFINE * (n - 1)
+            for at, i, n in zip((row, column), taxel, array.frame_shape, strict=True)
+        )
+        assert blur.forward(cell)[0][taxel] == pytest.approx(exact[offset], abs=2e-4 * exact.max())
+
+
+def test_pressure_is_not_negative_and_explains_the_taxels_that_work():
+    family, random = CoverFamily(rubber(1.0)), np.random.default_rng(5)
+    blur = Convolution(family, 1.0, grid(8, 8, 1.0, 0.8))
+    true = np.maximum(random.normal(size=(1, *blur.cells)), 0).astype(np.float32)
+    y = blur.forward(true)
+    weight = np.ones_like(y)
+    weight[0, 3, 3] = 0
+    spoilt = y + 50 * (1 - weight)
+    x = deblurred(blur, spoilt, weight, np.zeros_like(true), 400)
+    assert x.min() >= 0
+    np.testing.assert_allclose(blur.forward(x)[weight > 0], y[weight > 0], atol=1e-3 * y.max())
