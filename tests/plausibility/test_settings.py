@@ -104,9 +104,10 @@ def test_the_examples_of_the_package_raise_none():
 def test_what_may_be_meant_is_only_a_hint():
     (hint,) = findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 500"), hints=True)
     assert hint.endswith("a skin that fell silent passes for alive all that time; 0.5 s if it was given in ms")
+    assert not findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 5"), hints=True)
     codec, array, _, *rest = SKINS["thick gel"]
-    assert findings(toml(codec, array, [(5.0, 0.1, 0.3)], *rest), hints=True) == [
-        "sensor.a.cover.poisson = 0.3: right for foam; solid rubber as soft as 0.1 MPa has 0.45 to 0.4999"
+    assert findings(toml(codec, array, [(5.0, 1.0, 0.3)], *rest), hints=True) == [
+        "sensor.a.cover.poisson = 0.3: right for foam; solid rubber as soft as 1 MPa has 0.45 to 0.4999"
     ]
     for cover in ((5.0, 0.1, 0.45), (5.0, 98.0, 0.3)):
         assert not findings(toml(codec, array, [cover], *rest), hints=True)
