@@ -12,6 +12,7 @@ from tactiled.frames import RawFrame
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.sensor import Sensor
 
+Way = Literal["uniform", "weight", "tip", "edge", "blind"]
 State = Literal["collecting", "fitting", "fitted", "ended"]
 Action = Literal["mark", "fit", "fit_done", "fit_failed", "cancel", "apply", "discard"]
 NEXT_STATE: dict[tuple[State, Action], State] = {
@@ -28,7 +29,7 @@ NEXT_STATE: dict[tuple[State, Action], State] = {
     ("fitted", "discard"): "ended",
 }
 IDLE_S = 300.0  # without a request until a session ends: a client has gone away, a person only rests
-QUALITY_PERIOD_S = 0.5  # between two looks for presses
+QUALITY_PERIOD_S = 1.0  # between two looks for presses
 MARK_S = 2.0  # of frames at most, whose mean is taken as a known load
 
 Outcome = TypeVar("Outcome", covariant=True)
@@ -48,6 +49,7 @@ class Quality:
     presses: int = 0
     presses_needed: int = 0
     presses_saturated: int = 0
+    last_unused: str = ""  # why the last press is not used
     zones: tuple[tuple[int, ...], ...] = ()  # presses in 3 x 3 zones of the array, rows from the top
     zone_presses_needed: int = 0
 
@@ -55,8 +57,20 @@ class Quality:
 class Procedure(Protocol[Outcome]):
     """One way to calibrate: what it looks for in the frames, and what it makes of them."""
 
+    @property
+    def way(self) -> Way:
+        """Which one."""
+
+    @property
+    def tip_mm(self) -> float | None:
+        """Diameter of the tip; None: unknown, or there is none."""
+
+    @property
+    def mark_key(self) -> Literal["pressure_kpa", "weight_n"] | None:
+        """What is entered with `mark`; None: nothing."""
+
     def mark(self, film: Film, value: float) -> None:
-        """Note that the newest frames are under a known load; ConfigError where they cannot be."""
+        """Note that the newest frames are under a known load; CalibrationStateError where they cannot be."""
 
     def quality(self, collector: FrameCollector) -> Quality:
         """Look at the frames so far."""
@@ -104,13 +118,13 @@ class CalibrationSession(Generic[Outcome]):
             return self.state == "ended"
 
     def quality(self) -> Quality:
-        """What the frames so far are good for, looked at twice a second at most."""
+        """What the frames so far are good for, looked at once a second at most, and not during a fit."""
         with self._lock:
-            now = self._clock()
-            known = self._quality
-            if known is None or (now - known[0] >= QUALITY_PERIOD_S and known[1] != len(self.collector)):
-                known = self._quality = now, len(self.collector), self.procedure.quality(self.collector)
-            return known[2]
+            now, last = self._clock(), self._quality
+            is_due = last and now - last[0] >= QUALITY_PERIOD_S and last[1] != len(self.collector)
+            if last is None or (is_due and self.state == "collecting"):
+                last = self._quality = now, len(self.collector), self.procedure.quality(self.collector)
+            return last[2]
 
     def mark(self, value: float) -> None:
         """Note that the newest frames, MARK_S of them at most, are under a known load."""

@@ -188,8 +188,8 @@ def method(service: Service, sensor: Sensor) -> schemas.Method:
     )
 
 
-def calibration(sensor: Sensor) -> schemas.SensorCalibration:
-    """A sensor's calibration as it is now."""
+def calibration(sensor: Sensor, session: str | None) -> schemas.SensorCalibration:
+    """A sensor's calibration as it is now; `session` is the way of an open guided one."""
     plan, noise = sensor.plan, sensor.pipeline.noise.kpa
     gain = plan.calibration.kpa_per_count
     return schemas.SensorCalibration(
@@ -198,6 +198,8 @@ def calibration(sensor: Sensor) -> schemas.SensorCalibration:
             "calibrated": plan.calibrated,
             "no_load": sensor.pipeline.calibrator.no_load.tolist(),
             "tared": sensor.pipeline.tared,
+            "load": sensor.pipeline.load_description(),
+            "session": session,
             "unit": plan.unit,
             "gain": gain,
             "kpa_per_count": if_calibrated(gain, plan.unit),

@@ -10,12 +10,13 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 
 from tactiled import __version__
 from tactiled.config import Server
+from tactiled.runtime.guided_calibration import GuidedCalibrations
 from tactiled.runtime.service import Service
 from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
 from tactiled.web.http.problems import install
-from tactiled.web.rest import config, events, frames, metrics, recordings, restore, sensors, shear
+from tactiled.web.rest import calibration, config, events, frames, metrics, recordings, restore, sensors, shear
 from tactiled.web.rest.dependencies import Costly, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
@@ -52,6 +53,7 @@ def create(service: Service, server: Server) -> FastAPI:
     if server.recordings is not None:
         buses = {} if service.replayed else service.buses
         app.include_router(recordings.make(server.recordings, buses, service.events, server.recordings_leave_mb))
+    app.include_router(calibration.router)
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.make())
@@ -72,6 +74,7 @@ def create(service: Service, server: Server) -> FastAPI:
 def _set_state(app: FastAPI, service: Service, server: Server) -> None:
     """What routes find in `request.app.state`."""
     app.state.service, app.state.server = service, server
+    app.state.calibrations = GuidedCalibrations(service)
     app.state.transfers = restore.Transfers()
     app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.state.waiting = ConcurrencyLimit(events.MAX_WAITING_PER_CLIENT, events.MAX_WAITING, "events_waiting")

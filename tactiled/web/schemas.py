@@ -275,6 +275,8 @@ class SensorCalibration(Schema):
     kpa_per_count: float | None = Field(description="the same; null in counts", examples=[0.05])
     no_load: list[float] = Field(description="counts of each taxel, as last tared", examples=[[80.0, 81.5]])
     tared: int = Field(description="times since the start", examples=[0])
+    load: str = Field(description='load that the newest frames show; "": none', examples=["contact of 12 kPa"])
+    session: str | None = Field(description="way of the guided calibration that is open; null: none")
     saturation: float | None = Field(description="counts of the ceiling; null: none", examples=[4095.0])
     noise: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
     noise_kpa: float | None = Field(description="the same; null in counts", examples=[0.2])

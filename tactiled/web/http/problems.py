@@ -104,6 +104,10 @@ def _describe(error: Mapping[str, Any]) -> str:
     source, *path = error["loc"]
     if error["type"] == "json_invalid":
         return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
+    if error["type"].startswith("union_tag"):
+        tags = error["ctx"]
+        key = tags["discriminator"].strip("'")
+        return f"{key} = {tags.get('tag')!r}: give {tags.get('expected_tags', 'it')}"
     value = error.get("input")
     if source == "body" and not path:
         return f"body{'' if value is None else f' = {value!r:.80}'}: give a JSON object"

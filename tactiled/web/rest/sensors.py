@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 
 from tactiled.errors import StateError
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
@@ -70,9 +70,9 @@ def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.
 
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=problems(404))
-def calibration(sensor: NamedSensor) -> schemas.SensorCalibration:
+def calibration(sensor: NamedSensor, request: Request) -> schemas.SensorCalibration:
     """The present calibration from counts to pressure: as configured, with `no_load` from the last tare."""
-    return answers.calibration(sensor)
+    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
 @router.post("/sensors/{name}/tare", tags=["sensors"], status_code=202, responses=problems(404, 409, *CONTROL))

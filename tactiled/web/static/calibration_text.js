@@ -20,12 +20,12 @@ import { duration, fixed, number } from "./format.js";
 export const WAYS = {
   uniform: {
     step: "gain", title: "Even pressure", hint: "An air bag or a plenum presses all taxels alike. Scales every taxel, with its curve.",
-    instruction: "Set a pressure, wait until it is steady, enter it and take it. Three steps or more, up to the highest that you need.",
+    instruction: "Take 0 first. Then set a pressure, wait until it is steady, enter it and take it. Go up to the highest that you need; back down, too, if hysteresis matters.",
     mark: "pressure_kpa", unit: "kPa",
   },
   weight: {
     step: "gain", title: "Known weight", hint: "One weight, wholly on the array. One scale for all taxels.",
-    instruction: "Put the weight on the array, wait until it is steady, enter it and take it. Other places and weights make it more exact.",
+    instruction: "Take 0 first. Then put the weight on, wait until it is steady, enter its force (1 kg: 9.81 N) and take it. Lift it, take 0, and repeat elsewhere to be more exact.",
     mark: "weight_n", unit: "N",
   },
   tip: {

@@ -1,0 +1,175 @@
+"""The gain of one sensor from loads that are set and entered one after the other."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.means import Rails
+from tactiled.calibrate.plateaus import noise
+from tactiled.calibrate.quality import Need, advice, enough, zone_counts
+from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection
+from tactiled.errors import CalibrationStateError, ConfigError
+from tactiled.runtime.calibration_session import Quality, Report
+from tactiled.runtime.frame_collector import FrameCollector
+from tactiled.runtime.live_sections import origin, with_sections
+from tactiled.runtime.sensor import Sensor
+
+if TYPE_CHECKING:
+    from tactiled.calibrate.gain import GainFit
+
+GainWay = Literal["uniform", "weight"]
+MarkKey = Literal["pressure_kpa", "weight_n"]
+MARKS: dict[GainWay, tuple[MarkKey, str]] = {"uniform": ("pressure_kpa", "kPa"), "weight": ("weight_n", "N")}
+Floats = NDArray[np.float64]
+MIN_STEPS = 3  # pressures, 0 among them
+MAX_DRIFT_SHARE = 0.02  # of a load, by which it may move within the second that is taken
+MIN_MARK_FRAMES = 10  # as many as a gain's fit takes its first guess of no load from
+STEADY_SIGMAS = 5.0  # of noise: a false "still moving" once in a million marks
+CURVE_POINTS = 60  # of a plotted curve
+NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainOutcome:
+    """Fitted gains, as applied and as shown."""
+
+    file: CalibrationFile
+    form: str
+    kpa_per_count: float  # median over the taxels
+    interval_kpa_per_count: tuple[float, float]  # 95 %
+    before_kpa_per_count: float | None  # None: uncalibrated
+    spread_percent: float | None
+    hysteresis_percent: float | None
+    notes: tuple[str, ...]
+    line: Floats  # (3, n): counts over no load, measured and fitted kPa; NaN: none there
+
+
+class GainProcedure:
+    """Loads are set and entered one after the other; the last second of each is taken."""
+
+    tip_mm = None
+
+    def __init__(self, sensor: Sensor, way: GainWay) -> None:
+        self.way, self._sensor = way, sensor
+        self.mark_key, self._unit = MARKS[way]
+        self._marks: list[tuple[float, Film]] = []
+
+    def mark(self, film: Film, value: float) -> None:
+        """Take frames under a known load, the last one again; CalibrationStateError where they cannot be."""
+        begin = f"{self.mark_key} = {value:g}"
+        if len(film.times) < MIN_MARK_FRAMES:
+            raise CalibrationStateError(
+                f"{begin}: {len(film.times)} frames since the last: wait for {MIN_MARK_FRAMES}"
+            )
+        if not self._marks and value:
+            raise CalibrationStateError(f"{begin}: take 0 first, with nothing on the array")
+        others = {each for each, _ in self._marks} - {0, value}
+        if self.way == "weight" and value and others:
+            raise CalibrationStateError(f"{begin}: use one weight only: {max(others):g} N was taken")
+        self._require_steady(film, begin)
+        if self._marks and self._marks[-1][0] == value:
+            self._marks.pop()
+        self._marks.append((value, film))
+
+    def _require_steady(self, film: Film, begin: str) -> None:
+        """CalibrationStateError where the readings move by more than noise and a share of the load."""
+        totals = np.asarray(np.nansum(film.counts, axis=1, dtype=np.float64))
+        first, second = (each.mean() for each in np.array_split(totals, 2))
+        error = float(np.std(np.diff(totals))) * np.sqrt(2 / len(film.times))  # of the two means' difference
+        zero = np.nansum((self._marks[0][1] if self._marks else film).counts, axis=1).mean()
+        if abs(second - first) > STEADY_SIGMAS * error + MAX_DRIFT_SHARE * abs(float(totals.mean() - zero)):
+            raise CalibrationStateError(f"{begin}: the readings still move: wait until they stand still")
+
+    def quality(self, collector: FrameCollector) -> Quality:
+        """The loads taken so far."""
+        del collector
+        loads = ", ".join(f"{value:g}" for value, _ in self._marks)
+        need = Need("load", MIN_STEPS if self.way == "uniform" else 2)
+        count = len(self._marks)
+        zones = zone_counts(np.empty((0, 2)), self._sensor.array)
+        text = advice(count, zones, need) if count else f"take 0 {self._unit} first, with nothing on the array"
+        line = f"{text} ({loads} {self._unit})" if loads else text
+        return Quality(line, enough(count, zones, need), count, need.count)
+
+    def fit(self, film: Film, report: Report) -> GainOutcome:
+        """Curves from the loads taken."""
+        del film, report  # the loads taken hold what is needed, and this takes a second
+        if len(self._marks) < 2:
+            raise ConfigError(
+                f"{self.mark_key}: {len(self._marks)} loads: take 0 with nothing on the array, and one more"
+            )
+        frames = self._joined()
+        fitted, plan, made = self._fitted(frames), self._sensor.plan, origin(f"gain: {self.way}, guided")
+        file = with_sections(
+            plan,
+            gain=GainSection.of(fitted.curves, made),
+            no_load=NoLoadSection.of(fitted.no_load, made),
+            health=HealthSection.of(fitted.dead, noise(frames.counts), made),
+        )
+        return _outcome(plan, file, fitted)
+
+    def _joined(self) -> Film:
+        """The frames of all loads, as many of each, one after the other."""
+        parts = [film for _, film in self._marks]
+        length = min(len(film.times) for film in parts)
+        times, counts = ([getattr(film, key)[-length:] for film in parts] for key in ("times", "counts"))
+        return Film(np.concatenate(times), np.concatenate(counts))
+
+    def _fitted(self, frames: Film) -> "GainFit":
+        from tactiled.calibrate.force_gain import fit_weight  # imported where needed: it starts the service faster
+        from tactiled.calibrate.gain import fit_steps
+
+        values, limits = [value for value, _ in self._marks], rails(self._sensor.plan)
+        if self.way == "uniform":
+            return fit_steps(frames, values, limits)
+        return fit_weight(frames, max(values), self._sensor.array, limits)
+
+
+def rails(plan: SensorPlan) -> Rails:
+    """Where a sensor's taxels saturate: as configured, else the ends of what its codec carries."""
+    saturation = plan.calibration.saturation
+    return Rails(0, plan.codec.full_scale) if saturation is None else Rails(saturation, saturation)
+
+
+def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:
+    curves = fitted.curves
+    live = np.setdiff1d(np.arange(curves.size), fitted.dead)
+    gains = curves.gain[live]
+    middle = live[np.argsort(gains)[gains.size // 2]]
+    gain, error = float(curves.gain[middle]), float(curves.deviation[middle])
+    ends = sorted(gain * (1 + side * NORMAL_95 * error) for side in (-1, 1))
+    hysteresis = curves.hysteresis[live]
+    return GainOutcome(
+        file=file,
+        form=curves.form,
+        kpa_per_count=gain,
+        interval_kpa_per_count=(ends[0], ends[1]),
+        before_kpa_per_count=plan.calibration.kpa_per_count if plan.calibrated else None,
+        spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
+        hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,
+        notes=(*_dead_note(fitted.dead), *fitted.notes),
+        line=_gain_line(fitted, int(middle)),
+    )
+
+
+def _dead_note(dead: tuple[int, ...]) -> tuple[str, ...]:
+    """What to say of taxels without a response."""
+    return (f"taxels without a response: {', '.join(map(str, dead))}",) if dead else ()
+
+
+def _gain_line(fitted: "GainFit", taxel: int) -> Floats:
+    """Counts over no load (n,), measured and fitted kPa of one taxel."""
+    low, high = fitted.curves.reach_counts[taxel]
+    counts = np.linspace(0, low + high, CURVE_POINTS)
+    points = np.sign(low + high) * fitted.points.counts[:, taxel, 0]
+    x = np.concatenate([counts, points])
+    over = np.zeros((len(x), fitted.curves.size))
+    over[:, taxel] = x
+    curve = fitted.curves.pressure(over)[:, taxel]
+    measured = np.concatenate([np.full(CURVE_POINTS, np.nan), fitted.points.pressure])
+    return np.stack([x, measured, np.where(np.isnan(measured), curve, np.nan)])

@@ -1,0 +1,66 @@
+"""Presses in frames that still come: each frame is looked at a few times, not at every look."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, Press, find_presses
+from tactiled.errors import ConfigError
+from tactiled.frames import SATURATED
+from tactiled.runtime.frame_collector import FrameCollector
+from tactiled.runtime.sensor import Sensor
+
+SATURATED_REASON = "saturated"  # begins the reason of such a press
+FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # that are looked at again where no press was
+
+
+def pressures(sensor: Sensor, film: Film) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A film's pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
+    counts = np.nan_to_num(film.counts)
+    pressure, flags = sensor.pipeline.calibrator(counts, np.zeros(counts.shape, np.uint8))
+    pressure[np.isnan(film.counts)] = np.nan
+    return pressure, flags & SATURATED > 0
+
+
+def presses_of(sensor: Sensor, film: Film, border: bool) -> list[Press]:
+    """All presses of a film; ConfigError where no frame is without a load."""
+    pressure, saturated = pressures(sensor, film)
+    return find_presses(pressure, sensor.array, sensor.pipeline.noise.kpa, saturated, border)
+
+
+class LivePresses:
+    """The presses that have ended, of a collector that only grows."""
+
+    def __init__(self, sensor: Sensor, border: bool) -> None:
+        self._sensor, self._border = sensor, border
+        self._first = 0  # frame that the next look begins with
+        self.ended: list[Press] = []
+        self.waiting = ""  # why no press can be told apart now
+
+    def look(self, collector: FrameCollector) -> None:
+        """Look at the frames that have come since."""
+        film = collector.film(self._first)
+        if len(film.times) < FREE_FRAMES:
+            return
+        try:
+            presses = presses_of(self._sensor, film, self._border)
+        except ConfigError as error:
+            self.waiting = str(error)
+            return
+        self.waiting = ""
+        ended = [each for each in presses if each.end + SETTLING_FRAMES < len(film.times)]
+        self.ended += ended
+        if ended:
+            self._first += ended[-1].end
+        elif not presses:
+            self._first += len(film.times) - FREE_FRAMES
+
+    @property
+    def usable(self) -> list[Press]:
+        """Those that can be used."""
+        return [each for each in self.ended if not each.reason]
+
+    @property
+    def saturated(self) -> int:
+        """How many are saturated."""
+        return sum(each.reason.startswith(SATURATED_REASON) for each in self.ended)
