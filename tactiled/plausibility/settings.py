@@ -214,15 +214,15 @@ def _pressures(
         sign = "negative" if gain > 0 else "positive"
         yield Finding(f"{place}.no_load", f"{no_load:g}", f"{reason}, kpa_per_count is {sign}")
         return
-    highest = counts * abs(gain)
+    highest = float(f"{counts * abs(gain):.3g}")
     if configured.kpa_per_count is not None and not MIN_RANGE_KPA <= highest <= MAX_RANGE_KPA:
         units = {"Pa": 1e-3, "MPa": 1e3}
         slip = _slip(gain, "kPa", units, 10 * MIN_RANGE_KPA / counts, MAX_RANGE_KPA / counts)
         size = "more than any skin measures" if highest > MAX_RANGE_KPA else "less than a touch"
-        yield Finding(f"{place}.kpa_per_count", f"{gain:g}", f"{highest:.3g} kPa at most, {size}{slip}")
+        yield Finding(f"{place}.kpa_per_count", f"{gain:g}", f"{highest:g} kPa at most, {size}{slip}")
     elif (noise := calibration.noise_kpa or 0.0) > MAX_NOISE_FRACTION * highest:
         slip = _slip(noise, "kPa", {"Pa": 1e-3}, 0, MAX_NOISE_FRACTION * highest)
-        reason = f"drowns all that the array measures, {highest:.3g} kPa at most{slip}"
+        reason = f"drowns all that the array measures, {highest:g} kPa at most{slip}"
         yield Finding(f"{place}.noise_kpa", f"{noise:g}", reason)
 
 

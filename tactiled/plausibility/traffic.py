@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.build import make_calibration, make_codec
+from tactiled.build import configured_file, make_calibration, make_codec
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
@@ -87,7 +87,7 @@ def _differ(configured: Any, sender: Any) -> bool:
 
 def _frames(place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int) -> Iterator[Finding]:
     """Loss, pauses, counts at rest and taxels that do not move."""
-    codec, calibration = make_codec(sensor), make_calibration(sensor)
+    codec, calibration = make_codec(sensor), make_calibration(sensor, configured_file(sensor))
     if (share := lost / (lost + len(frames) * codec.segments)) > MAX_LOST_FRACTION:
         yield Finding(place, "", f"{100 * share:.2g} % of its messages are lost")
     pause = max(np.diff([each.time for each in frames]), default=0.0)
@@ -98,10 +98,11 @@ def _frames(place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int
     counts = np.array([each.counts for each in frames if not each.flags.any()], np.float32)
     level = np.median(counts, axis=0)
     level[list(calibration.dead)] = np.nan
-    far = MAX_REST_FRACTION * codec.full_scale
-    if abs((rest := float(np.nanmedian(level))) - calibration.no_load) > far:
+    no_load = calibration.no_load if calibration.no_loads is None else calibration.no_loads
+    rest = float(np.nanmedian(level))
+    if abs(np.nanmedian(level - no_load)) > MAX_REST_FRACTION * codec.full_scale:
         reason = f"half of the array is at {rest:g} or more: if nothing touches it, that is no_load"
-        yield Finding(f"{place}.calibration.no_load", f"{calibration.no_load:g}", reason)
+        yield Finding(f"{place}.calibration.no_load", f"{np.median(no_load):g}", reason)
     if len(counts) >= MIN_FRAMES_STUCK and (stuck := _stuck(counts, level, rest, codec)).size:
         listed = ", ".join(map(str, stuck[:MAX_LISTED])) + ", ..." * (stuck.size > MAX_LISTED)
         reason = f"never change: taxels {listed}: list them if they do not work"

@@ -51,6 +51,8 @@ SKINS = {
     ),
     "film on foam": (PACKED, (16, 16, 2.0), [(0.1, 4000.0, 0.38)], [(3.0, 0.05, 0.1)], "kpa_per_count = 0.2"),
     "glass over a rigid array": (PACKED, (8, 8, 4.0), [(0.7, 7e4, 0.22)], [(1.0, 1e7, 0.3)], "kpa_per_count = 1"),
+    "polyurethane sole": (PACKED, (16, 16, 1.5), [(2.0, 150.0, 0.45)], [], ""),
+    "hard rubber": (PACKED, (8, 8, 2.0), [(2.0, 20.0, 0.49)], [], ""),
     "parylene alone": (PACKED, (8, 8, 2.0), [(0.01, 2800.0, 0.4)], [], ""),
     "spun rubber on a fine array": (PACKED, (16, 16, 0.1), [(0.02, 1.5, 0.49)], [], ""),
     "two buttons": (PACKED, (1, 2, 2.0), [(5.0, 0.5, 0.48)], [], ""),
@@ -103,9 +105,10 @@ def test_the_examples_of_the_package_raise_none():
 def test_what_may_be_meant_is_only_a_hint():
     (hint,) = findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 500"), hints=True)
     assert hint.endswith("a skin that fell silent passes for alive all that time; 0.5 s if it was given in ms")
+    assert not findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 5"), hints=True)
     codec, array, _, *rest = SKINS["thick gel"]
-    assert findings(toml(codec, array, [(5.0, 0.1, 0.3)], *rest), hints=True) == [
-        "sensor.a.cover.poisson = 0.3: right for foam; solid rubber as soft as 0.1 MPa has 0.45 to 0.4999"
+    assert findings(toml(codec, array, [(5.0, 1.0, 0.3)], *rest), hints=True) == [
+        "sensor.a.cover.poisson = 0.3: right for foam; solid rubber as soft as 1 MPa has 0.45 to 0.4999"
     ]
     for cover in ((5.0, 0.1, 0.45), (5.0, 98.0, 0.3)):
         assert not findings(toml(codec, array, [cover], *rest), hints=True)
@@ -122,7 +125,7 @@ SLIPS = [
     ("young_mpa = 0.6", 600, "cover", f"{RUBBER} kPa"),
     ("young_mpa = 0.6", 0.0011, "cover", "softer than any gel; 1.1 MPa if it was given in GPa"),
     ("pitch_mm = 1.0", 0.025, "array", "a fingerprint sensor's taxels; 25 mm if it was given in metres"),
-    ("kpa_per_count = 0.05", 50, "calibration", "2.01e+05 kPa at most, more than any skin measures; 0.05 kPa if it"
+    ("kpa_per_count = 0.05", 50, "calibration", "201000 kPa at most, more than any skin measures; 0.05 kPa if it"
      " was given in Pa"),
     ("kpa_per_count = 0.05", 5e-5, "calibration", "0.201 kPa at most, less than a touch; 0.05 kPa if it was given"
      " in MPa"),
@@ -152,6 +155,8 @@ SKIN_SLIPS = [
     ("iCub in kPa", ["kpa_per_count = -1, saturation = 250"], "must be below no_load = 240"),
     ("LinkerHand", ["", "stale_after_s = 0.01"], "every image is stale: frames are polled every 0.05 s"),
     ("magnetic lattice over Hall elements", [(3, 5, 15.0, 0.01)], "a point, at a pitch of 15 mm"),
+    ("iCub under neoprene", [[(2.0, 1e5, 0.45)]], "ratio of 0.45 says it is; 0.1 MPa if it was given in Pa"),
+    ("16 bits in kPa", [[(40, 0.5, 0.48)], []], "for any detail to reach this array (16 mm, pitch 2 mm)"),
     ("two buttons", [[(100, 0.5, 0.48)], []], "; 0.1 mm if it was given in µm"),
     ("floor tiles under vinyl", [[(0.02, 50.0, 0.4)], []], "; 20 mm if it was given in metres"),
     ("16 bits in kPa", [[(0.2, 6e5, 0.3)], []], "harder than steel; 0.6 MPa if it was given in Pa"),

@@ -97,9 +97,12 @@ def test_a_fault_is_one_finding_with_its_likely_reason(fault):
     assert reason in finding
 
 
-def test_a_dead_taxel_that_is_configured_and_a_quiet_array_are_no_faults():
+def test_what_a_healthy_array_may_do_is_no_fault():
     assert not findings(altered(stick), calibration="no_load = 80, dead = [3, 7]")
     assert not findings(altered(lambda counts: counts.fill(80)))
+    assert not findings(altered(stick)[:10])
+    assert not findings(HEALTHY, calibration="no_load = 100")
+    assert not findings([each for n, each in enumerate(traffic(FD, 200)) if n != 100])
 
 
 def test_the_no_load_of_a_calibration_file_counts(monkeypatch):
