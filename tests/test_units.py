@@ -48,18 +48,18 @@ def requested(rig, url):
     answer = ask("POST", api + "/sensors/palm/tare")
     assert answer.status_code == 409
     seen["tare"] = answer.text
-    film = io.BytesIO()
-    np.save(film, np.zeros((2, SIDE, SIDE)))
+    frames = io.BytesIO()
+    np.save(frames, np.zeros((2, SIDE, SIDE)))
     for query in ("noise=2", "noise_kpa=2"):
-        answer = ask("POST", f"{api}/restore?sensor=palm&{query}", content=film.getvalue())
-        seen[f"film, {query}"] = f"{answer.status_code} {answer.headers}"
+        answer = ask("POST", f"{api}/restore?sensor=palm&{query}", content=frames.getvalue())
+        seen[f"restore, {query}"] = f"{answer.status_code} {answer.headers}"
     for query in ("top=9", "top_kpa=9"):
         seen[query] = str(ask("GET", f"{api}/sensors/palm/frames/raw?format=png&{query}").status_code)
     with stream(url, "?format=json&contacts=1") as client:
         seen |= {kind: json.dumps(text_of(client, kind)) for kind in ("status", "frame", "contacts")}
     for kind in ("raw", "deviation"):
-        drawn = picture.draw(rig.sensor, rig.sensor.hub.latest(), kind, None)
-        seen[f"PNG, {kind}"] = " ".join(each.get_ylabel() for each in drawn.axes)
+        figure = picture.draw(rig.sensor, rig.sensor.hub.latest(), kind, None)
+        seen[f"PNG, {kind}"] = " ".join(each.get_ylabel() for each in figure.axes)
     seen["metrics"] = ask("GET", url + "/metrics").text
     return seen
 
@@ -67,9 +67,9 @@ def requested(rig, url):
 def of_foxglove(rig):
     """Foxglove's topics and messages, as far as they are text."""
     image, contacts = rig.sensor.contacts()
-    shown = foxglove.Topics(rig.sensor.plan, image.unit)
+    made = foxglove.Topics(rig.sensor.plan, image.unit)
     scene = foxglove.contacts_message("palm", image.time, image.unit, contacts)
-    data = [*shown.messages(image), scene, *(each.schema_data for each in shown.topics if each.encoding == "json")]
+    data = [*made.messages(image), scene, *(each.schema_data for each in made.topics if each.encoding == "json")]
     words = b" ".join(b" ".join(re.findall(rb"[ -~]{2,}", each)) for each in data).decode()
     return {"Foxglove": re.sub(r"\b(?<!\d )N\b", "", words)}  # a lone N is one of an image's bytes
 
@@ -88,7 +88,7 @@ def test_answers_streams_pictures_and_metrics_of_a_sensor(unit):
         assert np.isnan(got.noise_kpa) == (unit == "counts")
         np.testing.assert_array_equal(got.raw, image.raw)
         _, (contact,) = rig.sensor.contacts()
-    claims = {name: CLAIM.findall(text) for name, text in seen.items()}
+    matches = {name: CLAIM.findall(text) for name, text in seen.items()}
     kinds = {"/sensors", "/sensors/palm/contacts", "/events", "tare", "status", "frame", "contacts", "PNG, raw"}
     kinds |= {"Foxglove", "/sensors/palm/calibration"}
     assert image.raw.max() == 2000 * (0.5 if unit == "kPa" else 1)
@@ -97,15 +97,15 @@ def test_answers_streams_pictures_and_metrics_of_a_sensor(unit):
     assert listed["contacts"][0]["force"] == pytest.approx(float(image.restored.sum()) * scale, rel=0.2)
     assert listed["contacts"][0]["peak"] == contact.peak == pytest.approx(float(image.restored.max()))
     if unit == "kPa":
-        assert {name for name, each in claims.items() if not each} <= {"metrics", "top=9", "top_kpa=9"}
+        assert {name for name, each in matches.items() if not each} <= {"metrics", "top=9", "top_kpa=9"}
         assert '"noise_high"' in seen["status"]
         assert (listed["contacts"][0]["force_n"], listed["force_unit"]) == (contact.force, "N")
     else:
-        assert {name: each for name, each in claims.items() if each} == {}
+        assert {name: each for name, each in matches.items() if each} == {}
         assert "noise_kpa is not used" in seen["status"]
         assert all("counts" in seen[name] for name in kinds)
-        assert seen["top_kpa=9"] == seen["film, noise_kpa=2"][:3] == "409"
-    assert seen["top=9"] == seen["film, noise=2"][:3] == "200"
+        assert seen["top_kpa=9"] == seen["restore, noise_kpa=2"][:3] == "409"
+    assert seen["top=9"] == seen["restore, noise=2"][:3] == "200"
 
 
 @UNITS
@@ -132,8 +132,8 @@ def test_exports_and_commands_of_a_sensor(unit, tmp_path):
     }
     assert ("noise_kpa" in npz) == (unit == "kPa")
     assert npz["noise"][-1] > 0
-    claims = {name: CLAIM.findall(text) for name, text in seen.items()}
-    assert {name: bool(each) for name, each in claims.items()} == dict.fromkeys(seen, unit == "kPa"), claims
+    matches = {name: CLAIM.findall(text) for name, text in seen.items()}
+    assert {name: bool(each) for name, each in matches.items()} == dict.fromkeys(seen, unit == "kPa"), matches
     assert unit in seen["restore"]
     assert CLAIM.findall(succeed("check", config)) == []
 

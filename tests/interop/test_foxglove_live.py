@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,19 @@ def test_a_skin_that_feels_shear_has_a_topic_of_it(request):
         for axis, counts in zip("xy", image.shear, strict=True):
             np.testing.assert_array_equal(pressures(grid, f"shear_{axis}_counts"), counts)
     assert at == round(image.time * 1e9)
+
+
+def test_a_calibration_that_is_applied_gives_new_topics_with_their_unit(rig):
+    with app(rig, {"/palm/state"}) as client:
+        image = rig.show(pressed())
+        rig.sensor.hub.publish(replace(image, unit="counts"))
+        schemas = {}
+        while "/palm/status" not in schemas:
+            message = client.socket.recv(timeout=BUSY_S)
+            if isinstance(message, str) and (answer := json.loads(message))["op"] == "advertise":
+                schemas |= {each["topic"]: each["schema"] for each in answer["channels"]}
+    assert "noise_kpa" in client.channels["/palm/status"]["schema"]
+    assert "kpa" not in schemas["/palm/status"]
 
 
 def test_the_state_comes_without_frames_and_a_late_client_gets_the_last_image(rig, monkeypatch):

@@ -22,8 +22,8 @@ def seen(page):
     size = page.viewport_size
     page.resize(size["width"] - 40, size["height"])
     page.resize(**size)
-    drawn = page.evaluate("window.drawn.map(each => each.text)")
-    return "\n".join([page.locator("#main").inner_text(), *page.evaluate(LABELS), *drawn])
+    on_canvases = page.evaluate("window.drawn.map(each => each.text)")
+    return "\n".join([page.locator("#main").inner_text(), *page.evaluate(LABELS), *on_canvases])
 
 
 def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
