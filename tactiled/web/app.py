@@ -16,7 +16,18 @@ from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
 from tactiled.web.http.problems import install
-from tactiled.web.rest import calibration, config, events, frames, metrics, recordings, restore, sensors, shear
+from tactiled.web.rest import (
+    calibration,
+    calibration_file,
+    config,
+    events,
+    frames,
+    metrics,
+    recordings,
+    restore,
+    sensors,
+    shear,
+)
 from tactiled.web.rest.dependencies import Costly, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
@@ -48,8 +59,8 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     install(app)
     _set_state(app, service, server)
-    for router in (shear.router, sensors.router, frames.router, events.router, config.router, restore.router):
-        app.include_router(router, responses=problems(*EVERY_RESOURCE))
+    for resource in (shear, sensors, calibration_file, frames, events, config, restore):
+        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         buses = {} if service.replayed else service.buses
         app.include_router(recordings.make(server.recordings, buses, service.events, server.recordings_leave_mb))

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from tactiled import units
+from tactiled.calibrate.sections import Origin
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Loss
 from tactiled.restore.methods import METHODS
@@ -66,6 +67,7 @@ class Status(Schema):
     jitter_s: float | None = Field(description="standard deviation of the last 100 periods", examples=[0.0002])
     skew_s: float | None = Field(description="from a frame's first message to its last", examples=[0.0031])
     detail: str = Field(description="one line on the state", examples=[""])
+    tared_at: float | None = Field(None, description="Unix time of the tare that holds; null: none")
     loss: Loss = Field(description="what went wrong on the way in, counted by kind since the start")
 
 
@@ -277,6 +279,13 @@ class SensorCalibration(Schema):
     tared: int = Field(description="times since the start", examples=[0])
     load: str = Field(description='load that the newest frames show; "": none', examples=["contact of 12 kPa"])
     session: str | None = Field(description="way of the guided calibration that is open; null: none")
+    tared_at: float | None = Field(
+        description="Unix time of the tare that holds; null: none", examples=[1763712000.2]
+    )
+    can_undo: bool = Field(description="whether there is a tare to undo", examples=[False])
+    id: str = Field(description="of the calibration file, or configured", examples=["3f9a0c52d1e7"])
+    created: str | None = Field(description="UTC; null: no calibration file", examples=["2026-11-22T08:30:00Z"])
+    sections: dict[str, Origin] = Field(description="of the calibration file: no_load, gain, cover, health")
     saturation: float | None = Field(description="counts of the ceiling; null: none", examples=[4095.0])
     noise: float = Field(description="standard deviation of a taxel, configured or measured", examples=[0.2])
     noise_kpa: float | None = Field(description="the same; null in counts", examples=[0.2])

@@ -6,12 +6,14 @@ from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 from starlette.types import Message, Receive, Scope
 
+from tactiled.calibrate.calibration_file import MAX_BYTES
 from tactiled.web.http.problems import Problem
 
-MAX_BODY_BYTES = 64 << 10  # no request but an upload of frames needs as much
+MAX_BODY_BYTES = 64 << 10  # no request but an upload needs as much
 MAX_UPLOAD_BYTES = 64 << 20
 BODY_TIMEOUT_S = 60.0
 UPLOAD_PATH = "/api/v1/restore"
+FILE_PATH_END = "/calibration/file"  # of a calibration file, which may be longer than other bodies
 
 
 class Body:
@@ -20,7 +22,8 @@ class Body:
     def __init__(self, scope: Scope, receive: Receive) -> None:
         headers = Headers(scope=scope)
         self._receive, self._upload = receive, scope["path"] == UPLOAD_PATH
-        self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BODY_BYTES
+        is_file = scope["path"].endswith(FILE_PATH_END)
+        self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BYTES if is_file else MAX_BODY_BYTES
         self._length, self._size = headers.get("content-length", "0"), 0
         self._deadline = asyncio.get_running_loop().time() + BODY_TIMEOUT_S
         self.complete = self._length == "0" and "transfer-encoding" not in headers

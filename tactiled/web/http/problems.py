@@ -17,6 +17,7 @@ from tactiled.errors import (
     NoShearError,
     NotLiveError,
     TactileError,
+    TareStateError,
     UnknownSensorError,
 )
 from tactiled.web import schemas
@@ -70,6 +71,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(NotLiveError)
     @app.exception_handler(LoadedError)
     @app.exception_handler(CalibrationStateError)
+    @app.exception_handler(TareStateError)
     async def _not_now(_: Request, error: TactileError) -> Response:
         loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
         return response(409, str(error), **loaded)

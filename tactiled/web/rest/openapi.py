@@ -17,6 +17,7 @@ MEDIA = {
     "npz": "application/x-npz",
     "png": "image/png",
     "file": "application/octet-stream",
+    "calibration": "application/vnd.tactiled.calibration+json",
 }
 PROBLEMS = {
     400: ("the body is no JSON text", "body: no JSON at character 0: Expecting value"),
@@ -32,8 +33,8 @@ PROBLEMS = {
     406: ("Accept names no format of this resource", "Accept: text/html: there are application/json, image/png"),
     408: ("the body did not come in time", f"the body did not come within {BODY_TIMEOUT_S:g} s"),
     409: (
-        "not possible now: the sensor is not live, or shows a load (code = loaded: force=true tares anyway); the "
-        "recording runs or exists already; this service keeps no state",
+        "not possible now: the sensor is not live, shows a load (code = loaded: force=true tares anyway), or has "
+        "no tare to undo; the recording runs or exists already; this service keeps no state",
         "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames",
     ),
     413: (

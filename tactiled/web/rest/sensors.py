@@ -81,13 +81,21 @@ def tare(
     service: CurrentService,
     force: Annotated[bool, Query(description="tare even where the newest frames show a load")] = False,
 ) -> schemas.Tare:
-    """Tare: the mean of the next 16 frames becomes no load, and an event reports the end.
+    """Tare: the mean of the next 0.5 s, of 16 frames at least, becomes no load, and an event reports the end.
 
     It is refused while the newest frames show a load: a contact above noise and scatter, or readings that move;
-    `force=true` tares anyway. If the sensor does not stay live, the tare lapses, and an event reports that.
+    `force=true` tares anyway. If a load comes meanwhile, or the sensor does not stay live, nothing changes, and
+    an event reports that.
     """
     service.tare(sensor.name, force)
     return schemas.Tare(frames=TARE_FRAMES, seconds=TARE_S)
+
+
+@router.delete("/sensors/{name}/tare", tags=["sensors"], responses=problems(404, 409, *CONTROL))
+def undo_tare(sensor: NamedSensor, service: CurrentService, request: Request) -> schemas.SensorCalibration:
+    """Undo the last tare: the no load from before it holds again."""
+    service.undo_tare(sensor.name)
+    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))

@@ -13,11 +13,15 @@ from schemathesis.engine import events, from_schema
 from tactiled.config import Server
 from tactiled.runtime.state import StateFile
 from tactiled.web.server import running
+from tests.calibrate.files import calibration_file
 from tests.conftest import BUSY_S, ask, until
 from tests.web.http.raw import npy
 
 schemathesis.openapi.media_type(
     "application/x-npy", st.integers(0, 3).map(lambda frames: npy(np.full((frames, 8, 8), 10.0)))
+)
+schemathesis.openapi.media_type(
+    "application/vnd.tactiled.calibration+json", st.just(calibration_file().text.encode())
 )
 
 

@@ -1,0 +1,101 @@
+"""`/api/v1/sensors/{name}/calibration/file` and `history`: the calibration file in force, and those before it."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, read
+from tactiled.errors import ConfigError, PhysicsError, StateError
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
+from tactiled.web import answers, schemas
+from tactiled.web.http.problems import Problem
+from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
+from tactiled.web.rest.openapi import CONTROL, MEDIA, Responses, problems
+
+router = APIRouter(prefix="/api/v1/sensors/{name}/calibration", tags=["sensors"])
+CONTENT = {MEDIA["calibration"]: {"schema": {"type": "object"}}}
+BODY = {"description": "a calibration file", "required": True, "content": CONTENT}
+FILE: Responses = {200: {"description": "the file", "content": CONTENT}}
+FileNumber = Annotated[int, Path(ge=1, le=FILES_KEPT, description="1: the file before the present one")]
+
+
+class FormerCalibration(schemas.Schema):
+    """A calibration file that was in force before."""
+
+    number: int = Field(description="1: the newest", examples=[1])
+    id: str | None = Field(description="null: it cannot be read", examples=["3f9a0c52d1e7"])
+    created: str | None = Field(
+        description="UTC, when its newest section was made", examples=["2026-11-22T08:30:00Z"]
+    )
+    sections: list[str] = Field(examples=[["gain", "cover"]])
+    error: str | None = Field(None, description="why it cannot be read")
+
+
+class CalibrationHistory(schemas.Schema):
+    """Calibration files that were in force before, the newest first."""
+
+    files: tuple[FormerCalibration, ...]
+
+
+@router.get("/file", response_class=Response, responses=problems(404) | FILE)
+def download(sensor: NamedSensor) -> Response:
+    """The calibration file in force."""
+    file = sensor.plan.file
+    if file is None:
+        raise Problem(404, f"sensor {sensor.name!r}: no calibration file is in force")
+    headers = {"Content-Disposition": f'attachment; filename="{sensor.name}.json"', "Cache-Control": "no-cache"}
+    return Response(file.text, media_type=MEDIA["calibration"], headers=headers)
+
+
+@router.put("/file", responses=problems(404, 408, 413, 503, *CONTROL), openapi_extra={"requestBody": BODY})
+async def upload(sensor: NamedSensor, service: CurrentService, request: Request) -> schemas.SensorCalibration:
+    """Calibrate by a file from the next frame on; the one before is kept as number 1 of the history.
+
+    It is written where `calibration.file` is configured; else it holds until the service ends.
+    """
+    try:
+        file = read(await request.body())
+    except ConfigError as error:
+        raise ConfigError(f"body: {error}") from error
+    await run_in_threadpool(_apply, service, sensor, file)
+    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
+
+
+@router.get("/history", responses=problems(404))
+def history(sensor: NamedSensor, service: CurrentService) -> CalibrationHistory:
+    """The calibration files before the present one; up to ten are kept."""
+    files = service.former_calibrations(sensor.name).items()
+    return CalibrationHistory(files=tuple(_former(n, each) for n, each in files))
+
+
+@router.post("/history/{number}", responses=problems(404, 503, *CONTROL))
+def apply_again(
+    sensor: NamedSensor, service: CurrentService, request: Request, number: FileNumber
+) -> schemas.SensorCalibration:
+    """Calibrate by a former file again."""
+    file = service.former_calibrations(sensor.name).get(number)
+    if file is None:
+        raise Problem(404, f"sensor {sensor.name!r}: no former calibration {number}")
+    if isinstance(file, str):
+        raise ConfigError(f"former calibration {number}: {file}")
+    _apply(service, sensor, file)
+    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
+
+
+def _apply(service: Service, sensor: Sensor, file: CalibrationFile) -> None:
+    path = service.config.sensor[sensor.name].calibration.file
+    try:
+        service.apply_calibration(sensor.name, file)
+    except PhysicsError as error:
+        raise Problem(422, str(error)) from error
+    except StateError as error:
+        raise Problem(503, without_path(error, path) if path else str(error)) from error
+
+
+def _former(number: int, file: CalibrationFile | str) -> FormerCalibration:
+    if isinstance(file, str):
+        return FormerCalibration(number=number, id=None, created=None, sections=[], error=file)
+    return FormerCalibration(number=number, id=file.id, created=file.created, sections=[*file.sections])

@@ -1,0 +1,103 @@
+"""The calibration file over REST: download, upload, history; and the tare's undo."""
+
+import time
+
+import pytest
+from pydantic import SecretStr
+
+from tactiled.config import Server, parse
+from tactiled.runtime.service import Service
+from tactiled.web.server import running
+from tests.calibrate.files import CREATED, calibration_file
+from tests.conftest import CONFIG, ask, pressed, problem
+
+SCALARS = "kpa_per_count = 0.5, no_load = 100, "
+ORIGIN = {"recording": "steps.log", "sha256": "5" * 64, "method": "steps", "created": CREATED}
+
+
+@pytest.fixture
+def palm(tmp_path):
+    """The address of the palm's calibration, whose file is beside its configuration."""
+    text = CONFIG.format(channel="none").replace(SCALARS, 'file = "palm.json", ')
+    with running(Service(parse(text, folder=tmp_path))) as url:
+        yield url + "/api/v1/sensors/palm/calibration"
+
+
+def test_an_uploaded_file_applies_is_downloaded_again_and_is_in_the_history(palm, tmp_path):
+    file, other = calibration_file(), calibration_file(gain=calibration_file().gain)
+    assert problem(ask("GET", f"{palm}/file"), 404) == "sensor 'palm': no calibration file is in force"
+    before = ask("GET", palm).json()
+    assert (before["id"], before["created"], before["sections"], before["unit"]) == (
+        "configured",
+        None,
+        {},
+        "counts",
+    )
+    after = ask("PUT", f"{palm}/file", content=file.text).json()
+    assert after == ask("GET", palm).json()
+    assert (after["id"], after["created"], after["unit"], after["dead"]) == (file.id, CREATED, "kPa", [3])
+    assert after["sections"].keys() == {"no_load", "gain", "cover", "health"}
+    assert after["sections"]["gain"] == ORIGIN
+    download = ask("GET", f"{palm}/file")
+    assert (download.text, download.headers["content-type"]) == (
+        file.text,
+        "application/vnd.tactiled.calibration+json",
+    )
+    assert 'filename="palm.json"' in download.headers["content-disposition"]
+    assert ask("GET", f"{palm}/history").json() == {"files": []}
+    ask("PUT", f"{palm}/file", content=other.text)
+    (former,) = ask("GET", f"{palm}/history").json()["files"]
+    assert former == {
+        "number": 1, "id": file.id, "created": CREATED, "sections": ["no_load", "gain", "cover", "health"],
+        "error": None,
+    }  # fmt: skip
+    assert ask("POST", f"{palm}/history/1").json()["id"] == file.id
+    (tmp_path / "palm.json.2").write_text("{")
+    assert problem(ask("POST", f"{palm}/history/2"), 422).startswith(
+        "former calibration 2: truncated, or not JSON"
+    )
+    assert ask("GET", f"{palm}/history").json()["files"][1]["error"].startswith("truncated")
+    assert problem(ask("POST", f"{palm}/history/3"), 404) == "sensor 'palm': no former calibration 3"
+
+
+def test_what_cannot_be_applied_is_refused_in_a_line_without_a_path(palm, tmp_path):
+    file = calibration_file()
+    line = "sensor.palm: palm.json: sensor is 'thumb', and the configuration has 'palm'"
+    assert problem(ask("PUT", f"{palm}/file", content=calibration_file(sensor="thumb").text), 422) == line
+    altered = file.text.replace("1.5", "2.5")
+    assert problem(ask("PUT", f"{palm}/file", content=altered), 422).startswith("body: checksum: does not match")
+    assert problem(ask("PUT", f"{palm}/file", content=b"\xff"), 422).startswith("body: not JSON")
+    assert "more than 8192 KiB" in problem(ask("PUT", f"{palm}/file", content=b" " * (8 << 20) + b"{}"), 413)
+    (tmp_path / "palm.json").mkdir()
+    refused = problem(ask("PUT", f"{palm}/file", content=file.text), 503)
+    assert "nothing was written" in refused
+    assert str(tmp_path) not in refused
+    assert ask("GET", palm).json()["id"] == "configured"
+
+
+def test_a_client_that_only_reads_may_download_and_not_change(tmp_path):
+    text = CONFIG.format(channel="none").replace(SCALARS, 'file = "palm.json", ')
+    server = Server(port=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
+    with running(Service(parse(text, folder=tmp_path)), server) as url:
+        path, reader = url + "/api/v1/sensors/palm", {"Authorization": "Bearer " + "r" * 16}
+        content = calibration_file().text
+        problem(ask("PUT", path + "/calibration/file", content=content, headers=reader), 403)
+        problem(ask("POST", path + "/calibration/history/1", headers=reader), 403)
+        problem(ask("DELETE", path + "/tare", headers=reader), 403)
+        assert ask("GET", path + "/calibration/history", headers=reader).json() == {"files": []}
+
+
+def test_a_tare_is_undone(rig, client):
+    rig.stale_after(600)
+    rig.show(pressed())
+    assert problem(client.delete("/sensors/palm/tare"), 409) == "sensor 'palm': no tare to undo"
+    client.post("/sensors/palm/tare?force=true")
+    rig.show_until_tared(pressed())
+    tared = client.get("/sensors/palm/calibration").json()
+    assert tared["can_undo"]
+    assert (
+        tared["tared_at"] == client.get("/sensors/palm").json()["tared_at"] == pytest.approx(time.time(), abs=600)
+    )
+    undone = client.delete("/sensors/palm/tare").json()
+    assert (undone["can_undo"], undone["tared_at"], undone["no_load"]) == (False, None, [100.0] * 64)
+    assert rig.show(pressed()).raw.max() == 200
