@@ -19,6 +19,7 @@ class Calibration:
     saturation: float | None = None  # counts from which (falling gain: down to which) a taxel is at its ceiling
     noise_kpa: float | None = None  # standard deviation of one taxel; None: to be estimated from the frames
     dead: tuple[int, ...] = ()  # taxel indices that do not work
+    track_drift: bool = True  # of zeros that were measured
     shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
     curves: Curves | None = field(default=None, compare=False)  # of each taxel
     no_loads: NDArray[np.float64] | None = field(
@@ -52,14 +53,16 @@ class Calibration:
 
 
 class Calibrator:
-    """Turns the counts of one array into kPa; the tare is its only state."""
+    """Turns the counts of one array into kPa; its state: the tare, the zeros' drift since, faulty taxels."""
 
     def __init__(self, calibration: Calibration, size: int) -> None:
         self.calibration = calibration
         curves = calibration.curves
         if curves is not None and curves.size != size:
             raise ConfigError(f"gain has {curves.size} taxels: the array has {size}")
-        self._no_load = np.full(size, calibration.no_load, np.float32)
+        self._no_load = self._zero = np.full(size, calibration.no_load, np.float32)
+        self.tares = 0  # times that the zeros were set anew
+        self.measured = False  # whether they were measured, not only configured
         if calibration.no_loads is not None:
             self.tare(calibration.no_loads)
         gain = calibration.kpa_per_count if curves is None else curves.gain
@@ -70,26 +73,40 @@ class Calibrator:
         if beyond:
             raise ConfigError(f"dead names taxel {beyond[0]}: the array has 0 to {size - 1}")
         self._dead[list(calibration.dead)] = DEAD
+        self.faulty = np.zeros(size, np.uint8)  # FAULTY where the service has found that a taxel does not work
+
+    @property
+    def dead(self) -> NDArray[np.bool_]:
+        """(N,) taxels that do not work by configuration."""
+        return self._dead > 0
 
     @property
     def no_load(self) -> NDArray[np.float32]:
         """Counts of each taxel (N,) without a load; a copy."""
         return self._no_load.copy()
 
-    def tare(self, counts: NDArray[np.float64]) -> None:
-        """Take `counts` (N,), a mean over frames of the unloaded array, as no load; NaN keeps the taxel's own."""
-        self._no_load = np.where(np.isfinite(counts), counts, self._no_load).astype(np.float32)
+    def tare(self, counts: NDArray[np.float64], measured: bool = True) -> None:
+        """Take `counts` (N,), a mean over frames of the unloaded array, as no load; NaN keeps the taxel's own.
+
+        They are not `measured` where they are only configured.
+        """
+        self._no_load = self._zero = np.where(np.isfinite(counts), counts, self._no_load).astype(np.float32)
+        self.tares, self.measured = self.tares + 1, measured
+
+    def drift(self, counts: NDArray[np.float32]) -> None:
+        """Add `counts` (N,) to the zeros of the last tare."""
+        self._zero = self._no_load + counts
 
     def pressure(self, counts: NDArray[np.number]) -> NDArray[np.float32]:
         """Pressure (..., N) in kPa of counts (..., N), whatever the taxel's state."""
-        return self._kpa(counts.astype(np.float32) - self._no_load)
+        return self._kpa(counts.astype(np.float32) - self._zero)
 
     def _kpa(self, over: NDArray[np.float32]) -> NDArray[np.float32]:
         return over * self._gain if self._curves is None else self._curves.pressure(over).astype(np.float32)
 
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for an unknown taxel; the flags with DEAD, SATURATED, OUT_OF_RANGE added."""
-        flags, over = flags | self._dead, counts.astype(np.float32) - self._no_load
+        flags, over = flags | self._dead | self.faulty, counts.astype(np.float32) - self._zero
         if self.calibration.saturation is not None:
             full = self._direction * (counts - np.float32(self.calibration.saturation)) >= 0
             flags = flags | np.where(full, SATURATED, 0).astype(np.uint8)

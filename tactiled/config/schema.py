@@ -213,6 +213,8 @@ class Calibration(Section):
     """Standard deviation of one taxel; left out: measured from the first frames."""
     dead: tuple[Annotated[int, Bounds(0, 2**20)], ...] = ()
     """Indices of taxels that do not work: row x columns + column."""
+    track_drift: bool = True
+    """Follow the drift of zeros that a tare or the calibration file has measured; false: they stay as measured."""
     shear_n_per_count: Annotated[float, Bounds(1e-12, 1e6, FORCE, signed=True)] | None = None
     """Force along the skin of one count of shear, for XELA's clients."""
 

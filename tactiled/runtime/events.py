@@ -18,6 +18,7 @@ Kind = Literal[
     "tare_asked", "tare_done", "tare_lapsed", "tare_refused", "tare_undone", "tare_kept", "tare_ignored",
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended",
     "calibration_started", "calibration_ended",
+    "taxel_faulty", "taxel_healed", "creep_measured",
     "fault_raised", "fault_cleared", "replay_stepped",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, robust_mean
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
@@ -38,6 +39,7 @@ class Pipeline:
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
         self.noise = Noise(plan.calibration, plan.unit)
+        self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, plan.codec.full_scale)
         self._tare_frames = TareFrames()
         self._zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))
         self._zero_before: Zero | None = None  # the last tare
@@ -94,7 +96,8 @@ class Pipeline:
             self._use_zero()
 
     def _use_zero(self) -> None:
-        self.calibrator.tare(self._zero.counts.astype(float))
+        measured = self._zero.time is not None or self._plan.calibration.no_loads is not None
+        self.calibrator.tare(self._zero.counts.astype(float), measured)
         self._restorer.reset()
         self._recent = ()
 
@@ -109,6 +112,7 @@ class Pipeline:
         self._zero = replace(self._zero, shear=other.zero.shear)
         if other.zero.time is not None and other.zero.time >= self._plan.no_load_time:
             self._zero = other.zero
+        self.monitor.take_over(other.monitor)
         self._use_zero()
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
@@ -151,6 +155,7 @@ class Pipeline:
         """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning."""
         began = perf_counter()
         self._apply_tare(frame)
+        self.monitor.push(frame, self.calibrator)
         shape = self._plan.array.frame_shape
         pressure, taxel_flags = self.calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(shape), taxel_flags.reshape(shape)

@@ -4,12 +4,14 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable
 
+from tactiled.calibrate.health import RULES, Change, Fault
 from tactiled.frames import FrameWarning
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults, Kind
 from tactiled.runtime.sensor import Sensor, State
 from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
+MAX_TAXELS_NAMED = 8  # in an event
 STATE_EVENTS: dict[State, Kind] = {
     "live": "sensor_live", "stale": "sensor_stale", "silent": "sensor_silent", "down": "sensor_down",
 }  # fmt: skip
@@ -51,6 +53,7 @@ class Watch:
                 self._look_at_state(sensor)
                 self._look_at_warnings(sensor, now)
                 self._look_at_tare(sensor)
+                self._look_at_taxels(sensor)
         self._faults.clear()
 
     def _changed(self, what: str, whose: str, value: Hashable, at_start: Hashable) -> bool:
@@ -95,3 +98,32 @@ class Watch:
             self._events.add("tare_refused", text, sensor.name)
         if self._changed("lapsed", sensor.name, pipeline.lapsed, 0):
             self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)
+
+    def _look_at_taxels(self, sensor: Sensor) -> None:
+        monitor = sensor.pipeline.monitor
+        for fault, taxels in _by_fault(monitor.drain_changes()).items():
+            if fault == Fault.HEALTHY:
+                self._events.add("taxel_healed", f"{taxels}: works again", sensor.name)
+            else:
+                self._events.add(
+                    "taxel_faulty", f"{taxels} {fault.name.lower()}: {RULES[fault].reason}", sensor.name
+                )
+        creep = monitor.creep
+        if self._changed("creep", sensor.name, creep is not None and creep.significant, False) and creep:
+            text = (
+                f"on {creep.taxels} taxels reads {creep.percent_per_decade:+.2g} % ± {creep.standard_error:.1g} %"
+            )
+            self._events.add("creep_measured", f"a load that stays {text} for each tenfold time", sensor.name)
+
+
+def _by_fault(changes: Iterable[Change]) -> dict[Fault, str]:
+    """The taxels whose states have changed, in words, by their new state."""
+    taxels: dict[Fault, list[int]] = {}
+    for each in changes:
+        taxels.setdefault(each.after, []).append(each.taxel)
+    return {fault: _listed(sorted(set(each))) for fault, each in taxels.items()}
+
+
+def _listed(taxels: list[int]) -> str:
+    more = f" and {len(taxels) - MAX_TAXELS_NAMED} more" if len(taxels) > MAX_TAXELS_NAMED else ""
+    return f"taxel{'s' * (len(taxels) > 1)} {', '.join(map(str, taxels[:MAX_TAXELS_NAMED]))}{more}"

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.error_frames import KINDS
+from tactiled.calibrate.drift import State as DriftState
+from tactiled.calibrate.health import RULES, Fault
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image, RawFrame
 from tactiled.restore.methods import METHODS
@@ -211,4 +213,26 @@ def calibration(sensor: Sensor, session: str | None) -> schemas.SensorCalibratio
             "noise": noise,
             "noise_kpa": if_calibrated(noise, plan.unit),
         }
+    )
+
+
+def taxel_health(sensor: Sensor) -> schemas.TaxelHealth:
+    """What a sensor has found out about its taxels."""
+    state = sensor.pipeline.monitor.state
+    faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
+    counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
+    return schemas.TaxelHealth(
+        taxels=sensor.array.size,
+        faults=[
+            schemas.TaxelFault(
+                taxel=at, fault=fault.name.lower(), reason=RULES[fault].reason, since=float(state.since_s[at])
+            )
+            for at, fault in faulty
+        ],
+        noise_counts=np.round(state.noise_counts.astype(float), DECIMALS).tolist(),
+        drift_counts=None
+        if state.drift_counts is None
+        else np.round(state.drift_counts.astype(float), DECIMALS).tolist(),
+        drift_states=None if counts is None else {each.name.lower(): int(counts[each]) for each in DriftState},
+        creep=None if state.creep is None else schemas.Creep.model_validate(state.creep),
     )

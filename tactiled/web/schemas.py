@@ -293,6 +293,43 @@ class SensorCalibration(Schema):
     shear_n_per_count: float | None = Field(description="null: unknown, or the skin feels no shear")
 
 
+class TaxelFault(Schema):
+    """A taxel found not to work."""
+
+    taxel: int = Field(description="index", examples=[17])
+    fault: Literal["stuck", "saturated", "noisy", "dead", "weak"]
+    reason: str = Field(examples=["it feels no load, and its neighbours do"])
+    since: float = Field(description="timestamp of the frame", examples=[1763712000.25])
+
+
+class Creep(Schema):
+    """Growth of a load that stays; it is not corrected."""
+
+    percent_per_decade: float = Field(description="for each tenfold time", examples=[4.1])
+    standard_error: float = Field(examples=[0.2])
+    significant: bool
+    seconds: float = Field(description="that the load has stayed", examples=[600.0])
+    taxels: int = Field(description="that it lies on", examples=[34])
+
+
+class TaxelHealth(Schema):
+    """What a sensor has found out about its taxels while it runs."""
+
+    taxels: int = Field(examples=[1024])
+    faults: list[TaxelFault] = Field(
+        description="of the taxels that do not work, without those configured as dead"
+    )
+    noise_counts: list[float] = Field(description="standard deviation of each taxel", examples=[[0.4, 0.5]])
+    drift_counts: list[float] | None = Field(
+        description="that each zero has moved since it was measured; null: drift is not tracked",
+        examples=[[0.0, 1.2]],
+    )
+    drift_states: dict[str, int] | None = Field(
+        description="number of taxels in each state of drift tracking", examples=[{"free": 990, "loaded": 34}]
+    )
+    creep: Creep | None = Field(description="of the load that lies now; null: not measured")
+
+
 class Colormap(Schema):
     """The viewer's colours, dark for no pressure."""
 

@@ -2,6 +2,8 @@ from dataclasses import replace
 
 import pytest
 
+from tactiled.calibrate.creep import Creep
+from tactiled.calibrate.health import Change, Fault
 from tactiled.frames import MISSING
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults
 from tactiled.runtime.sensor import Sensor
@@ -108,3 +110,22 @@ def test_a_sensor_that_cannot_be_looked_at_is_a_fault_and_the_others_are_watched
         ("sensor_live", "frames come"),
     ]
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_taxels_that_fail_heal_or_creep_are_events(watched):
+    monitor = watched.sensor.pipeline.monitor
+    watched.look()
+    for taxel in (3, 1, *range(20, 30)):
+        monitor._changes.append(Change(1.0, taxel, Fault.HEALTHY, Fault.DEAD if taxel < 5 else Fault.STUCK))
+    assert watched.look() == [
+        ("taxel_faulty", "palm", "taxels 1, 3 dead: it feels no load, and its neighbours do"),
+        ("taxel_faulty", "palm", "taxels 20, 21, 22, 23, 24, 25, 26, 27 and 2 more stuck: "
+         "its reading does not change, and the others' noise does"),
+    ]  # fmt: skip
+    monitor._changes.append(Change(2.0, 3, Fault.DEAD, Fault.HEALTHY))
+    monitor._creep.creep = Creep(4.123, 0.21, 600.0, 34)
+    creep = "a load that stays on 34 taxels reads +4.1 % ± 0.2 % for each tenfold time"
+    assert watched.look() == [
+        ("taxel_healed", "palm", "taxel 3: works again"), ("creep_measured", "palm", creep)
+    ]  # fmt: skip
+    assert watched.look() == []

@@ -98,6 +98,12 @@ def undo_tare(sensor: NamedSensor, service: CurrentService, request: Request) ->
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
+@router.get("/sensors/{name}/health", tags=["sensors"], responses=problems(404))
+def taxel_health(sensor: NamedSensor) -> schemas.TaxelHealth:
+    """Taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
+    return answers.taxel_health(sensor)
+
+
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))
 def contacts(sensor: NamedSensor) -> schemas.Contacts:
     """The contacts: centre, force, area, peak, axes, and an id that stays while the contact lasts."""

@@ -4,11 +4,12 @@ import shutil
 import numpy as np
 import pytest
 
+from tactiled.calibrate.health import RULES, Fault
 from tactiled.config import parse
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tactiled.web.server import running
-from tests.conftest import CONFIG, GAIN, NO_LOAD, SIDE, ask, pressed, problem, until
+from tests.conftest import BUSY_S, CONFIG, GAIN, NO_LOAD, SIDE, ask, pressed, problem, until
 
 TARE = "/sensors/palm/tare"
 
@@ -181,3 +182,23 @@ def test_kernel_geometry_and_colour_map(client):
     assert geometry["restored"] == {"rows": 8, "columns": 8, "cell_mm": 1.0}
     colormap = client.get("/colormap").json()
     assert (colormap["name"], len(colormap["colors"]), colormap["colors"][0]) == ("magma", 256, [0, 0, 4])
+
+
+def test_taxels_that_do_not_work_noise_and_drift_are_served(live, client):
+    live.show(pressed())
+    before = client.get("/sensors/palm/health").json()
+    assert (before["taxels"], before["faults"], before["drift_states"], before["creep"]) == (64, [], None, None)
+    assert len(before["noise_counts"]) == 64
+    health = live.sensor.pipeline.monitor._health
+    health._scores[Fault.DEAD][17] = RULES[Fault.DEAD].threshold
+    health._active[Fault.DEAD][17] = True
+    client.post("/sensors/palm/tare?force=true")
+    live.show_until_tared(pressed())
+    after = client.get("/sensors/palm/health").json()
+    (fault,) = after["faults"]
+    since = fault.pop("since")
+    assert fault == {"taxel": 17, "fault": "dead", "reason": "it feels no load, and its neighbours do"}
+    assert 0 <= live.sensor.hub.latest().time - since < 10 * BUSY_S
+    assert after["drift_counts"] == [0.0] * 64
+    assert sum(after["drift_states"].values()) == after["drift_states"]["free"] == 64
+    assert client.get("/sensors/palm").json()["references"] is None

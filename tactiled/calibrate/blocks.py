@@ -1,0 +1,99 @@
+"""Blocks of successive frames, and what a block says of each taxel: mean, span and noise."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.frames import BAD, MISSING, Counts
+
+BLOCK_FRAMES = 16  # successive ones: noise shows in second differences, and a walking foot stands longer
+BLOCK_PERIOD_S = 1.0  # from block to block at least: what looks at blocks costs a few microseconds a frame
+DIFFERENCE_VARIANCE = 6.0  # of second differences, over that of the noise
+MEDIAN_VARIANCE = 0.93  # median over mean of a block's variance: 2e5 blocks of white noise, as in `Block.variance`
+MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that
+MIN_NOISE = 0.05  # steps: the running noise stays above it, so that it comes up again in seconds
+
+Floats = NDArray[np.float32]
+
+
+class Block:
+    """Successive frames (K, N) in counts, of an array whose counts differ by multiples of `step`."""
+
+    def __init__(self, time_s: float, counts: Floats, readable: NDArray[np.bool_], step: float) -> None:
+        self.time_s = time_s  # of the last frame
+        self.counts = counts  # the collector's own: valid until its next frame
+        self.readable = readable  # (N,) neither missing nor bad in any of the frames
+        self.step = step  # counts
+        self.mean: Floats = counts.mean(axis=0)
+        self.span: Floats = counts.max(axis=0) - counts.min(axis=0)
+
+    @cached_property
+    def variance(self) -> Floats:
+        """Variance (N,) of the noise by second differences in time, which an evenly moving load leaves alone."""
+        second = np.diff(self.counts, 2, axis=0)
+        return np.asarray(np.einsum("kn,kn->n", second, second) / (DIFFERENCE_VARIANCE * len(second)), np.float32)
+
+
+class Blocks:
+    """Collects BLOCK_FRAMES successive frames of N taxels, then pauses until BLOCK_PERIOD_S after their first."""
+
+    def __init__(self, taxels: int) -> None:
+        self._counts = np.zeros((BLOCK_FRAMES, taxels), np.float32)
+        self._flags = np.zeros(taxels, np.uint8)
+        self._frames = 0  # of the block under way
+        self._began_s = -np.inf
+        self._step = np.inf
+
+    def push(self, time_s: float, counts: Counts, flags: NDArray[np.uint8]) -> Block | None:
+        """Take a frame, (N,) counts and flags; gives a block once it is complete."""
+        if not self._frames:
+            if 0 <= time_s - self._began_s < BLOCK_PERIOD_S:
+                return None
+            self._began_s = time_s
+            self._flags[:] = 0
+        self._counts[self._frames] = counts
+        self._flags |= flags
+        self._frames += 1
+        if self._frames < BLOCK_FRAMES:
+            return None
+        self._frames = 0
+        self._look_for_step()
+        step = self._step if np.isfinite(self._step) else 1.0
+        return Block(time_s, self._counts, self._flags & (MISSING | BAD) == 0, step)
+
+    def restart(self) -> None:
+        """Drop the block under way."""
+        self._frames, self._began_s = 0, -np.inf
+
+    def _look_for_step(self) -> None:
+        """Note the smallest difference of two successive readings so far: the counts' step."""
+        change = np.abs(np.diff(self._counts, axis=0))
+        np.copyto(change, np.inf, where=change == 0)
+        self._step = min(self._step, float(change.min()))
+
+
+class TaxelNoise:
+    """Running median over blocks of each taxel's noise; what moves on a taxel now and then does not change it."""
+
+    def __init__(self, taxels: int) -> None:
+        self._variance = np.zeros(taxels, np.float32)
+        self._blocks = np.zeros(taxels, np.float32)
+        self._step = 1.0
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviation (N,) in counts, not under that of rounding."""
+        return np.sqrt(np.maximum(self._variance, self._step**2 / 12))
+
+    def update(self, block: Block) -> None:
+        """Take a block; a taxel's variance goes a part of itself towards the block's."""
+        self._step = block.step
+        variance = block.variance / MEDIAN_VARIANCE
+        first = block.readable & (self._blocks == 0)
+        self._variance[first] = variance[first]
+        learning = np.maximum(1 / (self._blocks + 1), MIN_LEARNING)
+        factor = np.exp(learning * np.sign(variance - self._variance))
+        np.multiply(self._variance, factor, out=self._variance, where=block.readable)
+        np.maximum(self._variance, (MIN_NOISE * block.step) ** 2, out=self._variance)
+        self._blocks += block.readable

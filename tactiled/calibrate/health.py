@@ -1,0 +1,222 @@
+"""Taxels that do not work, found while the array is in use, and found to work again.
+
+What a fault looks like is compared with what no load can do. A contact that lies on the taxels to both sides of a
+taxel lies on the taxel, too, or did so once; noise of more than a count never stands still; a load shakes or
+saturates a taxel's neighbours with it, as strongly as the cover joins them. All of it must come again and again.
+"""
+
+from enum import IntEnum
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tactiled.calibrate.blocks import Block
+from tactiled.geometry import Array
+
+# `python -m tests.study health` counts faults found on healthy arrays and the frames until a fault is found.
+NEIGHBOUR_PITCHES = 1.6  # distance of a neighbour: the eight around a taxel of a grid
+OPPOSITE_PITCHES = 0.3  # from a taxel to the middle of two opposite neighbours
+LOADED_SIGMAS, LOADED = 8.0, 0.02  # noise standard deviations, and part of full scale, that a loaded neighbour has
+DEAD_RATIO, WEAK_RATIO = 0.1, 0.5  # of the less loaded of two opposite neighbours' readings
+SURROUNDED = 7  # presses on two opposite neighbours that one on all neighbours counts as
+STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating between two steps shows 0.82
+NOISY_RATIO = 5.0  # of a taxel's noise to the array's median
+JOINED_MARGIN = 2.0  # by which a taxel differs more from its neighbours than the cover lets any load do
+MIN_JOINED = 0.02  # response of neighbours over a taxel's own: under a thinner cover they say nothing of it
+KNOWN_NOISE_BLOCKS = 20  # before which noise is not judged
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+class Fault(IntEnum):
+    """What is wrong with a taxel; the first that applies."""
+
+    HEALTHY = 0
+    STUCK = 1
+    SATURATED = 2
+    NOISY = 3
+    DEAD = 4
+    WEAK = 5
+
+
+class Rule(NamedTuple):
+    """How a fault is found: its evidence adds up to `threshold`; what speaks against it takes it back."""
+
+    threshold: int  # blocks, or presses on two opposite neighbours
+    in_a_row: bool  # one piece of evidence against it, before it is found, takes all of it back
+    reason: str
+
+
+RULES = {
+    Fault.STUCK: Rule(6, True, "its reading does not change, and the others' noise does"),
+    Fault.SATURATED: Rule(20, True, "it stays at its ceiling, and its neighbours feel no such load"),
+    Fault.NOISY: Rule(20, False, "it is noisy, and its neighbours are not"),
+    Fault.DEAD: Rule(3 * SURROUNDED, True, "it feels no load, and its neighbours do"),
+    Fault.WEAK: Rule(5 * SURROUNDED, True, "it feels less than half of what its neighbours do"),
+}
+
+
+class Change(NamedTuple):
+    """A taxel whose state has changed."""
+
+    time_s: float
+    taxel: int
+    before: Fault
+    after: Fault
+
+
+class TaxelHealth:
+    """State of N taxels, by blocks of frames.
+
+    `joined` is the least response of a taxel's neighbours to a load on it, over its own; `ends` the counts at
+    which a taxel is empty and saturated; `calibrated`: each gain was measured, so that a weak taxel is a fault.
+    """
+
+    def __init__(self, array: Array, joined: float, ends: tuple[float, float], calibrated: bool = False) -> None:
+        n = array.size
+        self._neighbours, self._pairs = _neighbours(array)
+        self._joined, self._ends, self._calibrated = joined, ends, calibrated
+        self._scores = {fault: np.zeros(n, np.float32) for fault in RULES}
+        self._active = {fault: np.zeros(n, bool) for fault in RULES}
+        self.faults = np.zeros(n, np.uint8)
+        self.since_s = np.full(n, np.nan)  # of the present state; NaN: since the start
+        self._blocks = 0
+        self._mean = np.full(n, np.nan, np.float32)  # of the last block
+        self._presses = _Presses(n)
+
+    def update(self, block: Block, sigma: Floats, load: Floats, usable: Mask) -> list[Change]:
+        """Take a block, its taxels' noise and load over zero, (N,) counts, and which taxels are in use."""
+        readable = block.readable & usable
+        self._blocks += 1
+        self._look_at_noise(block, sigma, readable)
+        top = self._look_at_ceiling(block, sigma, load, readable)
+        self._look_at_presses(sigma, load, readable & ~top)
+        self._mean = np.where(readable, block.mean, np.float32(np.nan))
+        return self._changes(block.time_s)
+
+    def take_over(self, other: "TaxelHealth") -> None:
+        """Go on with the evidence that another has of the same taxels."""
+        self._scores, self._active, self._blocks = other._scores, other._active, other._blocks
+        self.faults, self.since_s = other.faults, other.since_s
+
+    @property
+    def full_scale(self) -> float:
+        """Counts from empty to saturated."""
+        return abs(self._ends[1] - self._ends[0])
+
+    def _score(self, fault: Fault, evidence: Floats | Mask, against: Floats | Mask) -> None:
+        """Add what speaks for a fault and what speaks against it, both (N,)."""
+        rule, score, active = RULES[fault], self._scores[fault], self._active[fault]
+        score += evidence
+        score -= against
+        if rule.in_a_row:
+            score[np.greater(against, 0) & ~active] = 0
+        np.clip(score, 0, rule.threshold, out=score)
+        active |= score >= rule.threshold
+        active &= score > 0
+
+    def _look_at_noise(self, block: Block, sigma: Floats, readable: Mask) -> None:
+        judged = readable if self._blocks > KNOWN_NOISE_BLOCKS else np.zeros_like(readable)
+        now = np.sqrt(block.variance)
+        trembles = sigma >= STUCK_NOISE * block.step
+        still = (block.span == 0) & (block.mean == self._mean)
+        peers = readable & trembles
+        moving = np.count_nonzero(peers & (block.span > 0)) * 2 > np.count_nonzero(peers | (readable & still))
+        inside = (block.mean > min(self._ends)) & (block.mean < max(self._ends))
+        trembled = trembles | (self._scores[Fault.STUCK] > 0)
+        stuck = judged & still & inside & moving & trembled
+        self._score(Fault.STUCK, stuck, readable & ~still)
+        typical = float(np.median(sigma[readable])) if readable.any() else 0.0
+        beside = self._largest_beside(np.where(readable, now, np.float32(0)))
+        noisy = judged & (now > NOISY_RATIO * typical) & (now > self._contrast * np.maximum(beside, typical))
+        self._score(Fault.NOISY, noisy, readable & ~noisy)
+
+    def _look_at_ceiling(self, block: Block, sigma: Floats, load: Floats, readable: Mask) -> Mask:
+        empty, ceiling = self._ends
+        top = block.mean >= ceiling if ceiling > empty else block.mean <= ceiling
+        felt = self._joined * self.full_scale / JOINED_MARGIN
+        beside = self._largest_beside(np.where(readable, load, np.float32(0)))
+        alone = top & (beside + LOADED_SIGMAS * sigma < felt) if self._joined > MIN_JOINED else np.zeros_like(top)
+        self._score(Fault.SATURATED, readable & alone, readable & ~top)
+        return np.asarray(top)
+
+    def _look_at_presses(self, sigma: Floats, load: Floats, readable: Mask) -> None:
+        working = np.where(readable & (self.faults == Fault.HEALTHY), load, np.float32(-np.inf))
+        padded = np.append(working, np.float32(-np.inf))
+        opposite = padded[self._pairs].min(axis=2).max(axis=1)
+        around = -self._largest_beside(-working)
+        needed = np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
+        ended, ratio, weight = self._presses.update(load, opposite, around, needed)
+        explained = np.isin(self.faults, (Fault.STUCK, Fault.SATURATED, Fault.NOISY))
+        judged = ended & readable & ~explained
+        dead = judged & (ratio < DEAD_RATIO)
+        weak = judged & ~dead & (ratio < WEAK_RATIO) & self._calibrated
+        self._score(Fault.DEAD, dead * weight, (judged & (ratio >= DEAD_RATIO)) * weight)
+        self._score(Fault.WEAK, weak * weight, (judged & (ratio >= WEAK_RATIO)) * weight)
+
+    @property
+    def _contrast(self) -> float:
+        """What a load may be on a taxel over what it is on the neighbour that feels most of it, at most."""
+        return JOINED_MARGIN / max(self._joined, MIN_JOINED)
+
+    def _largest_beside(self, values: Floats) -> Floats:
+        """Largest of the neighbours' values (N,)."""
+        return np.asarray(np.append(values, np.float32(-np.inf))[self._neighbours].max(axis=1))
+
+    def _changes(self, time_s: float) -> list[Change]:
+        """Set the present states; gives those that have changed."""
+        faults = np.select([self._active[fault] for fault in RULES], list(RULES), Fault.HEALTHY).astype(np.uint8)
+        changed = np.flatnonzero(faults != self.faults)
+        changes = [Change(time_s, int(at), Fault(self.faults[at]), Fault(faults[at])) for at in changed]
+        self.faults, self.since_s[changed] = faults, time_s
+        return changes
+
+
+class _Presses:
+    """Presses on each taxel's neighbours, and its own best response to each."""
+
+    def __init__(self, taxels: int) -> None:
+        self._rest = np.zeros((2, taxels), np.float32)  # a taxel's load, and its neighbours', before the press
+        self._ratio = np.full(taxels, -np.inf, np.float32)
+        self._weight = np.zeros(taxels, np.float32)  # 0: no press is under way
+
+    def update(
+        self, load: Floats, opposite: Floats, around: Floats, needed: Floats
+    ) -> tuple[Mask, Floats, Floats]:
+        """Take the loads (N,) on a taxel, on the less loaded of two opposite neighbours and of all neighbours.
+
+        Gives the taxels (N,) on whose neighbours a press has ended, their response over the neighbours', and the
+        weight of the press; a press loads both of them by `needed` (N,).
+        """
+        response, pressed = load - self._rest[0], opposite - self._rest[1]
+        on = pressed > needed
+        np.maximum(
+            self._ratio, np.divide(response, pressed, out=np.full_like(load, -np.inf), where=on), out=self._ratio
+        )
+        np.maximum(self._weight, np.where(on, np.where(around > needed, SURROUNDED, 1), 0), out=self._weight)
+        released = opposite < needed / 2
+        ended = released & (self._weight > 0)
+        ratio, weight = self._ratio.copy(), self._weight.copy()
+        self._ratio[released], self._weight[released] = -np.inf, 0
+        self._rest[0][released], self._rest[1][released] = load[released], np.maximum(opposite[released], 0)
+        return ended, ratio, weight
+
+
+def _neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Neighbours (N, 8) of every taxel and pairs (N, 4, 2) of opposite ones; N where there are no more."""
+    tree = cKDTree(array.positions)
+    near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # lists of int
+    neighbours = np.full((array.size, 8), array.size)
+    pairs = np.full((array.size, 4, 2), array.size)
+    for taxel, indices in enumerate(near):
+        others = sorted(set(indices) - {taxel})[:8]
+        neighbours[taxel, : len(others)] = others
+        middles = ((pair, array.positions[list(pair)].mean(axis=0)) for pair in combinations(others, 2))
+        reach = OPPOSITE_PITCHES * array.pitch
+        opposite = [pair for pair, middle in middles if np.hypot(*(middle - array.positions[taxel])) < reach][:4]
+        pairs[taxel, : len(opposite)] = np.reshape(opposite, (-1, 2))
+    return neighbours, pairs

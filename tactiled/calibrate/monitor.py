@@ -1,0 +1,114 @@
+"""What a skin finds out about its own taxels while it runs: noise, drift, faults, creep."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from tactiled.calibrate.blocks import Blocks, TaxelNoise
+from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.calibrate.creep import Creep, CreepMeter
+from tactiled.calibrate.drift import DriftTracker, reach_mm
+from tactiled.calibrate.health import LOADED, LOADED_SIGMAS, Change, Fault, TaxelHealth
+from tactiled.cover.kernel import Kernel
+from tactiled.cover.operator import matrix
+from tactiled.frames import FAULTY, RawFrame
+from tactiled.geometry import Array, layout
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinState:
+    """What is known of N taxels now; none of it changes any more."""
+
+    faults: NDArray[np.uint8]  # (N,) of Fault
+    since_s: NDArray[np.float64]  # (N,) time of the frame from which a taxel has been in its state; NaN: the start
+    noise_counts: NDArray[np.float32]  # (N,) standard deviation
+    drift_counts: NDArray[np.float32] | None  # (N,) by which the zeros have moved since they were measured
+    drift_states: NDArray[np.uint8] | None  # (N,) of drift.State; None, both: drift is not tracked
+    creep: Creep | None
+
+
+class SkinMonitor:
+    """Looks after the taxels of one array, and corrects its calibrator: zeros that drift, taxels that fail."""
+
+    def __init__(self, array: Array, kernel: Kernel, calibration: Calibration, full_scale: int) -> None:
+        """`full_scale` is the codec's largest count."""
+        gain = calibration.kpa_per_count
+        empty, top = (0.0, float(full_scale)) if gain > 0 else (float(full_scale), 0.0)
+        ceiling = top if calibration.saturation is None else calibration.saturation
+        self._per_count = abs(gain)
+        self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
+        self._health = TaxelHealth(array, joined(kernel, array), (empty, ceiling), calibration.curves is not None)
+        self._drift: DriftTracker | None = None
+        if calibration.track_drift:
+            span = abs(ceiling - calibration.no_load)
+            self._drift = DriftTracker(array, reach_mm(kernel), span, float(np.sign(gain)))
+        self._tares = 0  # times that the calibrator's zeros had been set when they were taken over
+        self._tracks = False  # whether they were measured
+        self._changes: deque[Change] = deque(maxlen=array.size)
+
+    def push(self, frame: RawFrame, calibrator: Calibrator) -> bool:
+        """Take a frame; now and then correct the calibrator, and say so."""
+        if self._tares != calibrator.tares:
+            self._restart(calibrator)
+        block = self._blocks.push(frame.time, frame.counts, frame.flags)
+        if block is None:
+            return False
+        self._noise.update(block)
+        sigma, load = self._noise.sigma, calibrator.pressure(block.mean) / np.float32(self._per_count)
+        configured = ~calibrator.dead
+        self._changes.extend(self._health.update(block, sigma, load, configured))
+        healthy = configured & (self._health.faults == Fault.HEALTHY)
+        calibrator.faulty = np.where(self._health.faults > 0, FAULTY, 0).astype(np.uint8)
+        loaded = healthy & (load > np.maximum(LOADED_SIGMAS * sigma, LOADED * self._health.full_scale))
+        self._creep.update(block.time_s, load, loaded)
+        if self._drift is not None and self._tracks:
+            self._drift.update(block, sigma, healthy, frame.references)
+            calibrator.drift(self._drift.correction)
+        return True
+
+    def take_over(self, other: "SkinMonitor") -> None:
+        """Go on from what `other`, of the same array and another calibration, knows of the taxels."""
+        self._noise, self._changes = other._noise, other._changes
+        self._health.take_over(other._health)
+
+    def _restart(self, calibrator: Calibrator) -> None:
+        """Take the zeros just set."""
+        self._blocks.restart()
+        self._tares, self._tracks = calibrator.tares, calibrator.measured
+        if self._drift is not None:
+            self._drift.reset(calibrator.no_load)
+
+    @property
+    def creep(self) -> Creep | None:
+        """Of the load that lies now, once it is measured."""
+        return self._creep.creep
+
+    def drain_changes(self) -> list[Change]:
+        """Changes of taxels' states since the last call; any thread."""
+        return [self._changes.popleft() for _ in range(len(self._changes))]
+
+    @property
+    def state(self) -> SkinState:
+        """What is known now."""
+        drift = self._drift if self._tracks else None
+        return SkinState(
+            faults=self._health.faults.copy(),
+            since_s=self._health.since_s.copy(),
+            noise_counts=self._noise.sigma,
+            drift_counts=None if drift is None else drift.correction,
+            drift_states=None if drift is None else drift.state.copy(),
+            creep=self.creep,
+        )
+
+
+def joined(kernel: Kernel, array: Array) -> float:
+    """Response of the farthest nearest neighbour to a load on the middle of a taxel, over that taxel's own."""
+    if array.size == 1:
+        return 0.0
+    nearest = float(np.asarray(cKDTree(array.positions).query(array.positions, 2)[0])[:, 1].max())
+    pair = layout(np.array([[0.0, 0.0], [nearest, 0.0]]), array.width, array.aperture)
+    own, beside = matrix(kernel, pair, pair.positions[:1], array.width / 4)[:, 0]
+    return float(beside / own)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+
+from tactiled.calibrate.blocks import BLOCK_FRAMES
+from tactiled.calibrate.health import Fault
+from tactiled.calibrate.monitor import joined
+from tests.plans import plan
+from tests.study.health import FULL_SCALE, NO_LOAD, RATE_HZ, Run, false_positives, spoil
+
+SHAPE = 10, 10
+FAULTY = 44
+PRESS_S = 3.0  # a disc lies for so long, then for as long none
+
+
+def discs(random, taxel=None):
+    """Presses of a disc (N,), counts over no load: on a taxel, or anywhere."""
+    skin = plan(SHAPE, 1.0)
+    x, y = skin.array.positions.T
+    while True:
+        at = random.uniform(2, 7, 2) if taxel is None else skin.array.positions[taxel] + random.uniform(-1, 1, 2)
+        pressed = random.uniform(800, 2000) * (np.hypot(x - at[0], y - at[1]) < random.uniform(2.5, 4))
+        yield skin.blur.forward(pressed.reshape(SHAPE).astype(float)).ravel()
+
+
+def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
+    """Press discs for so long with a fault on a taxel; gives the changes, each with its frame from the start."""
+    presses, changes, began = discs(random, taxel), [], run.frames
+    for n in range(int(seconds * RATE_HZ)):
+        if n % int(2 * PRESS_S * RATE_HZ) == 0:
+            pressed = next(presses)
+        lies = n / RATE_HZ % (2 * PRESS_S) < PRESS_S
+        counts = NO_LOAD + pressed * lies + random.normal(0, noise, pressed.size)
+        if fault is not None:
+            counts[taxel] = spoil(fault, counts[taxel], random)
+        changes += [(run.frames - began, each) for each in run.push(counts)]
+    return changes
+
+
+@pytest.mark.parametrize(
+    ("fault", "within_s"),
+    [(Fault.STUCK, 8), (Fault.NOISY, 25), (Fault.SATURATED, 45), (Fault.DEAD, 20), (Fault.WEAK, 35)],
+)
+def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, within_s):
+    random = np.random.default_rng(fault)
+    run = Run(plan(SHAPE, 1.0), np.ones(100))
+    assert play(run, random, 30) == []
+    ((frame, change),) = play(run, random, 60, fault)
+    assert (change.taxel, change.before, change.after) == (FAULTY, Fault.HEALTHY, fault)
+    assert frame < within_s * RATE_HZ
+    assert np.flatnonzero(run.calibrator.faulty).tolist() == [FAULTY]
+    state = run.monitor.state
+    assert state.faults[FAULTY] == fault
+    assert state.since_s[FAULTY] == change.time_s
+    changes = play(run, random, 60)
+    assert [(each.taxel, each.after) for _, each in changes] == [(FAULTY, Fault.HEALTHY)]
+    assert not run.calibrator.faulty.any()
+
+
+def test_healthy_arrays_have_no_false_alarm_in_ten_million_taxel_frames():
+    """The demo's tour under three covers and without noise, empty, drifting and heavily loaded pads."""
+    counts = [each[1:] for each in false_positives(tours=1, seconds=10.0, seed=77)]
+    assert sum(frames for frames, _ in counts) > 1e7
+    assert sum(changes for _, changes in counts) == 0
+
+
+def test_a_weak_taxel_is_no_fault_where_gains_were_not_measured():
+    random = np.random.default_rng(3)
+    run = Run(plan(SHAPE, 1.0))
+    assert play(run, random, 90, Fault.WEAK) == []
+
+
+def test_quiet_rounded_taxels_are_not_stuck_however_noisy_the_others_are():
+    random = np.random.default_rng(4)
+    run = Run(plan(SHAPE, 1.0))
+    noise = np.full(100, 3.0)
+    noise[[12, 57]] = 0.1, 0.0
+    assert play(run, random, 60, noise=noise) == []
+
+
+@pytest.mark.parametrize("value", [0.0, float(FULL_SCALE)])
+def test_a_reading_at_the_end_of_its_range_is_not_stuck(value):
+    """Below zero a converter reads 0 all the time; a heavy load is at the ceiling."""
+    random = np.random.default_rng(5)
+    run = Run(plan(SHAPE, 0.5))
+    for n in range(6000):
+        counts = NO_LOAD + random.normal(0, 3, 100)
+        if n > 3000:
+            counts[[0, 1, 10, 11, 99]] = value - np.sign(NO_LOAD - value) * 50
+        assert run.push(counts) == []
+
+
+def test_a_dead_row_is_found_though_its_taxels_are_each_others_neighbours():
+    random = np.random.default_rng(6)
+    run, changes = Run(plan(SHAPE, 1.0)), []
+    presses = discs(random, FAULTY)
+    for n in range(int(300 * RATE_HZ)):
+        if n % 300 == 0:
+            pressed = next(presses) if n % 600 == 0 else np.zeros(100)
+        counts = NO_LOAD + pressed
+        counts[40:50] = NO_LOAD
+        changes += run.push(counts + random.normal(0, 1, 100))
+    assert {each.after for each in changes} == {Fault.DEAD}
+    assert {42, 43, 44, 45, 46} <= {each.taxel for each in changes} <= set(range(40, 50))
+
+
+def test_noise_is_measured_for_each_taxel_whatever_presses_on_it():
+    random = np.random.default_rng(7)
+    run = Run(plan(SHAPE, 1.0))
+    noise = np.linspace(1, 8, 100)
+    play(run, random, 90, noise=noise)
+    np.testing.assert_allclose(run.monitor.state.noise_counts, noise, rtol=0.25)
+    assert abs(np.mean(run.monitor.state.noise_counts / noise) - 1) < 0.05
+
+
+def test_a_thin_cover_joins_taxels_less_and_a_frame_is_looked_at_now_and_then():
+    near, far = (joined(plan(SHAPE, thickness).kernel, plan(SHAPE, thickness).array) for thickness in (2.0, 0.5))
+    assert 0 < far < near < 1
+    run = Run(plan(SHAPE, 1.0))
+    looks = [n for n in range(300) if (run.push(np.full(100, 100.0)), run.monitor._blocks._frames)[1] == 0]
+    assert looks[0] == BLOCK_FRAMES - 1
