@@ -29,7 +29,6 @@ def disc(radius, sphere=False):
     return places, np.repeat(weight / 24, 24)
 
 
-@dataclass
 class World:
     """What taxels sense of loads under a cover."""
 
@@ -40,6 +39,7 @@ class World:
         at = np.arange(0, reach, min(0.08 * stack.depth, 0.1 * array.pitch))
         table = _response(solve(stack, model), array, piece, at, at) / piece**2
         self._table, self._reach = RectBivariateSpline(at, at, table), at[-1]
+        self._near, self._panel = min(10 * stack.depth + 2 * array.pitch, self._reach), stack.depth
 
     def sensed(self, places, forces):
         """Pressures (N,) under forces (n,) in kPa mm^2 at places (n, 2)."""
@@ -52,6 +52,33 @@ class World:
         pieces, weights = disc(radius, sphere)
         value = self.sensed(pieces + place, weights)
         return PEAK_KPA * value / value.max()
+
+    def edge(self, angle, offset, width=np.inf, beyond=True, growth=0.0):
+        """Pressures (N,) under PEAK_KPA on one side of an edge, or on a ridge; along it, it grows by `growth` /mm.
+
+        The load goes on `beyond` the array's border, or ends there.
+        """
+        positions = (
+            self.array.positions - (self.array.positions.min(axis=0) + self.array.positions.max(axis=0)) / 2
+        )
+        half = np.abs(positions).max(axis=0) + self.array.pitch / 2
+        end, node, weight = float(np.hypot(*half)) + self._near, *np.polynomial.legendre.leggauss(6)
+        begin, end = (0.0, end + abs(offset)) if np.isinf(width) else (-width / 2, width / 2)
+        panels = int((end - begin) / self._panel) + 1
+        step = (end - begin) / panels
+        across = (begin + (np.arange(panels)[:, None] + (node + 1) / 2) * step).ravel()
+        along = np.arange(-2 * half.max() - self._near, 2 * half.max() + self._near, self._panel / 4)
+        n, v = np.meshgrid(across, along)
+        force = np.tile(weight * step / 2, panels) * self._panel / 4 * (1 + growth * v)
+        x = (n + offset) * np.cos(angle) - v * np.sin(angle)
+        y = (n + offset) * np.sin(angle) + v * np.cos(angle)
+        if not beyond:
+            force = force * (np.abs(x) < half[0]) * (np.abs(y) < half[1])
+        pressure = np.zeros(self.array.size)
+        for taxel, (right, down) in enumerate(positions):
+            near = (np.abs(x - right) < self._near) & (np.abs(y - down) < self._near) & (force != 0)
+            pressure[taxel] = self._table.ev(np.abs(y[near] - down), np.abs(x[near] - right)) @ force[near]
+        return PEAK_KPA * pressure
 
     def places(self, count, random, inside=1.5):
         """Places (count, 2), `inside` mm from the border at least."""

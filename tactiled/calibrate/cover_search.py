@@ -1,20 +1,18 @@
 """The search for a cover's thickness, whatever touches it: coarse, fine, without presses that do not fit."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution
+from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press
 from tactiled.calibrate.touch_response import Quadrature, quadrature
 from tactiled.cover.family import FACTORS, CoverFamily
 from tactiled.geometry import Array
 
 Floats = NDArray[np.float64]
-Spectrum = Callable[[Floats], Floats]  # shared (S,) -> gain times the load's transform (n,)
 
 COARSE_FACTORS = np.geomspace(*FACTORS, 13)
 COARSE_PRESSES = 6  # the strongest, which decide where the fine search starts
@@ -50,6 +48,14 @@ class Touch:
         """Readings (K, N) that the model holds for; a response ends at `reach` under a cover of `depth` (mm)."""
         raise NotImplementedError
 
+    def nodes(self, likelihood: Likelihood) -> Quadrature:
+        """The quadrature of a likelihood of this touch."""
+        raise NotImplementedError
+
+    def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
+        """Each reading's distance (M,) in mm from the load, and what the load is there (kPa): the plot's units."""
+        raise NotImplementedError
+
     def only(self, presses: NDArray[np.intp]) -> Self:
         """The same with some presses."""
         own, deviation = self.prior.own[presses], self.prior.own_deviation[presses]
@@ -74,7 +80,8 @@ class Touch:
         """Likelihood with tables for covers of `factors` (low, high), taxels' gains taken for exact."""
         low, high = np.clip(factors, *FACTORS)
         nodes, depth = quadrature(self.family, (low, high), 3 * self.array.pitch), self.family.configured.depth
-        readings = self.readings(self.near(np.inf if coarse else nodes.reach - self.array.pitch, depth * high))
+        near = (np.inf, depth) if coarse else (nodes.reach - self.array.pitch, depth * np.sqrt(low * high))
+        readings = self.readings(self.near(*near))
         model = self.model(nodes, self.spectrum(nodes), readings, coarse)
         return Likelihood(readings, model, self.prior, np.zeros(len(readings.value)))
 

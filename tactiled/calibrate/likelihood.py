@@ -5,6 +5,7 @@ it is integrated out per taxel: the covariance of a taxel's readings is diagonal
 of a pilot fit. All else is solved for by Gauss and Newton's method with Levenberg's damping.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +15,14 @@ from scipy.sparse import csr_array
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
+# shared (S,) -> gain times the load's transform (n,) on the nodes of a quadrature
+Spectrum = Callable[[Floats], Floats]
+
 QUANTILE = 1.96  # standard deviations of a 95 % interval
 MAX_STEPS = 30
 CONVERGED = 1e-3  # of chi-squared: a step that gains no more is the last
 START_DAMPING, MAX_DAMPING = 1e-4, 1e8  # over the diagonal of the Hessian
+FOLDS = 5  # each of which is left out once
 MAX_SECANTS = 12  # to an end of an interval
 INFORMATIVE = 0.05  # of its press's peak: only such readings say whether the model is right
 
@@ -49,6 +54,11 @@ class Model:
 
     positions: Floats  # (M, 2) mm, of the readings' taxels
     press: Ints  # (M,)
+    spectrum: Spectrum
+
+    def of(self, keep: NDArray[np.bool_], press: Ints) -> "Model":
+        """The model of some readings, of presses numbered anew."""
+        return replace(self, positions=self.positions[keep], press=press)
 
     def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """The model (M,), its slopes in what is shared (M, S) and in what is the press's own (M, P)."""
@@ -90,9 +100,8 @@ class Likelihood:
             press=press,
             taxel=readings.taxel[keep],
         )
-        model = replace(self.model, positions=self.model.positions[keep], press=press)
         prior = replace(prior, own=prior.own[presses], own_deviation=prior.own_deviation[presses])
-        return Likelihood(fewer, model, prior, self.reference[keep])
+        return Likelihood(fewer, self.model.of(keep, press), prior, self.reference[keep])
 
     def solve(
         self, shared: Floats, own: Floats, fixed: tuple[int, ...] = (), max_steps: int = MAX_STEPS
@@ -116,7 +125,7 @@ class Likelihood:
             if abs(gained) < CONVERGED or damping > MAX_DAMPING:
                 break
         own = at[len(shared) :].reshape(own.shape)
-        return Solution(at[: len(shared)], own, chi2, model, _schur(hessian, len(shared)))
+        return Solution(at[: len(shared)], own, chi2, model, schur(hessian, len(shared)))
 
     def information(self, model: Model, solution: Solution, extra: int) -> Floats:
         """Information (S + extra, ...) on what is shared where `model` has more shared parameters, at 0."""
@@ -128,7 +137,7 @@ class Likelihood:
         )
         at = np.concatenate([solution.shared, np.zeros(extra), solution.own.ravel()])
         *_, hessian, _ = Likelihood(self.readings, model, wider, self.reference)._expand(at, len(wider.shared))
-        return _schur(hessian, len(wider.shared))
+        return schur(hessian, len(wider.shared))
 
     def residuals(self, solution: Solution) -> tuple[Floats, Ints]:
         """Informative residuals over their deviation (each with its taxel's gain error), and their presses."""
@@ -166,7 +175,7 @@ class Likelihood:
         return float(chi2), gradient, slopes.T @ slopes - by_taxel.T @ by_taxel + np.diag(weight), model
 
 
-def _schur(hessian: Floats, count: int) -> Floats:
+def schur(hessian: Floats, count: int) -> Floats:
     """Information (count, count) on the first parameters after all others are solved for."""
     cross = hessian[:count, count:]
     rest = np.linalg.lstsq(hessian[count:, count:], cross.T, rcond=1e-14)[0]
@@ -206,15 +215,15 @@ def interval(
 def _marginal(likelihood: Likelihood, best: Solution) -> float:
     """Information on the first shared parameter after the other unknown ones are solved for."""
     free = np.flatnonzero(likelihood.prior.shared_deviation > 0)
-    return float(_schur(best.information[np.ix_(free, free)], 1)[0, 0])
+    return float(schur(best.information[np.ix_(free, free)], 1)[0, 0])
 
 
-def left_out(likelihood: Likelihood, best: Solution, folds: int) -> Floats:
+def left_out(likelihood: Likelihood, best: Solution) -> Floats:
     """Misfit (K,) of each press under what is fitted to the others; its own parameters are its own."""
     presses = np.arange(len(best.own))
     result = np.zeros(len(presses))
-    for fold in range(min(folds, len(presses))):
-        out = presses[fold::folds]
+    for fold in range(min(FOLDS, len(presses))):
+        out = presses[fold::FOLDS]
         others = np.setdiff1d(presses, out)
         fitted = likelihood.of(others).solve(best.shared, best.own[others])
         test = likelihood.of(out)

@@ -1,13 +1,13 @@
 """Presses with a small tip; each one's force and place are solved for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.cover_search import Spectrum, Touch, differences
-from tactiled.calibrate.likelihood import Model, Prior, Readings
+from tactiled.calibrate.cover_search import Touch, differences
+from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press
 from tactiled.calibrate.touch_response import HARMONICS, Quadrature, TipResponse, tip_transform
 from tactiled.cover.family import CoverFamily
@@ -42,7 +42,6 @@ class TipModel(Model):
     """Readings under a tip of each press's own force (kPa mm^2) and place (mm)."""
 
     response: TipResponse
-    spectrum: Spectrum
 
     def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """The model (M,), its slopes in what is shared (M, S), and in force and place (M, 3)."""
@@ -68,13 +67,25 @@ class TipTouch(Touch):
     def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> TipModel:
         """The model of `readings`; a coarse one takes apertures for round."""
         response = TipResponse(self.array, nodes, 1 if coarse else HARMONICS)
-        return TipModel(self.array.positions[readings.taxel], readings.press, response, spectrum)
+        return TipModel(self.array.positions[readings.taxel], readings.press, spectrum, response)
 
     def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
         """Readings (K, N) within `reach` of a press's place."""
         del depth
         offsets = self.array.positions[None] - self.prior.own[:, None, 1:]
         return np.asarray(np.linalg.norm(offsets, axis=-1) < reach)
+
+    def nodes(self, likelihood: Likelihood) -> Quadrature:
+        """The quadrature of a likelihood of this touch."""
+        assert isinstance(likelihood.model, TipModel)
+        return likelihood.model.response.nodes
+
+    def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
+        """Each reading's distance (M,) in mm from the tip's middle, and the response there (kPa)."""
+        press, places = likelihood.readings.press, solution.own[:, 1:]
+        middle = replace(likelihood.model, positions=places, press=np.arange(len(places)))
+        peaks = middle(solution.shared, solution.own)[0]
+        return np.linalg.norm(likelihood.model.positions - places[press], axis=1), peaks[press]
 
 
 def tip_touch(

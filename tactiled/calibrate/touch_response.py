@@ -38,6 +38,7 @@ class Quadrature:
     weights: Floats
     reach: float
     step: float
+    factor: float = 1.0  # of the cover, in the middle of those that the nodes are for
 
     @cached_property
     def distance(self) -> Floats:
@@ -55,7 +56,7 @@ def quadrature(family: CoverFamily, factors: tuple[float, float], extra_mm: floa
     width = end / panels
     q = (np.arange(panels)[:, None] * width + (node + 1) / 2 * width).ravel()
     step = family.configured.depth * factors[0] / STEPS_PER_DEPTH
-    return Quadrature(q, np.tile(weight * width / 2, panels), reach, step)
+    return Quadrature(q, np.tile(weight * width / 2, panels), reach, step, float(np.sqrt(np.prod(factors))))
 
 
 def tip_transform(q: Floats, radius_mm: float, sphere: bool = False) -> Floats:
@@ -79,6 +80,10 @@ class TipResponse:
             harmonic = (aperture * np.cos(order * angle)).mean(axis=1) * (2 if order else 1)
             self._matrices.append(2 * np.pi * jv(order, phase) * (nodes.weights * nodes.q * harmonic))
 
+    def radial(self, spectrum: Floats) -> Floats:
+        """Response at the nodes' distances, as if apertures were round."""
+        return np.asarray(self._matrices[0] @ spectrum)
+
     def __call__(self, spectra: Floats, offsets: Floats) -> tuple[Floats, Floats]:
         """Responses (M, S) to tips of `spectra` (n, S), the gradient (M, 2) of the first; offsets (M, 2) mm."""
         x, y = offsets.T
@@ -98,3 +103,36 @@ class TipResponse:
             np.column_stack([radial * x - turning * y, radial * y + turning * x]) / np.maximum(r, 1e-9)[:, None]
         )
         return response * inside, gradient * inside
+
+
+class EdgeResponse:
+    """The mean pressure on a taxel under a straight edge of pressure 1 kPa, by the distance to the edge."""
+
+    def __init__(self, array: Array, nodes: Quadrature) -> None:
+        self.array, self.nodes = array, nodes
+        phase = 2 * np.pi * np.outer(nodes.distance, nodes.q)
+        self._matrix = np.sin(phase) * nodes.weights / (np.pi * nodes.q)
+
+    def __call__(
+        self, spectra: Floats, angle: float, distance: Floats, width: float = np.inf
+    ) -> tuple[Floats, ...]:
+        """Responses (M, S) of `spectra` (n, S) to a strip of `width` that starts at the edge, at (M,) mm from it.
+
+        Behind them the slope (M,) of the first by distance and its integral (M,) from far outside. `angle` (rad)
+        is that of the edge's normal, which points into the load. The strip is centred if its width is finite.
+        """
+        aperture = aperture_mean(self.array, self.nodes.q * np.cos(angle), self.nodes.q * np.sin(angle))
+        table = CubicSpline(self.nodes.distance, self._matrix @ (spectra * aperture[:, None]))
+        if np.isinf(width):
+            return self._step(table, distance)
+        ends = [self._step(table, distance + side * width / 2) for side in (1, -1)]
+        return tuple(first - second for first, second in zip(*ends, strict=True))
+
+    def _step(self, table: CubicSpline, distance: Floats) -> tuple[Floats, ...]:
+        """Response, slope and integral of a load from 0 on."""
+        end = self.nodes.distance[-1]
+        near, side = np.minimum(np.abs(distance), end), np.sign(distance)
+        rises = side[:, None] * table(near)
+        rises[:, 0] += 0.5
+        tail = (end - near) / 2 - (table.antiderivative()(end) - table.antiderivative()(near))[:, 0]
+        return rises, table(near, 1)[:, 0], np.maximum(distance, 0) + tail

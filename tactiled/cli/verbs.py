@@ -2,7 +2,7 @@
 
 import gc
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -23,6 +23,7 @@ sniff    Listen to a bus and list the known skins on it; sends nothing.
 """
 CALIBRATE_VERBS = """\
 gain     Find each taxel's gain and curve in a recording under known loads.
+cover    Find a cover's thickness in a recording of presses.
 show     Print what a calibration file holds.
 """
 BENCH_VERBS = """\
@@ -38,6 +39,7 @@ class Verbs(TyperGroup):
     """The verbs of VERBS: `--help` and completion of their names read it, and running one imports its function."""
 
     lines, file = VERBS, "tactiled.cli.{}"
+    files: ClassVar[dict[str, str]] = {}  # of verbs that have their own
 
     def __init__(self, *, commands: dict[str, Any], **settings: Any) -> None:
         lines = dict(line.split(maxsplit=1) for line in self.lines.splitlines())
@@ -55,7 +57,8 @@ class Verbs(TyperGroup):
         verb, command, rest = super().resolve_command(ctx, args)
         if verb in self._lazy:
             one = typer.Typer(add_completion=False)
-            one.command(verb)(getattr(import_module(self.file.format(verb)), verb))
+            file = self.files.get(verb, self.file.format(verb))
+            one.command(verb)(getattr(import_module(file), verb))
             command = typer.main.get_command(one)
             if not gc.isenabled():
                 gc.freeze()  # what is imported stays: no later collection walks through it
@@ -73,3 +76,4 @@ class CalibrateVerbs(Verbs):
     """The verbs of `tactiled calibrate`."""
 
     lines, file = CALIBRATE_VERBS, "tactiled.cli.calibrate"
+    files: ClassVar = {"cover": "tactiled.cli.calibrate_cover"}

@@ -9,14 +9,17 @@ from pkgutil import iter_modules
 import pytest
 
 import tactiled.cli
-from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS
+from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS, CalibrateVerbs
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
 HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.study")
 SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
-    [(verb, file.format(verb), line) for verb, line in (each.split(maxsplit=1) for each in lines.splitlines())]
+    [
+        (verb, CalibrateVerbs.files.get(verb, file) if "calibrate" in file else file.format(verb), line)
+        for verb, line in (each.split(maxsplit=1) for each in lines.splitlines())
+    ]
     for lines, file in (
         (VERBS, "tactiled.cli.{}"),
         (BENCH_VERBS, "tactiled.cli.bench"),

@@ -1,0 +1,64 @@
+"""From frames in counts to presses in kPa, and how well their taxels' gains are known."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.presses import Press, find_presses
+from tactiled.errors import ConfigError
+from tactiled.frames import SATURATED
+from tactiled.geometry import Array
+from tactiled.restore.noise import estimate
+
+Floats = NDArray[np.float64]
+
+UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of gains that nobody calibrated
+NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
+
+
+def pressures(film: Film, calibration: Calibration, full_scale: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Pressures (T, N) in kPa (in counts without a gain), NaN: unknown, and which readings are at their ceiling.
+
+    Where no ceiling is configured, it is 0 and `full_scale` counts.
+    """
+    size = film.counts.shape[1]
+    with np.errstate(invalid="ignore"):
+        pressure, flags = Calibrator(calibration, size)(film.counts, np.zeros(film.counts.shape, np.uint8))
+        saturated = flags & SATURATED > 0
+        if calibration.saturation is None:
+            ceiling = film.counts >= full_scale if calibration.kpa_per_count > 0 else film.counts <= 0
+            saturated = saturated | ceiling
+    return pressure.astype(np.float64), saturated
+
+
+def recorded_presses(
+    film: Film, array: Array, calibration: Calibration, full_scale: int, border: bool = False
+) -> list[Press]:
+    """Every press in a recording, the unusable ones with their reason; `border` lets them reach over the border.
+
+    A taxel whose counts never change is left out. ConfigError where no frame is without a load, or none has one.
+    """
+    pressure, saturated = pressures(film, calibration, full_scale)
+    with np.errstate(invalid="ignore"):
+        still = ~(np.nan_to_num(film.counts) != np.nan_to_num(film.counts[:1])).any(axis=0)
+    pressure[:, still] = np.nan
+    noise = noise_of(pressure, calibration)
+    presses = find_presses(pressure, array, noise, saturated & ~still, border)
+    if not presses:
+        raise ConfigError(f"no press stands out of the noise of {noise:.3g} kPa in {len(pressure)} frames")
+    return presses
+
+
+def noise_of(pressure: Floats, calibration: Calibration) -> float:
+    """Standard deviation (kPa) of a taxel in frames (T, N), not below what rounding to counts makes."""
+    start = max(0, (len(pressure) - NOISE_FRAMES) // 2)
+    return max(estimate(pressure[start : start + NOISE_FRAMES]), calibration.floor_kpa)
+
+
+def gain_errors(calibration: Calibration, size: int) -> Floats:
+    """Relative standard deviation (N,) of the taxels' gains, UNCALIBRATED_SPREAD where nobody measured it."""
+    curves = calibration.curves
+    if curves is None:
+        return np.full(size, UNCALIBRATED_SPREAD)
+    return np.where(curves.individual & np.isfinite(curves.deviation), curves.deviation, UNCALIBRATED_SPREAD)

@@ -1,0 +1,140 @@
+"""`tactiled calibrate cover`: a cover's thickness from a recording of presses."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from tactiled.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover_result import fit_cover
+from tactiled.calibrate.edge import edge_touch
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.presses import Press
+from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures, recorded_presses
+from tactiled.calibrate.sections import CoverSection
+from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.cli import options
+from tactiled.cli.calibrate import Out, existing, made_from, update
+from tactiled.config import schema
+from tactiled.cover.family import CoverFamily
+from tactiled.cover.stack import Stack
+from tactiled.errors import ConfigError
+from tactiled.runtime.film import read_film
+
+Floats = NDArray[np.float64]
+
+
+def cover(
+    file: options.Recording,
+    config: options.RecordedConfig,
+    out: Out,
+    tip_mm: Annotated[
+        float | None, typer.Option(help="Presses with a flat round tip of this diameter, mm; 0: unknown.")
+    ] = None,
+    sphere: Annotated[
+        bool, typer.Option("--sphere", help="The tip is round: give the contact's diameter.")
+    ] = False,
+    places: Annotated[
+        Path | None, typer.Option(help="Where the tip pressed (CSV): x_mm,y_mm of every press, in order.")
+    ] = None,
+    edge: Annotated[bool, typer.Option("--edge", help="A straight edge was laid across the array.")] = False,
+    edge_mm: Annotated[float | None, typer.Option(help="A straight ridge of this width, mm.")] = None,
+    blind: Annotated[bool, typer.Option("--blind", help="Anything may have touched the array.")] = False,
+    measured: Annotated[
+        bool, typer.Option("--measured", help="Keep a measured kernel where no thickness explains the presses.")
+    ] = False,
+    plot: Annotated[
+        Path | None, typer.Option(help="Chart of the response, measured and fitted (.png, .svg, .pdf).")
+    ] = None,
+    sensor: options.Sensor = None,
+) -> None:
+    """Find a cover's thickness in a recording of presses."""
+    if sum((tip_mm is not None, edge or edge_mm is not None, blind)) != 1:
+        raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
+    settings, name, one = options.one_sensor(config, sensor)
+    before, stack = existing(out, name, one), make_stack(one)
+    with threadpool_limits(1):
+        film = read_film(file, name, settings)
+        recorded = _Recorded(film, one, stack, make_calibration(one, before))
+        if tip_mm is not None:
+            fit = recorded.tip(tip_mm, sphere, places)
+        else:
+            fit = recorded.blind() if blind else recorded.edge(edge_mm)
+        if plot is not None:
+            from tactiled.study.cover_chart import draw  # matplotlib takes a second
+
+            draw(plot, fit, stack)
+    typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack)]))
+    if not measured:
+        fit = replace(fit, kernel=None)
+    section = CoverSection.of(fit, stack, made_from(file, f"cover: {fit.method}"))
+    update(out, before, name, one, {"cover": section})
+    typer.echo(f"{out}: written; give it as calibration.file of the sensor")
+
+
+class _Recorded:
+    """A recording, and the ways to fit a cover to it."""
+
+    def __init__(self, film: Film, sensor: schema.Sensor, stack: Stack, calibration: Calibration) -> None:
+        self._film, self._stack, self._calibration = film, stack, calibration
+        self._array, self._full_scale = make_array(sensor), make_codec(sensor).full_scale
+        self._gain_error = gain_errors(calibration, self._array.size)
+
+    def _presses(self, border: bool) -> list[Press]:
+        return recorded_presses(self._film, self._array, self._calibration, self._full_scale, border)
+
+    def tip(self, tip_mm: float, sphere: bool, places: Path | None) -> CoverFit:
+        """Presses with a tip; 0: of unknown diameter."""
+        presses, tip = self._presses(False), Tip(tip_mm or None, sphere=sphere)
+        places_mm = None if places is None else _places(places)
+        touch = tip_touch(presses, self._array, self._stack, tip, self._gain_error, places_mm)
+        return fit_cover(touch, presses, "tip")
+
+    def edge(self, width_mm: float | None) -> CoverFit:
+        """Straight edges, or ridges of a width."""
+        presses = self._presses(True)
+        return fit_cover(
+            edge_touch(presses, self._array, self._stack, self._gain_error, width_mm), presses, "edge"
+        )
+
+    def blind(self) -> CoverFit:
+        """Whatever touched the array."""
+        from tactiled.calibrate.blind import fit_blind
+
+        pressure, saturated = pressures(self._film, self._calibration, self._full_scale)
+        pressure[saturated] = np.nan
+        frames = pressure.reshape(-1, *self._array.frame_shape)
+        noise, error = noise_of(pressure, self._calibration), float(np.median(self._gain_error))
+        return fit_blind(frames, noise, CoverFamily(self._stack), self._array, error)
+
+
+def _places(path: Path) -> Floats:
+    """Places (K, 2) in mm; ConfigError names what is wrong with the file."""
+    try:
+        rows = np.atleast_2d(np.genfromtxt(path, delimiter=",", names=True).tolist())
+        header = path.read_text("utf-8").splitlines()[0].replace(" ", "")
+    except (OSError, ValueError, IndexError) as error:
+        raise ConfigError(f"--places {path}: {getattr(error, 'strerror', None) or error}") from error
+    if header != "x_mm,y_mm" or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        raise ConfigError(f"--places {path}: give a first line x_mm,y_mm, then two numbers a line")
+    return np.asarray(rows, float)
+
+
+def _lines(fit: CoverFit, stack: Stack) -> list[str]:
+    """What was found, a line each."""
+    (low, high), change = fit.interval_mm, 100 * (fit.factor - 1)
+    rows = {
+        "thickness": f"{fit.thickness_mm:.3g} mm (95 %: {low:.3g} to {high:.3g}); configured {stack.depth:.3g} mm",
+        "factor": f"{fit.factor:.3f} ({change:+.1f} %)",
+        "presses": f"{fit.presses} used",
+        "left out": f"presses left out of the fit miss by {fit.residual:.2f} of noise and gain errors",
+    }
+    if fit.kernel is not None:
+        rows["kernel"] = f"measured at {fit.kernel.shape[1]} frequencies"
+    return [f"  {key:<10} {row}" for key, row in rows.items()] + [f"  note: {each}" for each in fit.notes]

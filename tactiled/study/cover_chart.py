@@ -1,0 +1,42 @@
+"""The chart of a fitted cover: the response, measured and fitted, along a line."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.cover.stack import Stack
+from tactiled.study.charts import BLUE, RED, figure
+
+AXES = {
+    "tip": ("distance from the tip's middle (mm)", "pressure over the response's peak"),
+    "edge": ("distance into the load (mm)", "pressure over the load's"),
+}
+
+
+def draw(path: Path, fit: CoverFit, configured: Stack) -> None:
+    """Draw every reading against its distance from the load, what is fitted to it, and what is left."""
+    if fit.line is None:
+        return
+    x, measured, fitted = fit.line
+    low, high = fit.interval_mm
+    with figure(path, 11, 4.4) as chart:
+        chart.suptitle(
+            f"cover {fit.thickness_mm:.3g} mm (95 %: {low:.3g} to {high:.3g}), "
+            f"configured {configured.depth:.3g} mm; {fit.presses} presses",
+            fontsize=10.5,
+            x=0.01,
+            ha="left",
+        )
+        response, residual = chart.subplots(1, 2)
+        across, along = AXES[fit.method]
+        response.plot(x, measured, "o", mfc="none", color=BLUE, ms=4, alpha=0.6, label="measured")
+        response.plot(x, fitted, ".", color=RED, ms=3, label="fitted")
+        response.set(xlabel=across, ylabel=along, title="Response")
+        response.legend()
+        residual.plot(x, 100 * (measured - fitted), ".", color=BLUE, ms=3, label="a reading")
+        residual.axhline(0, color="0.5", lw=0.8)
+        residual.set(xlabel=across, ylabel="measured − fitted (% of the peak)", title="Residual")
+        residual.legend()
+        ends = np.percentile(100 * (measured - fitted), [0.2, 99.8])
+        residual.set_ylim(1.5 * min(ends[0], -0.1), 1.5 * max(ends[1], 0.1))

@@ -1,0 +1,109 @@
+"""`tactiled calibrate cover` on recordings of a simulated skin of 12 x 12 taxels, 12 bits."""
+
+import numpy as np
+import pytest
+
+from tactiled.build import make_array, make_codec
+from tactiled.calibrate import calibration_file
+from tactiled.config import parse
+from tests.cli.commands import refusal, succeed
+from tests.cli.recordings import write
+from tests.touched import World, recorded, rubber
+
+THICKNESS = 1.0
+TEXT = """
+[bus.can0]
+interface = "socketcan"
+channel = "gone0"
+fd = true
+[sensor.palm]
+bus = "can0"
+codec = { name = "packed", bits = 12, fd = true }
+array = { rows = 12, columns = 12, pitch_mm = 1.0 }
+cover = { thickness_mm = 1.25, young_mpa = 0.6, poisson = 0.49 }
+substrate = { thickness_mm = 1.6, young_mpa = 20000.0, poisson = 0.2 }
+calibration = { kpa_per_count = 0.05, no_load = 100 }
+"""
+PALM = parse(TEXT).sensor["palm"]
+ARRAY, CODEC = make_array(PALM), make_codec(PALM)
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "palm.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def recording(path, pressures, random):
+    """Frames at 100 Hz of a skin whose gains nobody calibrated, alike to 1 %."""
+    gains = 1 + 0.01 * random.normal(size=ARRAY.size)
+    frames = recorded(pressures * gains, random, noise=0.5)
+    counts = np.clip(np.round(frames / 0.05 + 100), 0, CODEC.full_scale).astype(np.uint16)
+    messages = (each for number, frame in enumerate(counts) for each in CODEC.encode(frame, number, 0.01 * number))
+    return write(path, messages)
+
+
+@pytest.fixture(scope="module")
+def tips(tmp_path_factory):
+    """Six presses with a tip of 1.6 mm, and the file of their places."""
+    random, world = np.random.default_rng(9), World(ARRAY, rubber(THICKNESS))
+    places = world.places(6, random)
+    folder = tmp_path_factory.mktemp("tips")
+    rows = "\n".join(f"{x:.2f},{y:.2f}" for x, y in places)
+    (folder / "places.csv").write_text(f"x_mm,y_mm\n{rows}\n")
+    path = recording(folder / "tips.log", np.array([world.tip(0.8, each) for each in places]), random)
+    return path, folder / "places.csv"
+
+
+def test_presses_with_a_tip_become_a_section_of_the_calibration_file(config, tips, tmp_path):
+    log, places = tips
+    out, chart = tmp_path / "palm.json", tmp_path / "line.svg"
+    arguments = ("calibrate", "cover", log, "--config", config, "--out", out, "--tip-mm", 1.6)
+    lines = succeed(*arguments, "--places", places, "--plot", chart).splitlines()
+    section = calibration_file.load(out).cover
+    assert section.method == "tip"
+    assert section.presses == 6
+    assert section.thickness_mm == pytest.approx(THICKNESS, rel=0.05)
+    assert section.interval_mm[0] < THICKNESS < section.interval_mm[1]
+    assert section.origin.method == "cover: tip"
+    assert lines[0] == "palm: cover by tip"
+    assert lines[1].startswith(f"  thickness  {section.thickness_mm:.3g} mm (95 %: ")
+    assert lines[1].endswith("configured 1.25 mm")
+    assert "<svg" in chart.read_text()
+
+
+def test_an_edge_is_fitted_and_other_sections_stay(config, tips, tmp_path):
+    random, world = np.random.default_rng(10), World(ARRAY, rubber(THICKNESS))
+    edges = [world.edge(np.radians(90 * n + 20), 0.7 * n - 0.5, beyond=False) for n in range(3)]
+    out = tmp_path / "palm.json"
+    succeed("calibrate", "cover", tips[0], "--config", config, "--out", out, "--tip-mm", 1.6)
+    log = recording(tmp_path / "edges.log", np.array(edges), random)
+    printed = succeed("calibrate", "cover", log, "--config", config, "--out", out, "--edge")
+    section = calibration_file.load(out).cover
+    assert (section.method, section.presses) == ("edge", 3)
+    assert section.thickness_mm == pytest.approx(THICKNESS, rel=0.06)
+    assert printed.endswith(f"{out}: written; give it as calibration.file of the sensor\n")
+
+
+def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(config, tips, tmp_path):
+    log, places = tips
+    out = tmp_path / "palm.json"
+    base = ("calibrate", "cover", log, "--config", config, "--out", out)
+    assert refusal(*base) == "give one of --tip-mm, --edge (or --edge-mm) and --blind"
+    assert refusal(*base, "--edge", "--tip-mm", 1) == refusal(*base)
+    places.with_name("bad.csv").write_text("x,y\n1,2\n")
+    assert "give a first line x_mm,y_mm" in refusal(
+        *base, "--tip-mm", 1.6, "--places", places.with_name("bad.csv")
+    )
+    assert refusal(*base, "--tip-mm", 1.6, "--places", "gone.csv") == "--places gone.csv: gone.csv not found."
+    quiet = recording(tmp_path / "quiet.log", np.zeros((3, ARRAY.size)), np.random.default_rng(0))
+    assert refusal("calibrate", "cover", quiet, *base[3:], "--tip-mm", 1.6).startswith(
+        "no press stands out of the"
+    )
+    random, world = np.random.default_rng(2), World(ARRAY, rubber(THICKNESS))
+    hard = np.array([3 * world.tip(0.8, each) for each in world.places(3, random)])
+    full = recording(tmp_path / "full.log", hard, random)
+    line = refusal("calibrate", "cover", full, *base[3:], "--tip-mm", 1.6)
+    assert line.startswith("0 of 3 presses can be used (saturated: ")
+    assert not out.exists()
