@@ -62,7 +62,7 @@ def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
     """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other."""
     require(name)
     if not (np.isfinite(noise_kpa) and noise_kpa > 0):
-        raise ConfigError(f"noise = {noise_kpa} kPa: give a taxel's standard deviation, above 0")
+        raise ConfigError(f"noise = {noise_kpa}: give a taxel's standard deviation, above 0")
     return Restorer(name, blur, float(noise_kpa))
 
 

@@ -223,7 +223,7 @@ def test_wrong_frames_are_refused(config, npy, tmp_path, spoil, message):
 def test_wrong_options_are_refused(config, npy, tmp_path, earlier):
     frames, settings = npy(press(9)), config(("palm", "sole"))
     for option, value, message in (
-        ("--noise", "nan", "noise = nan kPa: give a taxel's standard deviation"),
+        ("--noise", "nan", "noise = nan: give a taxel's standard deviation"),
         ("--noise", "0", "noise = 0.0 kPa"),
         ("--noise", "inf", "noise = inf kPa"),
         ("--method", "sharpen", "method = 'sharpen': no such method: choose one of auto"),
