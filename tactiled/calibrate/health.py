@@ -147,7 +147,7 @@ class TaxelHealth:
     def _look_at_presses(self, sigma: Floats, load: Floats, readable: Mask) -> None:
         working = np.where(readable & (self.faults == Fault.HEALTHY), load, np.float32(-np.inf))
         padded = np.append(working, np.float32(-np.inf))
-        opposite = padded[self._pairs].min(axis=2).max(axis=1)
+        opposite = padded[self._pairs].min(axis=0).max(axis=0)
         around = -self._largest_beside(-working)
         needed = np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
         ended, ratio, weight = self._presses.update(load, opposite, around, needed)
@@ -165,7 +165,7 @@ class TaxelHealth:
 
     def _largest_beside(self, values: Floats) -> Floats:
         """Largest of the neighbours' values (N,)."""
-        return np.asarray(np.append(values, np.float32(-np.inf))[self._neighbours].max(axis=1))
+        return np.asarray(np.append(values, np.float32(-np.inf))[self._neighbours].max(axis=0))
 
     def _changes(self, time_s: float) -> list[Change]:
         """Set the present states; gives those that have changed."""
@@ -207,7 +207,7 @@ class _Presses:
 
 
 def _neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Neighbours (N, 8) of every taxel and pairs (N, 4, 2) of opposite ones; N where there are no more."""
+    """Neighbours (8, N) of every taxel and pairs (2, 4, N) of opposite ones; N where there are no more."""
     tree = cKDTree(array.positions)
     near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # lists of int
     neighbours = np.full((array.size, 8), array.size)
@@ -219,4 +219,4 @@ def _neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         reach = OPPOSITE_PITCHES * array.pitch
         opposite = [pair for pair, middle in middles if np.hypot(*(middle - array.positions[taxel])) < reach][:4]
         pairs[taxel, : len(opposite)] = np.reshape(opposite, (-1, 2))
-    return neighbours, pairs
+    return np.ascontiguousarray(neighbours.T), np.ascontiguousarray(pairs.T)
