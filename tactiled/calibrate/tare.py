@@ -38,15 +38,22 @@ def robust_mean(values: NDArray[np.floating]) -> Floats:
     noise of 0.3 counts, with a spike of 300 counts in 2 %, it misses by 0.07 counts, a median by 0.29, a mean of
     the middle 80 % by 0.21 (tests/calibrate/test_tare.py).
     """
-    missing = np.isnan(values)
-    filled = np.where(missing.all(axis=0), 0.0, values)
-    off = np.abs(values - np.nanmedian(filled, axis=0))
-    spread = np.nanmedian(np.where(missing.all(axis=0), 0.0, off), axis=0)
-    integers = bool((missing | (values == np.round(values))).all())
+    off = np.abs(values - _median(values))
+    spread = _median(off)
+    integers = bool((np.isnan(values) | (values == np.round(values))).all())
     near = off <= np.maximum(SPIKE_SIGMAS * MAD_TO_SIGMA * spread, SPIKE_COUNTS if integers else 0.0)
     count = np.count_nonzero(near, axis=0)
     total = np.where(near, values, 0.0).sum(axis=0, dtype=float)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _median(values: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Median (...) over time (T, ...); NaN where no value is known. `np.nanmedian` takes ten times as long."""
+    ordered = np.sort(np.ascontiguousarray(np.moveaxis(values, 0, -1)))  # NaN last
+    count = np.count_nonzero(~np.isnan(ordered), axis=-1)[..., None]
+    lower, upper = (np.take_along_axis(ordered, each, -1) for each in (np.maximum(count - 1, 0) // 2, count // 2))
+    middle = (lower + np.where(count % 2 == 0, upper, lower)) / 2
+    return np.asarray(np.where(count > 0, middle, np.nan)[..., 0])
 
 
 def blocks(values: NDArray[np.floating]) -> list[Floats]:

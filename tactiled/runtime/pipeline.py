@@ -34,12 +34,13 @@ class Pipeline:
     `load_description`, `deviation` and `forces` may be called from any thread, too; the rest between two frames.
     """
 
-    def __init__(self, plan: SensorPlan) -> None:
+    def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None) -> None:
+        """`before` ran until now, of the same array by another calibration: its method and noise are a start."""
         self._plan = plan
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
-        self.noise = Noise(plan.calibration, plan.unit)
         self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, plan.codec.full_scale)
+        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
         self._tare_frames = TareFrames()
         self._zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))
         self._zero_before: Zero | None = None  # the last tare
@@ -47,7 +48,7 @@ class Pipeline:
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
-        self.method = plan.method
+        self.method: str = before.method if before else plan.method
         self._restorer = self._make_restorer()
         self._deviation: tuple[tuple[str, float], Restorer] | None = None  # of a method and a noise
         self._deviation_lock = Lock()
@@ -102,7 +103,7 @@ class Pipeline:
         self._recent = ()
 
     def take_over(self, other: "Pipeline") -> None:
-        """Go on from where `other`, of the same array and another calibration, is: method, tares, shear's zero.
+        """Go on from where `other`, of the same array and another calibration, is: method, zero, tare under way.
 
         Its tare is kept unless the calibration's no load is newer.
         """
@@ -196,11 +197,9 @@ class Pipeline:
         if load:
             self.refused, self.load_in_tare = self.refused + 1, load
             return
-        mean, zero = robust_mean(frames), self._zero
-        counts, shear = (
-            np.where(np.isfinite(new), new, old).astype(np.float32)
-            for new, old in ((mean[0], zero.counts), (mean[1:], zero.shear))
-        )
+        mean, zero = robust_mean(frames).astype(np.float32), self._zero
+        counts = np.where(np.isfinite(mean[0]), mean[0], zero.counts)
+        shear = np.where(np.isfinite(mean[1:]), mean[1:], zero.shear) if len(mean) > 1 else zero.shear
         self.set_zero(Zero(counts, shear, self._tare_frames.time))
         self.tared += 1
 
@@ -234,10 +233,11 @@ def _flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
 class Noise:
     """Standard deviation of a taxel, in `unit`: as configured, else of the first frames; measured now and then."""
 
-    def __init__(self, calibration: Calibration, unit: Unit) -> None:
+    def __init__(self, calibration: Calibration, unit: Unit, before: "Noise | None" = None) -> None:
+        """`before` is of the same array by another gain: as many counts of noise are a start."""
         self._unit = unit
         self._floor, self._configured = calibration.floor_kpa, calibration.noise_kpa
-        self.kpa = self._configured or self._floor
+        self.kpa: float = self._configured or self._floor * (before.kpa / before._floor if before else 1.0)
         self.warning: tuple[FrameWarning, ...] = ()
         self._measured = False
         self._frames: list[NDArray[np.float32]] = []

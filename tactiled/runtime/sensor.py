@@ -119,7 +119,7 @@ class Sensor:
 
         The new pipeline is made first, so that frames wait for the exchange alone.
         """
-        pipeline = Pipeline(plan)
+        pipeline = Pipeline(plan, self.pipeline)
         commit()
         with self._between_frames:
             pipeline.take_over(self.pipeline)

@@ -17,7 +17,7 @@ class TareFrames:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._frames: list[NDArray[np.float32]] | None = None  # (3, N) each: counts, shear; None: none under way
+        self._frames: list[NDArray[np.float32]] | None = None  # (1 or 3, N) each; None: none under way
         self._first_at = 0.0  # s, when the first frame came
         self.time, self.force = 0.0, False  # of the tare under way, or the last
 
@@ -33,15 +33,14 @@ class TareFrames:
         return under_way
 
     def add(self, frame: RawFrame) -> NDArray[np.float32] | None:
-        """All frames (T, 3, N) of counts, and of shear along x and y, once they are enough; NaN: unknown."""
+        """All frames (T, 1, N) of counts, or (T, 3, N) with shear along x and y, once enough; NaN: unknown."""
         with self._lock:
             if self._frames is None:
                 return None
             self._first_at = self._first_at if self._frames else frame.arrived
-            values = np.full((3, len(frame.counts)), np.nan, np.float32)
-            values[0] = frame.counts
+            values = np.asarray(frame.counts, np.float32)[None].copy()
             if frame.shear is not None:
-                values[1:] = frame.shear
+                values = np.concatenate([values, frame.shear])
             values[:, frame.flags & UNKNOWN > 0] = np.nan
             self._frames.append(values)
             enough = len(self._frames) >= TARE_FRAMES and frame.arrived - self._first_at >= TARE_S

@@ -155,6 +155,21 @@ def test_noise_that_is_not_measured_yet_is_no_load(make):
     assert (pipeline.tared, pipeline.refused) == (1, 0)
 
 
+def test_another_calibration_starts_with_as_many_counts_of_noise_and_measures_it_again(make, plan):
+    random, pipeline = np.random.default_rng(2), make(noise_kpa=None)
+
+    def run(pipeline, noise):
+        for n in range(NOISE_FRAMES):
+            pipeline.process(frame(n, np.round(UNLOADED + random.normal(0, noise, SHAPE))))
+        return pipeline.noise.kpa
+
+    assert run(pipeline, 8) == pytest.approx(8 * GAIN, rel=0.15)
+    calibration = replace(plan.calibration, kpa_per_count=2.0, noise_kpa=None)
+    after = Pipeline(replace(plan, calibration=calibration), pipeline)
+    assert after.noise.kpa == pytest.approx(pipeline.noise.kpa * 2.0 / GAIN)
+    assert run(after, 3) == pytest.approx(3 * 2.0, rel=0.15)
+
+
 def test_a_tare_takes_as_long_as_it_must_and_no_longer(make):
     def frames_until_tared(rate_hz):
         pipeline = make()
