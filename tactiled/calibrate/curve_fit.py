@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate.curves import CHORD_TO, FORMS, KNOTS, Form, cubic_slope, unit_curves
 
 FREE = {"linear": 1, "power": 2, "cubic": 3, "spline": KNOTS.size}  # parameters
+DIFFERENCE = 1e-4  # of a spline's pressure, to differentiate by a knot's value
 STEPS = 8  # of Gauss-Newton: a power law of any exponent from 0.3 to 4 converges to 1e-6 (tests)
 EXPONENTS = (0.2, 5.0)  # of a power law
 MIN_SLOPE = 0.02  # of a fitted curve, over its mean slope: flatter says nothing of pressure
@@ -48,16 +49,14 @@ class CurveFit:
     variance: Floats  # (N,) of the pressure at the range's end, relative to it squared
     lever: Floats  # (N,) relative change of that pressure with an offset of all relative counts
     residuals: Floats  # (M, N) fitted less known pressure, kPa
-    scores: dict[Form, float]  # rms error of left-out points, over the largest pressure
 
 
-def fit(points: Points, end: Floats, need: float = 0.0) -> CurveFit:
-    """Fit the simplest form that cross-validation supports; `end` (N,): counts at the range's loaded end.
+def choose_form(points: Points, end: Floats, need: float = 0.0) -> tuple[Form, dict[Form, float]]:
+    """The simplest form that cross-validation supports, and each form's rms error of left-out points.
 
-    A form must explain more than `need` of what a simpler one leaves of left-out points.
+    These errors are over the largest pressure. A form must explain more than `need` of what a simpler one leaves.
     """
-    relative = points.counts / end[:, None]
-    scores = _scores(relative, points) if need < 1 else UNCOMPARED
+    scores = _scores(points.counts / end[:, None], points)
     form: Form = "linear"
     for other in FORMS[1:]:
         if other in scores:
@@ -65,11 +64,16 @@ def fit(points: Points, end: Floats, need: float = 0.0) -> CurveFit:
             threshold = max(better.std(ddof=1) / np.sqrt(better.size), need * np.square(scores[form]).mean())
             if better.mean() > threshold:
                 form = other
+    return form, {key: float(np.sqrt(np.mean(each**2))) for key, each in scores.items()}
+
+
+def fit(points: Points, end: Floats, form: Form) -> CurveFit:
+    """Fit curves of one form; `end` (N,) are the counts at the range's loaded end."""
+    relative = points.counts / end[:, None]
     parameters, design = _solve(form, relative, points.pressure)
     residuals = value(form, parameters, relative) - points.pressure[:, None]
     variance, lever = _uncertainty(form, parameters, design, residuals, relative, points.cluster)
-    rms = {key: float(np.sqrt(np.mean(each**2))) for key, each in scores.items()}
-    return CurveFit(form, parameters, variance, lever, residuals, rms)
+    return CurveFit(form, parameters, variance, lever, residuals)
 
 
 def value(form: Form, parameters: Floats, relative: Floats) -> Floats:
@@ -161,15 +165,23 @@ def _solve(form: Form, relative: Floats, pressure: Floats) -> tuple[Floats, Floa
     design = _basis(form, relative)
     target = np.broadcast_to(pressure[:, None], design.shape[:2])
     parameters = _least_squares(design, target)
-    if form == "spline":  # from piecewise linear to PCHIP
-        for _ in range(3):
-            parameters = _rising(parameters)
-            parameters = parameters + _least_squares(design, target - value(form, parameters, relative))
-        return _rising(parameters), design
+    if form == "spline":
+        return _solve_spline(_rising(parameters), relative, target)
     if form == "cubic":
         line = np.zeros_like(parameters)
         line[:, :1] = _least_squares(design[..., :1], target)
         parameters = _monotone_cubic(parameters, line)
+    return parameters, design
+
+
+def _solve_spline(parameters: Floats, relative: Floats, target: Floats) -> tuple[Floats, Floats]:
+    """Fit PCHIP's values at the knots by Gauss-Newton from those of piecewise linear curves."""
+    for step in range(STEPS + 1):
+        fitted, step_kpa = value("spline", parameters, relative), DIFFERENCE * parameters[:, -1]
+        moved = [value("spline", parameters + step_kpa[:, None] * each, relative) for each in np.eye(KNOTS.size)]
+        design = (np.stack(moved, axis=-1) - fitted[..., None]) / step_kpa[:, None]
+        if step < STEPS:
+            parameters = _rising(parameters + _least_squares(design, target - fitted))
     return parameters, design
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.curve_fit import Points, fit, hysteresis
+from tactiled.calibrate.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import KNOTS, Curves, Form
 from tactiled.calibrate.film import Film
-from tactiled.calibrate.means import DEAD_BELOW, Means, Rails, mean_counts, require_response
+from tactiled.calibrate.means import DEAD_BELOW, Means, Rails, mean_counts, require_response, require_unsaturated
 from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.reference import Alignment, Reference, align, resampled
 from tactiled.errors import ConfigError
@@ -46,7 +46,9 @@ class GainFit:
 def fit_steps(film: Film, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
     """Curves from pressures that the whole array bore one after another, the first of them 0."""
     steps = _checked(steps_kpa)
-    holds = find_steps(response(film), steps)
+    signal = response(film)
+    require_unsaturated(film, signal, rails)
+    holds = find_steps(signal, steps)
     sign = float(np.sign(np.polyfit(steps, [each.level for each in holds], 1)[0]))
     _require_order(steps, [sign * each.level for each in holds])
     means = mean_counts(film, [each.core for each in holds], steps == 0, sign, rails)
@@ -63,7 +65,7 @@ def fit_steps(film: Film, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
 
 def fit_pressure(film: Film, log: Reference, rails: Rails) -> GainFit:
     """Curves from a log of the pressure that the whole array bore."""
-    check_pressure(log, float(log.values.max()))
+    check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))
     signal = response(film)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
@@ -74,16 +76,17 @@ def fit_pressure(film: Film, log: Reference, rails: Rails) -> GainFit:
 
 def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: Alignment | None = None) -> GainFit:
     """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
-    require_response(means.over[used], means.noise[used])
+    require_response("the median taxel", means.over[used], means.noise[used])
     end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
     dead = ~(end >= DEAD_BELOW * np.median(end))
     live = np.flatnonzero(~dead)
     alive = points.of(live)
-    fitted = fit(alive, end[live])
+    form, scores = choose_form(alive, end[live])
+    fitted = fit(alive, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
     spread_over = _Spread(end.size, live)
     curves = assembled(
-        fitted.form,
+        form,
         spread_over(fitted.parameters, fitted.parameters.mean(axis=0)),
         means.sign * spread_over(end[live], end[live].mean()),
         deviation=spread_over(np.sqrt(fitted.variance + offset**2), np.nan),
@@ -96,7 +99,7 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
         no_load=means.no_load,
         dead=tuple(np.flatnonzero(dead).tolist()),
         spread=float(gains.std() / abs(gains.mean())),
-        scores=fitted.scores,
+        scores=scores,
         points=points,
         residuals=spread_over(fitted.residuals.T, np.nan).T,
         alignment=alignment,
@@ -185,14 +188,11 @@ def find_steps(signal: Floats, steps: Floats) -> list[Plateau]:
     return holds
 
 
-def check_pressure(log: Reference, largest_kpa: float) -> None:
-    """ConfigError where a log's largest pressure is none that a skin bears."""
+def check_pressure(source: str, largest_kpa: float) -> None:
+    """ConfigError where the largest pressure that `source` names is none that a skin bears."""
     low, high = PRESSURES_KPA
     if not low <= largest_kpa <= high:
-        raise ConfigError(
-            f"{log.path}: {log.quantity} up to {log.values.max():g} is {largest_kpa:.3g} kPa, "
-            f"outside {low:g} to {high:g}: check the unit"
-        )
+        raise ConfigError(f"{source}: {largest_kpa:.3g} kPa at most, outside {low:g} to {high:g}: check the unit")
 
 
 def log_points(

@@ -25,6 +25,7 @@ class Rails:
 
     low: float = -np.inf  # where counts fall under pressure
     high: float = np.inf  # where they rise
+    sign: float = 0.0  # -1: they fall, 1: they rise, 0: not known before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,21 +59,30 @@ def mean_counts(
     saturated = np.count_nonzero(np.isnan(over[~unloaded]) & (frames[~unloaded] > 0))
     pressed = np.count_nonzero(over > np.nanmax(over) / 2)
     if saturated > MAX_SATURATED * (saturated + pressed):
-        raise ConfigError(f"{saturated} of {saturated + pressed} readings under load are saturated: press less")
+        share = 100 * saturated / (saturated + pressed)
+        raise ConfigError(f"{share:.0f} % of the readings under load are saturated: press less")
     sigma = np.maximum(noise(film.counts), 12**-0.5)
     deviation = sigma / np.sqrt(np.maximum(frames, 1))
     parts = ((1 - share) ** 2 + share**2)[~unloaded].mean() / np.bincount(runs).mean()
     return Means(over, zeros[0], sign, deviation, np.median(deviation[unloaded], axis=0) * np.sqrt(parts))
 
 
-def require_response(over: Floats, sigma: Floats) -> None:
-    """ConfigError where the median taxel's largest mean (M, N) does not stand out of its noise (M, N)."""
+def require_response(what: str, over: Floats, sigma: Floats) -> None:
+    """ConfigError where the largest mean of `over` (M, N), in the median, is not far above the noise (M, N)."""
     ratio = float(np.median(np.nanmax(over / sigma, axis=0)))
     if not ratio > MIN_RESPONSE_SIGMAS:
         raise ConfigError(
-            f"the median taxel reads {max(ratio, 0):.2g} times its noise under the largest load: "
-            "press more, or hold longer"
+            f"{what} reads {max(ratio, 0):.2g} times its noise under the largest load: press more, or hold longer"
         )
+
+
+def require_unsaturated(film: Film, signal: Floats, rails: Rails) -> None:
+    """ConfigError where many readings saturate while `signal` (T,) is large: their levels cannot be told apart."""
+    loaded = np.abs(signal) > np.abs(signal).max() / 2
+    sign = float(np.sign(signal[loaded].sum()))
+    share = float((sign * (film.counts[loaded] - (rails.high if sign > 0 else rails.low)) >= 0).mean())
+    if share > MAX_SATURATED:
+        raise ConfigError(f"{100 * share:.0f} % of the readings under load are saturated: press less")
 
 
 def _means(

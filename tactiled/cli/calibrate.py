@@ -8,7 +8,7 @@ import numpy as np
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.build import make_array, make_codec, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.means import Rails
@@ -133,10 +133,11 @@ def _fit(
 
 def _rails(sensor: schema.Sensor) -> Rails:
     """Counts at which the taxels saturate: as configured, else the ends of what the codec carries."""
-    configured = make_calibration(sensor).saturation
-    if configured is not None:
-        return Rails(configured, configured)
-    return Rails(0, make_codec(sensor).full_scale)
+    configured, skin = sensor.calibration, sensor.codec.settings
+    sign = float(np.sign(configured.kpa_per_count or skin.kpa_per_count or 0))
+    if configured.saturation is not None:
+        return Rails(configured.saturation, configured.saturation, sign)
+    return Rails(0, make_codec(sensor).full_scale, sign)
 
 
 def _numbers(text: str) -> list[float]:

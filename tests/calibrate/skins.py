@@ -62,7 +62,7 @@ class Skin:
             relative * self.full
             + (time * self.tilt + self.noise * self.rng.standard_normal((len(kpa), self.size))) * FULL_COUNTS
         )
-        counts = (4000 - self.offset - counts) if self.falling else self.offset + counts
+        counts = (12000 - self.offset - counts) if self.falling else self.offset + counts
         return Film(
             start_s + np.arange(len(kpa)) / RATE_HZ, (np.round(counts) if rounded else counts).astype(np.float32)
         )

@@ -1,0 +1,108 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactiled.calibrate.force_gain import fit_force, fit_weight, rim
+from tactiled.calibrate.means import Rails
+from tactiled.calibrate.reference import Reference
+from tactiled.errors import ConfigError
+from tactiled.geometry import grid, layout
+from tests.calibrate.skins import FULL_KPA, RATE_HZ, Skin, contact
+
+ARRAY = grid(16, 16, 2.0)
+WIDTH_MM = 1.5  # of the contact: its force is the sum of what the taxels bear, to 1e-4
+PEAK_N = 0.95e-3 * FULL_KPA * 2 * np.pi * WIDTH_MM**2
+SPAN_MM = 30.0
+
+
+def log(film, force, offset_s=0.412):
+    times = np.arange(film.times[0], film.times[-1], 0.02)
+    noise = np.random.default_rng(9).normal(0, 0.002 * force.max(), times.size)
+    return Reference(Path("force.csv"), "force_n", times + offset_s, np.interp(times, film.times, force) + noise)
+
+
+def presses(places, seconds=3.0):
+    """Places (T, 2) and forces (T,) of presses at `places`, each with a pause before and after."""
+    frames = int(seconds * RATE_HZ)
+    load = np.interp(np.linspace(0, 1, frames), [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0, 1, 1, 0, 0])
+    strength = np.random.default_rng(8).uniform(0.6, 1, len(places))
+    return np.repeat(places, frames, axis=0), PEAK_N * (strength[:, None] * load).ravel()
+
+
+def middle(count, seed):
+    return np.random.default_rng(seed).uniform(6, SPAN_MM - 6, (count, 2))
+
+
+@pytest.mark.parametrize(("seed", "falling"), [(31, False), (32, True)])
+def test_presses_of_known_force_give_the_common_gain_and_the_spread_of_the_taxels(seed, falling):
+    skin = Skin(256, seed=seed, falling=falling)
+    places, force = presses(middle(40, seed), seconds=1.5)
+    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
+    fit = fit_force(film, log(film, force), ARRAY, Rails())
+    assert fit.curves.form == "linear"
+    assert abs(fit.alignment.offset_s - 0.412) < 0.002
+    assert fit.spread == pytest.approx(0.2, rel=0.35)  # some 80 taxels were pressed
+    assert not fit.curves.individual.any()
+    gains = FULL_KPA / skin.full
+    assert 0.9 < (np.abs(np.abs(fit.curves.gain) / gains - 1) < 1.96 * fit.curves.deviation).mean() <= 1
+
+
+def test_without_spread_the_common_gain_and_a_curve_are_exact():
+    for shape in ("linear", "power"):
+        skin = Skin(256, shape, 33, spread=0)
+        places, force = presses(middle(12, 33))
+        film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
+        fit = fit_force(film, log(film, force), ARRAY, Rails())
+        assert fit.curves.form == shape
+        for kpa in (20, 40):
+            got = fit.curves.pressure(skin.relative(np.full(256, kpa)) * skin.full)
+            np.testing.assert_allclose(got, kpa, rtol=0.01)
+
+
+def test_loads_at_the_border_and_on_dead_taxels_are_left_out():
+    skin = Skin(256, seed=35, spread=0, dead=(120,))
+    skin.offset[120] = 0
+    places, force = presses(
+        np.concatenate([middle(10, 35), [[0.0, 4.0], [30.0, 20.0]], [ARRAY.positions[120]] * 3])
+    )
+    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
+    fit = fit_force(film, log(film, force), ARRAY, Rails())
+    assert fit.dead == (120,)
+    live = np.arange(256) != 120
+    np.testing.assert_allclose(fit.curves.gain[live], FULL_KPA / 3000, rtol=0.01)
+    assert np.isnan(fit.curves.deviation[120])
+    places, force = presses(np.tile([[0.5, 4.0]], (8, 1)))
+    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
+    with pytest.raises(ConfigError, match="reach the border of the array or a dead taxel"):
+        fit_force(film, log(film, force), ARRAY, Rails())
+
+
+def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
+    skin = Skin(256, seed=36, spread=0)
+    places, force = presses(np.array([[10.0, 11.0], [12.0, 9.0]]), seconds=10)
+    film = skin.film(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    fit = fit_weight(film, PEAK_N, ARRAY, Rails())
+    np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
+    assert not fit.curves.individual.any()
+    assert np.isnan(fit.curves.deviation).all()
+    assert "their spread is not known" in fit.notes[0]
+    assert "laid on 2 times" in fit.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("weight_n", "first", "message"),
+    [(PEAK_N, 400, "must start unloaded"), (-1.0, 0, "--weight-n -1"), (1e4, 0, "check the unit")],
+)
+def test_a_bad_weight_is_refused(weight_n, first, message):
+    places, force = presses(np.array([[10.0, 11.0]]), seconds=10)
+    film = Skin(256, seed=37).film(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM)[first:])
+    with pytest.raises(ConfigError, match=message):
+        fit_weight(film, weight_n, ARRAY, Rails(sign=1))
+
+
+def test_the_rim_of_any_layout():
+    np.testing.assert_array_equal(rim(grid(3, 4, 2.0)).reshape(3, 4)[1], [True, False, False, True])
+    angles = np.arange(6) * np.pi / 3
+    hexagon = layout(np.concatenate([[[0, 0]], np.column_stack([np.cos(angles), np.sin(angles)])]))
+    assert rim(hexagon).tolist() == [False] + 6 * [True]

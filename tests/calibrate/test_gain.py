@@ -1,0 +1,152 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactiled.calibrate.film import Film
+from tactiled.calibrate.gain import fit_pressure, fit_steps
+from tactiled.calibrate.means import Rails
+from tactiled.calibrate.reference import Reference
+from tactiled.errors import ConfigError
+from tests.calibrate.skins import FULL_KPA, RATE_HZ, SHAPES, Skin, steps
+
+STEPS = (0, 5, 15, 30, 40, 50, 60, 50, 40, 30, 15, 5, 0)
+FINE_STEPS = (0, 3, 6, 12, 18, 24, 30, 33, 36, 42, 48, 54, 60, 45, 30, 15, 0)
+DEAD = (7, 90)
+
+
+def errors(fit, skin, kpa):
+    """Relative errors of each live taxel's pressure at the counts that it has under `kpa`."""
+    over = np.sign(fit.curves.gain) * skin.relative(np.full(skin.size, kpa)) * skin.full
+    live = np.setdiff1d(np.arange(skin.size), skin.dead)
+    return (fit.curves.pressure(over) / kpa - 1)[live], fit.curves.deviation[live]
+
+
+def pressure_log(film, kpa, offset_s=0.0, rate_hz=30.0, seed=0):
+    times = np.arange(film.times[0], film.times[-1], 1 / rate_hz)
+    noise = np.random.default_rng(seed).normal(0, 0.002 * FULL_KPA, times.size)
+    return Reference(Path("bag.csv"), "pressure_kpa", times + offset_s, np.interp(times, film.times, kpa) + noise)
+
+
+@pytest.mark.parametrize(("falling", "seed"), [(False, 11), (True, 12)])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_steps_give_each_taxels_curve_its_interval_and_the_dead_ones(shape, falling, seed):
+    skin = Skin(256, shape, seed, falling, dead=DEAD)
+    levels = FINE_STEPS if shape == "spline" else STEPS
+    fit = fit_steps(skin.film(steps(levels)), levels, Rails(0, 65535))
+    assert fit.curves.form == shape
+    assert fit.dead == DEAD
+    np.testing.assert_array_equal(np.flatnonzero(~fit.curves.individual), DEAD)
+    for kpa in (30, 45, 60):
+        assert np.abs(errors(fit, skin, kpa)[0]).max() < 0.01
+    error, deviation = errors(fit, skin, 60)
+    inside = (np.abs(error) < 1.96 * deviation).mean()
+    assert 0.9 <= inside <= 0.99
+    assert 100 * np.median(deviation) < 1
+    start = 12000 - skin.offset if falling else skin.offset
+    assert np.abs(fit.no_load - start).max() < 0.005 * 3000
+    assert np.nanmax(fit.curves.hysteresis) < 1
+    top = fit.curves.counts(np.full(skin.size, 61.0))
+    assert fit.curves.out_of_range(top)[fit.curves.individual].all()
+
+
+def test_intervals_cover_the_truth_in_95_of_100_taxels():
+    inside = []
+    for seed in range(20, 26):
+        skin = Skin(512, ("linear", "power", "cubic")[seed % 3], seed)
+        error, deviation = errors(fit_steps(skin.film(steps(STEPS, hold_s=2)), STEPS, Rails()), skin, 60)
+        inside.append(np.abs(error) < 1.96 * deviation)
+    assert 0.93 <= np.mean(inside) <= 0.975
+
+
+def test_few_steps_support_few_parameters():
+    assert set(fit_steps(Skin(64, seed=13).film(steps((0, 60, 0))), (0, 60, 0), Rails()).scores) == {"linear"}
+    levels = (0, 20, 40, 60, 0)
+    fit = fit_steps(Skin(64, "power", seed=13).film(steps(levels)), levels, Rails())
+    assert (set(fit.scores), fit.curves.form) == ({"linear", "power"}, "power")
+
+
+def test_hysteresis_is_the_loop_over_full_scale():
+    skin = Skin(128, seed=14, hysteresis=0.05, drift=0)
+    fit = fit_steps(skin.film(steps(STEPS)), STEPS, Rails())
+    assert np.median(fit.curves.hysteresis) == pytest.approx(5, abs=0.5)  # 5 % at half of full scale
+
+
+@pytest.mark.parametrize(("shape", "offset"), [("linear", 3.21), ("power", -0.537)])
+def test_a_pressure_log_gives_the_same_and_the_offset_of_its_clock(shape, offset):
+    kpa = steps((0, 60, 5, 40, 10, 60, 0), hold_s=4, ramp_s=3)
+    skin = Skin(256, shape, 15, dead=DEAD)
+    film = skin.film(kpa)
+    fit = fit_pressure(film, pressure_log(film, kpa, offset), Rails())
+    assert fit.dead == DEAD
+    error, deviation = errors(fit, skin, 55)
+    assert np.abs(error).max() < 0.01
+    assert (np.abs(error) < 1.96 * deviation).mean() > 0.9
+    assert abs(fit.alignment.offset_s - offset) < min(3 * fit.alignment.deviation_s, 0.5 / RATE_HZ)
+
+
+def changed(film, change):
+    return Film(film.times, change(film.counts.copy()).astype(np.float32))
+
+
+def test_a_saturated_taxel_keeps_the_pressures_below_its_ceiling():
+    skin = Skin(64, seed=16, spread=0.05)
+    skin.offset[5] = 2000
+    film = changed(skin.film(steps(STEPS)), lambda counts: np.minimum(counts, 4000))
+    fit = fit_steps(film, STEPS, Rails(high=4000))
+    assert fit.curves.reach_counts[5, 1] < 2000
+    assert np.abs(errors(fit, skin, 30)[0]).max() < 0.01
+
+
+def noise_alone(counts):
+    return np.random.default_rng(0).normal(500, 30, counts.shape)
+
+
+def hand_at_the_start(counts):
+    counts[:300, :9] += 600
+    return counts
+
+
+BAD = {
+    "other steps": (None, (0, 10, 20, 0), "names 4 pressures, and the recording holds 13, at"),
+    "noise": (noise_alone, STEPS, "no press above the noise"),
+    "loaded start": (hand_at_the_start, STEPS, "the recording starts loaded: "),
+    "saturated": (lambda counts: np.minimum(counts, 1500), STEPS, "readings under load are saturated"),
+    "order": (None, (0, 5, 15, 30, 40, 60, 50, 60, 40, 30, 15, 5, 0), "from 60 to 50 kPa the readings rise"),
+    "no zero": (None, (5, 15, 0), "the first of them 0"),
+    "twice": (None, (0, 15, 15, 0), "a pressure follows itself"),
+    "pascal": (None, (0, 15000, 30000, 0), "give kPa"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_steps_are_refused_in_one_line_that_names_them(case):
+    change, pressures, message = BAD[case]
+    film = Skin(64, seed=17).film(steps(STEPS))
+    with pytest.raises(ConfigError) as error:
+        fit_steps(
+            changed(film, change) if change else film, pressures, Rails(high=1500 if case == "saturated" else 1e5)
+        )
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_bad_log_is_refused_in_one_line_that_names_it():
+    kpa = steps((0, 60, 20, 60, 0))
+    film = Skin(64, seed=18).film(kpa)
+    log = pressure_log(film, kpa)
+    rng, repeated = np.random.default_rng(5), np.tile(steps((0, 60, 0), 1, 0.5), 48)
+    alike = Skin(16, seed=19).film(repeated, start_s=0.0)
+    wandering = np.convolve(rng.normal(size=log.values.size), np.ones(30), "same")
+    for other, recording, message in (
+        (replace(log, times=log.times + 3600), film, "does not overlap the recording: 3."),
+        (replace(log, values=wandering), film, "correlates with the recording by 0."),
+        (replace(log, values=1000 * log.values), film, "outside 0.01 to 10000: check the unit"),
+        (replace(log, values=log.values + 20), film, "kPa where the recording starts: start unloaded"),
+        (pressure_log(alike, repeated, 5.0), alike, "press with uneven pauses"),
+    ):
+        with pytest.raises(ConfigError) as error:
+            fit_pressure(recording, other, Rails())
+        assert message in str(error.value)
+        assert str(error.value).startswith("bag.csv")

@@ -1,0 +1,95 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from tactiled.calibrate import calibration_file
+from tactiled.calibrate.plateaus import response
+from tactiled.config import load
+from tactiled.runtime.film import read_film
+from tests.calibrate.skins import Skin, steps
+from tests.cli.commands import refusal, succeed
+from tests.cli.recordings import CODEC, CONFIG, write
+
+STEPS = (0, 10, 20, 40, 60, 40, 20, 10, 0)
+LISTED = ",".join(map(str, STEPS))
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A folder with a configuration, a recording of steps, and a log of their pressure."""
+    folder = tmp_path_factory.mktemp("bag")
+    (folder / "palm.toml").write_text(CONFIG.replace("kpa_per_count = 0.5, no_load = 100, ", ""))
+    kpa = steps(STEPS, hold_s=1.5, ramp_s=0.3)
+    film = Skin(64, seed=51, dead=(9,)).film(kpa)
+    frames = np.clip(film.counts, 0, 4095).astype(np.uint16)
+    write(
+        folder / "bag.log",
+        (
+            message._replace(time=film.times[n] + 0.001 * part)
+            for n, counts in enumerate(frames)
+            for part, message in enumerate(CODEC.encode(counts, n, 0.0))
+        ),
+    )
+    rows = [f"{time - 0.25:.4f},{value:.3f}" for time, value in zip(film.times, kpa, strict=True)]
+    (folder / "bag.csv").write_text("\n".join(["time_s,pressure_kpa", *rows]))
+    return folder
+
+
+def gain(folder, *arguments):
+    return "calibrate", "gain", folder / "bag.log", "--config", folder / "palm.toml", *arguments
+
+
+def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
+    out, chart = tmp_path / "palm.json", tmp_path / "gain.png"
+    output = succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out, "--plot", chart))
+    file = calibration_file.load(out)
+    assert (file.sensor, file.taxels, file.health.dead) == ("palm", 64, (9,))
+    assert file.gain.origin.recording == "bag.log"
+    assert file.gain.origin.method == f"gain: steps kpa {LISTED}"
+    assert chart.read_bytes()[:4] == b"\x89PNG"
+    assert f"curve           {file.gain.form}" in output
+    assert "dead            1 (9)" in output
+    film = read_film(bag / "bag.log", "palm", load(bag / "palm.toml"))
+    top = film.counts[np.argmax(response(film))] - file.no_load.values
+    assert np.nanmedian(file.gain.curves.pressure(top)) == pytest.approx(60, abs=1.5)  # one frame: 1 % of noise
+    listing = succeed("calibrate", "show", out)
+    assert f"palm, packed, 64 taxels, id {file.id}" in listing
+    assert file.gain.form in listing
+
+
+def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):
+    out = tmp_path / "palm.json"
+    succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out))
+    first = calibration_file.load(out)
+    output = succeed(*gain(bag, "--reference", bag / "bag.csv", "--out", out))
+    second = calibration_file.load(out)
+    assert second.gain.origin.method == "gain: reference bag.csv"
+    (offset,) = re.findall(r"clocks +log (\S+) s from the recording's", output)
+    assert float(offset) == pytest.approx(-0.25, abs=0.002)
+    assert calibration_file.load(tmp_path / "palm.json.1").id == first.id
+    np.testing.assert_allclose(second.gain.curves.gain[:9], first.gain.curves.gain[:9], rtol=0.01)
+
+
+def test_bad_input_is_one_line_and_changes_nothing(bag, tmp_path):
+    out = tmp_path / "palm.json"
+    succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out))
+    before = out.read_bytes()
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("time_s,force_kg\n0,1\n")
+    for arguments, message in (
+        ((), "give one of --steps-kpa, --reference and --weight-n"),
+        (("--steps-kpa", LISTED, "--weight-n", 4.9), "give one of --steps-kpa, --reference and --weight-n"),
+        (("--steps-kpa", "0,ten"), "--steps-kpa '0,ten': give numbers"),
+        (("--steps-kpa", "0,10,0"), "names 3 pressures, and the recording holds 9"),
+        (("--reference", wrong), "wrong.csv: column 'force_kg': unknown unit"),
+        (("--weight-n", 4.9), "show no load, or the weight held still"),
+        (("--steps-kpa", LISTED, "--plot", "a.gif"), "a.gif: give a name that ends in"),
+    ):
+        assert message in refusal(*gain(bag, *arguments, "--out", out))
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({"format": "x"}))
+    assert "other.json: format" in refusal(*gain(bag, "--steps-kpa", LISTED, "--out", other))
+    assert "gone.json: no such file" in refusal("calibrate", "show", tmp_path / "gone.json")
+    assert out.read_bytes() == before
