@@ -3,10 +3,10 @@
 import typer
 from threadpoolctl import threadpool_limits
 
-from tests.study import bus, contacts, cover, health, restore
+from tests.study import bus, contacts, cover, eflesh, health, restore
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-for measurement in (bus.bus, contacts.contacts, cover.cover, health.health, restore.restore):
+for measurement in (bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, health.health, restore.restore):
     app.command()(measurement)
 
 if __name__ == "__main__":
