@@ -130,7 +130,7 @@ def _lines(fit: CoverFit, stack: Stack) -> list[str]:
     """What was found, a line each."""
     (low, high), change = fit.interval_mm, 100 * (fit.factor - 1)
     rows = {
-        "thickness": f"{fit.thickness_mm:.3g} mm (95 %: {low:.3g} to {high:.3g}); configured {stack.depth:.3g} mm",
+        "thickness": f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g}); configured {stack.depth:.4g} mm",
         "factor": f"{fit.factor:.3f} ({change:+.1f} %)",
         "presses": f"{fit.presses} used",
         "left out": f"presses left out of the fit miss by {fit.residual:.2f} of noise and gain errors",

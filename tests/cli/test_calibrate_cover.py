@@ -68,7 +68,7 @@ def test_presses_with_a_tip_become_a_section_of_the_calibration_file(config, tip
     assert section.interval_mm[0] < THICKNESS < section.interval_mm[1]
     assert section.origin.method == "cover: tip"
     assert lines[0] == "palm: cover by tip"
-    assert lines[1].startswith(f"  thickness  {section.thickness_mm:.3g} mm (95 %: ")
+    assert lines[1].startswith(f"  thickness  {section.thickness_mm:.4g} mm (95 %: ")
     assert lines[1].endswith("configured 1.25 mm")
     assert "<svg" in chart.read_text()
 
