@@ -5,35 +5,7 @@ from tactiled.calibrate.blocks import BLOCK_FRAMES
 from tactiled.calibrate.health import Fault
 from tactiled.calibrate.monitor import joined
 from tests.plans import plan
-from tests.study.health import FULL_SCALE, NO_LOAD, RATE_HZ, Run, false_positives, spoil
-
-SHAPE = 10, 10
-FAULTY = 44
-PRESS_S = 3.0  # a disc lies for so long, then for as long none
-
-
-def discs(random, taxel=None):
-    """Presses of a disc (N,), counts over no load: on a taxel, or anywhere."""
-    skin = plan(SHAPE, 1.0)
-    x, y = skin.array.positions.T
-    while True:
-        at = random.uniform(2, 7, 2) if taxel is None else skin.array.positions[taxel] + random.uniform(-1, 1, 2)
-        pressed = random.uniform(800, 2000) * (np.hypot(x - at[0], y - at[1]) < random.uniform(2.5, 4))
-        yield skin.blur.forward(pressed.reshape(SHAPE).astype(float)).ravel()
-
-
-def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
-    """Press discs for so long with a fault on a taxel; gives the changes, each with its frame from the start."""
-    presses, changes, began = discs(random, taxel), [], run.frames
-    for n in range(int(seconds * RATE_HZ)):
-        if n % int(2 * PRESS_S * RATE_HZ) == 0:
-            pressed = next(presses)
-        lies = n / RATE_HZ % (2 * PRESS_S) < PRESS_S
-        counts = NO_LOAD + pressed * lies + random.normal(0, noise, pressed.size)
-        if fault is not None:
-            counts[taxel] = spoil(fault, counts[taxel], random)
-        changes += [(run.frames - began, each) for each in run.push(counts)]
-    return changes
+from tests.study.health import FAULTY, FULL_SCALE, NO_LOAD, RATE_HZ, SHAPE, Run, discs, false_positives, play
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,22 @@
 
 from collections.abc import Iterator
 from functools import cache
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
 
+from tactiled.calibrate.blocks import Blocks
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.health import Fault
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.cli.bench import print_table
+from tactiled.config import load
 from tactiled.frames import Loss, RawFrame
+from tactiled.restore.noise import MAD_TO_SIGMA
+from tactiled.runtime.film import read_film
+from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR
 from tactiled.simulate.scenes import SCENES
 from tactiled.study.results import machine
@@ -21,6 +27,11 @@ RATE_HZ = 100.0
 NO_LOAD, FULL_SCALE, KPA_PER_COUNT = 100, 4095, 0.05  # counts, counts, kPa
 STRIDE = 5  # frames of the tour that are computed; those between are interpolated
 SIDE = 32
+SHAPE = 10, 10  # where discs are pressed
+FAULTY = 44
+PRESS_S = 3.0  # a disc lies for so long, then for as long none
+RECORDINGS = files("tactiled") / "recordings" / "icub"
+EXAMPLES = files("tactiled") / "config" / "examples"
 
 
 class Scenario(NamedTuple):
@@ -62,8 +73,6 @@ def linear(kpa_per_count):
 @cache
 def tour(thickness, side=SIDE):
     """The demo's tour at RATE_HZ as counts (T, N) over no load."""
-    from tactiled.simulate.array import Surface
-
     skin = plan((side, side), thickness)
     surface = Surface(skin.kernel, skin.array)
     times = np.arange(0, SCENE_S * len(TOUR), STRIDE / RATE_HZ)
@@ -130,35 +139,82 @@ def spoil(fault, counts, random):
             return NO_LOAD + 0.3 * (counts - NO_LOAD)
 
 
-def detection(fault, taxel, thickness=1.0, tours=3, seed=1, after_s=30.0, heals_s=np.inf):
-    """Frames until a taxel's fault is found, and from its end until it is healthy, None: never; others' changes.
+def discs(random, taxel=None):
+    """Presses of a disc (N,), counts over no load: on a taxel, or anywhere."""
+    skin = plan(SHAPE, 1.0)
+    x, y = skin.array.positions.T
+    while True:
+        at = random.uniform(2, 7, 2) if taxel is None else skin.array.positions[taxel] + random.uniform(-1, 1, 2)
+        pressed = random.uniform(800, 2000) * (np.hypot(x - at[0], y - at[1]) < random.uniform(2.5, 4))
+        yield skin.blur.forward(pressed.reshape(SHAPE).astype(float)).ravel()
 
-    During the demo's tour in noise of two counts, from `after_s` to `heals_s`.
-    """
-    random = np.random.default_rng(seed)
-    run = Run(plan((SIDE, SIDE), thickness), np.ones(SIDE**2))
-    found_at = healed_at = None
-    others = []
-    start, end = after_s * RATE_HZ, heals_s * RATE_HZ
-    for n, pressed in enumerate(each for _ in range(tours) for each in tour(thickness)):
-        counts = NO_LOAD + pressed + random.normal(0, 2, SIDE**2)
-        if start <= n < end:
+
+def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
+    """Press discs for so long with a fault on a taxel; gives the changes, each with its frame from the start."""
+    presses, changes, began = discs(random, taxel), [], run.frames
+    for n in range(int(seconds * RATE_HZ)):
+        if n % int(2 * PRESS_S * RATE_HZ) == 0:
+            pressed = next(presses)
+        lies = n / RATE_HZ % (2 * PRESS_S) < PRESS_S
+        counts = NO_LOAD + pressed * lies + random.normal(0, noise, pressed.size)
+        if fault is not None:
             counts[taxel] = spoil(fault, counts[taxel], random)
-        for change in run.push(counts):
-            if change.taxel != taxel:
-                others.append(change)
-            elif change.after == fault and found_at is None:
-                found_at = n - start
-            elif change.after == Fault.HEALTHY:
-                healed_at = n - end
-    return found_at, healed_at, others
+        changes += [(run.frames - began, each) for each in run.push(counts)]
+    return changes
+
+
+def detection(seeds=range(5)):
+    """(fault, s until it was found in each trial, s until it had healed) of a taxel on which discs are pressed."""
+    for fault in (each for each in Fault if each != Fault.HEALTHY):
+        seconds = []
+        for seed in seeds:
+            random, run = np.random.default_rng([seed, fault]), Run(plan(SHAPE, 1.0), np.ones(100))
+            assert not play(run, random, 30)
+            seconds.append([play(run, random, 60, each)[0][0] / RATE_HZ for each in (fault, None)])
+        yield fault, *np.transpose(seconds)
+
+
+def recorded():
+    """(recording, frames, blocks, noise of a taxel, noisiest, taxels that never change) of the four grasps."""
+    config = load(EXAMPLES / "grasp.toml")
+    for path in sorted(RECORDINGS.glob("*.log")):
+        frames = read_film(path, "hand", config)
+        noise = MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames.counts, 2, axis=0)), axis=0) / 6**0.5
+        monitor = Blocks(frames.counts.shape[1])
+        blocks = [
+            monitor.push(*each, np.zeros(60, np.uint8)) for each in zip(frames.times, frames.counts, strict=True)
+        ]
+        still = np.ptp(frames.counts, axis=0) == 0
+        yield (
+            path.stem,
+            len(blocks),
+            len(blocks) - blocks.count(None),
+            np.median(noise),
+            noise.max(),
+            int(still.sum()),
+        )
 
 
 def health(tours: int = 4, seconds: float = 60.0, seed: int = 1) -> None:
-    """Look for faults on healthy 32 x 32 arrays at 100 Hz, and time how long faulty taxels take to be found."""
-    rows, total, false_positives = [], 0, 0
+    """False alarms on healthy 32 x 32 arrays at 100 Hz, seconds until a fault is found, the recorded grasps."""
+    rows, total, wrong = [], 0, 0
     for name, taxel_frames, count in false_positives(tours, seconds, seed):
         rows.append((name, f"{taxel_frames / 1e6:.1f}", str(count)))
-        total, false_positives = total + taxel_frames, false_positives + count
+        total, wrong = total + taxel_frames, wrong + count
     print_table("Healthy arrays", ("scene", "taxel-frames, 10^6", "false alarms"), rows)
-    print(f"{false_positives} false alarms in {total / 1e6:.0f} x 10^6 taxel-frames, seed {seed}. {machine()}")
+    print(f"{wrong} false alarms in {total / 1e6:.0f} x 10^6 taxel-frames, seed {seed}")
+    times = [(fault.name.lower(), f"{a.max():.1f}", f"{b.max():.1f}") for fault, a, b in detection()]
+    print_table("Presses of 3 s every 6 s", ("fault", "found after at most, s", "healed after at most, s"), times)
+    grasps = [
+        tuple(str(np.round(each, 1)) if not isinstance(each, str) else each for each in row) for row in recorded()
+    ]
+    headings = (
+        "grasp",
+        "frames",
+        "blocks of 16",
+        "median noise, counts",
+        "noisiest taxel",
+        "taxels that never change",
+    )
+    print_table("iCub Grasp Dataset", headings, grasps)
+    print(machine())
