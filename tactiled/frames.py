@@ -85,6 +85,7 @@ class FrameWarning:
     code: str  # one of `diagnostics.warning_codes`: programs compare this
     text: str  # for people
     taxels: int | None = None  # how many it is about; None where that does not apply
+    thickness_mm: float | None = None  # of the thickest cover that explains a `cover_mismatch`, where one does
 
 
 @dataclass(frozen=True, slots=True, eq=False)

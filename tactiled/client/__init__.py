@@ -3,7 +3,7 @@
 import tactiled
 
 for image in tactiled.connect("http://127.0.0.1:8000").stream("palm"):
-    print(image.sequence, image.restored.max(), "kPa")
+    print(image.sequence, image.restored.max(), image.unit)
 """
 
 import atexit

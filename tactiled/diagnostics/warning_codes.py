@@ -34,3 +34,12 @@ def warning(code: WarningCode, taxels: int | None = None, **values: object) -> F
         {"taxels": "1 taxel", "their": "its"} if taxels == 1 else {"taxels": f"{taxels} taxels", "their": "their"}
     )
     return FrameWarning(code, TEXTS[code].format(**counted, **values), taxels)
+
+
+def cover_warning(thickness_mm: float, configured_mm: float) -> FrameWarning:
+    """The warning that covers up to `thickness_mm` explain what the thicker, configured one does not."""
+    text = (
+        f"the image does not match the data: a cover of {thickness_mm:.2g} mm or less fits better than the "
+        f"configured {configured_mm:.2g} mm"
+    )
+    return FrameWarning("cover_mismatch", text, thickness_mm=round(thickness_mm, 3))

@@ -15,11 +15,11 @@ from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
 from tactiled.runtime.calibration_session import Quality, Report
 from tactiled.runtime.frame_collector import FrameCollector
-from tactiled.runtime.live_presses import LivePresses, presses_of
+from tactiled.runtime.live_presses import LiveContact, LivePresses, presses_of, pressures
 from tactiled.runtime.live_sections import origin, with_sections
 from tactiled.runtime.sensor import Sensor
 
-NEEDS = {"tip": Need("press", 20, per_zone=1), "edge": Need("edge", 5), "blind": Need("second of contact", 60)}
+NEEDS = {"tip": Need("press", 20, per_zone=1), "edge": Need("edge", 5), "blind": Need("second", 60)}
 GAIN_ERROR = 0.05  # relative standard deviation of taxels' gains that nobody measured
 
 
@@ -42,7 +42,8 @@ class CoverProcedure:
     ) -> None:
         self.way, self.tip_mm = way, tip_mm
         self._sensor, self._stack = sensor, stack  # as configured
-        self._presses = LivePresses(sensor, border=way != "tip")
+        self._presses = LivePresses(sensor, border=way == "edge")
+        self._contact = LiveContact(sensor)
 
     def mark(self, film: Film, value: float) -> None:
         """No load is entered."""
@@ -50,11 +51,16 @@ class CoverProcedure:
         raise CalibrationStateError(f"way = {self.way!r}: it needs no mark")
 
     def quality(self, collector: FrameCollector) -> Quality:
-        """The presses so far."""
-        live, need = self._presses, NEEDS[self.way]
+        """The presses so far, or the seconds of contact."""
+        need = NEEDS[self.way]
+        if self.way == "blind":
+            self._contact.look(collector)
+            seconds = int(self._contact.seconds)
+            nowhere = np.zeros((1, 1), int)
+            return Quality(advice(seconds, nowhere, need), enough(seconds, nowhere, need), seconds, need.count)
+        live = self._presses
         live.look(collector)
-        places = np.array([each.place_mm for each in live.usable])
-        zones = zone_counts(places, self._sensor.array)
+        zones = zone_counts(np.array([each.place_mm for each in live.usable]), self._sensor.array)
         count = len(live.usable)
         return Quality(
             advice(count, zones, need),
@@ -62,25 +68,37 @@ class CoverProcedure:
             presses=count,
             presses_needed=need.count,
             presses_saturated=live.saturated,
-            last_unused=live.ended[-1].reason if live.ended else live.waiting,
+            last_unused=live.waiting or (live.ended[-1].reason if live.ended else ""),
             zones=tuple(map(tuple, zones.tolist())) if need.per_zone else (),
             zone_presses_needed=need.per_zone,
         )
 
     def fit(self, film: Film, report: Report) -> CoverOutcome:
-        """The thickness that explains the presses."""
+        """The thickness that explains the frames."""
+        return self._outcome(self._fit_blind(film) if self.way == "blind" else self._fit_presses(film, report))
+
+    def _fit_blind(self, film: Film) -> CoverFit:
+        from tactiled.calibrate.blind import fit_blind  # imported where needed: it starts the service faster
+        from tactiled.cover.family import CoverFamily
+
+        sensor = self._sensor
+        pressure, _ = pressures(sensor, film)
+        frames = pressure.reshape(-1, *sensor.array.frame_shape)
+        gain_error = float(np.median(self._gain_error()))
+        return fit_blind(frames, sensor.pipeline.noise.kpa, CoverFamily(self._stack), sensor.array, gain_error)
+
+    def _fit_presses(self, film: Film, report: Report) -> CoverFit:
         from tactiled.calibrate.cover_result import result  # imported where needed: it starts the service faster
         from tactiled.calibrate.cover_search import search
         from tactiled.calibrate.tip import Tip, tip_touch
 
         sensor = self._sensor
-        presses = presses_of(sensor, film, border=self.way != "tip")
+        presses = presses_of(sensor, film, border=self.way == "edge")
         report(0.1)
         touch = tip_touch(presses, sensor.array, self._stack, Tip(self.tip_mm), self._gain_error())
         fitted = search(touch)
         report(0.8)
-        fit = result(fitted, "tip")
-        return self._outcome(fit)
+        return result(fitted, "tip")
 
     def _gain_error(self) -> NDArray[np.float64] | float:
         curves = self._sensor.plan.calibration.curves

@@ -7,6 +7,7 @@ from tactiled.calibrate.film import Film
 from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
+from tactiled.restore.noise import detection_threshold
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.sensor import Sensor
 
@@ -64,3 +65,22 @@ class LivePresses:
     def saturated(self) -> int:
         """How many are saturated."""
         return sum(each.reason.startswith(SATURATED_REASON) for each in self.ended)
+
+
+class LiveContact:
+    """How long anything has touched the array, of a collector that only grows."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self._sensor, self._first = sensor, 0
+        self.seconds = 0.0
+
+    def look(self, collector: FrameCollector) -> None:
+        """Look at the frames that have come since."""
+        film = collector.film(self._first)
+        if len(film.times) < FREE_FRAMES:
+            return
+        pressure, _ = pressures(self._sensor, film)
+        peak = np.nan_to_num(pressure).max(axis=1)
+        share = np.mean(peak > detection_threshold(self._sensor.pipeline.noise.kpa, self._sensor.array.size))
+        self.seconds += float(share * (film.times[-1] - film.times[0]))
+        self._first += len(film.times) - 1

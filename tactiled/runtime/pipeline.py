@@ -20,6 +20,7 @@ from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
+from tactiled.runtime.thickness_search import ThicknessSearch
 from tactiled.units import N_PER_KPA_MM2, Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
@@ -48,6 +49,7 @@ class Pipeline:
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
+        self._thickness = ThicknessSearch(plan)
         self.method: str = before.method if before else plan.method
         self._restorer = self._make_restorer()
         self._deviation: tuple[tuple[str, float], Restorer] | None = None  # of a method and a noise
@@ -166,6 +168,7 @@ class Pipeline:
             self._restorer = self._make_restorer()
         done = self._restorer(raw, flags)
         check_warnings = self._checks(raw, flags, done.image, self.noise.kpa, done.method)
+        check_warnings = self._thickness(check_warnings, raw, flags, self.noise.kpa)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,

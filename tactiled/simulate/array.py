@@ -20,7 +20,7 @@ class Surface:
 
     def __init__(self, kernel: Kernel, array: Array) -> None:
         low, high = array.positions.min(axis=0), array.positions.max(axis=0)
-        self.grain = array.pitch / FINER
+        self.grain, self.taxels = array.pitch / FINER, array.size
         self.size = float((high - low).min() + array.pitch)  # mm
         middle = (low + high) / 2
         counts = np.round((high - low) / array.pitch).astype(int) * FINER + FINER

@@ -15,7 +15,7 @@ from tactiled.frames import Message
 from tactiled.geometry import Array
 from tactiled.simulate.array import Surface, Taxels
 from tactiled.simulate.drag import traction
-from tactiled.simulate.scenes import SCENES
+from tactiled.simulate.scenes import SCENES, Floats
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
 REQUEST_WAIT_S = 0.05  # bounds how late a stop takes effect
@@ -37,11 +37,17 @@ class Player:
         scene = SCENES[self.scenes[int(t / SCENE_S) % len(self.scenes)]]
         surface = self.surface
         pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
-        counts = self.taxels.count(surface.sense(pressure))
+        counts = self.taxels.count(_sensed(surface, pressure))
         if not isinstance(self.codec, ShearCodec):
             return self.codec.encode(counts, sequence, now)
         sensed = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
         return self.codec.encode_sheared(counts, self.taxels.shear(sensed), sequence, now)
+
+
+def _sensed(surface: Surface, pressure: Floats) -> Floats:
+    """What taxels (N,) sense of a pressure; an even one goes on past the border, as under an air bag."""
+    even = float(pressure.flat[0])
+    return np.full(surface.taxels, even) if (pressure == even).all() else surface.sense(pressure)
 
 
 def player(

@@ -142,6 +142,9 @@ class FrameWarning(Schema):
 
     code: WarningCode = Field(description="for programs: it does not change", examples=["saturated"])
     taxels: int | None = Field(None, description="how many, where the warning counts them", examples=[3])
+    thickness_mm: float | None = Field(
+        None, description="of the thickest cover that explains a cover_mismatch, where one does", examples=[None]
+    )
     text: str = Field(description="for people: it may change", examples=["3 taxels saturated: ..."])
 
 

@@ -12,6 +12,7 @@ from tactiled.frames import Message
 from tactiled.geometry import grid
 from tactiled.simulate import player
 from tactiled.simulate.playback import SCENE_S, TOUR, play
+from tactiled.simulate.scenes import SCENES
 from tests.conftest import Clock
 
 KERNEL = solve(Stack((Layer(1.2, 0.6, 0.48),)), "layered")
@@ -78,14 +79,20 @@ def test_rounding_adds_no_frame():
 
 
 def test_a_player_encodes_its_scene():
-    source = packed("uniform")
-    codec = source.codec
+    source = packed("sphere")
+    codec, surface = source.codec, source.surface
     counts = codec.unpack(payloads(codec, source.messages(7, np.pi / 2, 4.5)))
     assert {each.time for each in source.messages(7, 0.0, 4.5)} == {4.5}
     assert codec.decode(source.messages(7, 0.0, 4.5)[0]).sequence == 7
-    sensed = source.surface.sense(np.full_like(source.surface.x, 60.0))  # kPa, the scene's peak
+    sensed = surface.sense(SCENES["sphere"](surface.x, surface.y, np.pi / 2, surface.size, surface.grain))
     np.testing.assert_allclose((counts - 80.0) * 0.05, sensed, atol=0.0251)
-    assert 50 < sensed.max() < 60
+    assert 30 < sensed.max() < 100
+
+
+def test_an_even_pressure_goes_on_past_the_border():
+    source = packed("steps")
+    counts = source.codec.unpack(payloads(source.codec, source.messages(0, 12.0, 0.0)))
+    np.testing.assert_array_equal(counts, 80 + 20 / 0.05)
 
 
 @pytest.mark.parametrize(("t", "axis", "sign"), [(0.0, 1, 1), (np.pi / 2, 0, -1), (np.pi, 1, -1)])

@@ -39,7 +39,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     text = seen(page)
     assert CLAIM.findall(text) == []
     assert text.count("counts") > 12
-    assert text.count("counts mm²") > 5
+    assert text.count("counts·mm²") > 5
     assert page.text("peak-raw", "noise") == ["800.0", "0.3 counts"]
     lines = page.download("c").read_text().splitlines()
     assert lines[2].split(",")[5] == "counts"
@@ -48,7 +48,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
     assert {"kPa", "N"} <= set(CLAIM.findall(seen(page)))
     page.press("w")
-    page.keep(rig.both, f"{TILES}.every(each => /\\d (N|counts mm²)/.test(each))")
+    page.keep(rig.both, f"{TILES}.every(each => /\\d (N|counts·mm²)/.test(each))")
     assert page.evaluate(LEGENDS) == ["kPa", "counts"]
     page.press("2")
     page.keep(rig.both, "Number(document.getElementById('scrub').max) > 2")

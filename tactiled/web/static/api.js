@@ -4,6 +4,7 @@ import { npy } from "./npy.js";
 
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
+const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 
 /** @typedef {"live"|"stale"|"silent"|"down"} State */
 /** @typedef {{code: string, taxels: number|null, text: string}} Warning */
@@ -56,18 +57,18 @@ const TIMEOUT_MS = 8000;
 /**
  * `load` is what of a load the newest frames show, "" for none; `session` the guided calibration that is open.
  * @typedef {{
- *   calibrated: boolean, kpa_per_count: number, dead: number[], load: string, tare_age_s: number|null,
- *   can_undo_tare: boolean, session: Way|null
+ *   calibrated: boolean, kpa_per_count: number|null, dead: number[], load: string, tared_at?: number|null,
+ *   can_undo?: boolean, session: Way|null
  * }} Calibration
  */
 
 /** @typedef {"uniform"|"weight"|"tip"|"edge"|"blind"} Way */
 
 /**
- * What the frames so far are good for; `zones` has the presses in 3 x 3 zones, or is empty where places do not matter.
+ * What the frames so far are good for; `last_unused` says why the last press is not used; `zones` has the presses in 3 x 3 zones, or is empty where places do not matter.
  * @typedef {{
  *   advice: string, enough: boolean, presses: number, presses_needed: number, presses_saturated: number,
- *   zones: number[][], zone_presses_needed: number
+ *   last_unused: string, zones: number[][], zone_presses_needed: number
  * }} Quality
  */
 
@@ -119,7 +120,7 @@ export class ApiError extends Error {
  */
 async function answer(path, options) {
   try {
-    return await fetch(path, { ...options, signal: AbortSignal.timeout(TIMEOUT_MS) });
+    return await fetch(path, { signal: AbortSignal.timeout(TIMEOUT_MS), ...options });
   } catch (error) {
     throw new ApiError(0, error instanceof DOMException && error.name === "TimeoutError"
       ? `no answer within ${TIMEOUT_MS / 1000} s` : "the service cannot be reached");
@@ -203,14 +204,15 @@ export async function calibrationSession(name) {
   }
 }
 
-/** @param {string} name @param {Way} way @param {number|null} tip_mm @returns {Promise<CalibrationSession>} */
-export const startCalibration = (name, way, tip_mm) => request(atSession(name), sending("POST", { way, tip_mm }));
+/** @param {string} name @param {{way: Way, tip_mm?: number}} how @returns {Promise<CalibrationSession>} */
+export const startCalibration = (name, how) => request(atSession(name), sending("POST", how));
 
 /** @param {string} name @param {{pressure_kpa?: number, weight_n?: number}} load @returns {Promise<CalibrationSession>} */
 export const markLoad = (name, load) => request(`${atSession(name)}/mark`, sending("POST", load));
 
 /** @param {string} name @param {"fit"|"cancel"|"apply"} action @returns {Promise<CalibrationSession|null>} */
-export const calibrationAction = (name, action) => request(`${atSession(name)}/${action}`, { method: "POST" });
+export const calibrationAction = (name, action) =>
+  request(`${atSession(name)}/${action}`, { method: "POST", signal: AbortSignal.timeout(APPLY_TIMEOUT_MS) });
 
 /** @param {string} name @returns {Promise<null>} */
 export const discardCalibration = (name) => request(atSession(name), { method: "DELETE" });

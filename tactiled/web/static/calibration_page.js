@@ -27,6 +27,7 @@ const steps = /** @type {HTMLButtonElement[]} */ ([...dialog.querySelectorAll("[
 const tip = /** @type {HTMLInputElement} */ (byId("calibrate-tip-mm"));
 const tipLine = byId("calibrate-tip");
 const value = /** @type {HTMLInputElement} */ (byId("calibrate-value"));
+const apply = /** @type {HTMLButtonElement} */ (byId("calibrate-apply"));
 const fit = /** @type {HTMLButtonElement} */ (byId("calibrate-fit"));
 
 export class CalibrationPage {
@@ -44,7 +45,8 @@ export class CalibrationPage {
     this._range = new DisplayRange();
     /** @type {import("./geometry.js").Plane|null} */
     this._plane = null;
-    this._busy = false;
+    this._busy = false; // with a look at the service
+    this._acting = false;
     this._wire();
   }
 
@@ -101,13 +103,14 @@ export class CalibrationPage {
 
   /** Look at what the service knows. */
   async _poll() {
-    if (this._busy) return;
+    if (this._busy || this._acting) return;
     this._busy = true;
     const name = this._name;
     try {
       const calibration = await api.calibration(name);
+      if (this._acting) return; // what comes of it is the newest
       const session = calibration.session ? await api.calibrationSession(name) : null;
-      if (name !== this._name || !dialog.open) return;
+      if (this._acting || name !== this._name || !dialog.open) return;
       this._showTare(calibration);
       this._take(session);
     } catch (error) {
@@ -171,12 +174,12 @@ export class CalibrationPage {
   }
 
   /** @param {import("./api.js").Calibration} calibration */
-  _showTare({ load, tare_age_s: age, can_undo_tare: undo, calibrated, kpa_per_count: gain, dead }) {
+  _showTare({ load, tared_at: tared, can_undo: undo, kpa_per_count: gain, dead }) {
     setText(byId("calibrate-load"), load || "none");
     byId("calibrate-load").classList.toggle("some", Boolean(load));
-    setText(byId("calibrate-tared"), tareText(age));
+    setText(byId("calibrate-tared"), tareText(tared ? Math.max(0, Date.now() / 1000 - tared) : null));
     byId("calibrate-tare-undo").hidden = !undo;
-    setText(byId("calibrate-gain-now"), calibrated ? `${Number(gain.toPrecision(3))} kPa per count` : "unknown: counts are shown");
+    setText(byId("calibrate-gain-now"), gain === null ? "unknown: counts are shown" : `${Number(gain.toPrecision(3))} kPa per count`);
     setText(byId("calibrate-taxels"), dead.length ? `${dead.length} do not work` : "all work");
   }
 
@@ -191,11 +194,14 @@ export class CalibrationPage {
     byId("calibrate-mark").hidden = way.mark === null;
     setText(byId("calibrate-unit"), way.unit);
     setText(byId("calibrate-load-now"), session.load || "none");
-    byId("calibrate-of-presses").hidden = way.step === "gain";
+    byId("calibrate-of-presses").hidden = way.step === "gain" || session.way === "blind";
+    const last = byId("calibrate-last");
+    setText(last, quality.last_unused ? `not used: ${quality.last_unused}` : quality.presses ? "used" : "none yet");
+    last.classList.toggle("some", Boolean(quality.last_unused));
     const saturated = byId("calibrate-saturated");
     setText(saturated, quality.presses_saturated ? `${quality.presses_saturated}, not used` : "none");
     saturated.classList.toggle("some", quality.presses_saturated > 0);
-    setText(byId("calibrate-frames"), `${Math.round(session.seconds)} of ${session.seconds_limit} s${session.full ? ", full" : ""}`);
+    setText(byId("calibrate-frames"), `${Math.round(session.seconds)} of ${session.seconds_limit} s${session.full ? ", full: fit or discard" : ""}`);
     fit.disabled = quality.presses === 0;
     progress("calibrate-progress", session.progress);
     if (session.error) this._say(session.error, true);
@@ -243,7 +249,9 @@ export class CalibrationPage {
     this._say("");
     /** @type {CalibrationSession|null} */
     let session = null;
+    this._acting = true;
     const done = await withToken(async () => { session = await action(); }, failed, (text, bad) => this._say(text, bad));
+    this._acting = false;
     if (done) {
       this._session = session;
       this._show();
@@ -261,7 +269,7 @@ export class CalibrationPage {
     event.preventDefault();
     const open = this._session;
     if (open) this._say(`A calibration by ${WAYS[open.way].title.toLowerCase()} is open: finish or discard it first.`, true);
-    else this._act("Not started", () => api.startCalibration(this._name, this._way, this._way === "tip" ? tip.valueAsNumber : null));
+    else this._act("Not started", () => api.startCalibration(this._name, this._way === "tip" ? { way: "tip", tip_mm: tip.valueAsNumber } : { way: this._way }));
   }
 
   /** @param {Event} event */
@@ -279,7 +287,13 @@ export class CalibrationPage {
 
   async _apply() {
     const step = this._step;
-    if (!await this._act("Not applied", () => api.calibrationAction(this._name, "apply"))) return;
+    apply.disabled = true;
+    const done = await this._act("Not applied", () => {
+      if (step === "cover") this._say("The cover is solved. This takes some seconds.");
+      return api.calibrationAction(this._name, "apply");
+    });
+    apply.disabled = false;
+    if (!done) return;
     if (step === "gain") this._go("cover");
     this._say(step === "gain" ? "The gain is applied. Next: the cover." : "The cover is applied: images are restored with it.");
     this._viewer.loadKernel();

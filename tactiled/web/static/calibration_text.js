@@ -74,7 +74,7 @@ export function verdict({ cover, gain }) {
     const agrees = cover.before_mm >= low && cover.before_mm <= high;
     return agrees ? "The thickness agrees with the one before." : `The cover is ${cover.thickness_mm > cover.before_mm ? "thicker" : "thinner"} than the one before.`;
   }
-  return gain ? `Each count is worth ${Number(gain.kpa_per_count.toPrecision(3))} kPa in the middle of all taxels, by a ${gain.form} curve.` : "";
+  return gain ? `One count of the median taxel is ${Number(gain.kpa_per_count.toPrecision(3))} kPa, by a ${gain.form} curve.` : "";
 }
 
 /** @param {CoverResult} cover @returns {string[]} */

@@ -8,7 +8,7 @@ import { fixed, newtons, number } from "./format.js";
 
 /** Units of pressure by their number in a message; counts where the sensor is uncalibrated. */
 export const UNITS = ["kPa", "counts"];
-export const FORCE_UNITS = ["N", "counts mm²"];
+export const FORCE_UNITS = ["N", "counts·mm²"];
 export const FORCE_SCALES = [1e-3, 1]; // force of a pressure of 1 on 1 mm²
 
 /** @param {string} name as the service's JSON has it @returns {number} index in UNITS */

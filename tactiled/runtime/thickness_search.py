@@ -1,0 +1,61 @@
+"""Which cover would explain a frame that the configured one does not: searched on a thread, once a mismatch."""
+
+from threading import Thread
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.cover.family import CoverFamily
+from tactiled.diagnostics.cover_thickness import fitting_thickness
+from tactiled.diagnostics.warning_codes import WarningCode, cover_warning
+from tactiled.frames import FrameWarning
+
+SUSPECTS: set[WarningCode] = {"cover_mismatch", "outliers"}  # what too thick a cover's model may look like
+PAUSE_FRAMES = 1000  # between two searches: each takes 0.2 to 0.5 s of a core
+
+
+class ThicknessSearch:
+    """Holds suspicions of one array back until a search has ended, then names the thickness that explains them."""
+
+    def __init__(self, plan: SensorPlan) -> None:
+        self._plan = plan
+        kernel = plan.kernel
+        self._searchable = plan.array.shape is not None and kernel.model != "measured" and kernel.profile is None
+        self._thread: Thread | None = None
+        self._thickness_mm: float | None = None
+        self._mismatched, self._pause = False, 0
+
+    def __call__(
+        self,
+        warnings: tuple[FrameWarning, ...],
+        raw: NDArray[np.float32],
+        flags: NDArray[np.uint8],
+        noise_kpa: float,
+    ) -> tuple[FrameWarning, ...]:
+        """The warnings of a frame: what a thinner cover explains is `cover_mismatch`, with that thickness."""
+        self._pause = max(self._pause - 1, 0)
+        mismatched = self._searchable and any(each.code in SUSPECTS for each in warnings)
+        if mismatched and not self._mismatched and not self._pause:
+            self._start(np.where(flags == 0, raw, np.nan), noise_kpa)
+        self._mismatched = mismatched
+        if not mismatched:
+            return warnings
+        others = tuple(each for each in warnings if each.code not in SUSPECTS)
+        if self._thread and self._thread.is_alive():
+            return others
+        if self._thickness_mm is None:
+            return warnings
+        return (*others, cover_warning(self._thickness_mm, self._plan.kernel.stack.depth))
+
+    def _start(self, frame: NDArray[np.float32], noise_kpa: float) -> None:
+        if self._thread and self._thread.is_alive():
+            return
+        self._thickness_mm, self._pause = None, PAUSE_FRAMES
+
+        def search() -> None:
+            family = CoverFamily(self._plan.kernel.stack)
+            self._thickness_mm = fitting_thickness(frame, noise_kpa, family, self._plan.array)
+
+        self._thread = Thread(target=search, name=f"thickness {self._plan.name}", daemon=True)
+        self._thread.start()
