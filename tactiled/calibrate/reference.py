@@ -14,7 +14,10 @@ Quantity = Literal["force_n", "pressure_kpa"]
 QUANTITIES = get_args(Quantity)
 ABSOLUTE_FROM_S = 1e8  # clocks that read more count from 1970, so two of them can be compared
 MAX_CLOCK_OFFSET_S = 30.0  # of two such clocks; more is another zone or day
-MIN_CORRELATION = 0.8  # of the log with the readings: chance reaches 0.5, 20 % of hysteresis leaves 0.97
+MIN_CORRELATION = (
+    0.9  # of the log with the readings: of 60 unrelated pairs one reached 0.82; 20 % of hysteresis, 0.997
+)
+MIN_OVERLAP = 0.5  # of the shorter of recording and log
 AMBIGUOUS = 0.97  # of the best correlation: an alignment as good as this may be the true one
 MAX_SAMPLES = 20_000  # of a clock's search
 MIN_ROWS = 20
@@ -133,6 +136,8 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
     correlation = np.fft.irfft(product, size) / max(
         float(np.linalg.norm(film) * np.linalg.norm(reference)), 1e-300
     )
+    overlap = np.minimum(film.size, reference.size - shifts) - np.maximum(0, -shifts)
+    correlation[overlap < MIN_OVERLAP * min(film.size, reference.size)] = -1
     if absolute:
         correlation[np.abs(offsets) > MAX_CLOCK_OFFSET_S] = -1
     order = np.argsort(shifts)
