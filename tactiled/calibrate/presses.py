@@ -13,6 +13,7 @@ from tactiled.restore.noise import detection_threshold
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
+CHUNK_FRAMES = 2000  # of which running means are made at once: 16 MB
 SMOOTHED_FRAMES = 5  # whose mean is held against the noise
 PLATEAU_LEVEL = 0.8  # of a press's high level: frames above it are its plateau
 STILL_PITCHES = 0.1  # that a contact may move: smeared by it, a cover of half a pitch looks 0.2 % thicker
@@ -76,7 +77,8 @@ def find_presses(
 
 def _zero(frames: NDArray[np.float32], noise: float) -> Floats:
     """Reading (N,) of the array without a load: a mean of the frames with the lowest total."""
-    totals = np.nanmean(frames, axis=1)
+    taxels = np.isfinite(frames).sum(axis=1)
+    totals = np.where(taxels > 0, np.nansum(frames, axis=1) / np.maximum(taxels, 1), np.inf)
     count = max(int(UNLOADED_FRACTION * len(frames)), min(len(frames), 4))
     lowest = frames[np.argsort(totals)[:count]]
     zero = np.asarray(np.nansum(lowest, axis=0) / np.maximum(np.isfinite(lowest).sum(axis=0), 1), float)
@@ -87,10 +89,14 @@ def _zero(frames: NDArray[np.float32], noise: float) -> Floats:
 
 def _peaks(frames: NDArray[np.float32], noise: Floats) -> Floats:
     """Highest reading (T,) of a running mean of frames (T, N), over its own noise."""
-    half = SMOOTHED_FRAMES // 2
-    sums = np.cumsum(np.pad(np.nan_to_num(frames), ((half + 1, half), (0, 0)), "edge"), axis=0, dtype=np.float64)
-    mean = (sums[SMOOTHED_FRAMES:] - sums[:-SMOOTHED_FRAMES]) / SMOOTHED_FRAMES
-    return np.asarray((mean / noise).max(axis=1) * np.sqrt(SMOOTHED_FRAMES))
+    half, peaks = SMOOTHED_FRAMES // 2, []
+    for start in range(0, len(frames), CHUNK_FRAMES):
+        at = np.clip(np.arange(start - half, min(start + CHUNK_FRAMES, len(frames)) + half), 0, len(frames) - 1)
+        chunk = np.nan_to_num(frames[at])
+        count = len(at) - 2 * half
+        total = sum(chunk[shift : shift + count] for shift in range(SMOOTHED_FRAMES))
+        peaks.append((total / noise).max(axis=1) / np.sqrt(SMOOTHED_FRAMES))
+    return np.concatenate(peaks)
 
 
 def _drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:

@@ -22,6 +22,7 @@ def test_presses_are_means_over_their_plateaus_whatever_drifts_meanwhile(random)
     frames += np.linspace(0, 2, len(frames), dtype=np.float32)[:, None] * random.normal(size=ARRAY.size)
     frames[:, 20] = np.nan
     frames[random.random(frames.shape) < 0.01] = np.nan
+    frames[50] = np.nan  # a frame that was lost
     presses = find_presses(frames, ARRAY, 1.0)
     assert [each.reason for each in presses] == [""] * 6
     for press, place, pressure in zip(presses, places, pressures, strict=True):
