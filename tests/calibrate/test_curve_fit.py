@@ -19,11 +19,11 @@ def test_a_simpler_form_stays_unless_a_better_one_wins_clearly():
     rng = np.random.default_rng(41)
     load = np.linspace(5, 60, 8)
     order, forms = np.arange(8), []
-    for _ in range(12):
+    for _ in range(8):
         counts = (load * 10 + rng.normal(0, 6, 8))[:, None, None]
         points = Points(counts, load, np.zeros(8, np.int8), order, order)
         forms.append(choose_form(points, counts.max(axis=(0, 2)))[0])
-    assert forms.count("linear") >= 6  # each of three other forms wins by chance once in six times
+    assert forms.count("linear") >= 4  # each of three other forms wins by chance once in six times
 
 
 def test_variances_are_moderated_as_far_as_their_spread_is_chance():

@@ -76,7 +76,7 @@ def test_hysteresis_is_the_loop_over_full_scale():
 @pytest.mark.parametrize(("shape", "offset"), [("linear", 3.21), ("power", -0.537)])
 def test_a_pressure_log_gives_the_same_and_the_offset_of_its_clock(shape, offset):
     kpa = steps((0, 60, 5, 40, 10, 60, 0), hold_s=4, ramp_s=3)
-    skin = Skin(256, shape, 15, dead=DEAD)
+    skin = Skin(96, shape, 15, dead=DEAD)
     film = skin.film(kpa)
     fit = fit_pressure(film, pressure_log(film, kpa, offset), Rails())
     assert fit.dead == DEAD
