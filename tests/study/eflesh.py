@@ -44,7 +44,7 @@ def measure(trials):
     """A row of HEADINGS for each channel, and for all of them the line through all channels."""
     for channel in range(trials[0][1].shape[1]):
         errors = {form: [] for form in FORMS}
-        loops, chosen, inside = [], [], []
+        loops, selected, inside = [], [], []
         for (load, counts, *rest), (other_load, other_counts, *_) in permutations(trials, 2):
             mine = points(load, counts[:, channel], *rest)
             end = np.array([counts[:, channel].max()])
@@ -52,14 +52,14 @@ def measure(trials):
                 fitted = fit(mine, end, form)
                 got = value(form, fitted.parameters, other_counts[:, channel][:, None, None] / end[:, None])[:, 0]
                 errors[form].append(100 * np.sqrt(np.mean((got - other_load) ** 2)) / other_load.max())
-            chosen.append(choose_form(mine, end)[0])
-            loops.append(hysteresis(fit(mine, end, chosen[-1]), mine)[0])
+            selected.append(choose_form(mine, end)[0])
+            loops.append(hysteresis(fit(mine, end, selected[-1]), mine)[0])
             inside.append(100 * np.sqrt(np.mean(fit(mine, end, "linear").residuals ** 2)) / load.max())
         means = [f"{np.mean(errors[form]):.1f} %" for form in FORMS]
         yield (
             str(channel),
             *means,
-            "/".join(dict.fromkeys(chosen)),
+            "/".join(dict.fromkeys(selected)),
             f"{np.mean(loops):.1f} %",
             f"{np.mean(inside):.1f} %",
         )
