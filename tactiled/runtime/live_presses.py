@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.film import Film
-from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, Press, find_presses
+from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, SMOOTHED_FRAMES, Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
 from tactiled.restore.noise import detection_threshold
@@ -12,7 +12,8 @@ from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.sensor import Sensor
 
 SATURATED_REASON = "saturated"  # begins the reason of such a press
-FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # that are looked at again where no press was
+FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # without a press that a look has room for
+RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong to its press still
 
 
 def pressures(sensor: Sensor, film: Film) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -35,13 +36,15 @@ class LivePresses:
     def __init__(self, sensor: Sensor, border: bool) -> None:
         self._sensor, self._border = sensor, border
         self._first = 0  # frame that the next look begins with
+        self._counted = 0  # frame that the next press begins behind
         self.ended: list[Press] = []
         self.waiting = ""  # why no press can be told apart now
 
     def look(self, collector: FrameCollector) -> None:
-        """Look at the frames that have come since."""
+        """Look at the frames since the last press, and as many before it as its zero needs."""
         film = collector.film(self._first)
-        if len(film.times) < FREE_FRAMES:
+        count = len(film.times)
+        if count < FREE_FRAMES:
             return
         try:
             presses = presses_of(self._sensor, film, self._border)
@@ -49,12 +52,14 @@ class LivePresses:
             self.waiting = str(error)
             return
         self.waiting = ""
-        ended = [each for each in presses if each.end + SETTLING_FRAMES < len(film.times)]
+        new = [each for each in presses if self._first + each.start >= self._counted]
+        ended = [each for each in new if each.end + FREE_FRAMES // 2 < count]
         self.ended += ended
         if ended:
-            self._first += ended[-1].end
-        elif not presses:
-            self._first += len(film.times) - FREE_FRAMES
+            self._counted = self._first + ended[-1].end + RAMP_FRAMES
+            self._first += max(0, ended[-1].start - FREE_FRAMES)
+        elif not new:
+            self._first += max(0, count - 2 * FREE_FRAMES)
 
     @property
     def usable(self) -> list[Press]:

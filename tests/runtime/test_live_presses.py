@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+
+from tactiled.runtime.frame_collector import FrameCollector
+from tactiled.runtime.live_presses import LiveContact, LivePresses, presses_of
+from tests.calibrating import LOAD, RATE_HZ, CalibratedSkin
+
+
+@pytest.fixture
+def skin(rig):
+    rig.stale_after(600)
+    return CalibratedSkin(rig, spread=0.0)
+
+
+@pytest.fixture
+def collector(rig):
+    collector = FrameCollector(rig.sensor.array.size)
+    rig.sensor.frames.subscribe(collector.add)
+    return collector
+
+
+def test_presses_that_come_are_those_of_all_frames_whenever_they_are_looked_at(rig, skin, collector):
+    live, random = LivePresses(rig.sensor, border=False), np.random.default_rng(3)
+    tips = [3 * skin.world.tip(0.5, place) for place in skin.world.places(6, random)]
+    frames = np.concatenate([np.zeros((40, 64)), *(LOAD[:, None] * each for each in tips), np.zeros((60, 64))])
+    at = 0
+    for step in random.integers(5, 60, 100):
+        skin.offer(frames[at : at + step])
+        live.look(collector)
+        at += step
+    whole = presses_of(rig.sensor, collector.film(), border=False)
+    assert len(live.usable) == len(whole) == 6
+    np.testing.assert_allclose(
+        [each.place_mm for each in live.usable], [each.place_mm for each in whole], atol=0.02
+    )
+    assert not live.waiting
+
+
+def test_a_saturated_press_and_a_load_that_never_ends_are_named(rig, skin, collector):
+    live = LivePresses(rig.sensor, border=False)
+    place = rig.sensor.array.positions.mean(axis=0)
+    skin.offer(
+        np.concatenate([np.zeros((40, 64)), 21 * LOAD[:, None] * skin.world.tip(0.5, place), np.zeros((40, 64))])
+    )
+    live.look(collector)
+    assert (live.saturated, len(live.usable)) == (1, 0)
+    assert live.ended[0].reason.startswith("saturated")
+    held = LivePresses(rig.sensor, border=False)
+    later = FrameCollector(64)
+    rig.sensor.frames.subscribe(later.add)
+    skin.offer(np.tile(3 * skin.world.tip(0.5, place), (80, 1)))
+    held.look(later)
+    assert "no frame is without a load" in held.waiting
+
+
+def test_contact_is_timed(rig, skin, collector):
+    contact = LiveContact(rig.sensor)
+    touched = 3 * skin.world.tip(0.5, rig.sensor.array.positions.mean(axis=0))
+    for load in (0, 1, 0, 1):
+        skin.offer(load * np.tile(touched, (2 * RATE_HZ, 1)))
+        contact.look(collector)
+    assert contact.seconds == pytest.approx(4.0, abs=0.1)
