@@ -41,3 +41,9 @@ class CalibratedSkin:
         """Be pressed with a tip at as many places, 300 kPa at the highest taxel."""
         for place in self.world.places(count, self.random):
             self.offer(3 * LOAD[:, None] * self.world.tip(TIP_MM / 2, place))
+
+    def lay(self, count):
+        """Have an edge laid across at as many slants, 60 kPa beside it."""
+        for number in range(count):
+            angle = np.pi / 2 * (number % 4) + np.radians(self.random.uniform(8, 35))
+            self.offer(0.6 * LOAD[:, None] * self.world.edge(angle, self.random.uniform(-1, 1)))

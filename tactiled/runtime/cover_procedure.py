@@ -1,11 +1,11 @@
 """The cover of one sensor from presses with a tip or an edge, or from anything that touches it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.film import Film
@@ -15,12 +15,11 @@ from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
 from tactiled.runtime.calibration_session import Quality, Report
 from tactiled.runtime.frame_collector import FrameCollector
-from tactiled.runtime.live_presses import LiveContact, LivePresses, presses_of, pressures
+from tactiled.runtime.live_presses import LiveContact, LivePresses
 from tactiled.runtime.live_sections import origin, with_sections
 from tactiled.runtime.sensor import Sensor
 
 NEEDS = {"tip": Need("press", 20, per_zone=1), "edge": Need("edge", 5), "blind": Need("second", 60)}
-GAIN_ERROR = 0.05  # relative standard deviation of taxels' gains that nobody measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,30 +78,35 @@ class CoverProcedure:
 
     def _fit_blind(self, film: Film) -> CoverFit:
         from tactiled.calibrate.blind import fit_blind  # imported where needed: it starts the service faster
+        from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures
         from tactiled.cover.family import CoverFamily
 
-        sensor = self._sensor
-        pressure, _ = pressures(sensor, film)
-        frames = pressure.reshape(-1, *sensor.array.frame_shape)
-        gain_error = float(np.median(self._gain_error()))
-        return fit_blind(frames, sensor.pipeline.noise.kpa, CoverFamily(self._stack), sensor.array, gain_error)
+        array, calibration = self._sensor.array, self._tared_calibration()
+        pressure, _ = pressures(film, calibration, self._sensor.codec.full_scale)
+        frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
+        gain_error = float(np.median(gain_errors(calibration, array.size)))
+        return fit_blind(frames, noise_kpa, CoverFamily(self._stack), array, gain_error)
 
     def _fit_presses(self, film: Film, report: Report) -> CoverFit:
-        from tactiled.calibrate.cover_result import result  # imported where needed: it starts the service faster
-        from tactiled.calibrate.cover_search import search
+        from tactiled.calibrate.cover_result import (
+            fit_cover,
+        )  # imported where needed: it starts the service faster
+        from tactiled.calibrate.edge import edge_touch
+        from tactiled.calibrate.recorded_presses import gain_errors, recorded_presses
         from tactiled.calibrate.tip import Tip, tip_touch
 
-        sensor = self._sensor
-        presses = presses_of(sensor, film, border=self.way == "edge")
+        array, calibration = self._sensor.array, self._tared_calibration()
+        errors, edge = gain_errors(calibration, array.size), self.way == "edge"
+        presses = recorded_presses(film, array, calibration, self._sensor.codec.full_scale, border=edge)
         report(0.1)
-        touch = tip_touch(presses, sensor.array, self._stack, Tip(self.tip_mm), self._gain_error())
-        fitted = search(touch)
-        report(0.8)
-        return result(fitted, "tip")
+        if edge:
+            return fit_cover(edge_touch(presses, array, self._stack, errors), presses, "edge")
+        return fit_cover(tip_touch(presses, array, self._stack, Tip(self.tip_mm), errors), presses, "tip")
 
-    def _gain_error(self) -> NDArray[np.float64] | float:
-        curves = self._sensor.plan.calibration.curves
-        return GAIN_ERROR if curves is None else curves.deviation
+    def _tared_calibration(self) -> Calibration:
+        """The sensor's calibration with the zero that holds now."""
+        no_loads = self._sensor.pipeline.calibrator.no_load.astype(float)
+        return replace(self._sensor.plan.calibration, no_loads=no_loads)
 
     def _outcome(self, fit: CoverFit) -> CoverOutcome:
         """What is applied of a fit, and what was before."""

@@ -29,7 +29,7 @@ def image_kpa(rig):
     return rig.sensor.hub.latest().raw.ravel()
 
 
-def test_steps_of_pressure_are_answer_fitted_and_applied(rig, client, skin):
+def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin):
     started = client.post(SESSION, json={"way": "uniform"})
     assert started.status_code == 201, started.text
     assert client.get("/sensors/palm/calibration").json()["session"] == "uniform"
@@ -77,12 +77,26 @@ def test_presses_with_a_tip_give_the_thickness_and_discard_changes_nothing(rig, 
     assert rig.sensor.plan.file is None
 
 
+def test_edges_give_the_thickness_which_is_applied(rig, client, skin):
+    skin.gain[:] = GAIN
+    client.post(SESSION, json={"way": "edge"})
+    skin.lay(6)
+    skin.level(0)
+    until(lambda: client.get(SESSION).json()["quality"]["advice"] == "6 of 5 edges: enough")
+    cover = fitted(client)["cover"]
+    assert cover["thickness_mm"] == pytest.approx(TRUE_FACTOR * CONFIGURED_MM, rel=0.05)
+    before = client.get("/sensors/palm/kernel").json()
+    assert client.post(SESSION + "/apply").status_code == 204
+    assert client.get("/sensors/palm/kernel").json()["nyquist_gain"] < before["nyquist_gain"]  # thicker
+    assert rig.sensor.plan.file.cover.thickness_mm == pytest.approx(cover["thickness_mm"])
+
+
 def test_a_fit_of_nothing_says_why_and_collecting_goes_on(client, skin):
     client.post(SESSION, json={"way": "tip", "tip_mm": TIP_MM})
     skin.level(0, 100)
     session = fitted(client)
     assert session["state"] == "collecting"
-    assert "0 of 0 presses can be used" in session["error"]
+    assert "no press stands out of the noise" in session["error"]
     problem(client.post(SESSION + "/apply"), 409)
     client.delete(SESSION)
     client.post(SESSION, json={"way": "uniform"})
@@ -107,7 +121,7 @@ def test_a_wrong_request_names_what_is_wrong(client, path, body, status, words):
     assert words in problem(client.post(SESSION + path, **({"json": body} if body else {})), status)
 
 
-def test_marks_are_refused_by_name_and_keep_what_was_answer(client, skin):
+def test_marks_are_refused_by_name_and_keep_what_is_there(client, skin):
     client.post(SESSION, json={"way": "uniform"})
     mark = SESSION + "/mark"
     assert "is open: apply or discard it first" in problem(client.post(SESSION, json={"way": "tip"}), 409)
