@@ -1,0 +1,89 @@
+"""The guided calibration: every step from loads and presses to what is applied."""
+
+import pytest
+from pydantic import SecretStr
+
+from tactiled.config import Server
+from tactiled.web.server import running
+from tests.calibrating import TIP_MM, TRUE_FACTOR, CalibratedSkin
+from tests.viewer.conftest import SCROLL_WIDTH
+
+READ, CONTROL = "r" * 16, "c" * 16
+VISIBLE = "document.getElementById('calibrate-{}').checkVisibility()"
+MESSAGE = "document.getElementById('calibrate-message').innerText"
+ADVICE = "document.getElementById('calibrate-advice').innerText"
+ROW = "[...document.querySelectorAll('#calibrate-result tbody tr td')].map(each => each.innerText)"
+
+
+@pytest.fixture
+def skin(rig):
+    rig.stale_after(600)
+    skin = CalibratedSkin(rig)
+    skin.level(0)
+    return skin
+
+
+def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
+    page = open_page(url)
+    page.press("k")
+    page.get_by_text("Take everything off the array.").wait_for()
+    page.wait("document.getElementById('calibrate-load').innerText === 'none'")
+    page.inspect()
+    page.get_by_role("button", name="Next").press("Enter")
+    page.get_by_role("radio", name="Even pressure").wait_for()
+    page.inspect()
+    page.get_by_role("button", name="Start").click()
+    for kpa in (0, 150, 300):
+        skin.level(kpa)
+        page.get_by_label("The array is under").fill(str(kpa))
+        page.get_by_role("button", name="Take").click()
+        page.wait(f"{MESSAGE} === 'Taken: {kpa} kPa.'")
+    page.wait(f"{ADVICE} === '3 of 3 loads: enough (0, 150, 300 kPa)'")
+    page.inspect()
+    page.get_by_role("button", name="Fit", exact=True).click()
+    page.wait(VISIBLE.format("result"))
+    fitted, interval, before = page.evaluate(ROW)[:3]
+    assert before == "0.5"
+    low, high = map(float, interval.split(" to "))
+    assert low < float(fitted) < high
+    page.inspect()
+    assert page.evaluate(SCROLL_WIDTH) <= 390
+    page.get_by_role("button", name="Apply").click()
+    page.wait(f"{MESSAGE}.startsWith('The gain is applied.')")
+    assert rig.sensor.plan.file.gain is not None
+    page.press("Escape")
+    assert not page.evaluate("document.getElementById('calibrate').open")
+
+
+def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(rig, skin, open_page):
+    skin.gain[:] = 0.5
+    at = Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))
+    with running(rig.service, at) as url:
+        page = open_page(f"{url}/?token={READ}")
+        page.get_by_role("button", name="Calibrate").click()
+        page.get_by_role("button", name="Cover").click()
+        page.get_by_label("Diameter of the tip").fill(str(TIP_MM))
+        page.get_by_role("button", name="Start").click()
+        page.wait("document.activeElement.id === 'token-field'")
+        page.keyboard.type(CONTROL)
+        page.press("Enter")
+        page.wait(VISIBLE.format("collect"))
+        assert page.locator("#calibrate-fit").is_disabled()
+        skin.press(12)
+        skin.level(0)
+        page.wait(f"{ADVICE}.startsWith('12 of 20 presses')")
+        zones = page.evaluate("[...document.querySelectorAll('#calibrate-zones li')].map(each => each.innerText)")
+        assert sum(int(each.removeprefix("✓ ").split()[0]) for each in zones) == 12
+        page.inspect()
+        page.press("Escape", "k")  # another look, as by another viewer: it goes on
+        page.wait(VISIBLE.format("collect"))
+        page.get_by_role("button", name="Fit", exact=True).click()
+        page.wait(VISIBLE.format("result"))
+        fitted, _, before = page.evaluate(ROW)
+        assert float(fitted) == pytest.approx(TRUE_FACTOR * 0.8, rel=0.05)
+        assert before == "0.80"
+        page.inspect()
+        page.get_by_role("button", name="Discard").click()
+        page.wait(f"{MESSAGE} === 'Discarded: nothing was changed.'")
+        assert rig.sensor.plan.file is None
+        page.finish("403")
