@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plan
+from tactiled.calibrate.health import Fault
 from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import warning
-from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameWarning
+from tactiled.frames import BAD, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
 from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
@@ -263,3 +264,35 @@ def test_forces_are_none_unless_all_are_known(make, settings, flag_of_tare, flag
     assert pipeline.forces(sheared(pressed(), 1, 1, flags_of({(2, 2): flag}))) is None
     assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == known_without
     assert pipeline.forces(frame()) is None  # without shear
+
+
+@pytest.mark.parametrize(
+    ("tared", "track_drift", "tracks"), [(True, True, True), (False, True, False), (True, False, False)]
+)
+def test_zeros_that_were_measured_follow_drift(make, tared, track_drift, tracks):
+    pipeline, random = make(track_drift=track_drift), np.random.default_rng(8)
+    if tared:
+        tare(pipeline, frame(counts=UNLOADED))
+    for second in range(3600):  # 2 % of full scale
+        counts = np.round(UNLOADED + 80 * second / 3600 + random.normal(0, 1, SHAPE))
+        image = pipeline.process(frame(second, counts, time=20.0 + second))
+    assert (abs(image.raw.mean()) < 2 * GAIN) == tracks
+    state = pipeline.monitor.state
+    assert (state.drift_counts is not None) == tracks
+    assert not tracks or abs(state.drift_counts.mean() - 80) < 2
+
+
+def test_a_taxel_found_faulty_is_flagged_and_restored_from_its_neighbours_and_survives_another_calibration(make):
+    pipeline, random = make("wiener"), np.random.default_rng(9)
+    for n in range(40 * 100):
+        counts = np.round(pressed() + random.normal(0, 4, SHAPE))
+        if n > 2000:
+            counts[3, 3] = 120
+        image = pipeline.process(frame(n, counts, time=n / 100))
+    assert np.argwhere(image.flags == FAULTY).tolist() == [[3, 3]]
+    assert np.isnan(image.raw[3, 3])
+    assert image.restored[3, 3] > 50
+    assert [(each.code, each.taxels) for each in image.warnings if each.code == "faulty"] == [("faulty", 1)]
+    other = make("wiener", kpa_per_count=2 * GAIN)
+    other.take_over(pipeline)
+    assert other.monitor.state.faults[3 * SIDE + 3] == Fault.STUCK
