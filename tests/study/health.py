@@ -108,7 +108,9 @@ def scenarios(tours, seconds):
     drifting = (np.float32(0.05 * FULL_SCALE * n / RATE_HZ / 60) + still for n in range(frames))
     yield Scenario("drift of 5 % a minute", 1.0, 1.5, drifting)
     yield Scenario("foot, 70 % of full scale", 1.0, 2.0, foot(plan((SIDE, SIDE), 1.0), 0.7 * FULL_SCALE, seconds))
-    yield Scenario("foot, saturated", 0.5, 2.0, foot(plan((SIDE, SIDE), 0.5), 2.0 * FULL_SCALE, seconds))
+    for thickness in (0.5, 1.0):
+        heavy = foot(plan((SIDE, SIDE), thickness), 2.0 * FULL_SCALE, seconds)
+        yield Scenario(f"foot, saturated, t/pitch {thickness:g}", thickness, 2.0, heavy)
 
 
 def false_positives(tours=4, seconds=60.0, seed=1):
