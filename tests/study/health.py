@@ -113,9 +113,9 @@ def scenarios(tours, seconds):
         yield Scenario(f"foot, saturated, t/pitch {thickness:g}", thickness, 2.0, heavy)
 
 
-def false_positives(tours=4, seconds=60.0, seed=1):
+def false_positives(tours=4, seconds=60.0, seed=1, gains_measured=(False, True)):
     """(scenario, taxel-frames, false positives) of healthy arrays: gains spread by 20 %, unknown or measured."""
-    both = ((calibrated, each) for calibrated in (False, True) for each in scenarios(tours, seconds))
+    both = ((calibrated, each) for calibrated in gains_measured for each in scenarios(tours, seconds))
     for number, (calibrated, scenario) in enumerate(both):
         random = np.random.default_rng([seed, number])
         gain = np.clip(random.normal(1, 0.2, SIDE**2), 0.5, 1.5).astype(np.float32)
