@@ -12,15 +12,15 @@ MISPLACED = 0.5  # pitches that a small spot may be from where it is drawn, and 
 def deviation(scene: Scene, image: Image | None = None) -> Floats:
     """Give it for an image of the scene, the linear one or any that knows more.
 
-    Of the noise, of what the filter leaves out, and of the model: a cover known to the blur's `thickness_error`,
-    whose gain falls by as many octaves for a wave, and pressure finer than the grid; all given the spectrum picked
-    for the scene, which is the same everywhere. That says too little of a few small spots: what may be elsewhere
-    of `image` is added.
+    Of the noise, of what the filter leaves out, and of the model: pressure finer than the grid, and a cover known
+    to the blur's `thickness_error`. All are given the spectrum picked for the scene, which is the same everywhere,
+    but for the thickness: that counts what it changes of `image`. The spectrum says too little of a few small
+    spots: what may be elsewhere of `image` is added.
     """
     modes, spectrum = scene.modes, scene.spectrum
     variance = spectrum.ratio.copy()
     S, h = variance[modes.head], modes.gain
-    model = modes.gain_variance(scene.blur.thickness_error**2)
+    model = modes.gain_variance(0.0 if image is not None else scene.blur.thickness_error**2)
     if scene.blur.aliasing:
         model = model + scene.blur.aliasing.variance(spectrum.fall)
     weight = wiener_weight(scene)
@@ -28,13 +28,25 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     variance *= scene.noise**2
     squares = [basis**2 for basis in modes.surface]
     spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
-    if image is not None and scene.spotted:
+    if image is None:
+        return np.asarray(spread, float)
+    spread = np.hypot(spread, scene.blur.thickness_error * _slope_in_thickness(scene, image))
+    if scene.spotted:
         from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
 
         refine = image.shape[0] // scene.blur.frame_shape[0]
         about = gaussian_filter(np.abs(image), MISPLACED * refine) if image.ndim > 1 else np.abs(image)
         spread = np.hypot(spread, MISPLACED * about)
     return np.asarray(spread, float)
+
+
+def _slope_in_thickness(scene: Scene, image: Image) -> Floats:
+    """How much a filtered `image` changes with the logarithm of the thickness under which it was sensed."""
+    modes = scene.modes
+    analyse, synthesise = modes.to_surface_modes(), modes.head_to_surface()
+    pressure = analyse(np.ascontiguousarray(image, np.float32), analyse.empty())[modes.head]
+    change = wiener_weight(scene) * np.sqrt(modes.gain_variance(1.0)) * pressure
+    return np.abs(synthesise(np.asarray(change, np.float32), synthesise.empty())).astype(float)
 
 
 def raw_deviation(scene: Scene, wiener: Wiener) -> Floats:

@@ -41,6 +41,19 @@ def test_a_filter_that_knows_how_wrong_the_thickness_may_be_is_less_wrong(method
     assert aware < gain * unaware
 
 
+@pytest.mark.parametrize("method", ["auto", "wiener"])
+def test_the_deviation_holds_the_error_where_something_is_pressed(method):
+    """If it does not follow the image, 48 % of the pressed cells are within two deviations."""
+    shares = []
+    for blur, sigma, frame, truth in pressed((1 / 1.15, 1.15)):
+        blur.thickness_error = 0.15
+        restorer = make(method, blur, sigma)
+        image = restorer(frame).image
+        where = np.maximum(truth, image) > 0.02 * truth.max()
+        shares.append(np.mean((np.abs(image - truth) < 2 * restorer.deviation())[where]))
+    assert np.mean(shares) > 0.8
+
+
 def test_a_thickness_known_as_well_as_without_calibration_changes_no_image():
     for blur, sigma, frame, _ in pressed((1.0,), (1.0,)):
         images = []
