@@ -62,8 +62,8 @@ class Procedure(Protocol[Outcome]):
         """Which one."""
 
     @property
-    def tip_mm(self) -> float | None:
-        """Diameter of the tip; None: unknown, or there is none."""
+    def size_mm(self) -> float | None:
+        """Diameter of the tip, or width of the ridge; None: unknown, an edge, or neither."""
 
     @property
     def mark_key(self) -> Literal["pressure_kpa", "weight_n"] | None:

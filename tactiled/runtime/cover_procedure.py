@@ -37,9 +37,9 @@ class CoverProcedure:
     mark_key = None
 
     def __init__(
-        self, sensor: Sensor, stack: Stack, way: Literal["tip", "edge", "blind"], tip_mm: float | None
+        self, sensor: Sensor, stack: Stack, way: Literal["tip", "edge", "blind"], size_mm: float | None
     ) -> None:
-        self.way, self.tip_mm = way, tip_mm
+        self.way, self.size_mm = way, size_mm
         self._sensor, self._stack = sensor, stack  # as configured
         self._presses = LivePresses(sensor, border=way == "edge")
         self._contact = LiveContact(sensor)
@@ -100,8 +100,8 @@ class CoverProcedure:
         presses = recorded_presses(film, array, calibration, self._sensor.codec.full_scale, border=edge)
         report(0.1)
         if edge:
-            return fit_cover(edge_touch(presses, array, self._stack, errors), presses, "edge")
-        return fit_cover(tip_touch(presses, array, self._stack, Tip(self.tip_mm), errors), presses, "tip")
+            return fit_cover(edge_touch(presses, array, self._stack, errors, self.size_mm), presses, "edge")
+        return fit_cover(tip_touch(presses, array, self._stack, Tip(self.size_mm), errors), presses, "tip")
 
     def _tared_calibration(self) -> Calibration:
         """The sensor's calibration with the zero that holds now."""

@@ -52,7 +52,7 @@ class GainOutcome:
 class GainProcedure:
     """Loads are set and entered one after the other; the last second of each is taken."""
 
-    tip_mm = None
+    size_mm = None
 
     def __init__(self, sensor: Sensor, way: GainWay) -> None:
         self.way, self._sensor = way, sensor

@@ -20,7 +20,7 @@ class GuidedCalibrations:
         self._service, self._lock = service, Lock()
         self._sessions: dict[str, Session] = {}
 
-    def start(self, name: str, way: Way, tip_mm: float | None = None) -> Session:
+    def start(self, name: str, way: Way, size_mm: float | None = None) -> Session:
         """Start a session; NotLiveError or CalibrationStateError where that is not possible."""
         sensor = self._service.sensor(name)
         if (status := sensor.status()).state != "live":
@@ -28,15 +28,15 @@ class GuidedCalibrations:
         with self._lock:
             if self._open(name):
                 raise CalibrationStateError(f"sensor {name!r}: a calibration is open: apply or discard it first")
-            session: Session = CalibrationSession(sensor, self._procedure(sensor, way, tip_mm))
+            session: Session = CalibrationSession(sensor, self._procedure(sensor, way, size_mm))
             self._sessions[name] = session
         self._service.events.add("calibration_started", way, name)
         return session
 
-    def _procedure(self, sensor: Sensor, way: Way, tip_mm: float | None) -> GainProcedure | CoverProcedure:
+    def _procedure(self, sensor: Sensor, way: Way, size_mm: float | None) -> GainProcedure | CoverProcedure:
         if way == "uniform" or way == "weight":
             return GainProcedure(sensor, way)
-        return CoverProcedure(sensor, make_stack(self._service.config.sensor[sensor.name]), way, tip_mm)
+        return CoverProcedure(sensor, make_stack(self._service.config.sensor[sensor.name]), way, size_mm)
 
     def _open(self, name: str) -> Session | None:
         """The session of a sensor that has not ended; one whose client has gone away ends here."""

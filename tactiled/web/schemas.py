@@ -319,9 +319,7 @@ class TaxelHealth(Schema):
     """What a sensor has found out about its taxels while it runs."""
 
     taxels: int = Field(examples=[1024])
-    faults: list[TaxelFault] = Field(
-        description="of the taxels that do not work, without those configured as dead"
-    )
+    faults: list[TaxelFault] = Field(description="of taxels that do not work, without those configured as dead")
     noise_counts: list[float] = Field(description="standard deviation of each taxel", examples=[[0.4, 0.5]])
     drift_counts: list[float] | None = Field(
         description="that each zero has moved since it was measured; null: drift is not tracked",

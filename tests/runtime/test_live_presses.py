@@ -28,10 +28,10 @@ def test_presses_that_come_are_those_of_all_frames_whenever_they_are_looked_at(r
         skin.offer(frames[at : at + step])
         live.look(collector)
         at += step
-    whole = presses_of(rig.sensor, collector.film(), border=False)
-    assert len(live.usable) == len(whole) == 6
+    expected = presses_of(rig.sensor, collector.film(), border=False)
+    assert len(live.usable) == len(expected) == 6
     np.testing.assert_allclose(
-        [each.place_mm for each in live.usable], [each.place_mm for each in whole], atol=0.02
+        [each.place_mm for each in live.usable], [each.place_mm for each in expected], atol=0.02
     )
     assert not live.waiting
 
@@ -45,12 +45,12 @@ def test_a_saturated_press_and_a_load_that_never_ends_are_named(rig, skin, colle
     live.look(collector)
     assert (live.saturated, len(live.usable)) == (1, 0)
     assert live.ended[0].reason.startswith("saturated")
-    held = LivePresses(rig.sensor, border=False)
+    other = LivePresses(rig.sensor, border=False)
     later = FrameCollector(64)
     rig.sensor.frames.subscribe(later.add)
     skin.offer(np.tile(3 * skin.world.tip(0.5, place), (80, 1)))
-    held.look(later)
-    assert "no frame is without a load" in held.waiting
+    other.look(later)
+    assert "no frame is without a load" in other.waiting
 
 
 def test_contact_is_timed(rig, skin, collector):

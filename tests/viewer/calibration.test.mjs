@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { chartOf } from "../../tactiled/web/static/calibration_result.js";
-import { coverNotes, coverRows, gainRows, tareText, verdict, zoneText } from "../../tactiled/web/static/calibration_text.js";
+import { coverNotes, coverRows, gainRows, tareText, taxelText, verdict, zoneText } from "../../tactiled/web/static/calibration_text.js";
 
 const cover = {
   thickness_mm: 1.183, interval_mm: [1.151, 1.214], before_mm: 1.5, presses: 20, residual: 1.07, reason: "", notes: ["a note"],
@@ -43,4 +43,11 @@ test("a zone and a tare say how far they are", () => {
   assert.deepEqual(zoneText(1, 2), { text: "1 of 2", done: false });
   assert.deepEqual(zoneText(3, 2), { text: "✓ 3", done: true });
   assert.deepEqual([tareText(null), tareText(200)], ["none since the start", "3 min ago"]);
+});
+
+test("taxels that are left out are named, three at most", () => {
+  const faults = [17, 18, 19, 20].map((taxel) => ({ taxel, fault: "stuck" }));
+  assert.equal(taxelText([], []), "all work");
+  assert.equal(taxelText([3], faults.slice(0, 1)), "2 left out: 17 stuck, 1 configured as dead");
+  assert.equal(taxelText([], faults), "4 left out: 17 stuck, 18 stuck, 19 stuck, 1 more");
 });

@@ -32,11 +32,20 @@ class StartTip(schemas.RequestBody):
     )
 
 
+class StartEdge(schemas.RequestBody):
+    """Calibrate the cover with a straight edge or ridge."""
+
+    way: Literal["edge"]
+    edge_mm: float | None = Field(
+        None, gt=0, le=1000, description="width of the ridge; left out: a pad with one edge", examples=[1.2]
+    )
+
+
 class StartOther(schemas.RequestBody):
     """Calibrate in another way."""
 
-    way: Literal["uniform", "weight", "edge", "blind"] = Field(
-        description="of the gain: uniform (pressure), weight; of the cover: edge, blind (any contact)",
+    way: Literal["uniform", "weight", "blind"] = Field(
+        description="of the gain: uniform (pressure), weight; of the cover: blind (any contact)",
         examples=["uniform"],
     )
 
@@ -53,7 +62,7 @@ class WeightMark(schemas.RequestBody):
     weight_n: float = Field(ge=0, le=1e5, allow_inf_nan=False, examples=[9.81])
 
 
-Start = Annotated[StartTip | StartOther, Field(discriminator="way")]
+Start = Annotated[StartTip | StartEdge | StartOther, Field(discriminator="way")]
 Mark = PressureMark | WeightMark
 
 
@@ -125,7 +134,7 @@ class CalibrationSession(schemas.Schema):
 
     sensor: schemas.SensorName
     way: Way
-    tip_mm: float | None = Field(examples=[2.0])
+    size_mm: float | None = Field(description="tip_mm or edge_mm of the start", examples=[2.0])
     state: calibration_session.State = Field(description="collecting frames, fitting them, or fitted")
     frames: int = Field(examples=[4200])
     seconds: float = Field(description="of frames so far", examples=[42.0])
@@ -166,7 +175,7 @@ def _answer(session: Session) -> CalibrationSession:
     return CalibrationSession(
         sensor=session.sensor.name,
         way=procedure.way,
-        tip_mm=procedure.tip_mm,
+        size_mm=procedure.size_mm,
         state=session.state,
         frames=len(collector),
         seconds=collector.seconds,
@@ -204,7 +213,8 @@ router = APIRouter(
 @router.post("", status_code=201, responses=problems(409, *CONTROL, *JSON_BODY))
 def start(calibrations: Calibrations, sensor: NamedSensor, what: Start) -> CalibrationSession:
     """Start a guided calibration: frames are collected from now on. It ends after 300 s without a request."""
-    return _answer(calibrations.start(sensor.name, what.way, getattr(what, "tip_mm", None)))
+    size_mm = getattr(what, "tip_mm", None) or getattr(what, "edge_mm", None)
+    return _answer(calibrations.start(sensor.name, what.way, size_mm))
 
 
 @router.get("")

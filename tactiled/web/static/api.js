@@ -62,6 +62,8 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * }} Calibration
  */
 
+/** @typedef {{taxel: number, fault: string, reason: string, since: number}} TaxelFault */
+
 /** @typedef {"uniform"|"weight"|"tip"|"edge"|"blind"} Way */
 
 /**
@@ -91,7 +93,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 
 /**
  * @typedef {{
- *   sensor: string, way: Way, tip_mm: number|null, state: "collecting"|"fitting"|"fitted"|"ended", frames: number,
+ *   sensor: string, way: Way, size_mm: number|null, state: "collecting"|"fitting"|"fitted"|"ended", frames: number,
  *   seconds: number, seconds_limit: number, full: boolean, load: string, quality: Quality, progress: number|null,
  *   error: string, gain: GainResult|null, cover: CoverResult|null
  * }} CalibrationSession
@@ -191,6 +193,9 @@ export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE"
 /** @param {string} name @returns {Promise<Calibration>} */
 export const calibration = (name) => request(`${at(name)}/calibration`);
 
+/** @param {string} name @returns {Promise<{faults: TaxelFault[]}>} */
+export const taxelHealth = (name) => request(`${at(name)}/health`);
+
 /** @param {string} name @returns {string} the path of a sensor's guided calibration */
 const atSession = (name) => `${at(name)}/calibration/session`;
 
@@ -204,7 +209,7 @@ export async function calibrationSession(name) {
   }
 }
 
-/** @param {string} name @param {{way: Way, tip_mm?: number}} how @returns {Promise<CalibrationSession>} */
+/** @param {string} name @param {{way: Way, tip_mm?: number, edge_mm?: number}} how @returns {Promise<CalibrationSession>} */
 export const startCalibration = (name, how) => request(atSession(name), sending("POST", how));
 
 /** @param {string} name @param {{pressure_kpa?: number, weight_n?: number}} load @returns {Promise<CalibrationSession>} */

@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { CalibrationResult } from "./calibration_result.js";
-import { tareText, WAYS, zoneText } from "./calibration_text.js";
+import { SIZES, tareText, taxelText, WAYS, zoneText } from "./calibration_text.js";
 import { byId, element, setText } from "./dom.js";
 import { DisplayRange } from "./display_range.js";
 import { Heatmap } from "./heatmap.js";
@@ -24,8 +24,9 @@ const STEP_QUESTIONS = { tare: "", gain: "What presses the array?", cover: "What
 
 const dialog = /** @type {HTMLDialogElement} */ (byId("calibrate"));
 const steps = /** @type {HTMLButtonElement[]} */ ([...dialog.querySelectorAll("[data-step]")]);
-const tip = /** @type {HTMLInputElement} */ (byId("calibrate-tip-mm"));
-const tipLine = byId("calibrate-tip");
+const size = /** @type {HTMLInputElement} */ (byId("calibrate-size-mm"));
+const sizeLabel = byId("calibrate-size-label");
+const sizeLine = byId("calibrate-size");
 const value = /** @type {HTMLInputElement} */ (byId("calibrate-value"));
 const apply = /** @type {HTMLButtonElement} */ (byId("calibrate-apply"));
 const fit = /** @type {HTMLButtonElement} */ (byId("calibrate-fit"));
@@ -45,6 +46,8 @@ export class CalibrationPage {
     this._range = new DisplayRange();
     /** @type {import("./geometry.js").Plane|null} */
     this._plane = null;
+    /** @type {import("./api.js").TaxelFault[]} */
+    this._faults = [];
     this._busy = false; // with a look at the service
     this._acting = false;
     this._wire();
@@ -64,7 +67,7 @@ export class CalibrationPage {
     for (const each of dialog.querySelectorAll(".discard")) each.addEventListener("click", () => this._discard());
     byId("calibrate-choose").addEventListener("submit", (event) => this._start(event));
     byId("calibrate-mark").addEventListener("submit", (event) => this._mark(event));
-    byId("calibrate-ways").addEventListener("change", () => this._showTip());
+    byId("calibrate-ways").addEventListener("change", () => this._showSize());
     dialog.addEventListener("close", () => this._leave());
   }
 
@@ -108,6 +111,7 @@ export class CalibrationPage {
     const name = this._name;
     try {
       const calibration = await api.calibration(name);
+      if (this._step === "tare") this._faults = (await api.taxelHealth(name)).faults;
       if (this._acting) return; // what comes of it is the newest
       const session = calibration.session ? await api.calibrationSession(name) : null;
       if (this._acting || name !== this._name || !dialog.open) return;
@@ -132,8 +136,8 @@ export class CalibrationPage {
     this._step = step;
     const ways = /** @type {Way[]} */ (Object.keys(WAYS)).filter((each) => WAYS[each].step === step);
     setText(byId("calibrate-question"), STEP_QUESTIONS[step]);
-    byId("calibrate-ways").replaceChildren(...ways.flatMap((each, i) => [choice(each, i === 0), ...(each === "tip" ? [tipLine] : [])]));
-    this._showTip();
+    byId("calibrate-ways").replaceChildren(...ways.map((each, i) => choice(each, i === 0)));
+    this._showSize();
     this._show();
   }
 
@@ -180,7 +184,8 @@ export class CalibrationPage {
     setText(byId("calibrate-tared"), tareText(tared ? Math.max(0, Date.now() / 1000 - tared) : null));
     byId("calibrate-tare-undo").hidden = !undo;
     setText(byId("calibrate-gain-now"), gain === null ? "unknown: counts are shown" : `${Number(gain.toPrecision(3))} kPa per count`);
-    setText(byId("calibrate-taxels"), dead.length ? `${dead.length} do not work` : "all work");
+    setText(byId("calibrate-taxels"), taxelText(dead, this._faults));
+    byId("calibrate-taxels").classList.toggle("some", this._faults.length > 0);
   }
 
   /** @param {CalibrationSession} session */
@@ -221,9 +226,14 @@ export class CalibrationPage {
     });
   }
 
-  _showTip() {
-    tipLine.hidden = this._way !== "tip";
-    tip.disabled = this._way !== "tip";
+  /** Ask for the size of what presses, where it has one. */
+  _showSize() {
+    const asked = sizeOf(this._way);
+    sizeLine.hidden = !asked;
+    if (!asked) return;
+    setText(sizeLabel, asked.label);
+    setText(/** @type {Element} */ (sizeLine.lastElementChild), asked.empty);
+    dialog.querySelector("#calibrate-ways label:has(:checked)")?.after(sizeLine);
   }
 
   /** @returns {Way} that is chosen */
@@ -269,7 +279,11 @@ export class CalibrationPage {
     event.preventDefault();
     const open = this._session;
     if (open) this._say(`A calibration by ${WAYS[open.way].title.toLowerCase()} is open: finish or discard it first.`, true);
-    else this._act("Not started", () => api.startCalibration(this._name, this._way === "tip" ? { way: "tip", tip_mm: tip.valueAsNumber } : { way: this._way }));
+    else {
+      const asked = sizeOf(this._way);
+      const given = asked && Number.isFinite(size.valueAsNumber) ? { [asked.key]: size.valueAsNumber } : {};
+      this._act("Not started", () => api.startCalibration(this._name, { way: this._way, ...given }));
+    }
   }
 
   /** @param {Event} event */
@@ -320,6 +334,9 @@ export class CalibrationPage {
     setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak, unit)}`);
   }
 }
+
+/** @param {Way} way @returns {typeof SIZES.tip|null} what is measured of what presses */
+const sizeOf = (way) => (way === "tip" || way === "edge" ? SIZES[way] : null);
 
 /** @param {string} id @param {number|null} share null: unknown */
 function progress(id, share) {

@@ -34,8 +34,8 @@ export const WAYS = {
     mark: null, unit: "",
   },
   edge: {
-    step: "cover", title: "Straight edge", hint: "A block with a straight edge, laid across the array at a slant five times.",
-    instruction: "Lay the edge across the array at a slant, neither along rows nor columns. Press evenly, lift it, and turn it a little.",
+    step: "cover", title: "Straight edge", hint: "A ridge, such as a ruler on its side, laid across the array at a slant five times.",
+    instruction: "Lay it across the whole array at a slant, neither along rows nor columns. Press evenly for a second, lift it, turn it a little.",
     mark: null, unit: "",
   },
   blind: {
@@ -43,6 +43,12 @@ export const WAYS = {
     instruction: "Touch the array with small and sharp things, at ever other places.",
     mark: null, unit: "",
   },
+};
+
+/** What is measured of what presses: the field's label, the request's key, what an empty field means. */
+export const SIZES = {
+  tip: { label: "Diameter of its flat end", key: "tip_mm", empty: "Empty: it is fitted, too." },
+  edge: { label: "Width of the ridge", key: "edge_mm", empty: "Empty: a soft pad with one edge." },
 };
 
 /** Rows of a result: name and unit, fitted, interval, before. @typedef {[string, string, string, string]} Row */
@@ -86,6 +92,21 @@ export function coverNotes({ presses, residual, reason, notes }) {
 
 /** @param {number|null} age s @returns {string} */
 export const tareText = (age) => (age === null ? "none since the start" : `${duration(age)} ago`);
+
+const MAX_FAULTS = 3; // that are named
+
+/**
+ * @param {number[]} dead as configured
+ * @param {{taxel: number, fault: string}[]} faults found while the sensor runs
+ * @returns {string}
+ */
+export function taxelText(dead, faults) {
+  if (!dead.length && !faults.length) return "all work";
+  const named = faults.slice(0, MAX_FAULTS).map((each) => `${each.taxel} ${each.fault}`);
+  if (faults.length > MAX_FAULTS) named.push(`${faults.length - MAX_FAULTS} more`);
+  if (dead.length) named.push(`${dead.length} configured as dead`);
+  return `${dead.length + faults.length} left out: ${named.join(", ")}`;
+}
 
 /**
  * What a zone shows: presses of those it needs.

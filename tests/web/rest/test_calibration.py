@@ -110,6 +110,7 @@ def test_a_fit_of_nothing_says_why_and_collecting_goes_on(client, skin):
         ("", {"way": "wieght"}, 422, "way = 'wieght'"),
         ("", {"way": "edge", "tip_mm": 2.0}, 422, "tip_mm"),
         ("", {"way": "tip", "tip_mm": 0.0}, 422, "tip_mm = 0"),
+        ("", {"way": "edge", "edge_mm": -1.0}, 422, "edge_mm = -1"),
         ("", {"way": "tip", "tipmm": 2.0}, 422, "tipmm"),
         ("/mark", {"pressure_kpa": 20.0, "weight_n": 1.0}, 422, "weight_n"),
         ("/mark", {"pressure_kpa": 20.0}, 404, "no calibration is open"),
