@@ -59,8 +59,11 @@ def test_the_thickness_is_within_10_percent_and_its_interval_covers_it(thickness
     assert 0.5 < fit.residual < 1.1
 
 
-def test_scenes_without_a_sharp_edge_do_not_tell():
-    fit = fit_blind(pressed(1.0, blobs(), seed=2), NOISE, CoverFamily(rubber(1.0)), ARRAY)
+@pytest.mark.parametrize(
+    ("thickness", "scenes"), [(1.0, blobs()), (2.0, ["fingertip"] * 4)], ids=["blobs", "fingertips"]
+)
+def test_scenes_without_a_sharp_edge_do_not_tell(thickness, scenes):
+    fit = fit_blind(pressed(thickness, scenes, seed=2), NOISE, CoverFamily(rubber(thickness)), ARRAY)
     assert fit.reason
     assert not 0.9 < fit.factor < 1.1
 
