@@ -19,6 +19,7 @@ from tactiled.web import schemas
 from tactiled.web.rest.dependencies import NamedSensor
 from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, problems
 
+MAX_LINE_POINTS = 400  # of a plotted line: it is part of every answer
 Numbers = Annotated[list[float | None], Field(examples=[[0.0, 0.4, 1.0]])]
 Interval = Annotated[tuple[float, float], Field(description="95 %")]
 
@@ -162,7 +163,8 @@ def _cover(outcome: CoverOutcome) -> CoverResult:
     fit = outcome.fit
     line = None
     if fit.line is not None:
-        x, measured, fitted = map(_numbers, fit.line)
+        every = -(-fit.line.shape[1] // MAX_LINE_POINTS)
+        x, measured, fitted = map(_numbers, fit.line[:, ::every])
         line = CoverLine(x_mm=x, measured=measured, fitted=fitted)
     residual = fit.residual if np.isfinite(fit.residual) else None
     shared = CoverResult.shared(fit) | {"line": line, "residual": residual}
