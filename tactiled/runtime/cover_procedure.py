@@ -55,8 +55,8 @@ class CoverProcedure:
         if self.way == "blind":
             self._contact.look(collector)
             seconds = int(self._contact.seconds)
-            nowhere = np.zeros((1, 1), int)
-            return Quality(advice(seconds, nowhere, need), enough(seconds, nowhere, need), seconds, need.count)
+            line = f"{seconds} of {need.count} s of contact"
+            return Quality(line, seconds >= need.count, seconds, need.count)
         live = self._presses
         live.look(collector)
         zones = zone_counts(np.array([each.place_mm for each in live.usable]), self._sensor.array)

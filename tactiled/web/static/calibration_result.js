@@ -39,10 +39,10 @@ export class CalibrationResult {
       head.scope = "row";
       return element("tr", "", head, ...cells.map((each) => element("td", "", each)));
     }));
-    const notes = cover ? coverNotes(cover) : gain?.notes ?? [];
+    const notes = cover ? coverNotes(cover, session.way) : gain?.notes ?? [];
     byId("calibrate-notes").replaceChildren(...notes.map((each) => element("li", "", each)));
     const failed = Boolean(cover?.reason);
-    for (const each of byId("calibrate-result").querySelectorAll("table, .key, #calibrate-apply")) /** @type {HTMLElement} */ (each).hidden = failed;
+    for (const each of byId("calibrate-result").querySelectorAll("table, #calibrate-apply")) /** @type {HTMLElement} */ (each).hidden = failed;
     this._draw();
   }
 
@@ -51,6 +51,7 @@ export class CalibrationResult {
     const canvas = byId("calibrate-chart");
     const drawn = session && !session.cover?.reason && chartOf(session);
     canvas.hidden = !drawn;
+    /** @type {HTMLElement} */ (byId("calibrate-result").querySelector(".key")).hidden = !drawn;
     if (drawn && canvas.clientWidth) this._chart.draw(drawn.axes, drawn.lines);
   }
 }

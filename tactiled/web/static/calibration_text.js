@@ -74,7 +74,7 @@ export function gainRows(gain) {
 
 /** @param {CalibrationSession} session that is fitted @returns {string} the result in a sentence */
 export function verdict({ cover, gain }) {
-  if (cover?.reason) return `These presses cannot tell the thickness: ${cover.reason}.`;
+  if (cover?.reason) return `This cannot tell the thickness: ${cover.reason}.`;
   if (cover) {
     const [low, high] = cover.interval_mm;
     const agrees = cover.before_mm >= low && cover.before_mm <= high;
@@ -83,11 +83,13 @@ export function verdict({ cover, gain }) {
   return gain ? `One count of the median taxel is ${Number(gain.kpa_per_count.toPrecision(3))} kPa, by a ${gain.form} curve.` : "";
 }
 
-/** @param {CoverResult} cover @returns {string[]} */
-export function coverNotes({ presses, residual, reason, notes }) {
+const MADE_OF = { tip: "presses", edge: "edges", blind: "frames", uniform: "", weight: "" };
+
+/** @param {CoverResult} cover @param {Way} way @returns {string[]} */
+export function coverNotes({ presses, residual, reason, notes }, way) {
   if (reason) return notes;
-  const check = residual === null ? "" : `, and predicts presses left out to ${number(residual, 2)} × the noise`;
-  return [`Made of ${presses} presses${check}.`, ...notes];
+  const check = residual === null ? "" : `, and predicts ${MADE_OF[way]} left out to ${number(residual, 2)} × the noise`;
+  return [`Made of ${presses} ${MADE_OF[way]}${check}.`, ...notes];
 }
 
 /** @param {number|null} age s @returns {string} */
