@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from tactiled.calibrate.curve_fit import CurveFit, Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import Form, unit_curves
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import GainFit, assembled, check_pressure, log_points, require_press
 from tactiled.calibrate.means import Means, Rails, mean_counts, require_response
 from tactiled.calibrate.plateaus import plateaus, response
@@ -38,13 +38,13 @@ MIN_WEIGHT_HOLD = 0.05  # of the recording
 Floats = NDArray[np.float64]
 
 
-def fit_force(film: Film, log: Reference, array: Array, rails: Rails) -> GainFit:
+def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -> GainFit:
     """The common curve of all taxels from a log of an indenter's force, and how far they spread about it."""
-    signal = response(film, total=True)
+    signal = response(series, total=True)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
-    alignment = align(film.times, signal, log)
-    points, means, _ = log_points(film, log, alignment, rails)
+    alignment = align(series.times, signal, log)
+    points, means, _ = log_points(series, log, alignment, rails)
     summed, usable, dead = _summed(points, means.noise, array)
     _require_total(summed, means.noise)
     end = np.array([summed.counts.max()])
@@ -64,11 +64,11 @@ def fit_force(film: Film, log: Reference, array: Array, rails: Rails) -> GainFit
     return replace(made, spread=spread, notes=notes, alignment=alignment)
 
 
-def fit_weight(film: Film, weight_n: float, array: Array, rails: Rails) -> GainFit:
+def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails) -> GainFit:
     """The common gain from one known weight, laid on once or more often."""
     if not (np.isfinite(weight_n) and weight_n > 0):
         raise ConfigError(f"--weight-n {weight_n:g}: give the weight's force in N, above 0")
-    signal = response(film, total=True)
+    signal = response(series, total=True)
     size = require_press(signal)
     holds = plateaus(signal, WEIGHT_TOLERANCE * size, round(MIN_WEIGHT_HOLD * signal.size))
     levels = np.array([each.level for each in holds])
@@ -80,7 +80,7 @@ def fit_weight(film: Film, weight_n: float, array: Array, rails: Rails) -> GainF
         raise ConfigError(
             "--weight-n: the recording must start unloaded, and show no load, or the weight held still"
         )
-    means = mean_counts(film, [each.core for each in holds], ~loaded, sign, rails)
+    means = mean_counts(series, [each.core for each in holds], ~loaded, sign, rails)
     count = int(np.count_nonzero(loaded))
     order, force = np.arange(count), np.full(count, weight_n)
     points = Points(means.over[loaded, :, None], force, np.zeros(count, np.int8), order, order)

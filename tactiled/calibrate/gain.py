@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import KNOTS, Curves, Form
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import DEAD_BELOW, Means, Rails, mean_counts, require_response, require_unsaturated
 from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.reference import Alignment, Reference, align, resampled
@@ -43,15 +43,15 @@ class GainFit:
     notes: tuple[str, ...] = ()
 
 
-def fit_steps(film: Film, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
+def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
     """Curves from pressures that the whole array bore one after another, the first of them 0."""
     steps = _checked(steps_kpa)
-    signal = response(film)
-    require_unsaturated(film, signal, rails)
+    signal = response(series)
+    require_unsaturated(series, signal, rails)
     holds = find_steps(signal, steps)
     sign = float(np.sign(np.polyfit(steps, [each.level for each in holds], 1)[0]))
     _require_order(steps, [sign * each.level for each in holds])
-    means = mean_counts(film, [each.core for each in holds], steps == 0, sign, rails)
+    means = mean_counts(series, [each.core for each in holds], steps == 0, sign, rails)
     loaded = steps > 0
     points = Points(
         counts=means.over[loaded, :, None],
@@ -63,14 +63,14 @@ def fit_steps(film: Film, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
     return _uniform(points, means, loaded)
 
 
-def fit_pressure(film: Film, log: Reference, rails: Rails) -> GainFit:
+def fit_pressure(series: FrameSeries, log: Reference, rails: Rails) -> GainFit:
     """Curves from a log of the pressure that the whole array bore."""
     check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))
-    signal = response(film)
+    signal = response(series)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
-    alignment = align(film.times, signal, log)
-    points, means, used = log_points(film, log, alignment, rails)
+    alignment = align(series.times, signal, log)
+    points, means, used = log_points(series, log, alignment, rails)
     return _uniform(points, means, used, alignment)
 
 
@@ -196,10 +196,10 @@ def check_pressure(source: str, largest_kpa: float) -> None:
 
 
 def log_points(
-    film: Film, log: Reference, alignment: Alignment, rails: Rails, blocks: int = BLOCKS
+    series: FrameSeries, log: Reference, alignment: Alignment, rails: Rails, blocks: int = BLOCKS
 ) -> tuple[Points, Means, NDArray[np.bool_]]:
     """Points of a recording cut into blocks of even time, the means of all blocks, and those that are points."""
-    values = resampled(log, film.times + alignment.offset_s)
+    values = resampled(log, series.times + alignment.offset_s)
     full, width = float(np.nanmax(values)), max(1, -(-values.size // blocks))
     starts = np.arange(0, values.size - width + 1, width)
     within = values[: starts.size * width].reshape(-1, width)
@@ -215,8 +215,8 @@ def log_points(
     used = (level > quiet) & (ramp <= MAX_RAMP * full)
     if np.count_nonzero(used) < MIN_POINTS:
         used = level > quiet
-    sign = float(np.sign((response(film, total=log.quantity == "force_n") * np.nan_to_num(values)).sum()))
-    means = mean_counts(film, [slice(each, each + width) for each in starts], unloaded, sign, rails)
+    sign = float(np.sign((response(series, total=log.quantity == "force_n") * np.nan_to_num(values)).sum()))
+    means = mean_counts(series, [slice(each, each + width) for each in starts], unloaded, sign, rails)
     direction = np.where(np.abs(change := np.gradient(level)) > UNLOADED * full / 2, np.sign(change), 0)
     number = np.cumsum(np.diff(level > quiet, prepend=False) & (level > quiet))[used]
     pieces = np.arange(number.size) * FOLDS // number.size

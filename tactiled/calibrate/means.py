@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.plateaus import noise
 from tactiled.errors import ConfigError
 
@@ -40,14 +40,14 @@ class Means:
 
 
 def mean_counts(
-    film: Film, pieces: Sequence[slice], unloaded: NDArray[np.bool_], sign: float, rails: Rails
+    series: FrameSeries, pieces: Sequence[slice], unloaded: NDArray[np.bool_], sign: float, rails: Rails
 ) -> Means:
     """Means over `pieces` (M); the `unloaded` (M,) among them say what no load is, interpolated in time.
 
     ConfigError where the array is loaded at the start, or too much is saturated.
     """
-    means, frames = _means(film.counts, pieces, rails.high if sign > 0 else rails.low, sign)
-    at = np.array([film.times[each].mean() for each in pieces])
+    means, frames = _means(series.counts, pieces, rails.high if sign > 0 else rails.low, sign)
+    at = np.array([series.times[each].mean() for each in pieces])
     runs = np.cumsum(np.diff(unloaded, prepend=False) & unloaded)[unloaded] - 1
     zeros = np.stack([np.nanmean(means[unloaded][runs == each], axis=0) for each in np.unique(runs)])
     zeros = np.where(np.isfinite(zeros), zeros, np.nanmean(zeros, axis=0))
@@ -61,7 +61,7 @@ def mean_counts(
     if saturated > MAX_SATURATED * (saturated + pressed):
         share = 100 * saturated / (saturated + pressed)
         raise ConfigError(f"{share:.0f} % of the readings under load are saturated: press less")
-    sigma = np.maximum(noise(film.counts), 12**-0.5)
+    sigma = np.maximum(noise(series.counts), 12**-0.5)
     deviation = sigma / np.sqrt(np.maximum(frames, 1))
     parts = ((1 - share) ** 2 + share**2)[~unloaded].mean() / np.bincount(runs).mean()
     return Means(over, zeros[0], sign, deviation, np.median(deviation[unloaded], axis=0) * np.sqrt(parts))
@@ -76,11 +76,11 @@ def require_response(what: str, over: Floats, sigma: Floats) -> None:
         )
 
 
-def require_unsaturated(film: Film, signal: Floats, rails: Rails) -> None:
+def require_unsaturated(series: FrameSeries, signal: Floats, rails: Rails) -> None:
     """ConfigError where many readings saturate while `signal` (T,) is large: their levels cannot be told apart."""
     loaded = np.abs(signal) > np.abs(signal).max() / 2
     sign = float(np.sign(signal[loaded].sum()))
-    share = float((sign * (film.counts[loaded] - (rails.high if sign > 0 else rails.low)) >= 0).mean())
+    share = float((sign * (series.counts[loaded] - (rails.high if sign > 0 else rails.low)) >= 0).mean())
     if share > MAX_SATURATED:
         raise ConfigError(f"{100 * share:.0f} % of the readings under load are saturated: press less")
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.restore.noise import MAD_TO_SIGMA
 
 START_FRAMES = 10  # whose median is the first guess of no load
@@ -31,14 +31,14 @@ class Plateau:
         return slice(self.start + cut, self.end - cut)
 
 
-def response(film: Film, total: bool = False) -> Floats:
+def response(series: FrameSeries, total: bool = False) -> Floats:
     """Counts (T,) over those of the first frames: the median taxel's, or the sum over clearly pressed ones.
 
     Drift and noise of a thousand taxels would sum to more than a press on some of them.
     """
-    counts = film.counts - np.nanmedian(film.counts[:START_FRAMES], axis=0)
+    counts = series.counts - np.nanmedian(series.counts[:START_FRAMES], axis=0)
     if total:
-        clear = np.maximum(CLEAR_SIGMAS * noise(film.counts), CLEAR_SHARE * float(np.nanmax(np.abs(counts))))
+        clear = np.maximum(CLEAR_SIGMAS * noise(series.counts), CLEAR_SHARE * float(np.nanmax(np.abs(counts))))
         return np.asarray(np.where(np.abs(counts) > clear, counts, 0).sum(axis=1, dtype=np.float64))
     middle = np.median(counts, axis=1)
     unknown = np.isnan(middle)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
@@ -17,31 +17,31 @@ UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of gains that nobody ca
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 
 
-def pressures(film: Film, calibration: Calibration, full_scale: int) -> tuple[Floats, NDArray[np.bool_]]:
+def pressures(series: FrameSeries, calibration: Calibration, full_scale: int) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (T, N) in kPa (in counts without a gain), NaN: unknown, and which readings are at their ceiling.
 
     Where no ceiling is configured, it is 0 and `full_scale` counts.
     """
-    size = film.counts.shape[1]
+    size = series.counts.shape[1]
     with np.errstate(invalid="ignore"):
-        pressure, flags = Calibrator(calibration, size)(film.counts, np.zeros(film.counts.shape, np.uint8))
+        pressure, flags = Calibrator(calibration, size)(series.counts, np.zeros(series.counts.shape, np.uint8))
         saturated = flags & SATURATED > 0
         if calibration.saturation is None:
-            ceiling = film.counts >= full_scale if calibration.kpa_per_count > 0 else film.counts <= 0
+            ceiling = series.counts >= full_scale if calibration.kpa_per_count > 0 else series.counts <= 0
             saturated = saturated | ceiling
     return pressure.astype(np.float64), saturated
 
 
 def recorded_presses(
-    film: Film, array: Array, calibration: Calibration, full_scale: int, border: bool = False
+    series: FrameSeries, array: Array, calibration: Calibration, full_scale: int, border: bool = False
 ) -> list[Press]:
     """Every press in a recording, the unusable ones with their reason; `border` lets them reach over the border.
 
     A taxel whose counts never change is left out. ConfigError where no frame is without a load, or none has one.
     """
-    pressure, saturated = pressures(film, calibration, full_scale)
+    pressure, saturated = pressures(series, calibration, full_scale)
     with np.errstate(invalid="ignore"):
-        still = ~(np.nan_to_num(film.counts) != np.nan_to_num(film.counts[:1])).any(axis=0)
+        still = ~(np.nan_to_num(series.counts) != np.nan_to_num(series.counts[:1])).any(axis=0)
     pressure[:, still] = np.nan
     noise = noise_of(pressure, calibration)
     presses = find_presses(pressure, array, noise, saturated & ~still, border)

@@ -124,20 +124,20 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
         raise ConfigError(f"{log.path}: does not overlap the recording: {apart:.3g} s lie between them")
     span = max(np.ptp(times), np.ptp(log.times))
     step = max(float(np.median(np.diff(times))), float(span) / MAX_SAMPLES)
-    film, reference = (
+    series, reference = (
         np.interp(np.arange(a[0], a[-1], step), a, b - b[:MIN_ROWS].mean())
         for a, b in ((times, signal), (log.times, log.values))
     )
-    size = film.size + reference.size
-    product = np.fft.rfft(reference, size) * np.conj(np.fft.rfft(film, size))
+    size = series.size + reference.size
+    product = np.fft.rfft(reference, size) * np.conj(np.fft.rfft(series, size))
     shifts = np.arange(size)
     shifts[shifts >= reference.size] -= size
     offsets = log.times[0] - times[0] + step * shifts
     correlation = np.fft.irfft(product, size) / max(
-        float(np.linalg.norm(film) * np.linalg.norm(reference)), 1e-300
+        float(np.linalg.norm(series) * np.linalg.norm(reference)), 1e-300
     )
-    overlap = np.minimum(film.size, reference.size - shifts) - np.maximum(0, -shifts)
-    correlation[overlap < MIN_OVERLAP * min(film.size, reference.size)] = -1
+    overlap = np.minimum(series.size, reference.size - shifts) - np.maximum(0, -shifts)
+    correlation[overlap < MIN_OVERLAP * min(series.size, reference.size)] = -1
     if absolute:
         correlation[np.abs(offsets) > MAX_CLOCK_OFFSET_S] = -1
     order = np.argsort(shifts)

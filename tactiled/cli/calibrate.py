@@ -18,10 +18,10 @@ from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSectio
 from tactiled.cli import options
 from tactiled.config import schema
 from tactiled.errors import ConfigError
-from tactiled.runtime.film import read_film
+from tactiled.runtime.frame_series import read_frame_series
 
 if TYPE_CHECKING:
-    from tactiled.calibrate.film import Film
+    from tactiled.calibrate.frame_series import FrameSeries
     from tactiled.calibrate.gain import GainFit
 
 MAX_DEAD_LISTED = 12
@@ -50,14 +50,14 @@ def gain(
     settings, name, one = options.one_sensor(config, sensor)
     before = existing(out, name, one)
     with threadpool_limits(1):
-        film = read_film(file, name, settings)
-        fit = _fit(film, one, steps_kpa, reference, weight_n)
+        series = read_frame_series(file, name, settings)
+        fit = _fit(series, one, steps_kpa, reference, weight_n)
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     origin = made_from(file, f"gain: {load}"[:200])
     new: dict[str, Section] = {
         "gain": GainSection.of(fit.curves, origin),
         "no_load": NoLoadSection.of(fit.no_load, origin),
-        "health": HealthSection.of(fit.dead, noise(film.counts), origin),
+        "health": HealthSection.of(fit.dead, noise(series.counts), origin),
     }
     if plot is not None:
         from tactiled.study.gain_chart import draw  # matplotlib takes a second
@@ -113,7 +113,11 @@ def update(
 
 
 def _fit(
-    film: "Film", sensor: schema.Sensor, steps_kpa: str | None, reference: Path | None, weight_n: float | None
+    series: "FrameSeries",
+    sensor: schema.Sensor,
+    steps_kpa: str | None,
+    reference: Path | None,
+    weight_n: float | None,
 ) -> "GainFit":
     """Fit by the one load that is given."""
     from tactiled.calibrate import force_gain
@@ -121,14 +125,14 @@ def _fit(
 
     array, rails = make_array(sensor), _rails(sensor)
     if steps_kpa is not None:
-        return uniform.fit_steps(film, _numbers(steps_kpa), rails)
+        return uniform.fit_steps(series, _numbers(steps_kpa), rails)
     if weight_n is not None:
-        return force_gain.fit_weight(film, weight_n, array, rails)
+        return force_gain.fit_weight(series, weight_n, array, rails)
     assert reference is not None
     log = read_reference(reference)
     if log.quantity == "force_n":
-        return force_gain.fit_force(film, log, array, rails)
-    return uniform.fit_pressure(film, log, rails)
+        return force_gain.fit_force(series, log, array, rails)
+    return uniform.fit_pressure(series, log, rails)
 
 
 def _rails(sensor: schema.Sensor) -> Rails:

@@ -14,7 +14,7 @@ from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.edge import edge_touch
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import Press
 from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures, recorded_presses
 from tactiled.calibrate.sections import CoverSection
@@ -25,7 +25,7 @@ from tactiled.config import schema
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
-from tactiled.runtime.film import read_film
+from tactiled.runtime.frame_series import read_frame_series
 
 Floats = NDArray[np.float64]
 
@@ -60,8 +60,8 @@ def cover(
     settings, name, one = options.one_sensor(config, sensor)
     before, stack = existing(out, name, one), make_stack(one)
     with threadpool_limits(1):
-        film = read_film(file, name, settings)
-        recorded = _Recorded(film, one, stack, make_calibration(one, before))
+        series = read_frame_series(file, name, settings)
+        recorded = _Recorded(series, one, stack, make_calibration(one, before))
         if tip_mm is not None:
             fit = recorded.tip(tip_mm, sphere, places)
         else:
@@ -81,13 +81,13 @@ def cover(
 class _Recorded:
     """A recording, and the ways to fit a cover to it."""
 
-    def __init__(self, film: Film, sensor: schema.Sensor, stack: Stack, calibration: Calibration) -> None:
-        self._film, self._stack, self._calibration = film, stack, calibration
+    def __init__(self, series: FrameSeries, sensor: schema.Sensor, stack: Stack, calibration: Calibration) -> None:
+        self._series, self._stack, self._calibration = series, stack, calibration
         self._array, self._full_scale = make_array(sensor), make_codec(sensor).full_scale
         self._gain_error = gain_errors(calibration, self._array.size)
 
     def _presses(self, border: bool) -> list[Press]:
-        return recorded_presses(self._film, self._array, self._calibration, self._full_scale, border)
+        return recorded_presses(self._series, self._array, self._calibration, self._full_scale, border)
 
     def tip(self, tip_mm: float, sphere: bool, places: Path | None) -> CoverFit:
         """Presses with a tip; 0: of unknown diameter."""
@@ -107,7 +107,7 @@ class _Recorded:
         """Whatever touched the array."""
         from tactiled.calibrate.blind import fit_blind
 
-        pressure, saturated = pressures(self._film, self._calibration, self._full_scale)
+        pressure, saturated = pressures(self._series, self._calibration, self._full_scale)
         pressure[saturated] = np.nan
         frames = pressure.reshape(-1, *self._array.frame_shape)
         noise, error = noise_of(pressure, self._calibration), float(np.median(self._gain_error))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.errors import CalibrationStateError, TactileError
 from tactiled.frames import RawFrame
 from tactiled.runtime.frame_collector import FrameCollector
@@ -69,13 +69,13 @@ class Procedure(Protocol[Outcome]):
     def mark_key(self) -> Literal["pressure_kpa", "weight_n"] | None:
         """What is entered with `mark`; None: nothing."""
 
-    def mark(self, film: Film, value: float) -> None:
+    def mark(self, series: FrameSeries, value: float) -> None:
         """Note that the newest frames are under a known load; CalibrationStateError where they cannot be."""
 
     def quality(self, collector: FrameCollector) -> Quality:
         """Look at the frames so far."""
 
-    def fit(self, film: Film, report: Report) -> Outcome:
+    def fit(self, series: FrameSeries, report: Report) -> Outcome:
         """Make a calibration of the frames; a TactileError says why that is impossible."""
 
 
@@ -131,7 +131,7 @@ class CalibrationSession(Generic[Outcome]):
         with self._lock:
             self._need("mark")
             frames = len(self.collector)
-            self.procedure.mark(self.collector.film(self._marked_frames, MARK_S), value)
+            self.procedure.mark(self.collector.series(self._marked_frames, MARK_S), value)
             self._go("mark")
             self._marked_frames = frames
             self._quality = None
@@ -142,7 +142,7 @@ class CalibrationSession(Generic[Outcome]):
             self._go("fit")
             self._fit_number += 1
             self.error, self.progress, self.outcome = "", None, None
-            arguments = self._fit_number, self.collector.film()
+            arguments = self._fit_number, self.collector.series()
             threading.Thread(target=self._fit, args=arguments, name=f"fit {self.sensor.name}", daemon=True).start()
 
     def cancel(self) -> None:
@@ -188,7 +188,7 @@ class CalibrationSession(Generic[Outcome]):
         else:
             self.collector.add(frame)
 
-    def _fit(self, number: int, film: Film) -> None:
+    def _fit(self, number: int, series: FrameSeries) -> None:
         """Fit on this thread, and keep what comes of it unless it is no longer wanted."""
 
         def report(progress: float) -> None:
@@ -199,7 +199,7 @@ class CalibrationSession(Generic[Outcome]):
 
         outcome, error = None, ""
         try:
-            outcome = self.procedure.fit(film, report)
+            outcome = self.procedure.fit(series, report)
         except Cancelled:
             return
         except TactileError as failure:

@@ -8,7 +8,7 @@ import numpy as np
 from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.quality import Need, advice, enough, zone_counts
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cover.stack import Stack
@@ -44,9 +44,9 @@ class CoverProcedure:
         self._presses = LivePresses(sensor, border=way == "edge")
         self._contact = LiveContact(sensor)
 
-    def mark(self, film: Film, value: float) -> None:
+    def mark(self, series: FrameSeries, value: float) -> None:
         """No load is entered."""
-        del film, value
+        del series, value
         raise CalibrationStateError(f"way = {self.way!r}: it needs no mark")
 
     def quality(self, collector: FrameCollector) -> Quality:
@@ -72,22 +72,22 @@ class CoverProcedure:
             zone_presses_needed=need.per_zone,
         )
 
-    def fit(self, film: Film, report: Report) -> CoverOutcome:
+    def fit(self, series: FrameSeries, report: Report) -> CoverOutcome:
         """The thickness that explains the frames."""
-        return self._outcome(self._fit_blind(film) if self.way == "blind" else self._fit_presses(film, report))
+        return self._outcome(self._fit_blind(series) if self.way == "blind" else self._fit_presses(series, report))
 
-    def _fit_blind(self, film: Film) -> CoverFit:
+    def _fit_blind(self, series: FrameSeries) -> CoverFit:
         from tactiled.calibrate.blind import fit_blind  # imported where needed: it starts the service faster
         from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures
         from tactiled.cover.family import CoverFamily
 
         array, calibration = self._sensor.array, self._tared_calibration()
-        pressure, _ = pressures(film, calibration, self._sensor.codec.full_scale)
+        pressure, _ = pressures(series, calibration, self._sensor.codec.full_scale)
         frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
         gain_error = float(np.median(gain_errors(calibration, array.size)))
         return fit_blind(frames, noise_kpa, CoverFamily(self._stack), array, gain_error)
 
-    def _fit_presses(self, film: Film, report: Report) -> CoverFit:
+    def _fit_presses(self, series: FrameSeries, report: Report) -> CoverFit:
         from tactiled.calibrate.cover_result import (
             fit_cover,
         )  # imported where needed: it starts the service faster
@@ -97,7 +97,7 @@ class CoverProcedure:
 
         array, calibration = self._sensor.array, self._tared_calibration()
         errors, edge = gain_errors(calibration, array.size), self.way == "edge"
-        presses = recorded_presses(film, array, calibration, self._sensor.codec.full_scale, border=edge)
+        presses = recorded_presses(series, array, calibration, self._sensor.codec.full_scale, border=edge)
         report(0.1)
         if edge:
             return fit_cover(edge_touch(presses, array, self._stack, errors, self.size_mm), presses, "edge")

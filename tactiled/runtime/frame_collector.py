@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.frames import BAD, MISSING, RawFrame
 
 MAX_S = 120.0  # of frames that are collected: time for 20 presses of 5 s each
@@ -43,11 +43,13 @@ class FrameCollector:
         self._times.append(frame.arrived)
         self._counts.append(counts)  # last: a reader counts these
 
-    def film(self, first: int = 0, seconds: float = np.inf) -> Film:
+    def series(self, first: int = 0, seconds: float = np.inf) -> FrameSeries:
         """The frames from number `first` on, of the last `seconds` only."""
         last = len(self)
         times = np.array(self._times[first:last])
         if len(times):
             first += int(np.searchsorted(times, times[-1] - seconds))
         counts = self._counts[first:last]
-        return Film(times[len(times) - len(counts) :], np.array(counts, np.float32).reshape(-1, self._taxels))
+        return FrameSeries(
+            times[len(times) - len(counts) :], np.array(counts, np.float32).reshape(-1, self._taxels)
+        )

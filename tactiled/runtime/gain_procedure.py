@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.quality import Need, advice, enough, zone_counts
@@ -57,31 +57,31 @@ class GainProcedure:
     def __init__(self, sensor: Sensor, way: GainWay) -> None:
         self.way, self._sensor = way, sensor
         self.mark_key, self._unit = MARKS[way]
-        self._marks: list[tuple[float, Film]] = []
+        self._marks: list[tuple[float, FrameSeries]] = []
 
-    def mark(self, film: Film, value: float) -> None:
+    def mark(self, series: FrameSeries, value: float) -> None:
         """Take frames under a known load, the last one again; CalibrationStateError where they cannot be."""
         begin = f"{self.mark_key} = {value:g}"
-        if len(film.times) < MIN_MARK_FRAMES:
+        if len(series.times) < MIN_MARK_FRAMES:
             raise CalibrationStateError(
-                f"{begin}: {len(film.times)} frames since the last: wait for {MIN_MARK_FRAMES}"
+                f"{begin}: {len(series.times)} frames since the last: wait for {MIN_MARK_FRAMES}"
             )
         if not self._marks and value:
             raise CalibrationStateError(f"{begin}: take 0 first, with nothing on the array")
         others = {each for each, _ in self._marks} - {0, value}
         if self.way == "weight" and value and others:
             raise CalibrationStateError(f"{begin}: use one weight only: {max(others):g} N was taken")
-        self._require_steady(film, begin)
+        self._require_steady(series, begin)
         if self._marks and self._marks[-1][0] == value:
             self._marks.pop()
-        self._marks.append((value, film))
+        self._marks.append((value, series))
 
-    def _require_steady(self, film: Film, begin: str) -> None:
+    def _require_steady(self, series: FrameSeries, begin: str) -> None:
         """CalibrationStateError where the readings move by more than noise and a share of the load."""
-        totals = np.asarray(np.nansum(film.counts, axis=1, dtype=np.float64))
+        totals = np.asarray(np.nansum(series.counts, axis=1, dtype=np.float64))
         first, second = (each.mean() for each in np.array_split(totals, 2))
-        error = float(np.std(np.diff(totals))) * np.sqrt(2 / len(film.times))  # of the two means' difference
-        zero = np.nansum((self._marks[0][1] if self._marks else film).counts, axis=1).mean()
+        error = float(np.std(np.diff(totals))) * np.sqrt(2 / len(series.times))  # of the two means' difference
+        zero = np.nansum((self._marks[0][1] if self._marks else series).counts, axis=1).mean()
         if abs(second - first) > STEADY_SIGMAS * error + MAX_DRIFT_SHARE * abs(float(totals.mean() - zero)):
             raise CalibrationStateError(f"{begin}: the readings still move: wait until they stand still")
 
@@ -96,9 +96,9 @@ class GainProcedure:
         line = f"{text} ({loads} {self._unit})" if loads else text
         return Quality(line, enough(count, zones, need), count, need.count)
 
-    def fit(self, film: Film, report: Report) -> GainOutcome:
+    def fit(self, series: FrameSeries, report: Report) -> GainOutcome:
         """Curves from the loads taken."""
-        del film, report  # the loads taken hold what is needed, and this takes a second
+        del series, report  # the loads taken hold what is needed, and this takes a second
         if len(self._marks) < 2:
             raise ConfigError(
                 f"{self.mark_key}: {len(self._marks)} loads: take 0 with nothing on the array, and one more"
@@ -113,14 +113,14 @@ class GainProcedure:
         )
         return _outcome(plan, file, fitted)
 
-    def _joined(self) -> Film:
+    def _joined(self) -> FrameSeries:
         """The frames of all loads, as many of each, one after the other."""
-        parts = [film for _, film in self._marks]
-        length = min(len(film.times) for film in parts)
-        times, counts = ([getattr(film, key)[-length:] for film in parts] for key in ("times", "counts"))
-        return Film(np.concatenate(times), np.concatenate(counts))
+        parts = [series for _, series in self._marks]
+        length = min(len(series.times) for series in parts)
+        times, counts = ([getattr(series, key)[-length:] for series in parts] for key in ("times", "counts"))
+        return FrameSeries(np.concatenate(times), np.concatenate(counts))
 
-    def _fitted(self, frames: Film) -> "GainFit":
+    def _fitted(self, frames: FrameSeries) -> "GainFit":
         from tactiled.calibrate.force_gain import fit_weight  # imported where needed: it starts the service faster
         from tactiled.calibrate.gain import fit_steps
 

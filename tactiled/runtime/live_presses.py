@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, SMOOTHED_FRAMES, Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
@@ -16,17 +16,17 @@ FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # without a press that a look has room fo
 RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong to its press still
 
 
-def pressures(sensor: Sensor, film: Film) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """A film's pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
-    counts = np.nan_to_num(film.counts)
+def pressures(sensor: Sensor, series: FrameSeries) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """A series' pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
+    counts = np.nan_to_num(series.counts)
     pressure, flags = sensor.pipeline.calibrator(counts, np.zeros(counts.shape, np.uint8))
-    pressure[np.isnan(film.counts)] = np.nan
+    pressure[np.isnan(series.counts)] = np.nan
     return pressure, flags & SATURATED > 0
 
 
-def presses_of(sensor: Sensor, film: Film, border: bool) -> list[Press]:
-    """All presses of a film; ConfigError where no frame is without a load."""
-    pressure, saturated = pressures(sensor, film)
+def presses_of(sensor: Sensor, series: FrameSeries, border: bool) -> list[Press]:
+    """All presses of a series; ConfigError where no frame is without a load."""
+    pressure, saturated = pressures(sensor, series)
     return find_presses(pressure, sensor.array, sensor.pipeline.noise.kpa, saturated, border)
 
 
@@ -42,12 +42,12 @@ class LivePresses:
 
     def look(self, collector: FrameCollector) -> None:
         """Look at the frames since the last press, and as many before it as its zero needs."""
-        film = collector.film(self._first)
-        count = len(film.times)
+        series = collector.series(self._first)
+        count = len(series.times)
         if count < FREE_FRAMES:
             return
         try:
-            presses = presses_of(self._sensor, film, self._border)
+            presses = presses_of(self._sensor, series, self._border)
         except ConfigError as error:
             self.waiting = str(error)
             return
@@ -81,11 +81,11 @@ class LiveContact:
 
     def look(self, collector: FrameCollector) -> None:
         """Look at the frames that have come since."""
-        film = collector.film(self._first)
-        if len(film.times) < FREE_FRAMES:
+        series = collector.series(self._first)
+        if len(series.times) < FREE_FRAMES:
             return
-        pressure, _ = pressures(self._sensor, film)
+        pressure, _ = pressures(self._sensor, series)
         peak = np.nan_to_num(pressure).max(axis=1)
         share = np.mean(peak > detection_threshold(self._sensor.pipeline.noise.kpa, self._sensor.array.size))
-        self.seconds += float(share * (film.times[-1] - film.times[0]))
-        self._first += len(film.times) - 1
+        self.seconds += float(share * (series.times[-1] - series.times[0]))
+        self._first += len(series.times) - 1

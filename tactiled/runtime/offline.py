@@ -1,4 +1,4 @@
-"""Restores films of one sensor piece by piece, from .npy file to .npy file, with bounded memory."""
+"""Restores series of frames of one sensor piece by piece, from .npy file to .npy file, with bounded memory."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ from tactiled.restore.methods import make
 from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate
 
 PIECE_FRAMES = 256  # in memory at once
-NOISE_RUNS, NOISE_RUN_FRAMES = 8, 32  # runs of frames, all over the film, from which its noise is measured
+NOISE_RUNS, NOISE_RUN_FRAMES = 8, 32  # runs of frames, all over the series, from which the noise is measured
 MIN_NOISE_KPA = 1e-3  # assumed where all frames are 0
 MAX_ROUNDING_ERROR = 0.02  # of a step, by which float32 values miss a multiple of it
 
@@ -86,7 +86,7 @@ def _copy(frames: Frames, start: int, count: int) -> Frames:
 
 
 class Offline:
-    """Restores a film of one sensor by one method; a taxel's noise (kPa) is measured if not given."""
+    """Restores a series of frames of one sensor by one method; a taxel's noise (kPa) is measured if not given."""
 
     def __init__(
         self, plan: SensorPlan, frames: Frames, method: str = "auto", noise_kpa: float | None = None

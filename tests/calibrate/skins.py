@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 
 RATE_HZ = 100.0
 FULL_KPA, FULL_COUNTS = 60.0, 3000.0
@@ -48,7 +48,7 @@ class Skin:
         u = np.linspace(-0.2, 1.5, 20001)
         return np.interp(kpa / FULL_KPA, SHAPES[self.shape](u), u)
 
-    def film(self, kpa, start_s=1.7e9, rounded=True):
+    def series(self, kpa, start_s=1.7e9, rounded=True):
         """What it counts under pressures (T,) or (T, N)."""
         kpa = np.asarray(kpa, float)
         kpa = kpa[:, None] if kpa.ndim == 1 else kpa
@@ -63,7 +63,7 @@ class Skin:
             + (time * self.tilt + self.noise * self.rng.standard_normal((len(kpa), self.size))) * FULL_COUNTS
         )
         counts = (12000 - self.offset - counts) if self.falling else self.offset + counts
-        return Film(
+        return FrameSeries(
             start_s + np.arange(len(kpa)) / RATE_HZ, (np.round(counts) if rounded else counts).astype(np.float32)
         )
 

@@ -16,10 +16,10 @@ PEAK_N = 0.95e-3 * FULL_KPA * 2 * np.pi * WIDTH_MM**2
 SPAN_MM = 30.0
 
 
-def log(film, force, offset_s=0.412):
-    times = np.arange(film.times[0], film.times[-1], 0.02)
+def log(series, force, offset_s=0.412):
+    times = np.arange(series.times[0], series.times[-1], 0.02)
     noise = np.random.default_rng(9).normal(0, 0.002 * force.max(), times.size)
-    return Reference(Path("force.csv"), "force_n", times + offset_s, np.interp(times, film.times, force) + noise)
+    return Reference(Path("force.csv"), "force_n", times + offset_s, np.interp(times, series.times, force) + noise)
 
 
 def presses(places, seconds=3.0):
@@ -38,8 +38,8 @@ def middle(count, seed):
 def test_presses_of_known_force_give_the_common_gain_and_the_spread_of_the_taxels(seed, falling):
     skin = Skin(256, seed=seed, falling=falling)
     places, force = presses(middle(40, seed), seconds=1.5)
-    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
-    fit = fit_force(film, log(film, force), ARRAY, Rails())
+    series = skin.series(contact(places, force, ARRAY, WIDTH_MM))
+    fit = fit_force(series, log(series, force), ARRAY, Rails())
     assert fit.curves.form == "linear"
     assert abs(fit.alignment.offset_s - 0.412) < 0.002
     assert fit.spread == pytest.approx(0.2, rel=0.35)  # some 80 taxels were pressed
@@ -52,8 +52,8 @@ def test_without_spread_the_common_gain_and_a_curve_are_exact():
     for shape in ("linear", "power"):
         skin = Skin(256, shape, 33, spread=0)
         places, force = presses(middle(12, 33))
-        film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
-        fit = fit_force(film, log(film, force), ARRAY, Rails())
+        series = skin.series(contact(places, force, ARRAY, WIDTH_MM))
+        fit = fit_force(series, log(series, force), ARRAY, Rails())
         assert fit.curves.form == shape
         for kpa in (20, 40):
             got = fit.curves.pressure(skin.relative(np.full(256, kpa)) * skin.full)
@@ -66,23 +66,23 @@ def test_loads_at_the_border_and_on_dead_taxels_are_left_out():
     places, force = presses(
         np.concatenate([middle(10, 35), [[0.0, 4.0], [30.0, 20.0]], [ARRAY.positions[120]] * 3])
     )
-    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
-    fit = fit_force(film, log(film, force), ARRAY, Rails())
+    series = skin.series(contact(places, force, ARRAY, WIDTH_MM))
+    fit = fit_force(series, log(series, force), ARRAY, Rails())
     assert fit.dead == (120,)
     live = np.arange(256) != 120
     np.testing.assert_allclose(fit.curves.gain[live], FULL_KPA / 3000, rtol=0.01)
     assert np.isnan(fit.curves.deviation[120])
     places, force = presses(np.tile([[0.5, 4.0]], (8, 1)))
-    film = skin.film(contact(places, force, ARRAY, WIDTH_MM))
+    series = skin.series(contact(places, force, ARRAY, WIDTH_MM))
     with pytest.raises(ConfigError, match="reach the border of the array or a dead taxel"):
-        fit_force(film, log(film, force), ARRAY, Rails())
+        fit_force(series, log(series, force), ARRAY, Rails())
 
 
 def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
     skin = Skin(256, seed=36, spread=0)
     places, force = presses(np.array([[10.0, 11.0], [12.0, 9.0]]), seconds=10)
-    film = skin.film(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
-    fit = fit_weight(film, PEAK_N, ARRAY, Rails())
+    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    fit = fit_weight(series, PEAK_N, ARRAY, Rails())
     np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
     assert not fit.curves.individual.any()
     assert np.isnan(fit.curves.deviation).all()
@@ -96,9 +96,9 @@ def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
 )
 def test_a_bad_weight_is_refused(weight_n, first, message):
     places, force = presses(np.array([[10.0, 11.0]]), seconds=10)
-    film = Skin(256, seed=37).film(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM)[first:])
+    series = Skin(256, seed=37).series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM)[first:])
     with pytest.raises(ConfigError, match=message):
-        fit_weight(film, weight_n, ARRAY, Rails(sign=1))
+        fit_weight(series, weight_n, ARRAY, Rails(sign=1))
 
 
 def test_the_rim_of_any_layout():

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import fit_pressure, fit_steps
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
@@ -23,10 +23,12 @@ def errors(fit, skin, kpa):
     return (fit.curves.pressure(over) / kpa - 1)[live], fit.curves.deviation[live]
 
 
-def pressure_log(film, kpa, offset_s=0.0, rate_hz=30.0, seed=0):
-    times = np.arange(film.times[0], film.times[-1], 1 / rate_hz)
+def pressure_log(series, kpa, offset_s=0.0, rate_hz=30.0, seed=0):
+    times = np.arange(series.times[0], series.times[-1], 1 / rate_hz)
     noise = np.random.default_rng(seed).normal(0, 0.002 * FULL_KPA, times.size)
-    return Reference(Path("bag.csv"), "pressure_kpa", times + offset_s, np.interp(times, film.times, kpa) + noise)
+    return Reference(
+        Path("bag.csv"), "pressure_kpa", times + offset_s, np.interp(times, series.times, kpa) + noise
+    )
 
 
 @pytest.mark.parametrize(("falling", "seed"), [(False, 11), (True, 12)])
@@ -34,7 +36,7 @@ def pressure_log(film, kpa, offset_s=0.0, rate_hz=30.0, seed=0):
 def test_steps_give_each_taxels_curve_its_interval_and_the_dead_ones(shape, falling, seed):
     skin = Skin(256, shape, seed, falling, dead=DEAD)
     levels = FINE_STEPS if shape == "spline" else STEPS
-    fit = fit_steps(skin.film(steps(levels)), levels, Rails(0, 65535))
+    fit = fit_steps(skin.series(steps(levels)), levels, Rails(0, 65535))
     assert fit.curves.form == shape
     assert fit.dead == DEAD
     np.testing.assert_array_equal(np.flatnonzero(~fit.curves.individual), DEAD)
@@ -55,21 +57,21 @@ def test_intervals_cover_the_truth_in_95_of_100_taxels():
     inside = []
     for seed in range(20, 26):
         skin = Skin(512, ("linear", "power", "cubic")[seed % 3], seed)
-        error, deviation = errors(fit_steps(skin.film(steps(STEPS, hold_s=2)), STEPS, Rails()), skin, 60)
+        error, deviation = errors(fit_steps(skin.series(steps(STEPS, hold_s=2)), STEPS, Rails()), skin, 60)
         inside.append(np.abs(error) < 1.96 * deviation)
     assert 0.93 <= np.mean(inside) <= 0.975
 
 
 def test_few_steps_support_few_parameters():
-    assert set(fit_steps(Skin(64, seed=13).film(steps((0, 60, 0))), (0, 60, 0), Rails()).scores) == {"linear"}
+    assert set(fit_steps(Skin(64, seed=13).series(steps((0, 60, 0))), (0, 60, 0), Rails()).scores) == {"linear"}
     levels = (0, 20, 40, 60, 0)
-    fit = fit_steps(Skin(64, "power", seed=13).film(steps(levels)), levels, Rails())
+    fit = fit_steps(Skin(64, "power", seed=13).series(steps(levels)), levels, Rails())
     assert (set(fit.scores), fit.curves.form) == ({"linear", "power"}, "power")
 
 
 def test_hysteresis_is_the_loop_over_full_scale():
     skin = Skin(128, seed=14, hysteresis=0.05, drift=0)
-    fit = fit_steps(skin.film(steps(STEPS)), STEPS, Rails())
+    fit = fit_steps(skin.series(steps(STEPS)), STEPS, Rails())
     assert np.median(fit.curves.hysteresis) == pytest.approx(5, abs=0.5)  # 5 % at half of full scale
 
 
@@ -77,8 +79,8 @@ def test_hysteresis_is_the_loop_over_full_scale():
 def test_a_pressure_log_gives_the_same_and_the_offset_of_its_clock(shape, offset):
     kpa = steps((0, 60, 5, 40, 10, 60, 0), hold_s=4, ramp_s=3)
     skin = Skin(96, shape, 15, dead=DEAD)
-    film = skin.film(kpa)
-    fit = fit_pressure(film, pressure_log(film, kpa, offset), Rails())
+    series = skin.series(kpa)
+    fit = fit_pressure(series, pressure_log(series, kpa, offset), Rails())
     assert fit.dead == DEAD
     error, deviation = errors(fit, skin, 55)
     assert np.abs(error).max() < 0.01
@@ -86,15 +88,15 @@ def test_a_pressure_log_gives_the_same_and_the_offset_of_its_clock(shape, offset
     assert abs(fit.alignment.offset_s - offset) < min(3 * fit.alignment.deviation_s, 0.5 / RATE_HZ)
 
 
-def changed(film, change):
-    return Film(film.times, change(film.counts.copy()).astype(np.float32))
+def changed(series, change):
+    return FrameSeries(series.times, change(series.counts.copy()).astype(np.float32))
 
 
 def test_a_saturated_taxel_keeps_the_pressures_below_its_ceiling():
     skin = Skin(64, seed=16, spread=0.05)
     skin.offset[5] = 2000
-    film = changed(skin.film(steps(STEPS)), lambda counts: np.minimum(counts, 4000))
-    fit = fit_steps(film, STEPS, Rails(high=4000))
+    series = changed(skin.series(steps(STEPS)), lambda counts: np.minimum(counts, 4000))
+    fit = fit_steps(series, STEPS, Rails(high=4000))
     assert fit.curves.reach_counts[5, 1] < 2000
     assert np.abs(errors(fit, skin, 30)[0]).max() < 0.01
 
@@ -123,10 +125,12 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_steps_are_refused_in_one_line_that_names_them(case):
     change, pressures, message = BAD[case]
-    film = Skin(64, seed=17).film(steps(STEPS))
+    series = Skin(64, seed=17).series(steps(STEPS))
     with pytest.raises(ConfigError) as error:
         fit_steps(
-            changed(film, change) if change else film, pressures, Rails(high=1500 if case == "saturated" else 1e5)
+            changed(series, change) if change else series,
+            pressures,
+            Rails(high=1500 if case == "saturated" else 1e5),
         )
     assert message in str(error.value)
     assert "\n" not in str(error.value)
@@ -134,16 +138,16 @@ def test_bad_steps_are_refused_in_one_line_that_names_them(case):
 
 def test_a_bad_log_is_refused_in_one_line_that_names_it():
     kpa = steps((0, 60, 20, 60, 0))
-    film = Skin(64, seed=18).film(kpa)
-    log = pressure_log(film, kpa)
+    series = Skin(64, seed=18).series(kpa)
+    log = pressure_log(series, kpa)
     rng, repeated = np.random.default_rng(5), np.tile(steps((0, 60, 0), 1, 0.5), 48)
-    alike = Skin(16, seed=19).film(repeated, start_s=0.0)
+    alike = Skin(16, seed=19).series(repeated, start_s=0.0)
     wandering = np.convolve(rng.normal(size=log.values.size), np.ones(30), "same")
     for other, recording, message in (
-        (replace(log, times=log.times + 3600), film, "does not overlap the recording: 3."),
-        (replace(log, values=wandering), film, "correlates with the recording by 0."),
-        (replace(log, values=1000 * log.values), film, "outside 0.01 to 10000: check the unit"),
-        (replace(log, values=log.values + 20), film, "kPa where the recording starts: start unloaded"),
+        (replace(log, times=log.times + 3600), series, "does not overlap the recording: 3."),
+        (replace(log, values=wandering), series, "correlates with the recording by 0."),
+        (replace(log, values=1000 * log.values), series, "outside 0.01 to 10000: check the unit"),
+        (replace(log, values=log.values + 20), series, "kPa where the recording starts: start unloaded"),
         (pressure_log(alike, repeated, 5.0), alike, "press with uneven pauses"),
     ):
         with pytest.raises(ConfigError) as error:

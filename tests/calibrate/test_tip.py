@@ -110,11 +110,11 @@ def test_notes_say_what_modulus_and_compressibility_do():
 def test_what_cannot_be_fitted_is_refused_or_has_a_reason():
     array = grid(10, 10, 1.0)
     presses, places = pressed(array, 1.0, count=4)
-    few = [*presses[:2], *(replace(each, reason="reaches over the array's border") for each in presses[2:])]
+    two_usable = [*presses[:2], *(replace(each, reason="reaches over the array's border") for each in presses[2:])]
     with pytest.raises(
         ConfigError, match=r"2 of 4 presses can be used \(reaches over the array's border\): press"
     ):
-        fitted(few, array, 1.0, Tip(1.6))
+        fitted(two_usable, array, 1.0, Tip(1.6))
     with pytest.raises(ConfigError, match="tip_mm is 12: give more than 0 and less than the array's 10 mm"):
         fitted(presses, array, 1.0, Tip(12.0))
     with pytest.raises(ConfigError, match="3 places are given, and there are 4 presses"):

@@ -7,7 +7,7 @@ import pytest
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.plateaus import response
 from tactiled.config import load
-from tactiled.runtime.film import read_film
+from tactiled.runtime.frame_series import read_frame_series
 from tests.calibrate.skins import Skin, steps
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CODEC, CONFIG, write
@@ -22,17 +22,17 @@ def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bag")
     (folder / "palm.toml").write_text(CONFIG.replace("kpa_per_count = 0.5, no_load = 100, ", ""))
     kpa = steps(STEPS, hold_s=1.5, ramp_s=0.3)
-    film = Skin(64, seed=51, dead=(9,)).film(kpa)
-    frames = np.clip(film.counts, 0, 4095).astype(np.uint16)
+    series = Skin(64, seed=51, dead=(9,)).series(kpa)
+    frames = np.clip(series.counts, 0, 4095).astype(np.uint16)
     write(
         folder / "bag.log",
         (
-            message._replace(time=film.times[n] + 0.001 * part)
+            message._replace(time=series.times[n] + 0.001 * part)
             for n, counts in enumerate(frames)
             for part, message in enumerate(CODEC.encode(counts, n, 0.0))
         ),
     )
-    rows = [f"{time - 0.25:.4f},{value:.3f}" for time, value in zip(film.times, kpa, strict=True)]
+    rows = [f"{time - 0.25:.4f},{value:.3f}" for time, value in zip(series.times, kpa, strict=True)]
     (folder / "bag.csv").write_text("\n".join(["time_s,pressure_kpa", *rows]))
     return folder
 
@@ -51,8 +51,8 @@ def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
     assert chart.read_bytes()[:4] == b"\x89PNG"
     assert f"curve           {file.gain.form}" in output
     assert "dead            1 (9)" in output
-    film = read_film(bag / "bag.log", "palm", load(bag / "palm.toml"))
-    top = film.counts[np.argmax(response(film))] - file.no_load.values
+    series = read_frame_series(bag / "bag.log", "palm", load(bag / "palm.toml"))
+    top = series.counts[np.argmax(response(series))] - file.no_load.values
     assert np.nanmedian(file.gain.curves.pressure(top)) == pytest.approx(60, abs=1.5)  # one frame: 1 % of noise
     listing = succeed("calibrate", "show", out)
     assert f"palm, packed, 64 taxels, id {file.id}" in listing

@@ -12,20 +12,20 @@ class Scripted:
     """A procedure whose fit waits for its script: an outcome, or an error."""
 
     def __init__(self):
-        self.marks, self.films, self.looks = [], [], 0
+        self.marks, self.series, self.looks = [], [], 0
         self.script, self.turn = [], threading.Semaphore(0)
 
-    def mark(self, film, value):
+    def mark(self, series, value):
         if value < 0:
             raise ConfigError("moving")
-        self.marks.append((len(film.times), value))
+        self.marks.append((len(series.times), value))
 
     def quality(self, collector):
         self.looks += 1
         return Quality(f"{len(collector)} frames", enough=False)
 
-    def fit(self, film, report):
-        self.films.append(film)
+    def fit(self, series, report):
+        self.series.append(series)
         self.turn.acquire()
         report(0.5)
         outcome = self.script.pop(0)
@@ -60,7 +60,7 @@ def test_what_was_collected_is_fitted_and_applied_once(rig, session):
     assert session.state == "fitting"
     finish(session, "thickness")
     assert (session.state, session.outcome, session.error) == ("fitted", "thickness", "")
-    np.testing.assert_array_equal(session.procedure.films[0].counts[2], pressed(2).ravel())
+    np.testing.assert_array_equal(session.procedure.series[0].counts[2], pressed(2).ravel())
     applied = []
     session.apply(applied.append)
     assert applied == ["thickness"]

@@ -28,7 +28,7 @@ def test_presses_that_come_are_those_of_all_frames_whenever_they_are_looked_at(r
         skin.offer(frames[at : at + step])
         live.look(collector)
         at += step
-    expected = presses_of(rig.sensor, collector.film(), border=False)
+    expected = presses_of(rig.sensor, collector.series(), border=False)
     assert len(live.usable) == len(expected) == 6
     np.testing.assert_allclose(
         [each.place_mm for each in live.usable], [each.place_mm for each in expected], atol=0.02

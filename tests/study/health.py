@@ -16,7 +16,7 @@ from tactiled.cli.bench import print_table
 from tactiled.config import load
 from tactiled.frames import Loss, RawFrame
 from tactiled.restore.noise import MAD_TO_SIGMA
-from tactiled.runtime.film import read_film
+from tactiled.runtime.frame_series import read_frame_series
 from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR
 from tactiled.simulate.scenes import SCENES
@@ -180,7 +180,7 @@ def recorded():
     """(recording, frames, blocks, noise of a taxel, noisiest, taxels that never change) of the four grasps."""
     config = load(EXAMPLES / "grasp.toml")
     for path in sorted(RECORDINGS.glob("*.log")):
-        frames = read_film(path, "hand", config)
+        frames = read_frame_series(path, "hand", config)
         noise = MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames.counts, 2, axis=0)), axis=0) / 6**0.5
         monitor = Blocks(frames.counts.shape[1])
         blocks = [

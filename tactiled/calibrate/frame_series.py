@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Film:
+class FrameSeries:
     """Frames in the order of their times."""
 
     times: NDArray[np.float64]  # (T,) s, of each frame's first message

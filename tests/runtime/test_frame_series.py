@@ -3,7 +3,7 @@ import pytest
 
 from tactiled.config import load
 from tactiled.errors import ConfigError
-from tactiled.runtime.film import read_film
+from tactiled.runtime.frame_series import read_frame_series
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
 
 
@@ -15,13 +15,13 @@ def config(tmp_path):
 
 
 def test_every_frame_in_counts_with_its_time_and_nan_where_a_message_never_came(tmp_path, config):
-    film = read_film(write(tmp_path / "a.log", traffic(missing={(7, 1)})), "palm", config)
+    series = read_frame_series(write(tmp_path / "a.log", traffic(missing={(7, 1)})), "palm", config)
     rng = np.random.default_rng(1)
     expected = np.array([counts(each, rng) for each in range(FRAMES)], np.float32)
     expected[7, CODEC.span(1)] = np.nan
     assert np.isnan(expected).any()
-    np.testing.assert_array_equal(film.counts, expected)
-    np.testing.assert_allclose(film.times, 1.6e9 + 0.01 * np.arange(FRAMES), atol=1e-5)
+    np.testing.assert_array_equal(series.counts, expected)
+    np.testing.assert_allclose(series.times, 1.6e9 + 0.01 * np.arange(FRAMES), atol=1e-5)
 
 
 def test_times_ascend_though_the_recordings_clock_steps_back(tmp_path, config):
@@ -29,7 +29,7 @@ def test_times_ascend_though_the_recordings_clock_steps_back(tmp_path, config):
     lines = log.read_text().splitlines()
     half = len(lines) // 2
     log.write_text("\n".join(lines[:half] + [each.replace("(16", "(15", 1) for each in lines[half:]]))
-    times = read_film(log, "palm", config).times
+    times = read_frame_series(log, "palm", config).times
     assert len(times) == FRAMES
     assert (np.diff(times) > 0).all()
     assert times[-1] - times[0] < 2
@@ -38,4 +38,4 @@ def test_times_ascend_though_the_recordings_clock_steps_back(tmp_path, config):
 def test_a_recording_of_something_else_is_refused(tmp_path, config):
     foreign = write(tmp_path / "a.log", [each._replace(id=0x77) for each in traffic()])
     with pytest.raises(ConfigError, match=r"a\.log: holds no frame of sensor palm"):
-        read_film(foreign, "palm", config)
+        read_frame_series(foreign, "palm", config)

@@ -8,13 +8,13 @@ from tactiled.build import make_codec
 from tactiled.bus.recording import Recording
 from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
-from tactiled.calibrate.film import Film
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.config import Config
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, MISSING
 
 
-def read_film(path: Path, name: str, config: Config) -> Film:
+def read_frame_series(path: Path, name: str, config: Config) -> FrameSeries:
     """Every frame of sensor `name` (which `config` has), NaN where a taxel is missing or bad.
 
     Where the recording's clock steps back, all times are instead those since its first message, steps left out.
@@ -32,4 +32,4 @@ def read_film(path: Path, name: str, config: Config) -> Film:
     if not times:
         raise ConfigError(f"recording {path}: holds no frame of sensor {name} ({recording.summary()})")
     ascending = bool((np.diff(times) >= 0).all())
-    return Film(np.array(times if ascending else arrived, np.float64), np.stack(counts))
+    return FrameSeries(np.array(times if ascending else arrived, np.float64), np.stack(counts))
