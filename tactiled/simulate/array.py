@@ -16,14 +16,14 @@ Sample = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class Surface:
-    """Cells over an array, `FINER` times finer than its pitch, and what its taxels sense of pressure on them."""
+    """Cells over an array, `finer` times finer than its pitch, and what its taxels sense of pressure on them."""
 
-    def __init__(self, kernel: Kernel, array: Array) -> None:
+    def __init__(self, kernel: Kernel, array: Array, finer: int = FINER) -> None:
         low, high = array.positions.min(axis=0), array.positions.max(axis=0)
-        self.grain, self.taxels = array.pitch / FINER, array.size
+        self.grain, self.taxels = array.pitch / finer, array.size
         self.size = float((high - low).min() + array.pitch)  # mm
         middle = (low + high) / 2
-        counts = np.round((high - low) / array.pitch).astype(int) * FINER + FINER
+        counts = np.round((high - low) / array.pitch).astype(int) * finer + finer
         x, y = ((np.arange(n) - (n - 1) / 2) * self.grain for n in counts)
         self.x, self.y = np.meshgrid(x, y)  # (rows, columns) mm from the array's centre
         cells = np.column_stack([self.x.ravel(), self.y.ravel()]) + middle
@@ -31,18 +31,18 @@ class Surface:
             response = matrix(kernel, array, cells, self.grain)
             self.sense: Sample = lambda pressure: np.asarray(response @ pressure.ravel())
         else:
-            self.sense = _convolution(cached(stencil, kernel, array, FINER), array.shape)
+            self.sense = _convolution(cached(stencil, kernel, array, finer), array.shape, finer)
 
 
-def _convolution(response: NDArray[np.float64], shape: tuple[int, int]) -> Sample:
+def _convolution(response: NDArray[np.float64], shape: tuple[int, int], finer: int) -> Sample:
     """Convolve fine cells with a stencil and keep every taxel: (R k, C k) -> (R C,)."""
-    padded = [FINER * fft.next_fast_len(2 * n, real=True) for n in shape]
+    padded = [finer * fft.next_fast_len(2 * n, real=True) for n in shape]
     spectrum = fft.rfft2(response[::-1, ::-1].astype(np.float32), padded)
-    first = [FINER * n - 1 for n in shape]
+    first = [finer * n - 1 for n in shape]
 
     def sense(pressure: NDArray[np.float64]) -> NDArray[np.float64]:
         blurred = fft.irfft2(fft.rfft2(pressure.astype(np.float32), padded) * spectrum, padded)
-        rows, columns = (slice(at, at + FINER * n, FINER) for at, n in zip(first, shape, strict=True))
+        rows, columns = (slice(at, at + finer * n, finer) for at, n in zip(first, shape, strict=True))
         return np.asarray(blurred[rows, columns].ravel(), np.float64)
 
     return sense

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactiled.calibrate.blind import find_scenes, fit_blind
+from tactiled.calibrate.blind import STILL_PITCHES, find_scenes, fit_blind, still_means
 from tactiled.calibrate.deblur import REFINE, Convolution, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import stencil
@@ -33,7 +33,7 @@ def blobs():
 
 def pressed(thickness, scenes, seed, gain_error=0.0):
     """Frames (T, SIZE, SIZE) in kPa: four of each scene, 20 ms apart, and one without contact after each."""
-    surface, random = Surface(CoverFamily(rubber(thickness)).kernel(1.0), ARRAY), np.random.default_rng(seed)
+    surface, random = Surface(CoverFamily(rubber(thickness)).kernel(1.0), ARRAY, finer=8), np.random.default_rng(seed)
     start = random.uniform(0, 60)
     frames = []
     for n, scene in enumerate(scenes):
@@ -77,6 +77,22 @@ def test_scenes_without_a_sharp_edge_do_not_tell(thickness, scenes):
 )
 def test_too_few_scenes_do_not_tell(frames, message):
     assert message in fit_blind(frames, NOISE, CoverFamily(rubber(1.0)), ARRAY).reason
+
+
+def test_noise_that_a_blind_fit_does_not_stand_is_named():
+    frames = pressed(1.0, SHARP, seed=4) + np.random.default_rng(6).normal(0, 1, (20, SIZE, SIZE))
+    assert "% of the pressure" in fit_blind(frames, 1.0, CoverFamily(rubber(1.0)), ARRAY).reason
+
+
+def test_frames_are_averaged_while_the_contact_hardly_moves():
+    random, shift = np.random.default_rng(7), np.array([0, 0.5, 0.9, 1.5, 3]) * STILL_PITCHES
+    x, y = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    clean = np.exp(-((x - 9 - shift[:, None, None]) ** 2 + (y - 9.5) ** 2) / 8).astype(np.float32) * 100
+    frames = clean + random.normal(0, 0.1, clean.shape).astype(np.float32)
+    means, noise = still_means(frames, [np.arange(5)], np.array([0, 4]), 0.1)
+    np.testing.assert_allclose(means[0], frames[:3].mean(axis=0), atol=1e-4)
+    np.testing.assert_allclose(means[1], frames[4])
+    assert noise == pytest.approx([0.1 / np.sqrt(3), 0.1])
 
 
 def test_a_layout_is_told_to_be_pressed_with_a_tip():
