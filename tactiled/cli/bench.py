@@ -84,6 +84,23 @@ def picard(
     print(f"Seed {seed}. Written: {out}/picard.svg")
 
 
+def calibration(
+    trials: Annotated[int, typer.Option(help="Simulated skins to calibrate.", min=1, max=10_000)] = 20,
+    out: Out = OUT,
+    seed: Seed = 1,
+) -> None:
+    """Calibrate simulated skins whose gains and covers are known, and hold the results against the truth."""
+    from tactiled.study import calibration as study
+
+    make_folder(out)
+    with threadpool_limits(1):
+        results = study.measure(trials, seed)
+    study.write(out, results)
+    print_table(f"Calibration of {trials} simulated skins", study.HEADINGS, study.lines(results))
+    print(f"Seed {seed}. One thread. {machine()}")
+    print(f"Written: {out}/calibration_trials.svg, calibration_trials.csv")
+
+
 def report(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:

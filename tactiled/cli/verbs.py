@@ -27,6 +27,7 @@ cover    Find a cover's thickness in a recording of presses.
 show     Print what a calibration file holds.
 """
 BENCH_VERBS = """\
+calibration Calibrate simulated skins whose gains and covers are known, and hold the results against the truth.
 frontier  Chart error against time for every method of ours and for others', in one run on one thread.
 latency   Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback.
 picard    Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise.

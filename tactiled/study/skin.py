@@ -54,20 +54,20 @@ class Clip:
 def rubber(thickness: float, size: int) -> Skin:
     """Rubber, `thickness` pitches of 1 mm, on a stiff board with size x size taxels."""
     stack = Stack((Layer(thickness, 0.6, 0.48), Layer(1.0, 980.0, 0.3)))
-    return _skin(f"t/pitch {thickness:g}", grid(size, size, 1.0, APERTURE), stack, stack)
+    return make_skin(f"t/pitch {thickness:g}", grid(size, size, 1.0, APERTURE), stack, stack)
 
 
 @cache
 def with_thickness(skin: Skin, thickness: float) -> Skin:
     """The skin under a cover of another thickness (pitches), restored with that cover."""
     stack = _scaled(skin.stack, thickness=thickness / skin.thickness)
-    return _skin(f"t/pitch {thickness:g}", skin.array, stack, stack)
+    return make_skin(f"t/pitch {thickness:g}", skin.array, stack, stack)
 
 
 @cache
 def misconfigured(skin: Skin, **factors: float) -> Skin:
     """The skin under a cover that differs from the configured one by `factors` of its layers' properties."""
-    return _skin(skin.name, skin.array, _scaled(skin.stack, **factors), skin.stack)
+    return make_skin(skin.name, skin.array, _scaled(skin.stack, **factors), skin.stack)
 
 
 @cache
@@ -75,7 +75,7 @@ def doubled(skin: Skin) -> Skin:
     """The skin with a grid of twice as many rows and columns."""
     rows, columns = skin.array.frame_shape
     array = grid(2 * rows, 2 * columns, skin.array.pitch, skin.array.width, skin.array.aperture)
-    return _skin(skin.name, array, skin.stack, skin.stack)
+    return make_skin(skin.name, array, skin.stack, skin.stack)
 
 
 def _scaled(stack: Stack, thickness: float = 1.0, young: float = 1.0, poisson: float = 1.0) -> Stack:
@@ -94,7 +94,7 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
     if name not in sensors:
         raise ConfigError(f"{path}: no sensor {name!r}: choose one of {', '.join(sensors)}")
     array, stack = make_array(sensors[name]), make_stack(sensors[name])
-    skin = _skin(name, array, stack, stack)
+    skin = make_skin(name, array, stack, stack)
     if min(array.frame_shape) < 2:
         raise ConfigError(
             f"{path}: sensor {name} has a single line of taxels: measure on one with both dimensions"
@@ -102,7 +102,8 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
     return skin
 
 
-def _skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
+def make_skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
+    """An array under the `true` cover, restored with the `believed` one."""
     blur = make_blur(cached(believed), array, 1)
     psf = None if array.shape is None else psf_of(blur)
     return Skin(

@@ -33,7 +33,10 @@ def blobs():
 
 def pressed(thickness, scenes, seed, gain_error=0.0):
     """Frames (T, SIZE, SIZE) in kPa: four of each scene, 20 ms apart, and one without contact after each."""
-    surface, random = Surface(CoverFamily(rubber(thickness)).kernel(1.0), ARRAY, finer=8), np.random.default_rng(seed)
+    surface, random = (
+        Surface(CoverFamily(rubber(thickness)).kernel(1.0), ARRAY, finer=8),
+        np.random.default_rng(seed),
+    )
     start = random.uniform(0, 60)
     frames = []
     for n, scene in enumerate(scenes):
