@@ -16,7 +16,7 @@ from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.runtime.service import Service
 from tactiled.units import FORCE_UNITS, if_calibrated
-from tactiled.web import schemas
+from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
 
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
@@ -190,12 +190,12 @@ def method(service: Service, sensor: Sensor) -> schemas.Method:
     )
 
 
-def calibration(sensor: Sensor, session: str | None) -> schemas.SensorCalibration:
+def calibration(sensor: Sensor, session: str | None) -> calibration_schemas.SensorCalibration:
     """A sensor's calibration as it is now; `session` is the way of an open guided one."""
     plan, noise = sensor.plan, sensor.pipeline.noise.kpa
     gain = plan.calibration.kpa_per_count
-    return schemas.SensorCalibration(
-        **schemas.SensorCalibration.shared(plan.calibration)
+    return calibration_schemas.SensorCalibration(
+        **calibration_schemas.SensorCalibration.shared(plan.calibration)
         | {
             "calibrated": plan.calibrated,
             "no_load": sensor.pipeline.calibrator.no_load.tolist(),
@@ -216,15 +216,15 @@ def calibration(sensor: Sensor, session: str | None) -> schemas.SensorCalibratio
     )
 
 
-def taxel_health(sensor: Sensor) -> schemas.TaxelHealth:
+def taxel_health(sensor: Sensor) -> calibration_schemas.TaxelHealth:
     """What a sensor has found out about its taxels."""
     state = sensor.pipeline.monitor.state
     faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
     counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
-    return schemas.TaxelHealth(
+    return calibration_schemas.TaxelHealth(
         taxels=sensor.array.size,
         faults=[
-            schemas.TaxelFault(
+            calibration_schemas.TaxelFault(
                 taxel=at, fault=fault.name.lower(), reason=RULES[fault].reason, since=float(state.since_s[at])
             )
             for at, fault in faulty
@@ -234,5 +234,5 @@ def taxel_health(sensor: Sensor) -> schemas.TaxelHealth:
         if state.drift_counts is None
         else np.round(state.drift_counts.astype(float), DECIMALS).tolist(),
         drift_states=None if counts is None else {each.name.lower(): int(counts[each]) for each in DriftState},
-        creep=None if state.creep is None else schemas.Creep.model_validate(state.creep),
+        creep=None if state.creep is None else calibration_schemas.Creep.model_validate(state.creep),
     )

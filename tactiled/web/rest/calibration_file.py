@@ -10,7 +10,7 @@ from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, rea
 from tactiled.errors import ConfigError, PhysicsError, StateError
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.web import answers, schemas
+from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
 from tactiled.web.rest.openapi import CONTROL, MEDIA, Responses, problems
@@ -51,7 +51,9 @@ def download(sensor: NamedSensor) -> Response:
 
 
 @router.put("/file", responses=problems(404, 408, 413, 503, *CONTROL), openapi_extra={"requestBody": BODY})
-async def upload(sensor: NamedSensor, service: CurrentService, request: Request) -> schemas.SensorCalibration:
+async def upload(
+    sensor: NamedSensor, service: CurrentService, request: Request
+) -> calibration_schemas.SensorCalibration:
     """Calibrate by a file from the next frame on; the one before is kept as number 1 of the history.
 
     It is written where `calibration.file` is configured; else it holds until the service ends.
@@ -74,7 +76,7 @@ def history(sensor: NamedSensor, service: CurrentService) -> CalibrationHistory:
 @router.post("/history/{number}", responses=problems(404, 503, *CONTROL))
 def apply_again(
     sensor: NamedSensor, service: CurrentService, request: Request, number: FileNumber
-) -> schemas.SensorCalibration:
+) -> calibration_schemas.SensorCalibration:
     """Calibrate by a former file again."""
     file = service.former_calibrations(sensor.name).get(number)
     if file is None:

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Request
 
 from tactiled.errors import StateError
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
-from tactiled.web import answers, schemas
+from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest import picture
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, no_frame, without_path
@@ -70,7 +70,7 @@ def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.
 
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=problems(404))
-def calibration(sensor: NamedSensor, request: Request) -> schemas.SensorCalibration:
+def calibration(sensor: NamedSensor, request: Request) -> calibration_schemas.SensorCalibration:
     """The present calibration from counts to pressure: as configured, with `no_load` from the last tare."""
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
@@ -80,7 +80,7 @@ def tare(
     sensor: NamedSensor,
     service: CurrentService,
     force: Annotated[bool, Query(description="tare even where the newest frames show a load")] = False,
-) -> schemas.Tare:
+) -> calibration_schemas.Tare:
     """Tare: the mean of the next 0.5 s, of 16 frames at least, becomes no load, and an event reports the end.
 
     It is refused while the newest frames show a load: a contact above noise and scatter, or readings that move;
@@ -88,18 +88,20 @@ def tare(
     an event reports that.
     """
     service.tare(sensor.name, force)
-    return schemas.Tare(frames=TARE_FRAMES, seconds=TARE_S)
+    return calibration_schemas.Tare(frames=TARE_FRAMES, seconds=TARE_S)
 
 
 @router.delete("/sensors/{name}/tare", tags=["sensors"], responses=problems(404, 409, *CONTROL))
-def undo_tare(sensor: NamedSensor, service: CurrentService, request: Request) -> schemas.SensorCalibration:
+def undo_tare(
+    sensor: NamedSensor, service: CurrentService, request: Request
+) -> calibration_schemas.SensorCalibration:
     """Undo the last tare: the no load from before it holds again."""
     service.undo_tare(sensor.name)
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
 @router.get("/sensors/{name}/health", tags=["sensors"], responses=problems(404))
-def taxel_health(sensor: NamedSensor) -> schemas.TaxelHealth:
+def taxel_health(sensor: NamedSensor) -> calibration_schemas.TaxelHealth:
     """Taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
     return answers.taxel_health(sensor)
 
