@@ -67,7 +67,7 @@ def test_a_page_of_another_site_is_refused(rig, tmp_path):
         verbs = [(verb, path) for path, operations in paths for verb in set(operations) - {"get"}]
         assert len(verbs) >= 6
         for headers, (verb, path) in product(FOREIGN, [*verbs, ("get", "/api/v1/health")]):
-            problem(client.request(verb, path.format(name="palm"), headers=headers, json=RAW), 403)
+            problem(client.request(verb, path.format(name="palm", number=1), headers=headers, json=RAW), 403)
         for headers, path in product(FOREIGN, ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
             with connect(websocket_url(url, path), additional_headers=headers) as stream:
                 assert closed(stream)[0] == 4403
