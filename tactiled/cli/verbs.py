@@ -24,6 +24,7 @@ sniff    Listen to a bus and list the known skins on it; sends nothing.
 CALIBRATE_VERBS = """\
 gain     Find each taxel's gain and curve in a recording under known loads.
 cover    Find a cover's thickness in a recording of presses.
+map      Judge by a recording of a rolling finger whether the taxels lie where the configuration says.
 show     Print what a calibration file holds.
 """
 BENCH_VERBS = """\
@@ -77,4 +78,4 @@ class CalibrateVerbs(Verbs):
     """The verbs of `tactiled calibrate`."""
 
     lines, file = CALIBRATE_VERBS, "tactiled.cli.calibrate"
-    files: ClassVar = {"cover": "tactiled.cli.calibrate_cover"}
+    files: ClassVar = {"cover": "tactiled.cli.calibrate_cover", "map": "tactiled.cli.calibrate_map"}

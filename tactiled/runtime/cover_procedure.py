@@ -82,7 +82,8 @@ class CoverProcedure:
         from tactiled.cover.family import CoverFamily
 
         array, calibration = self._sensor.array, self._tared_calibration()
-        pressure, _ = pressures(series, calibration, self._sensor.codec.full_scale)
+        pressure, saturated = pressures(series, calibration, self._sensor.codec.full_scale)
+        pressure[saturated] = np.nan
         frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
         gain_error = float(np.median(gain_errors(calibration, array.size)))
         return fit_blind(frames, noise_kpa, CoverFamily(self._stack), array, gain_error)

@@ -1,0 +1,43 @@
+"""`tactiled calibrate map` on recordings of a finger that rolls over 12 x 12 taxels."""
+
+import numpy as np
+import pytest
+
+from tests.cli.commands import refusal, run
+from tests.cli.recordings import write
+from tests.cli.test_calibrate_cover import ARRAY, CODEC, TEXT
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "palm.toml"
+    path.write_text(TEXT)
+    return path
+
+
+def recording(path, order, part=1.0):
+    """A roll to the right over `part` of the rows; the place n of the array sends as taxel order[n]."""
+    random = np.random.default_rng(3)
+    x, y = ARRAY.positions.T
+    centres = [(at, line) for line in np.arange(0, 12 * part, 2) for at in np.arange(0, 12, 0.5)]
+    pressure = np.array([80 * np.exp(-((x - a) ** 2 + (y - b) ** 2) / 6) for a, b in centres])
+    counts = np.zeros(pressure.shape, np.uint16)
+    noisy = pressure + random.normal(0, 0.5, pressure.shape)
+    counts[:, order] = np.clip(np.round(noisy / 0.05 + 100), 0, CODEC.full_scale)
+    return write(path, (each for n, frame in enumerate(counts) for each in CODEC.encode(frame, n, 0.02 * n)))
+
+
+def test_a_swap_is_named_and_a_right_map_is_not(config, tmp_path):
+    order = np.arange(144)
+    right = run("calibrate", "map", recording(tmp_path / "right.log", order), "--config", config)
+    assert right.exit_code == 0, right.output
+    assert right.output == "palm: as configured\n"
+    order[[30, 77]] = 77, 30
+    wrong = run("calibrate", "map", recording(tmp_path / "wrong.log", order), "--config", config)
+    assert wrong.exit_code == 1
+    assert "palm: taxels 30 and 77 swapped" in wrong.output
+
+
+def test_a_roll_over_half_of_the_array_is_refused(config, tmp_path):
+    log = recording(tmp_path / "half.log", np.arange(144), part=0.1)
+    assert "roll over all of them" in refusal("calibrate", "map", log, "--config", config)
