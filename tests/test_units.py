@@ -20,7 +20,7 @@ from tests.cli.recordings import CONFIG as RECORDED
 from tests.cli.recordings import traffic, write
 from tests.cli.test_export import exported, topics
 from tests.client.test_stream import first
-from tests.conftest import CONFIG, NO_LOAD, SIDE, Rig, ask, meanwhile, pressed
+from tests.conftest import CONFIG, NO_LOAD, SIDE, Rig, ask, meanwhile, pressed, until
 from tests.web.ws.clients import stream, text_of
 
 GAIN = "kpa_per_count = 0.5, "
@@ -83,6 +83,7 @@ def test_answers_streams_pictures_and_metrics_of_a_sensor(unit):
         for _ in range(NOISE_FRAMES):  # above the noise that is configured
             rig.show(random.normal(NO_LOAD + 50, 9, (SIDE, SIDE)))
         image = rig.show(pressed(force=2000))
+        until(lambda: any(each.kind == "warning_raised" for each in rig.service.events.after(0)))
         seen = requested(rig, url) | of_foxglove(rig)
         got = first(url)
         assert (got.unit, got.noise) == (unit, pytest.approx(image.noise))
