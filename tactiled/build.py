@@ -120,7 +120,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
     kernel = make_kernel(sensor.kernel, stack, cover)
     blur = make_blur(kernel, array, sensor.refine)
     if cover:
-        blur.thickness_error = cover.thickness_error
+        blur.thickness_error = cover.fit.thickness_error
     return SensorPlan(
         name=name,
         bus=sensor.bus,
@@ -238,7 +238,7 @@ def make_kernel(settings: schema.Kernel, stack: Stack, cover: CoverSection | Non
     if cover is None or cover.kernel is None:
         raise ConfigError('kernel.model = "measured": the calibration file holds no kernel: give fem or layered')
     q, gain = (np.array(each) for each in cover.kernel)
-    error = cover.thickness_error * float(np.abs(np.gradient(gain[1:], np.log(q[1:]))).max())
+    error = cover.fit.thickness_error * float(np.abs(np.gradient(gain[1:], np.log(q[1:]))).max())
     return Kernel(stack.thickened(cover.factor), "measured", q, gain, *radial(q, gain), error_estimate=error)
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 
 from tactiled.build import make_stack
-from tactiled.cover.family import CoverFamily
 from tactiled.frames import Loss, RawFrame
 from tests.conftest import GAIN, NO_LOAD
 from tests.touched import World
@@ -21,7 +20,7 @@ class CalibratedSkin:
         self.sensor, self.random = rig.sensor, np.random.default_rng(17)
         self.gain = GAIN * np.exp(self.random.normal(0, spread, rig.sensor.array.size))  # kPa per count
         self.sequence, self.noise_kpa = 0, 0.3
-        stack = CoverFamily(make_stack(rig.config.sensor["palm"])).stack(TRUE_FACTOR)
+        stack = make_stack(rig.config.sensor["palm"]).thickened(TRUE_FACTOR)
         self.world = World(rig.sensor.array, stack)
 
     def offer(self, pressure):

@@ -19,10 +19,9 @@ from scipy.interpolate import CubicSpline
 
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.deblur import Convolution, Images, deblurred
-from tactiled.calibrate.likelihood import QUANTILE
 from tactiled.cover.family import CoverFamily
 from tactiled.geometry import Array
-from tactiled.restore.noise import detection_threshold
+from tactiled.restore.noise import NORMAL_95, detection_threshold
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -37,20 +36,18 @@ CLEAR = 20.0  # times the noise: a frame with a lower peak says nothing about a 
 MIN_SCENES = 3
 STILL_PITCHES = 0.1  # that a contact may move in frames that are averaged: 0.2 % of a cover of half a pitch
 MAX_NEAR_FRAMES = 8  # on either side that are averaged
-MAX_NOISE = 0.005  # of the peak: at 0.8 % the thickness of most films of the tour was wrong by 25 to 60 %
+MAX_NOISE = 0.005  # of the peak: at 0.8 % the thickness from most recordings of the tour was wrong by 25 to 60 %
 RESAMPLES = 400
 PRIORS = (1.0, 2.0)  # times w: a factor that rises far from one to the other is the prior's, not the scenes'
 MAX_SENSITIVITY = 1.3  # so far: with sharp scenes among them 1.05 to 1.15, fingertips and balls alone 1.5 to 2.3
 MAX_INTERVAL = 1.5  # of its upper over its lower end: more does not tell the thickness
 NOTE = "assumes sharp edges in the sharpest scenes: with none, the result may be wrong"
 # w = max(1, (peak / noise / WEIGHT_SNR)^WEIGHT_POWER), for which the factor has no bias, and the systematic error
-# were chosen on 91 films of five random scenes each of tactiled/study/scenes.py: 24 x 24 taxels, t/pitch 0.5 to 3,
-# noise 0.1 to 2 % of the peak, gains within 1 % or exact. Errors are 2 to 3 % where the noise is under 0.4 %.
+# were chosen on 91 recordings of five random scenes each of tactiled/study/scenes.py: 24 x 24 taxels, t/pitch 0.5
+# to 3, noise 0.1 to 2 % of the peak, gains within 1 % or exact. Errors are 2 to 3 % where it is under 0.4 %.
 WEIGHT_SNR, WEIGHT_POWER = 180.0, 1.3
 SYSTEMATIC = 0.02  # relative standard deviation of the factor that more scenes do not lower, ...
-SYSTEMATIC_SNR = (
-    6.0  # and what noise adds to it, times peak over noise: 97 % of those films' intervals hold the truth
-)
+SYSTEMATIC_SNR = 6.0  # ... and what noise adds, times peak over noise: 97 % of those intervals hold the truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +168,7 @@ def _fit(profiles: Profiles, family: CoverFamily) -> CoverFit:
     draws = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), RESAMPLES)
     deviation = FINE_FACTORS[(draws @ objective).argmin(axis=1)].std() * np.sqrt(count / (count - 1))
     systematic = np.hypot(SYSTEMATIC, SYSTEMATIC_SNR / np.median(profiles.snr))
-    half = QUANTILE * np.hypot(deviation, systematic)
+    half = NORMAL_95 * np.hypot(deviation, systematic)
     low, factor, high = np.exp(FINE_FACTORS[at] + np.array([-half, 0, half])).tolist()
     depth = family.configured.depth
     return CoverFit(

@@ -105,6 +105,15 @@ class CalibrationFile(Table):
         return self
 
 
+def with_sections(
+    before: CalibrationFile | None, sensor: str, codec: str, taxels: int, **sections: Section
+) -> CalibrationFile:
+    """The file `before` with these sections, or a first one of the array."""
+    if before is not None:
+        return before.replaced(**sections)
+    return build(CalibrationFile, sensor=sensor, codec=codec, taxels=taxels, **sections)
+
+
 def read(text: str | bytes) -> CalibrationFile:
     """The file of that text; ConfigError, one line, for any other text."""
     if len(text) > MAX_BYTES:

@@ -6,6 +6,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.restore.noise import NORMAL_95
+
 Floats = NDArray[np.float64]
 Method = Literal["tip", "edge", "blind"]
 
@@ -25,3 +27,9 @@ class CoverFit:
     notes: tuple[str, ...] = ()  # what these presses cannot tell, and what was not used
     line: Floats | None = None  # (3, n): x (mm), measured and fitted response over the peak, for the plot
     kernel: Floats | None = None  # (2, m): q (cycles/mm, 0 first) and gain of the free radial kernel
+
+    @property
+    def thickness_error(self) -> float:
+        """Relative standard deviation of the thickness: half of the 95 % interval is NORMAL_95 of them."""
+        low, high = self.interval
+        return (high - low) / (2 * NORMAL_95 * self.factor)

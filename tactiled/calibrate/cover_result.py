@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.cover_search import Fitted, Touch, search
 from tactiled.calibrate.free_kernel import free_kernel
-from tactiled.calibrate.likelihood import QUANTILE, interval, left_out, pooled, schur
+from tactiled.calibrate.likelihood import interval, left_out, pooled, schur
 from tactiled.calibrate.presses import Press
 from tactiled.cover import layered
 from tactiled.cover.family import FACTORS, CoverFamily
 from tactiled.cover.stack import Layer, Stack
+from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +119,7 @@ def _other_parameters(fitted: Fitted, dispersion: float) -> list[str]:
 
 def _changed(family: CoverFamily, factor: float, modulus: float, compressibility: float) -> Stack:
     """The stack with another modulus and compressibility over the sensing plane, by their logarithms."""
-    stack = family.stack(factor)
+    stack = family.configured.thickened(factor)
     layers = [
         Layer(each.thickness, each.young * np.exp(modulus), 0.5 - (0.5 - each.poisson) * np.exp(compressibility))
         for each in stack.layers[: stack.sensing]
@@ -132,7 +133,7 @@ def _note(name: str, deviation: float, change: float) -> str:
     if abs(change) < IRRELEVANT:
         return f"the cover's {name} does not matter: twice as much would make it only {percent}"
     effect = f"with twice as much, the cover would be {percent}"
-    if QUANTILE * deviation > DOUBLED:
+    if NORMAL_95 * deviation > DOUBLED:
         return f"the cover's {name} cannot be told from its thickness by these presses: {effect}"
     return f"the cover's {name} was taken as configured: {effect}, and these presses would show that"
 

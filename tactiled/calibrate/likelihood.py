@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from tactiled.restore.noise import NORMAL_95
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 # shared (S,) -> gain times the load's transform (n,) on the nodes of a quadrature
 Spectrum = Callable[[Floats], Floats]
 
-QUANTILE = 1.96  # standard deviations of a 95 % interval
 MAX_STEPS = 30
 CONVERGED = 1e-3  # of chi-squared: a step that gains no more is the last
 START_DAMPING, MAX_DAMPING = 1e-4, 1e8  # over the diagonal of the Hessian
@@ -202,10 +203,10 @@ def interval(
         ends, rises = [0.0], [0.0]
         for _ in range(MAX_SECANTS):
             slope = (rises[-1] - rises[-2]) / (ends[-1] - ends[-2]) if len(ends) > 1 else 1 / deviation
-            step = np.clip((QUANTILE - rises[-1]) / max(slope, 1e-9), -ends[-1] / 2, ends[-1] + 3 * deviation)
+            step = np.clip((NORMAL_95 - rises[-1]) / max(slope, 1e-9), -ends[-1] / 2, ends[-1] + 3 * deviation)
             ends.append(float(min(ends[-1] + step, limit)))
             rises.append(rise(best.shared[0] + side * ends[-1]) if ends[-1] != ends[-2] else rises[-1])
-            if abs(rises[-1] - QUANTILE) < 0.02 or (ends[-1] == limit and rises[-1] < QUANTILE):
+            if abs(rises[-1] - NORMAL_95) < 0.02 or (ends[-1] == limit and rises[-1] < NORMAL_95):
                 break
         return float(best.shared[0] + side * ends[-1])
 

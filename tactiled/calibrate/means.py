@@ -27,6 +27,12 @@ class Rails:
     high: float = np.inf  # where they rise
     sign: float = 0.0  # -1: they fall, 1: they rise, 0: not known before
 
+    @classmethod
+    def of(cls, saturation: float | None, full_scale: float, sign: float = 0.0) -> "Rails":
+        """As configured, else the ends of what the codec carries."""
+        low, high = (0, full_scale) if saturation is None else (saturation, saturation)
+        return cls(low, high, sign)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Means:

@@ -15,7 +15,6 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
-NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
 
@@ -177,12 +176,6 @@ class CoverSection(Section):
         """The stack as configured when it was fitted."""
         layers = tuple(Layer(each.thickness_mm, each.young_mpa, each.poisson) for each in self.layers)
         return Stack(layers, self.layers_above_taxels, tuple(each.bonded for each in self.layers))
-
-    @property
-    def thickness_error(self) -> float:
-        """Relative standard deviation of the thickness: half of the 95 % interval is 1.96 of them."""
-        low, high = self.interval
-        return (high - low) / (2 * NORMAL_95 * self.factor)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -1,6 +1,6 @@
 """`tactiled calibrate`: the calibration file of an array, from recordings."""
 
-from datetime import UTC, datetime
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +14,7 @@ from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.reference import read_reference
-from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection, Origin, Section, build
+from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection, Origin, Section, build, utc
 from tactiled.cli import options
 from tactiled.config import schema
 from tactiled.errors import ConfigError
@@ -96,8 +96,7 @@ def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | N
 
 def made_from(recording: Path, method: str) -> Origin:
     """Origin of a section that is made now."""
-    created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    digest = options.file_sha256(recording)
+    digest, created = options.file_sha256(recording), utc(time.time())
     return build(Origin, recording=recording.name[-255:], sha256=digest, method=method, created=created)
 
 
@@ -105,11 +104,8 @@ def update(
     out: Path, before: CalibrationFile | None, name: str, sensor: schema.Sensor, sections: dict[str, Section]
 ) -> None:
     """Write a calibration file with these sections, and the others that it had."""
-    if before is not None:
-        calibration_file.save(out, before.replaced(**sections))
-        return
-    head = {"sensor": name, "codec": sensor.codec.name, "taxels": make_array(sensor).size}
-    calibration_file.save(out, build(CalibrationFile, **head, **sections))
+    codec, taxels = sensor.codec.name, make_array(sensor).size
+    calibration_file.save(out, calibration_file.with_sections(before, name, codec, taxels, **sections))
 
 
 def _fit(
@@ -139,9 +135,7 @@ def _rails(sensor: schema.Sensor) -> Rails:
     """Counts at which the taxels saturate: as configured, else the ends of what the codec carries."""
     configured, skin = sensor.calibration, sensor.codec.settings
     sign = float(np.sign(configured.kpa_per_count or skin.kpa_per_count or 0))
-    if configured.saturation is not None:
-        return Rails(configured.saturation, configured.saturation, sign)
-    return Rails(0, make_codec(sensor).full_scale, sign)
+    return Rails.of(configured.saturation, make_codec(sensor).full_scale, sign)
 
 
 def _numbers(text: str) -> list[float]:

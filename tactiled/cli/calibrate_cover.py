@@ -10,19 +10,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import make_array, make_calibration, make_codec, make_stack
-from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.cover_result import fit_cover
-from tactiled.calibrate.edge import edge_touch
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.presses import Press
-from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures, recorded_presses
+from tactiled.calibrate.recorded_touch import RecordedTouch
 from tactiled.calibrate.sections import CoverSection
-from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.tip import Tip
 from tactiled.cli import options
 from tactiled.cli.calibrate import Out, existing, made_from, update
-from tactiled.config import schema
-from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.runtime.frame_series import read_frame_series
@@ -61,11 +54,13 @@ def cover(
     before, stack = existing(out, name, one), make_stack(one)
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
-        recorded = _Recorded(series, one, stack, make_calibration(one, before))
+        full_scale = make_codec(one).full_scale
+        recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), full_scale)
         if tip_mm is not None:
-            fit = recorded.tip(tip_mm, sphere, places)
+            presses, tip = recorded.presses(border=False), Tip(tip_mm or None, sphere=sphere)
+            fit = recorded.tip(presses, tip, None if places is None else _places(places))
         else:
-            fit = recorded.blind() if blind else recorded.edge(edge_mm)
+            fit = recorded.blind() if blind else recorded.edge(recorded.presses(border=True), edge_mm)
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 
@@ -76,42 +71,6 @@ def cover(
     section = CoverSection.of(fit, stack, made_from(file, f"cover: {fit.method}"))
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
-
-
-class _Recorded:
-    """A recording, and the ways to fit a cover to it."""
-
-    def __init__(self, series: FrameSeries, sensor: schema.Sensor, stack: Stack, calibration: Calibration) -> None:
-        self._series, self._stack, self._calibration = series, stack, calibration
-        self._array, self._full_scale = make_array(sensor), make_codec(sensor).full_scale
-        self._gain_error = gain_errors(calibration, self._array.size)
-
-    def _presses(self, border: bool) -> list[Press]:
-        return recorded_presses(self._series, self._array, self._calibration, self._full_scale, border)
-
-    def tip(self, tip_mm: float, sphere: bool, places: Path | None) -> CoverFit:
-        """Presses with a tip; 0: of unknown diameter."""
-        presses, tip = self._presses(False), Tip(tip_mm or None, sphere=sphere)
-        places_mm = None if places is None else _places(places)
-        touch = tip_touch(presses, self._array, self._stack, tip, self._gain_error, places_mm)
-        return fit_cover(touch, presses, "tip")
-
-    def edge(self, width_mm: float | None) -> CoverFit:
-        """Straight edges, or ridges of a width."""
-        presses = self._presses(True)
-        return fit_cover(
-            edge_touch(presses, self._array, self._stack, self._gain_error, width_mm), presses, "edge"
-        )
-
-    def blind(self) -> CoverFit:
-        """Whatever touched the array."""
-        from tactiled.calibrate.blind import fit_blind
-
-        pressure, saturated = pressures(self._series, self._calibration, self._full_scale)
-        pressure[saturated] = np.nan
-        frames = pressure.reshape(-1, *self._array.frame_shape)
-        noise, error = noise_of(pressure, self._calibration), float(np.median(self._gain_error))
-        return fit_blind(frames, noise, CoverFamily(self._stack), self._array, error)
 
 
 def _places(path: Path) -> Floats:

@@ -24,13 +24,9 @@ class CoverFamily:
     def __init__(self, configured: Stack) -> None:
         self.configured = configured
         product, factors = np.geomspace(*PRODUCTS, PRODUCT_KNOTS), np.geomspace(*FACTORS, FACTOR_KNOTS)
-        stacks = [self.stack(factor) for factor in factors]
+        stacks = [configured.thickened(factor) for factor in factors]
         gains = np.stack([layered.gain(each, product / each.depth) for each in stacks], axis=1)
         self._table = RectBivariateSpline(np.log(product), np.log(factors), gains)
-
-    def stack(self, factor: float) -> Stack:
-        """The stack whose cover is `factor` times as thick as configured."""
-        return self.configured.thickened(factor)
 
     def gain(self, q: Floats | float, factor: Floats | float) -> Floats:
         """Give G at q (cycles/mm) under a cover `factor` times as thick; q and factor broadcast.
@@ -47,4 +43,4 @@ class CoverFamily:
 
     def kernel(self, factor: float) -> kernel.Kernel:
         """Solve the cover that is `factor` times as thick, exactly."""
-        return kernel.solve(self.stack(factor), "layered")
+        return kernel.solve(self.configured.thickened(factor), "layered")

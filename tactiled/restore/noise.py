@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 IMPLAUSIBLE_KPA = 1e12  # beyond any sensor, and its square still fits float32
+NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
 MAD_TO_SIGMA = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
 MIN_OVER_PEAK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
 UNRELATED_STEP = 0.5  # of the frames' mean square: successive frames that differ by more are not one recording

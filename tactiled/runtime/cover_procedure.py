@@ -74,35 +74,18 @@ class CoverProcedure:
 
     def fit(self, series: FrameSeries, report: Report) -> CoverOutcome:
         """The thickness that explains the frames."""
-        return self._outcome(self._fit_blind(series) if self.way == "blind" else self._fit_presses(series, report))
+        from tactiled.calibrate.recorded_touch import RecordedTouch  # here: the service starts faster
+        from tactiled.calibrate.tip import Tip
 
-    def _fit_blind(self, series: FrameSeries) -> CoverFit:
-        from tactiled.calibrate.blind import fit_blind  # imported where needed: it starts the service faster
-        from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures
-        from tactiled.cover.family import CoverFamily
-
-        array, calibration = self._sensor.array, self._tared_calibration()
-        pressure, saturated = pressures(series, calibration, self._sensor.codec.full_scale)
-        pressure[saturated] = np.nan
-        frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
-        gain_error = float(np.median(gain_errors(calibration, array.size)))
-        return fit_blind(frames, noise_kpa, CoverFamily(self._stack), array, gain_error)
-
-    def _fit_presses(self, series: FrameSeries, report: Report) -> CoverFit:
-        from tactiled.calibrate.cover_result import (
-            fit_cover,
-        )  # imported where needed: it starts the service faster
-        from tactiled.calibrate.edge import edge_touch
-        from tactiled.calibrate.recorded_presses import gain_errors, recorded_presses
-        from tactiled.calibrate.tip import Tip, tip_touch
-
-        array, calibration = self._sensor.array, self._tared_calibration()
-        errors, edge = gain_errors(calibration, array.size), self.way == "edge"
-        presses = recorded_presses(series, array, calibration, self._sensor.codec.full_scale, border=edge)
+        sensor, calibration = self._sensor, self._tared_calibration()
+        recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.full_scale)
+        if self.way == "blind":
+            return self._outcome(recorded.blind())
+        presses = recorded.presses(border=self.way == "edge")
         report(0.1)
-        if edge:
-            return fit_cover(edge_touch(presses, array, self._stack, errors, self.size_mm), presses, "edge")
-        return fit_cover(tip_touch(presses, array, self._stack, Tip(self.size_mm), errors), presses, "tip")
+        if self.way == "edge":
+            return self._outcome(recorded.edge(presses, self.size_mm))
+        return self._outcome(recorded.tip(presses, Tip(self.size_mm)))
 
     def _tared_calibration(self) -> Calibration:
         """The sensor's calibration with the zero that holds now."""

@@ -14,6 +14,7 @@ from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.quality import Need, advice, enough, zone_counts
 from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection
 from tactiled.errors import CalibrationStateError, ConfigError
+from tactiled.restore.noise import NORMAL_95
 from tactiled.runtime.calibration_session import Quality, Report
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_sections import origin, with_sections
@@ -31,7 +32,6 @@ MAX_DRIFT_SHARE = 0.02  # of a load, by which it may move within the second that
 MIN_MARK_FRAMES = 10  # as many as a gain's fit takes its first guess of no load from
 STEADY_SIGMAS = 5.0  # of noise: a false "still moving" once in a million marks
 CURVE_POINTS = 60  # of a plotted curve
-NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,16 +124,11 @@ class GainProcedure:
         from tactiled.calibrate.force_gain import fit_weight  # imported where needed: it starts the service faster
         from tactiled.calibrate.gain import fit_steps
 
-        values, limits = [value for value, _ in self._marks], rails(self._sensor.plan)
+        plan, values = self._sensor.plan, [value for value, _ in self._marks]
+        limits = Rails.of(plan.calibration.saturation, plan.codec.full_scale)
         if self.way == "uniform":
             return fit_steps(frames, values, limits)
         return fit_weight(frames, max(values), self._sensor.array, limits)
-
-
-def rails(plan: SensorPlan) -> Rails:
-    """Where a sensor's taxels saturate: as configured, else the ends of what its codec carries."""
-    saturation = plan.calibration.saturation
-    return Rails(0, plan.codec.full_scale) if saturation is None else Rails(saturation, saturation)
 
 
 def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:

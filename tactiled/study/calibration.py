@@ -22,7 +22,6 @@ from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import GainFit, fit_steps
-from tactiled.calibrate.likelihood import QUANTILE
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.presses import Press, find_presses
 from tactiled.calibrate.tip import Tip, tip_touch
@@ -216,10 +215,9 @@ def restored(skin: Calibrated, fit: CoverFit, random: np.random.Generator) -> It
     """Restore every scene before and after a calibration, and with the true parameters."""
     truth, array = skin.truth, skin.truth.skin.array
     scenes = make_skin("true", array, truth.true, truth.true)
-    stacks = truth.configured, CoverFamily(truth.configured).stack(fit.factor), truth.true
+    stacks = truth.configured, truth.configured.thickened(fit.factor), truth.true
     blurs = [make_blur(cached(each), array, 1) for each in stacks]
-    low, high = np.log(fit.interval)
-    blurs[1].thickness_error = float(high - low) / (2 * QUANTILE)
+    blurs[1].thickness_error = fit.thickness_error
     blurs[2].thickness_error = 0.0
     flags = np.zeros(array.frame_shape, np.uint8)
     flags.flat[truth.skin.dead] = DEAD

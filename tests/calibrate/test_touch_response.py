@@ -16,7 +16,7 @@ def test_a_tip_s_response_and_gradient_are_those_of_the_product_s_operator(apert
     place = np.array([3.73, 4.21])
     response, gradient = TipResponse(array, nodes)(spectrum, array.positions - place)
     pieces, weights = disc(0.7, sphere)
-    exact = World(array, family.stack(1.1)).sensed(pieces + place, weights)
+    exact = World(array, family.configured.thickened(1.1)).sensed(pieces + place, weights)
     assert np.abs(response[:, 0] - exact).max() < 2e-4 * exact.max()
     step = 1e-5
     for axis in (0, 1):

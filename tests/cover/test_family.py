@@ -19,7 +19,7 @@ def test_gain_is_the_exact_one_of_the_scaled_stack(name):
     stack = STACKS[name]
     family = CoverFamily(stack)
     for factor in (0.25, 0.377, 1.0, 1.93, 4.0):  # ends and places between knots
-        scaled = family.stack(factor)
+        scaled = family.configured.thickened(factor)
         assert scaled.depth == pytest.approx(factor * stack.depth, rel=1e-12)
         assert scaled.layers[stack.sensing :] == stack.layers[stack.sensing :]
         q = np.concatenate([[0.0], np.geomspace(1e-4, 50, 400) / stack.depth])
