@@ -51,10 +51,10 @@ class Clip:
 
 
 @cache
-def rubber(thickness: float, size: int) -> Skin:
-    """Rubber, `thickness` pitches of 1 mm, on a stiff board with size x size taxels."""
-    stack = Stack((Layer(thickness, 0.6, 0.48), Layer(1.0, 980.0, 0.3)))
-    return make_skin(f"t/pitch {thickness:g}", grid(size, size, 1.0, APERTURE), stack, stack)
+def rubber(thickness: float, size: int, finer: int = FINER, young: float = 0.6, poisson: float = 0.48) -> Skin:
+    """Rubber, `thickness` pitches of 1 mm, on a stiff board with size x size taxels; `finer` cells along each."""
+    stack = Stack((Layer(thickness, young, poisson), Layer(1.0, 980.0, 0.3)))
+    return make_skin(f"t/pitch {thickness:g}", grid(size, size, 1.0, APERTURE), stack, stack, finer)
 
 
 @cache
@@ -102,13 +102,12 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
     return skin
 
 
-def make_skin(name: str, array: Array, true: Stack, believed: Stack) -> Skin:
-    """An array under the `true` cover, restored with the `believed` one."""
+def make_skin(name: str, array: Array, true: Stack, believed: Stack, finer: int = FINER) -> Skin:
+    """An array under the `true` cover, with `finer` cells along a taxel, restored with the `believed` one."""
     blur = make_blur(cached(believed), array, 1)
     psf = None if array.shape is None else psf_of(blur)
-    return Skin(
-        name, believed.depth / array.pitch, array, believed, Surface(solve(true, "layered"), array), blur, psf
-    )
+    surface = Surface(solve(true, "layered"), array, finer)
+    return Skin(name, believed.depth / array.pitch, array, believed, surface, blur, psf)
 
 
 def psf_of(blur: Blur) -> Floats:
@@ -157,7 +156,7 @@ def cell_means(skin: Skin, fine: Floats) -> Floats:
     """Mean of fine cells over each restored cell: a square of the pitch around every taxel."""
     if skin.array.shape is not None:
         rows, columns = skin.array.shape
-        return np.asarray(fine.reshape(rows, FINER, columns, FINER).mean(axis=(1, 3)))
+        return np.asarray(fine.reshape(rows, len(fine) // rows, columns, -1).mean(axis=(1, 3)))
     low, high = skin.array.positions.min(axis=0), skin.array.positions.max(axis=0)
     places = skin.array.positions - (low + high) / 2
     half = skin.array.pitch / 2

@@ -3,10 +3,12 @@
 import typer
 from threadpoolctl import threadpool_limits
 
-from tests.study import bus, contacts, cover, eflesh, health, restore
+from tests.study import bus, contacts, cover, eflesh, health, judge, restore
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-for measurement in (bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, health.health, restore.restore):
+for measurement in (
+    bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, health.health, judge.judge, restore.restore,
+):  # fmt: skip
     app.command()(measurement)
 
 if __name__ == "__main__":

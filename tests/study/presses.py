@@ -1,4 +1,4 @@
-"""Single presses at random places, blurred exactly: every scene under every cover and noise."""
+"""Single presses at random places, blurred exactly: every scene of a family under every cover and noise."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 from tactiled.restore.blur import Blur
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import draw, rubber, sense
+from tests.study.held_out_scenes import FINER, HELD_OUT_SCENES, held_out
 
 Floats = NDArray[np.float64]
+FAMILIES = {"first": tuple(TEST_SCENES), "second": tuple(HELD_OUT_SCENES)}
+PAPER = {"young": 98.0, "poisson": 0.3}  # of the cover in the paper that the package reproduces
+SECOND = 2  # seeds of the second family
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,6 +24,7 @@ class Press:
 
     scene: str
     thickness: float  # pitches
+    noise: float  # of the frame's peak
     sigma: float  # kPa, a taxel's standard deviation
     frame: NDArray[np.float32]
     truth: Floats  # means over cells of the pitch
@@ -28,12 +33,23 @@ class Press:
 
 
 def presses(
-    size: int, thicknesses: tuple[float, ...], noises: tuple[float, ...], repeats: int = 1, seed: int = 1
-) -> Iterator[Press]:
-    """Every scene at every thickness (t/pitch) and noise on an array of size x size."""
-    for thickness, scene, noise, repeat in product(thicknesses, TEST_SCENES, noises, range(repeats)):
-        skin, random = rubber(thickness, size), np.random.default_rng([seed, repeat, int(1e4 * noise)])
-        clean, truth = sense(skin, draw(skin, scene, random))
+    size: int, thicknesses: tuple[float, ...], noises: tuple[float, ...], repeats: int = 1, seed: int = 1,
+    scenes: tuple[str, ...] = FAMILIES["first"],
+) -> Iterator[Press]:  # fmt: skip
+    """Every scene at every thickness (t/pitch) and noise on an array of size x size.
+
+    The first family is under rubber; of the second, every other repeat is under the paper's cover.
+    """
+    for thickness, scene, noise, repeat in product(thicknesses, scenes, noises, range(repeats)):
+        seeds = [seed, repeat, int(1e4 * noise)]
+        if scene in TEST_SCENES:
+            skin, random = rubber(thickness, size), np.random.default_rng(seeds)
+            fine = draw(skin, scene, random)
+        else:
+            skin = rubber(thickness, size, FINER, **PAPER if repeat % 2 else {})
+            random = np.random.default_rng([*seeds, SECOND])
+            fine = held_out(scene, skin, random)
+        clean, truth = sense(skin, fine)
         sigma = noise * float(clean.max())
         frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        yield Press(scene, thickness, sigma, frame, truth, skin.blur, skin.psf)
+        yield Press(scene, thickness, noise, sigma, frame, truth, skin.blur, skin.psf)

@@ -1,7 +1,6 @@
-"""Restorations side by side with scikit-image's: speed in one run, and error with the truth known."""
+"""Restorations side by side with scikit-image's: speed, in one run."""
 
 from functools import partial
-from statistics import fmean
 from time import perf_counter
 
 import numpy as np
@@ -12,25 +11,18 @@ from tactiled.cli.bench import Reduced, print_table
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import SCENES
 from tactiled.study.results import machine
-from tactiled.study.scenes import TEST_SCENES
-from tactiled.study.skin import nrmse, rubber
+from tactiled.study.skin import rubber
 from tests.study.presses import presses
 
 FIXED = ("wiener", "rl", "rl-fast", "nnls", "tv", "points")
 OURS = (*FIXED, "auto")
 RL_ITERATIONS = 30  # of both sides
 SIZES = (16, 32, 64)
-THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
-NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
 SPEED_NOISE, SPEED_COVER = 0.01, 1.0  # of the peak, t/pitch: where speed is measured
 RATE_HZ = 100.0  # of the moving scenes
 PASSES = 3  # through all moving scenes, from the start
 MOVING = ("ring", "indenters", "sphere", "edge", "fingertip")
 ROUNDS = 5  # over which the least median counts: others may be using the machine
-# What scikit-image's two are tuned over, with the truth known.
-BALANCES = tuple(10.0 ** (0.5 * n) for n in range(-12, 5))
-STOPS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200)
-WORSE = 1.02  # times the raw image's error: more is a failure
 
 
 def timed(run, seconds):
@@ -126,34 +118,8 @@ def _times_us(method, blur, sigma, frames):
     return times
 
 
-def errors(press):
-    """NRMSE by method: ours know the noise, scikit-image's tuned two the truth."""
-    images = {"raw": press.frame} | {name: make(name, press.blur, press.sigma)(press.frame).image for name in OURS}
-    scale = float(press.frame.max())
-    frame = press.frame.astype(float) / scale
-    positive = np.maximum(frame, 0)
-    images["sk. rl, 30"] = scale * richardson_lucy(positive, press.psf, RL_ITERATIONS, clip=False)
-    linear = (wiener(frame, press.psf, balance, clip=False) for balance in BALANCES)
-    iterated = (richardson_lucy(positive, press.psf, n, clip=False, filter_epsilon=1e-6) for n in STOPS)
-    error = {name: nrmse(image, press.truth) for name, image in images.items()}
-    error["sk. wiener, tuned"] = min(nrmse(scale * image, press.truth) for image in linear)
-    error["sk. rl, tuned"] = min(nrmse(scale * image, press.truth) for image in iterated)
-    return error | {"better of these": min(error["sk. wiener, tuned"], error["sk. rl, tuned"])}
-
-
-def mean(results, method, scene=None):
-    """Of a method's errors over the presses of a scene, or all."""
-    return fmean(each[method] for name, each in results if scene in (None, name))
-
-
-def worse_than_raw(results, method):
-    """Largest error over the raw image's, and how many presses are worse than raw by over 2 %."""
-    ratios = [each[method] / each["raw"] for _, each in results]
-    return max(ratios), sum(ratio > WORSE for ratio in ratios)
-
-
-def restore(reduced: Reduced = False, repeats: int = 3, seed: int = 1) -> None:
-    """Time our methods and scikit-image's at 16, 32 and 64 squared, and compare their errors."""
+def restore(reduced: Reduced = False) -> None:
+    """Time our methods and scikit-image's at 16, 32 and 64 squared."""
     sizes = [f"{size} x {size}" for size in SIZES]
     medians = [speed(size, 0.1 if reduced else 1.0) for size in SIZES]
     rows = [(name, *(f"{each[name]:.1f}" for each in medians)) for name in medians[0]]
@@ -168,15 +134,4 @@ def restore(reduced: Reduced = False, repeats: int = 3, seed: int = 1) -> None:
     moved = [moving(size, 60 if reduced else 400) for size in SIZES]
     rows = [(name, *(f"{each[name]:.1f}" for each in moved)) for name in moved[0]]
     print_table(f"auto on scenes moving at {RATE_HZ:g} Hz, µs, least of three passes; jitter", ("", *sizes), rows)
-    for size in (32,) if reduced else SIZES:
-        covers = (1.0, 3.0) if reduced else THICKNESSES
-        cases = presses(size, covers, NOISES, 1 if reduced else repeats, seed)
-        results = [(press.scene, errors(press)) for press in cases]
-        rows = []
-        for name in results[0][1]:
-            each = [f"{mean(results, name, scene):.3f}" for scene in (*TEST_SCENES, None)]
-            ratio, count = worse_than_raw(results, name)
-            rows.append((name, *each, f"{ratio:.2f}", str(count)))
-        heads = ("", *TEST_SCENES, "mean", "worst over raw", "> 2 % worse")
-        print_table(f"NRMSE at {size} x {size}, {len(results)} presses, t/pitch {covers}", heads, rows)
     print(machine())

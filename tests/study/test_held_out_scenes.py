@@ -1,0 +1,35 @@
+import numpy as np
+import pytest
+
+from tactiled.study.skin import rubber
+from tests.study.held_out_scenes import APPEARS, FINER, HELD_OUT_SCENES, STEP, growing_bump, held_out
+
+SKIN = rubber(1.0, 16, FINER)
+
+
+@pytest.mark.parametrize("scene", HELD_OUT_SCENES)
+def test_scenes_press_and_differ_and_move_as_their_motion_says(scene):
+    still = held_out(scene, SKIN, 1)
+    assert still.shape == (16 * FINER, 16 * FINER)
+    assert still.min() == 0 or scene == "bumps"
+    assert 40 < still.max() < 250
+    assert not np.array_equal(still, held_out(scene, SKIN, 2))
+    assert np.array_equal(still, held_out(scene, SKIN, 1, frame=7))
+    before, after = (held_out(scene, SKIN, 1, "appearing", n) for n in (APPEARS - 1, APPEARS))
+    assert not before.any()
+    assert np.array_equal(after, still)
+    stuck = [held_out(scene, SKIN, 1, "slipping", n) for n in range(5)]
+    assert [np.array_equal(stuck[0], each) for each in stuck] == [True] * 4 + [False]
+    rolled = [held_out(scene, SKIN, 1, "rolling", n) for n in (0, 9)]
+    touching = np.minimum(*rolled) > 0
+    assert not np.array_equal(*rolled)
+    assert np.all(still[touching] >= np.maximum(*rolled)[touching])
+
+
+def test_a_moving_scene_is_the_same_farther_right_and_a_bump_grows():
+    moved, still = held_out("stone", SKIN, 4, "moving", 50), held_out("stone", SKIN, 4)
+    shift = round(50 * STEP * FINER)
+    assert shift == pytest.approx(50 * STEP * FINER)  # in whole cells
+    assert np.allclose(moved[:, shift:], still[:, :-shift], atol=1e-6)
+    loads = [growing_bump(SKIN, 1, n).sum() for n in range(3)]
+    assert loads[0] < loads[1] < loads[2] < 2 * loads[0]
