@@ -1,6 +1,6 @@
 """Readings to frames: lost messages are counted and marked, never made up; pure."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from itertools import pairwise
 
@@ -30,13 +30,19 @@ class _Open:
         self.arrivals: list[tuple[int, float]] = []  # segments and their times (s) in the order of arrival
 
     def add(self, reading: Reading, now: float) -> None:
+        time, segment, payload, _, bad = reading
         self.arrived = now
-        self.payloads[reading.segment] = reading.payload
+        self.payloads[segment] = payload
         self.missing -= 1
-        self.arrivals.append((reading.segment, reading.time))
-        self.bad += reading.bad
-        self.highest = max(self.highest, reading.segment)
-        self.began, self.ended = min(self.began, reading.time), max(self.ended, reading.time)
+        self.arrivals.append((segment, time))
+        if bad:
+            self.bad += bad
+        if segment > self.highest:
+            self.highest = segment
+        if time > self.ended:
+            self.ended = time
+        elif time < self.began:
+            self.began = time
 
 
 class _Cycle:
@@ -89,9 +95,11 @@ class Assembler:
     whose clock may, are data.
     """
 
-    def __init__(self, codec: Codec) -> None:
-        self.codec = codec
+    def __init__(self, codec: Codec, bus_counts: Callable[[], Mapping[str, int]] = dict) -> None:
+        """`bus_counts` gives what the bus itself counts, by the names of `Loss`."""
+        self.codec, self._bus_counts = codec, bus_counts
         self._counts = {each.name: 0 for each in fields(Loss)}  # never grows: other threads read it
+        self._loss: Loss | None = None  # of the frame before, while nothing has been counted since
         self._open: _Open | None = None
         self._closed: list[bytes | None] = [None] * codec.segments  # what the frame closed last had
         self._wire: int | None = None  # sequence number, as on the bus, of the newest frame begun
@@ -102,11 +110,13 @@ class Assembler:
 
     def count(self, kind: str, by: int = 1) -> None:
         """Add to one kind of loss."""
-        self._counts[kind] += by
+        if by:
+            self._counts[kind] += by
+            self._loss = None
 
     @property
     def loss(self) -> Loss:
-        """What went wrong so far."""
+        """What went wrong so far; any thread."""
         return Loss(**self._counts)
 
     def push(self, reading: Reading, now: float | None = None) -> tuple[RawFrame, ...]:
@@ -114,15 +124,17 @@ class Assembler:
         now = reading.time if now is None else now
         if not 0 <= reading.segment < self.codec.segments:
             raise CodecError(f"segment {reading.segment} of {self.codec.segments}")
+        frame = self._open
         if reading.bad and not 0 <= min(reading.bad) <= max(reading.bad) < self.codec.size:
             raise CodecError(f"bad taxels {reading.bad} of {self.codec.size}")
-        step = self._step(reading, now)
-        self._newest = max(self._newest, now)
-        if step <= 0 and (step < 0 or self._open is None):
+        same = frame is not None and self._cycle is None and self._wire == reading.sequence is not None
+        step = 0 if same else self._step(reading, now)
+        if now > self._newest:
+            self._newest = now
+        if step <= 0 and (step < 0 or frame is None):
             again = step == 0 and self._closed[reading.segment] is not None
             self.count("repeated" if again else "late")
             return ()
-        frame = self._open
         closed: tuple[RawFrame, ...] = ()
         if step or frame is None:
             closed = self._close()
@@ -182,8 +194,18 @@ class Assembler:
             return ()
         flags = self._flags(frame)
         self.count("incomplete", int(None in frame.payloads))
-        fields = self._sequence, frame.began, skew, counts, flags, self.loss, shear, frame.arrived, references
+        loss = self._newest_loss()
+        fields = self._sequence, frame.began, skew, counts, flags, loss, shear, frame.arrived, references
         return (RawFrame(*fields),)
+
+    def _newest_loss(self) -> Loss:
+        """What went wrong so far, on the bus too; made anew only after something did."""
+        bus = self._bus_counts()
+        if not bus.items() <= self._counts.items():
+            self._counts.update(bus)
+            self._loss = None
+        loss = self._loss = self._loss or Loss(**self._counts)
+        return loss
 
     def _flags(self, frame: _Open) -> NDArray[np.uint8]:
         flags = np.zeros(self.codec.size, np.uint8)
@@ -191,7 +213,8 @@ class Assembler:
             for segment, payload in enumerate(frame.payloads):
                 if payload is None:
                     flags[self.codec.span(segment)] = MISSING
-        flags[frame.bad] |= BAD
+        if frame.bad:
+            flags[frame.bad] |= BAD
         return flags
 
 

@@ -1,6 +1,6 @@
 """From the messages of one bus to the frames of its sensors, by id; pure."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from tactiled.bus.assembler import Assembler
 from tactiled.bus.codec import Codec
@@ -13,8 +13,9 @@ Frames = tuple[tuple[str, RawFrame], ...]
 class Router:
     """Hands every message to the sensor that its id belongs to, and counts those that belong to none."""
 
-    def __init__(self, codecs: Mapping[str, Codec]) -> None:
-        self.assemblers = {name: Assembler(codec) for name, codec in codecs.items()}
+    def __init__(self, codecs: Mapping[str, Codec], bus_counts: Callable[[], Mapping[str, int]] = dict) -> None:
+        """`bus_counts` gives what the bus itself counts, by the names of `Loss`."""
+        self.assemblers = {name: Assembler(codec, bus_counts) for name, codec in codecs.items()}
         self._owner: dict[tuple[int, bool], str] = {}
         for name, codec in codecs.items():
             for key in codec.ids:
@@ -41,7 +42,7 @@ class Router:
         except Exception:  # a CodecError of our codecs; another package's may raise anything
             assembler.count("malformed")
             return ()
-        return tuple((name, frame) for frame in frames)
+        return tuple((name, frame) for frame in frames) if frames else ()
 
     def flush(self, before: float) -> Frames:
         """Close, marked, every frame whose newest message came before time `before` (s)."""

@@ -28,7 +28,7 @@ class BusThread:
 
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
         self.name, self._sensors = name, sensors
-        self._router = Router({each.name: each.codec for each in sensors.values()})
+        self._router = Router({each.name: each.codec for each in sensors.values()}, self._bus_counts)
         self._settings = only(settings, self._router.ids)
         self._counts: Counter[str] = Counter()  # of readers before this one
         self._kinds: Counter[str] = Counter()  # of their error frames
@@ -95,15 +95,16 @@ class BusThread:
                 self._set_down(reader.off)
 
     def _offer(self, frames: Frames) -> None:
-        if frames:
-            counts = self._bus_counts()
-            for name, frame in frames:
-                self._sensors[name].offer(replace(frame, loss=replace(frame.loss, **counts)))
+        for name, frame in frames:
+            self._sensors[name].offer(frame)
 
-    def _bus_counts(self) -> Counter[str]:
+    def _bus_counts(self) -> dict[str, int]:
         """Losses that the bus itself counted since the start, however often it was opened."""
         with self._reader_lock:
-            return self._counts + Counter(self._reader.counts() if self._reader else {})
+            counts = dict(self._reader.counts()) if self._reader else {}
+            for kind, count in self._counts.items():
+                counts[kind] = counts.get(kind, 0) + count
+        return counts
 
     def _error_kinds(self) -> Mapping[str, int]:
         """Error frames since the start, by kind; any thread."""

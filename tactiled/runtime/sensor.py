@@ -5,9 +5,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import Literal
-
-import numpy as np
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero
@@ -40,6 +39,25 @@ class Status:
     tared_at: float | None = None  # s, Unix, of the tare that holds; None: not tared
 
 
+class _Jitter:
+    """Standard deviation of the last JITTER_PERIODS periods (s), by their sums: it costs next to nothing."""
+
+    def __init__(self) -> None:
+        self._periods: deque[float] = deque()
+        self._sum = self._squares = 0.0
+        self.seconds: float | None = None  # None before two periods
+
+    def add(self, period_s: float) -> None:
+        """Take one more."""
+        periods = self._periods
+        periods.append(period_s)
+        oldest = periods.popleft() if len(periods) > JITTER_PERIODS else 0.0
+        self._sum += period_s - oldest
+        self._squares += period_s**2 - oldest**2
+        if (n := len(periods)) > 1:
+            self.seconds = sqrt(max(self._squares - self._sum**2 / n, 0.0) / (n - 1))
+
+
 class Sensor:
     """One array: a worker thread restores its newest frame; any thread may ask for images and health."""
 
@@ -70,8 +88,7 @@ class Sensor:
         self._failure: str | None = None  # why the last frame could not be restored
         self._arrived_at: float | None = None  # s, by `clock`: the newest frame
         self._period_s = 0.0  # running mean of the time between two arrivals
-        self._periods: deque[float] = deque(maxlen=JITTER_PERIODS)
-        self._jitter_s: float | None = None
+        self._jitter = _Jitter()
         self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
 
     @property
@@ -154,8 +171,9 @@ class Sensor:
         self._note_arrival(frame)
         with self._wake:
             self._skipped += self._waiting is not None
-            self._waiting = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
-            self._loss = self._waiting.loss
+            if self._skipped:
+                frame = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
+            self._waiting, self._loss = frame, frame.loss
             self._wake.notify()
 
     def restore(self, frame: RawFrame) -> None:
@@ -168,10 +186,9 @@ class Sensor:
         """A frame comes now."""
         last, self.newest = self.newest, frame
         if last is None or not 0 <= frame.time - last.time < self.plan.stale_after_s:
-            self._periods.clear()
+            self._jitter = _Jitter()
         elif frame.sequence == last.sequence + 1:
-            self._periods.append(frame.time - last.time)
-        self._jitter_s = float(np.std(self._periods, ddof=1)) if len(self._periods) > 1 else None
+            self._jitter.add(frame.time - last.time)
         now = self._clock()
         if self._arrived_at is not None:
             gap = now - self._arrived_at
@@ -217,7 +234,7 @@ class Sensor:
             rate_hz=1 / self._period_s if live and self._period_s else 0.0,
             detail=detail,
             loss=replace(self.counts(), skipped=self._skipped) if self.counts else self._loss,
-            jitter_s=self._jitter_s if live else None,
+            jitter_s=self._jitter.seconds if live else None,
             skew_s=self.newest.skew if self.newest else None,
             errors=self.errors(),
             tared_at=self.pipeline.zero.time,
