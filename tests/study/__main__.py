@@ -3,11 +3,12 @@
 import typer
 from threadpoolctl import threadpool_limits
 
-from tests.study import bus, contacts, cover, eflesh, health, judge, restore
+from tests.study import bus, contacts, cover, eflesh, frame_times, health, judge, restore, transitions
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, health.health, judge.judge, restore.restore,
+    bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health, judge.judge,
+    restore.restore, transitions.transitions,
 ):  # fmt: skip
     app.command()(measurement)
 

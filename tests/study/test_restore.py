@@ -4,7 +4,7 @@ import pytest
 from tactiled.restore.methods import METHODS, make
 from tactiled.study.skin import nrmse
 from tests.study.presses import presses
-from tests.study.restore import OURS, moving, speed
+from tests.study.restore import OURS, speed
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -35,8 +35,5 @@ def test_auto_does_not_restore_where_that_may_harm(thicknesses, seed, bound):
     assert np.mean([auto for auto, _ in pairs]) < bound * np.mean([raw for _, raw in pairs])
 
 
-def test_every_method_is_timed_on_still_and_moving_scenes_and_on_an_idle_pad():
+def test_every_method_is_timed_on_a_still_scene():
     assert set(speed(16, 0.05)) == {"skimage wiener", "skimage rl", "FFT pair", *OURS}
-    figures = moving(16, 20)
-    assert figures["idle pad (aim: under 5)"] < figures["median"] <= figures["99th percentile"] <= figures["worst"]
-    assert sum("over median" in name for name in figures) == 6

@@ -1,0 +1,104 @@
+"""Times of single frames: cold, after a jump, and while a scene moves, against scikit-image's Wiener filter."""
+
+from collections import defaultdict
+from functools import partial
+from itertools import cycle, product
+from time import perf_counter
+
+import numpy as np
+from rich.progress import track
+
+from tactiled.cli.bench import print_table
+from tactiled.restore.methods import make
+from tactiled.study.peers import skimage_wiener
+from tactiled.study.results import machine
+from tactiled.study.scenes import PEAK_KPA
+from tactiled.study.skin import rubber, sense
+from tests.study.held_out_scenes import HELD_OUT_SCENES, MOTIONS, held_out
+from tests.study.judge import NOISES, THICKNESSES
+
+PASSES = 3  # through the same frames, of whose times the least counts: others may be using the machine
+CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
+CHUNK, COLD = 60, 2  # frames that a pass lasts, and those before on a fresh, prepared restorer
+WIENER_EVERY = 20  # frames, between which scikit-image's filter is timed
+IDLE = 0.05  # of the runs: nothing touches
+SPOTS = ("bumps", "caps")  # of which fits of points may fail
+HEADINGS = ("", "frames", "median", "p99", "p99.9", "worst", "worst / wiener")
+
+
+def clean_clips(size, thickness, seed):
+    """Kinds and their noiseless frames (CLIP_FRAMES, R, C) at a peak of PEAK_KPA, one in each motion in turn."""
+    skin = rubber(thickness, size)
+    for scene, motion in zip(HELD_OUT_SCENES, cycle(MOTIONS)):
+        frames = [sense(skin, held_out(scene, skin, seed, motion, n))[0] for n in range(CLIP_FRAMES)]
+        yield scene, PEAK_KPA * np.stack(frames) / np.max(frames)
+
+
+def chunk(clips, noise, random):
+    """Labels and frames (CHUNK, R, C): runs of clips at any place, load and symmetry of the square."""
+    labels, frames = [], []
+    while len(frames) < CHUNK:
+        scene, clip = clips[random.integers(len(clips))]
+        first, count = random.integers(0, CLIP_FRAMES - 1), random.integers(1, MAX_RUN + 1)
+        turned = np.rot90(clip[first : first + count], random.integers(4), (1, 2))[:, :: random.choice([-1, 1])]
+        load, label = random.uniform(0.2, 1), "jump to spots" if scene in SPOTS else "jump"
+        if random.random() < IDLE:
+            load, label = 0.0, "idle"
+        labels += [label, *["idle" if label == "idle" else "warm"] * (len(turned) - 1)]
+        frames.extend(load * turned)
+    noisy = np.array(frames[:CHUNK]) + random.normal(0, noise * PEAK_KPA, (CHUNK, *clips[0][1].shape[1:]))
+    return labels[:CHUNK], noisy.astype(np.float32)
+
+
+def timed(run, frame):
+    """Microseconds of one frame."""
+    start = perf_counter()
+    run(frame)
+    return 1e6 * (perf_counter() - start)
+
+
+def measure(size, frames, seed, method="auto"):
+    """Microseconds (frames,) by label, the least of PASSES each; "wiener" is scikit-image's."""
+    random, times = np.random.default_rng(seed), defaultdict(list)
+    settings = []
+    for thickness in THICKNESSES:
+        clips, skin = list(clean_clips(size, thickness, seed)), rubber(thickness, size)
+        settings += [
+            (skin, clips, noise, [prepared(method, skin, noise) for _ in range(PASSES)]) for noise in NOISES
+        ]
+    rounds = range(-(-frames // (CHUNK * len(settings))))
+    for _, (skin, clips, noise, restorers) in track(list(product(rounds, settings)), f"{size}", transient=True):
+        labels, sequence = chunk(clips, noise, random)
+        wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
+        passes = defaultdict(list)
+        for restorer in restorers:
+            passes["cold"].append([timed(prepared(method, skin, noise), frame) for frame in sequence[:COLD]])
+            passes["frames"].append([timed(restorer, frame) for frame in sequence])
+            passes["wiener"].append([timed(wiener, frame) for frame in sequence[::WIENER_EVERY]])
+        times_us = {name: np.min(took, axis=0) for name, took in passes.items()}
+        for label, took in zip(labels, times_us.pop("frames"), strict=True):
+            times[label].append(took)
+        for label, took in times_us.items():
+            times[label].extend(took)
+    return {label: np.array(took) for label, took in times.items()}
+
+
+def prepared(method, skin, noise):
+    """A fresh restorer, with all made that can be before its first frame."""
+    restorer = make(method, skin.blur, noise * PEAK_KPA)
+    restorer.prepare()
+    return restorer
+
+
+def frame_times(frames: int = 20_000, sizes: str = "16,32,64", method: str = "auto", seed: int = 1) -> None:
+    """Time very many single frames of mixed scenes; the worst against the median of scikit-image's wiener."""
+    for size in map(int, sizes.split(",")):
+        times = measure(size, frames, seed, method)
+        wiener = times.pop("wiener")
+        rows = []
+        for label, took in {**times, "all": np.concatenate(list(times.values())), "wiener": wiener}.items():
+            figures = np.percentile(took, (50, 99, 99.9, 100))
+            ratio = figures[-1] / np.median(wiener)
+            rows.append((label, str(len(took)), *(f"{each:.0f}" for each in figures), f"{ratio:.1f}"))
+        print_table(f"{method} at {size} x {size}: µs a frame, the least of {PASSES} passes", HEADINGS, rows)
+    print(machine())

@@ -1,0 +1,78 @@
+"""What a frame before does to the next: to its error, and to its time."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tactiled.restore.methods import make
+from tactiled.study.scenes import PEAK_KPA
+from tactiled.study.skin import rubber
+from tests.study import frame_times, transitions
+from tests.study.held_out_scenes import FINER
+from tests.study.transitions import play, recorded, steps, summary
+
+
+class Lagging:
+    """Shows the frame before, if there is one."""
+
+    def __init__(self, *_):
+        self.reset()
+        self.prepare = self.reset
+
+    def reset(self):
+        self.image = None
+
+    def __call__(self, frame):
+        self.image, image = frame, frame if self.image is None else self.image
+        return SimpleNamespace(image=image)
+
+
+def groups(method):
+    judged = {}
+    for group, step in steps(method, rubber(1.0, 16, FINER), 0.002, 1):
+        judged.setdefault(group, []).append(step)
+    return judged
+
+
+def test_a_method_that_looks_back_is_told_from_one_that_does_not(monkeypatch):
+    monkeypatch.setattr(transitions, "FRAMES", 2)
+    monkeypatch.setattr(transitions, "MOVING_FRAMES", 5)
+    for group, judged in groups("raw").items():
+        assert summary(group, judged)[2:] == ("1.000", "1.00", "0", "0", "0", "0")
+    monkeypatch.setattr(transitions, "make", Lagging)
+    judged = groups("lagging")
+    assert min(each.error / each.alone for each in judged["frame 1"]) > 1.1
+    assert len(judged["frame 1"]) == 11 * 10
+    still = [each for each in judged["frame 2"] if "then growing" not in each.case]
+    assert [each.error / each.alone for each in still] == pytest.approx([1] * 100, abs=0.1)
+    assert all(each.alone == each.raw for steps in judged.values() for each in steps)
+    assert (
+        int(summary("", judged["frame 1"])[6]) == len(judged["frame 1"]) > int(summary("", judged["slipping"])[6])
+    )
+
+
+def test_a_reset_restorer_gives_what_a_fresh_one_does():
+    skin, random = rubber(1.0, 16, FINER), np.random.default_rng(2)
+    load = np.maximum(0, 100 - 3 * np.hypot(skin.surface.x - 2, 4 * skin.surface.y) ** 2)
+    clip, other = (recorded(skin, [each] * 3, 0.01, random) for each in (load, 0.8 * np.roll(load, 4)))
+    used, fresh = (make("auto", skin.blur, 0.01 * PEAK_KPA) for _ in range(2))
+    assert play(used, other) != play(used, clip) == play(fresh, clip)
+
+
+class Slow(Lagging):
+    """Takes two milliseconds for the first frame."""
+
+    def __call__(self, frame):
+        time.sleep(0.002 * (self.image is None))
+        self.image = frame
+
+
+def test_cold_frames_are_timed_apart_from_those_that_follow(monkeypatch):
+    monkeypatch.setattr(frame_times, "make", Slow)
+    times = frame_times.measure(8, 1000, 1)
+    assert {"cold", "jump", "jump to spots", "warm", "idle", "wiener"} == set(times)
+    assert min(times["cold"]) > 2000 > np.median(times["warm"])
+    assert 1000 <= sum(len(each) for label, each in times.items() if label not in ("cold", "wiener")) < 2000
+    assert (times["jump"] > 2000).sum() + (times["warm"] > 2000).sum() < 50
