@@ -257,4 +257,5 @@ def make_calibration(sensor: schema.Sensor, file: CalibrationFile | None = None)
         settings["no_loads"] = np.where(np.isnan(values), settings.get("no_load", 0.0), values)
     if file and file.health:
         settings["dead"] = tuple(sorted({*sensor.calibration.dead, *file.health.dead}))
+        settings["noise_counts"] = np.array(file.health.noise_counts, float)
     return Calibration(**settings)

@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 
 from tactiled.frames import BAD, MISSING, Counts
 
-BLOCK_FRAMES = 16  # successive ones: noise shows in second differences, and a walking foot stands longer
+BLOCK_FRAMES = 16  # successive ones: noise shows in their differences, and a walking foot stands longer
 BLOCK_PERIOD_S = 1.0  # from block to block at least: what looks at blocks costs a few microseconds a frame
-DIFFERENCE_VARIANCE = 6.0  # of second differences, over that of the noise
-MEDIAN_VARIANCE = 0.93  # median over mean of a block's variance: 2e5 blocks of white noise, as in `Block.variance`
+DIFFERENCE_VARIANCE = 70.0  # of fourth differences, over that of the noise
+KNOWN_BLOCKS = 20  # before which noise is not judged
+MEDIAN_VARIANCE = (
+    0.855  # median over mean of a block's variance: 2e5 blocks of white noise, as in `Block.variance`
+)
 MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that
 MIN_NOISE = 0.05  # steps: the running noise stays above it, so that it comes up again in seconds
 
@@ -30,9 +33,9 @@ class Block:
 
     @cached_property
     def variance(self) -> Floats:
-        """Variance (N,) of the noise by second differences in time, which an evenly moving load leaves alone."""
-        second = np.diff(self.counts, 2, axis=0)
-        return np.asarray(np.einsum("kn,kn->n", second, second) / (DIFFERENCE_VARIANCE * len(second)), np.float32)
+        """Variance (N,) of the noise by fourth differences in time, which a rubbing finger hardly changes."""
+        fourth = np.diff(self.counts, 4, axis=0)
+        return np.asarray(np.einsum("kn,kn->n", fourth, fourth) / (DIFFERENCE_VARIANCE * len(fourth)), np.float32)
 
 
 class Blocks:
@@ -85,6 +88,11 @@ class TaxelNoise:
     def sigma(self) -> Floats:
         """Standard deviation (N,) in counts, not under that of rounding."""
         return np.sqrt(np.maximum(self._variance, self._step**2 / 12))
+
+    @property
+    def reliable(self) -> NDArray[np.bool_]:
+        """(N,) taxels that were seen in enough blocks."""
+        return self._blocks >= KNOWN_BLOCKS
 
     def update(self, block: Block) -> None:
         """Take a block; a taxel's variance goes a part of itself towards the block's."""

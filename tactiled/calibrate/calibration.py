@@ -22,6 +22,7 @@ class Calibration:
     track_drift: bool = True  # of zeros that were measured
     shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
     curves: Curves | None = field(default=None, compare=False)  # of each taxel
+    noise_counts: NDArray[np.float64] | None = field(default=None, compare=False)  # (N,), until measured
     no_loads: NDArray[np.float64] | None = field(
         default=None, compare=False
     )  # (N,) counts; None: `no_load` for all
@@ -79,6 +80,10 @@ class Calibrator:
     def dead(self) -> NDArray[np.bool_]:
         """(N,) taxels that do not work by configuration."""
         return self._dead > 0
+
+    def noise_kpa(self, counts: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Noise (N,) in kPa, by the gains, of noise (N,) in counts."""
+        return np.asarray(np.abs(self._gain) * counts, float)
 
     @property
     def no_load(self) -> NDArray[np.float32]:

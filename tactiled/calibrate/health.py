@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactiled.calibrate.blocks import Block
+from tactiled.calibrate.blocks import KNOWN_BLOCKS, Block
 from tactiled.geometry import Array
 
 # `python -m tests.study health` counts faults found on healthy arrays and the frames until a fault is found.
@@ -26,7 +26,6 @@ STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating b
 NOISY_RATIO = 5.0  # of a taxel's noise to the array's median
 JOINED_MARGIN = 2.0  # by which a taxel differs more from its neighbours than the cover lets any load do
 MIN_JOINED = 0.02  # response of neighbours over a taxel's own: under a thinner cover they say nothing of it
-KNOWN_NOISE_BLOCKS = 20  # before which noise is not judged
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -120,7 +119,7 @@ class TaxelHealth:
         active &= score > 0
 
     def _look_at_noise(self, block: Block, sigma: Floats, readable: Mask) -> None:
-        judged = readable if self._blocks > KNOWN_NOISE_BLOCKS else np.zeros_like(readable)
+        judged = readable if self._blocks > KNOWN_BLOCKS else np.zeros_like(readable)
         now = np.sqrt(block.variance)
         trembles = sigma >= STUCK_NOISE * block.step
         still = (block.span == 0) & (block.mean == self._mean)

@@ -40,6 +40,7 @@ class SkinMonitor:
         ceiling = top if calibration.saturation is None else calibration.saturation
         self._per_count = abs(gain)
         self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
+        self._configured_noise = np.nan if calibration.noise_counts is None else calibration.noise_counts
         self._health = TaxelHealth(array, joined(kernel, array), (empty, ceiling), calibration.curves is not None)
         self._drift: DriftTracker | None = None
         if calibration.track_drift:
@@ -80,6 +81,11 @@ class SkinMonitor:
         self._tares, self._tracks = calibrator.tares, calibrator.measured
         if self._drift is not None:
             self._drift.reset(calibrator.no_load)
+
+    @property
+    def noise_counts(self) -> NDArray[np.float64]:
+        """(N,) each taxel's standard deviation as measured, else as calibrated; NaN: unknown."""
+        return np.where(self._noise.reliable, self._noise.sigma, self._configured_noise)
 
     @property
     def creep(self) -> Creep | None:

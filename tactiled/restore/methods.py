@@ -31,25 +31,32 @@ NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
 class Restorer:
     """Turns frames of one array into surface pressure by one method; remembers the frame before, until `reset`."""
 
-    def __init__(self, method: str, blur: Blur, noise_kpa: float) -> None:
+    def __init__(self, method: str, blur: Blur, noise_kpa: float, noise_ratio: Floats | None = None) -> None:
         self._scene = Scene(blur, noise_kpa)
-        self._inpainter = Inpainter(blur.modes)
+        self._inpainter = Inpainter(self._scene)
+        self.weigh = self._inpainter.weigh
+        self.weigh(noise_ratio)
         self._method = METHODS[method](self._scene)
         self.prepare, self.reset = self._method.prepare, self._method.reset
-        self.deviation = self._method.deviation
+        self._filled = False  # the last frame
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
         """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
-        y, scene = np.ascontiguousarray(frame, np.float32), self._scene
+        y, scene, self._filled = np.ascontiguousarray(frame, np.float32), self._scene, False
         scene.measure_range(y)
         plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
-        if not plausible or (flags is not None and flags.any()):
+        if not plausible or self._inpainter.weighs or (flags is not None and flags.any()):
             y = self._inpainter.mask(y, flags)
             scene.measure_range(y)
             if not self._method.is_idle(y):
-                y = self._inpainter.fill()
+                y, self._filled = self._inpainter.fill(), True
                 scene.measure_range(y)
         return self._method(y)
+
+    def deviation(self) -> Floats:
+        """Standard deviation (kPa) of every cell of the image last restored."""
+        spread = self._method.deviation()
+        return np.hypot(spread, self._inpainter.deviation()) if self._filled else spread
 
 
 def require(name: str) -> None:
@@ -58,12 +65,12 @@ def require(name: str) -> None:
         raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
 
 
-def make(name: str, blur: Blur, noise_kpa: float) -> Restorer:
-    """Make the restorer of a method in METHODS for a taxel noise (kPa); ConfigError for any other."""
+def make(name: str, blur: Blur, noise_kpa: float, noise_ratio: Floats | None = None) -> Restorer:
+    """Make the restorer of a method in METHODS, else ConfigError; `noise_ratio` (N,) is as of `weigh`."""
     require(name)
     if not (np.isfinite(noise_kpa) and noise_kpa > 0):
         raise ConfigError(f"noise = {noise_kpa}: give a taxel's standard deviation, above 0")
-    return Restorer(name, blur, float(noise_kpa))
+    return Restorer(name, blur, float(noise_kpa), noise_ratio)
 
 
 class Linear:

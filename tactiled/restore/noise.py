@@ -11,6 +11,9 @@ MAD_TO_SIGMA = 1.4826  # a normal deviate's standard deviation over its median a
 MIN_OVER_PEAK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
 UNRELATED_STEP = 0.5  # of the frames' mean square: successive frames that differ by more are not one recording
 PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where something is pressed
+NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.study health`
+QUIET_RATIO = 1.6  # below which a noisy taxel is so no more
+CHANGED_RATIO = 1.25  # by which a noisy taxel's noise changes before that matters
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +42,19 @@ def estimate(frames: NDArray[np.floating]) -> float:
 def detection_threshold(noise_kpa: float, size: int) -> float:
     """Pressure (kPa) that noise alone reaches on hardly any of `size` taxels: their expected maximum, and 1.5."""
     return noise_kpa * (sqrt(2 * log(size + 1)) + 1.5)
+
+
+def noise_ratio(noise_kpa: Floats, common_kpa: float, before: Floats | None = None) -> Floats | None:
+    """Noise (N,) of clearly noisy taxels over the common one, 1 of the others; None where none is noisy.
+
+    It is `before` itself where that still holds. The common noise is at least the median; NaN counts as common.
+    """
+    finite, old = np.isfinite(noise_kpa), np.ones(noise_kpa.shape) if before is None else before
+    common = max(common_kpa, float(np.median(noise_kpa[finite]))) if finite.any() else common_kpa
+    ratio = np.where(finite, noise_kpa, common) / common
+    ratio[ratio <= np.where(old > 1, QUIET_RATIO, NOISY_RATIO)] = 1
+    changed = (np.abs(np.log(ratio / old)) > np.log(CHANGED_RATIO)).any()
+    return before if not changed else ratio if (ratio > 1).any() else None
 
 
 def _sigma(differences: Floats, variance: float) -> float:

@@ -16,7 +16,7 @@ from tactiled.errors import ConfigError
 from tactiled.files import atomic_write
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.methods import make
-from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate
+from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate, noise_ratio
 
 PIECE_FRAMES = 256  # in memory at once
 NOISE_RUNS, NOISE_RUN_FRAMES = 8, 32  # runs of frames, all over the series, from which the noise is measured
@@ -95,7 +95,9 @@ class Offline:
         calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
         gain = abs(calibration.kpa_per_count)
         self.noise_kpa = measured_noise(frames, (gain, 1.0)) if noise_kpa is None else noise_kpa
-        self._restorer = make(method, plan.blur, self.noise_kpa)
+        counts = calibration.noise_counts
+        ratio = None if counts is None else noise_ratio(calibrator.noise_kpa(counts), self.noise_kpa)
+        self._restorer = make(method, plan.blur, self.noise_kpa, ratio)
         self._dead = np.zeros(plan.array.frame_shape, np.uint8)
         self._dead.flat[list(calibration.dead)] = DEAD
         self._ceiling_kpa: float | NDArray[np.float32] = np.inf

@@ -18,7 +18,7 @@ from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
-from tactiled.restore.noise import estimate
+from tactiled.restore.noise import estimate, noise_ratio
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.runtime.thickness_search import ThicknessSearch
 from tactiled.units import N_PER_KPA_MM2, Unit
@@ -51,7 +51,9 @@ class Pipeline:
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self._thickness = ThicknessSearch(plan)
         self.method: str = before.method if before else plan.method
+        self._noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy
         self._restorer = self._make_restorer()
+        self._weigh_taxels()
         self._deviation: tuple[tuple[str, float], Restorer] | None = None  # of a method and a noise
         self._deviation_lock = Lock()
 
@@ -116,6 +118,7 @@ class Pipeline:
         if other.zero.time is not None and other.zero.time >= self._plan.no_load_time:
             self._zero = other.zero
         self.monitor.take_over(other.monitor)
+        self._weigh_taxels()
         self._use_zero()
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
@@ -125,6 +128,7 @@ class Pipeline:
             if self._deviation is None or self._deviation[0] != wanted_by:
                 self._deviation = wanted_by, make(wanted_by[0], self._plan.blur, wanted_by[1])
             restorer = self._deviation[1]
+            restorer.weigh(self._noise_ratio)
             restorer.reset()
             restorer(image.raw, image.flags)
             return restorer.deviation().astype(np.float32)
@@ -150,15 +154,24 @@ class Pipeline:
 
     def _make_restorer(self) -> Restorer:
         self._made_for = self.method, self.noise.kpa
-        restorer = make(self._made_for[0], self._plan.blur, self._made_for[1])
+        restorer = make(self._made_for[0], self._plan.blur, self._made_for[1], self._noise_ratio)
         restorer.prepare()
         return restorer
+
+    def _weigh_taxels(self) -> None:
+        """Have noisy taxels restored by what they are worth, as far as the noise of each is known."""
+        noise_kpa = self.calibrator.noise_kpa(self.monitor.noise_counts)
+        ratio = noise_ratio(noise_kpa, self.noise.kpa, self._noise_ratio)
+        if ratio is not self._noise_ratio:
+            self._noise_ratio = ratio
+            self._restorer.weigh(ratio)
 
     def process(self, frame: RawFrame) -> Image:
         """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning."""
         began = perf_counter()
         self._apply_tare(frame)
-        self.monitor.push(frame, self.calibrator)
+        if self.monitor.push(frame, self.calibrator):
+            self._weigh_taxels()
         shape = self._plan.array.frame_shape
         pressure, taxel_flags = self.calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(shape), taxel_flags.reshape(shape)
@@ -167,8 +180,9 @@ class Pipeline:
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
         done = self._restorer(raw, flags)
-        check_warnings = self._checks(raw, flags, done.image, self.noise.kpa, done.method)
-        check_warnings = self._thickness(check_warnings, raw, flags, self.noise.kpa)
+        doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(shape)
+        check_warnings = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
+        check_warnings = self._thickness(check_warnings, raw, doubtful, self.noise.kpa)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,

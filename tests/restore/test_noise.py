@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.restore.noise import estimate
+from tactiled.restore.noise import estimate, noise_ratio
 
 
 def press(frames, sigma, peak=100.0):
@@ -60,3 +60,14 @@ def test_unrelated_presses_are_no_noise(sigma):
 def test_noise_that_taxels_share_counts_on_an_idle_and_on_a_pressed_pad(peak):
     shared = np.random.default_rng(4).normal(0, 2.0, (200, 1, 1))
     assert estimate(np.repeat(press(1, 0.0, peak), 200, axis=0) + shared) == pytest.approx(2.0, rel=0.12)
+
+
+def test_only_clearly_noisy_taxels_have_a_ratio_and_it_stays_while_it_holds():
+    noise = np.array([1.0, 1.1, 0.9, 1.9, 3.0, np.nan])
+    ratio = noise_ratio(noise, 0.5)
+    np.testing.assert_allclose(ratio, [1, 1, 1, 1, 3.0 / 1.1, 1])  # to the median, which is higher
+    assert noise_ratio(noise, 2.0, ratio) is None
+    assert noise_ratio(noise * np.nan, 0.5) is None
+    assert noise_ratio(0.87 * noise, 0.957, ratio) is ratio
+    noise[4] = 1.5
+    assert noise_ratio(noise, 0.5, ratio) is None

@@ -1,0 +1,16 @@
+import numpy as np
+import pytest
+
+from tactiled.calibrate.blocks import Blocks, TaxelNoise
+
+
+@pytest.mark.parametrize(("hz", "grows"), [(0.0, 4.0), (1.0, 1.0), (4.0, 1.0)])
+def test_noise_that_grows_is_followed_and_a_finger_that_rubs_is_none(hz, grows):
+    random, blocks, noise, sigma = np.random.default_rng(0), Blocks(64), TaxelNoise(64), np.ones(64)
+    for n in range(12000):  # 120 s
+        sigma[:8] = 1.0 if n < 3000 else grows
+        load = 1000 * np.sin(2 * np.pi * hz * n / 100 + np.arange(64))
+        counts = np.round(2000 + load + random.normal(0, sigma)).astype(np.float32)
+        if block := blocks.push(n / 100, counts, np.zeros(64, np.uint8)):
+            noise.update(block)
+    np.testing.assert_allclose(noise.sigma, sigma, rtol=0.35)
