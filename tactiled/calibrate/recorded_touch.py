@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.blind import fit_blind
 from tactiled.calibrate.calibration import Calibration
-from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
@@ -52,3 +52,11 @@ class RecordedTouch:
         frames, noise_kpa = pressure.reshape(-1, *self._array.frame_shape), noise_of(pressure, self._calibration)
         error = float(np.median(self._gain_error))
         return fit_blind(frames, noise_kpa, CoverFamily(self._stack), self._array, error)
+
+
+def fit_touch(recorded: RecordedTouch, way: Method, size_mm: float | None) -> CoverFit:
+    """Fit the cover in one of three ways; `size_mm`: the tip's diameter, or the ridge's width, if it is known."""
+    if way == "blind":
+        return recorded.blind()
+    presses = recorded.presses(border=way == "edge")
+    return recorded.edge(presses, size_mm) if way == "edge" else recorded.tip(presses, Tip(size_mm))

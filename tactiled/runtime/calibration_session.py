@@ -9,6 +9,7 @@ from typing import Generic, Literal, Protocol, TypeVar
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.errors import CalibrationStateError, TactileError
 from tactiled.frames import RawFrame
+from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.sensor import Sensor
 
@@ -33,11 +34,6 @@ QUALITY_PERIOD_S = 1.0  # between two looks for presses
 MARK_S = 2.0  # of frames at most, whose mean is taken as a known load
 
 Outcome = TypeVar("Outcome", covariant=True)
-Report = Callable[[float], None]  # takes the share of a fit that is done; raises Cancelled
-
-
-class Cancelled(Exception):  # noqa: N818, no error
-    """The fit is no longer wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +71,8 @@ class Procedure(Protocol[Outcome]):
     def quality(self, collector: FrameCollector) -> Quality:
         """Look at the frames so far."""
 
-    def fit(self, series: FrameSeries, report: Report) -> Outcome:
-        """Make a calibration of the frames; a TactileError says why that is impossible."""
+    def fit(self, series: FrameSeries, process: FitProcess) -> Outcome:
+        """Make a calibration of the frames, what takes long in a process; a TactileError says why it cannot be."""
 
 
 class CalibrationSession(Generic[Outcome]):
@@ -93,11 +89,10 @@ class CalibrationSession(Generic[Outcome]):
         self.state: State = "collecting"
         self.outcome: Outcome | None = None
         self.error = ""  # why the last fit failed
-        self.progress: float | None = None  # share of the fit that is done; None unless it is known
         self._clock, self._lock = clock, threading.RLock()
         self._quality: tuple[float, int, Quality] | None = None  # when it was made, of how many frames
         self._marked_frames = 0  # by the last mark
-        self._fit_number = 0  # of the newest fit: what an older one gives is dropped
+        self._process = FitProcess()  # of the newest fit: what an older one gives is dropped
         self._touched_at = clock()
         self._stop_collecting = sensor.frames.subscribe(self._take)
 
@@ -137,18 +132,19 @@ class CalibrationSession(Generic[Outcome]):
             self._quality = None
 
     def fit(self) -> None:
-        """Start to fit what was collected, on a thread of its own."""
+        """Start to fit what was collected, in a process that a thread waits for."""
         with self._lock:
             self._go("fit")
-            self._fit_number += 1
-            self.error, self.progress, self.outcome = "", None, None
-            arguments = self._fit_number, self.collector.series()
+            self._process = FitProcess()
+            self.error, self.outcome = "", None
+            arguments = self._process, self.collector.series()
             threading.Thread(target=self._fit, args=arguments, name=f"fit {self.sensor.name}", daemon=True).start()
 
     def cancel(self) -> None:
         """Go on collecting instead of fitting."""
         with self._lock:
             self._go("cancel")
+            self._process.cancel()
 
     def apply(self, apply: Callable[[Outcome], None]) -> None:
         """End by applying the outcome; where that fails, nothing has changed."""
@@ -166,6 +162,7 @@ class CalibrationSession(Generic[Outcome]):
 
     def _end(self, action: Action) -> None:
         self._go(action)
+        self._process.cancel()
         self._stop_collecting()
         self.collector, self.outcome = FrameCollector(self.sensor.array.size), None  # the memory
 
@@ -188,18 +185,11 @@ class CalibrationSession(Generic[Outcome]):
         else:
             self.collector.add(frame)
 
-    def _fit(self, number: int, series: FrameSeries) -> None:
+    def _fit(self, process: FitProcess, series: FrameSeries) -> None:
         """Fit on this thread, and keep what comes of it unless it is no longer wanted."""
-
-        def report(progress: float) -> None:
-            with self._lock:
-                if number != self._fit_number or self.state != "fitting":
-                    raise Cancelled
-                self.progress = progress
-
         outcome, error = None, ""
         try:
-            outcome = self.procedure.fit(series, report)
+            outcome = self.procedure.fit(series, process)
         except Cancelled:
             return
         except TactileError as failure:
@@ -207,6 +197,6 @@ class CalibrationSession(Generic[Outcome]):
         except Exception as failure:  # a fault of ours: it ends the fit, not the service
             error = f"{type(failure).__name__}: {failure}"
         with self._lock:
-            if number == self._fit_number and self.state == "fitting":
-                self.outcome, self.error, self.progress = outcome, error, None
+            if process is self._process and self.state == "fitting":
+                self.outcome, self.error = outcome, error
                 self._go("fit_failed" if error else "fit_done")

@@ -1,19 +1,19 @@
 """The cover of one sensor from presses with a tip or an edge, or from anything that touches it."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.quality import Need, advice, enough, zone_counts
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
-from tactiled.runtime.calibration_session import Quality, Report
+from tactiled.runtime.calibration_session import Quality
+from tactiled.runtime.fit_process import FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_presses import LiveContact, LivePresses
 from tactiled.runtime.live_sections import origin, with_sections
@@ -36,10 +36,9 @@ class CoverProcedure:
 
     mark_key = None
 
-    def __init__(
-        self, sensor: Sensor, stack: Stack, way: Literal["tip", "edge", "blind"], size_mm: float | None
-    ) -> None:
-        self.way, self.size_mm = way, size_mm
+    def __init__(self, sensor: Sensor, stack: Stack, way: Method, size_mm: float | None) -> None:
+        self.way: Method = way
+        self.size_mm = size_mm
         self._sensor, self._stack = sensor, stack  # as configured
         self._presses = LivePresses(sensor, border=way == "edge")
         self._contact = LiveContact(sensor)
@@ -72,20 +71,13 @@ class CoverProcedure:
             zone_presses_needed=need.per_zone,
         )
 
-    def fit(self, series: FrameSeries, report: Report) -> CoverOutcome:
+    def fit(self, series: FrameSeries, process: FitProcess) -> CoverOutcome:
         """The thickness that explains the frames."""
-        from tactiled.calibrate.recorded_touch import RecordedTouch  # here: the service starts faster
-        from tactiled.calibrate.tip import Tip
+        from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch  # here: the service starts faster
 
         sensor, calibration = self._sensor, self._tared_calibration()
         recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.full_scale)
-        if self.way == "blind":
-            return self._outcome(recorded.blind())
-        presses = recorded.presses(border=self.way == "edge")
-        report(0.1)
-        if self.way == "edge":
-            return self._outcome(recorded.edge(presses, self.size_mm))
-        return self._outcome(recorded.tip(presses, Tip(self.size_mm)))
+        return self._outcome(process.run(fit_touch, recorded, self.way, self.size_mm))
 
     def _tared_calibration(self) -> Calibration:
         """The sensor's calibration with the zero that holds now."""

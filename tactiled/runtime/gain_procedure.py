@@ -15,7 +15,8 @@ from tactiled.calibrate.quality import Need, advice, enough, zone_counts
 from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection
 from tactiled.errors import CalibrationStateError, ConfigError
 from tactiled.restore.noise import NORMAL_95
-from tactiled.runtime.calibration_session import Quality, Report
+from tactiled.runtime.calibration_session import Quality
+from tactiled.runtime.fit_process import FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_sections import origin, with_sections
 from tactiled.runtime.sensor import Sensor
@@ -41,7 +42,7 @@ class GainOutcome:
     file: CalibrationFile
     form: str
     kpa_per_count: float  # median over the taxels
-    interval_kpa_per_count: tuple[float, float]  # 95 %
+    interval_kpa_per_count: tuple[float, float] | None  # 95 %; None: unknown, of one weight laid on once
     before_kpa_per_count: float | None  # None: uncalibrated
     spread_percent: float | None
     hysteresis_percent: float | None
@@ -96,15 +97,15 @@ class GainProcedure:
         line = f"{text} ({loads} {self._unit})" if loads else text
         return Quality(line, enough(count, zones, need), count, need.count)
 
-    def fit(self, series: FrameSeries, report: Report) -> GainOutcome:
+    def fit(self, series: FrameSeries, process: FitProcess) -> GainOutcome:
         """Curves from the loads taken."""
-        del series, report  # the loads taken hold what is needed, and this takes a second
+        del series  # the loads taken hold what is needed
         if len(self._marks) < 2:
             raise ConfigError(
                 f"{self.mark_key}: {len(self._marks)} loads: take 0 with nothing on the array, and one more"
             )
         frames = self._joined()
-        fitted, plan, made = self._fitted(frames), self._sensor.plan, origin(f"gain: {self.way}, guided")
+        fitted, plan, made = self._fitted(frames, process), self._sensor.plan, origin(f"gain: {self.way}, guided")
         file = with_sections(
             plan,
             gain=GainSection.of(fitted.curves, made),
@@ -120,15 +121,15 @@ class GainProcedure:
         times, counts = ([getattr(series, key)[-length:] for series in parts] for key in ("times", "counts"))
         return FrameSeries(np.concatenate(times), np.concatenate(counts))
 
-    def _fitted(self, frames: FrameSeries) -> "GainFit":
+    def _fitted(self, frames: FrameSeries, process: FitProcess) -> "GainFit":
         from tactiled.calibrate.force_gain import fit_weight  # imported where needed: it starts the service faster
         from tactiled.calibrate.gain import fit_steps
 
         plan, values = self._sensor.plan, [value for value, _ in self._marks]
         limits = Rails.of(plan.calibration.saturation, plan.codec.full_scale)
         if self.way == "uniform":
-            return fit_steps(frames, values, limits)
-        return fit_weight(frames, max(values), self._sensor.array, limits)
+            return process.run(fit_steps, frames, values, limits)
+        return process.run(fit_weight, frames, max(values), self._sensor.array, limits)
 
 
 def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:
@@ -143,7 +144,7 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
         file=file,
         form=curves.form,
         kpa_per_count=gain,
-        interval_kpa_per_count=(ends[0], ends[1]),
+        interval_kpa_per_count=(ends[0], ends[1]) if np.isfinite(error) else None,
         before_kpa_per_count=plan.calibration.kpa_per_count if plan.calibrated else None,
         spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
         hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,
@@ -161,7 +162,9 @@ def _gain_line(fitted: "GainFit", taxel: int) -> Floats:
     """Counts over no load (n,), measured and fitted kPa of one taxel."""
     low, high = fitted.curves.reach_counts[taxel]
     counts = np.linspace(0, low + high, CURVE_POINTS)
-    points = np.sign(low + high) * fitted.points.counts[:, taxel, 0]
+    each = fitted.points.counts
+    of_taxel = each[:, 0].sum(axis=1) if each.shape[1] == 1 else each[:, taxel, 0]  # a weight lies on all together
+    points = np.sign(low + high) * of_taxel
     x = np.concatenate([counts, points])
     over = np.zeros((len(x), fitted.curves.size))
     over[:, taxel] = x

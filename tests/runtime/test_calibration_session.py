@@ -1,11 +1,13 @@
+import signal
 import threading
+import time
 
 import numpy as np
 import pytest
 
 from tactiled.errors import CalibrationStateError, ConfigError, PhysicsError
 from tactiled.runtime.calibration_session import IDLE_S, NEXT_STATE, CalibrationSession, Quality
-from tests.conftest import Clock, pressed, until
+from tests.conftest import BUSY_S, Clock, pressed, until
 
 
 class Scripted:
@@ -24,10 +26,9 @@ class Scripted:
         self.looks += 1
         return Quality(f"{len(collector)} frames", enough=False)
 
-    def fit(self, series, report):
+    def fit(self, series, _process):
         self.series.append(series)
         self.turn.acquire()
-        report(0.5)
         outcome = self.script.pop(0)
         if isinstance(outcome, Exception):
             raise outcome
@@ -95,17 +96,32 @@ def test_a_fit_or_an_apply_that_fails_changes_nothing_and_more_can_be_collected(
     assert session.state == "fitted"
 
 
-def test_a_cancelled_fit_ends_at_its_next_report_and_its_outcome_is_dropped(session):
+def test_the_outcome_of_a_cancelled_fit_is_dropped(session):
     session.fit()
     session.cancel()
     assert session.state == "collecting"
     session.fit()
     session.procedure.script += ["first", "second"]
-    session.procedure.turn.release(2)
+    session.procedure.turn.release()
+    until(lambda: len(session.procedure.script) == 1)
+    assert session.state == "fitting"
+    session.procedure.turn.release()
     until(lambda: session.state == "fitted")
-    assert len(session.procedure.script) == 1  # the cancelled one came to its report, and no further
+    assert session.outcome == "second"
     session.discard()
     assert session.state == "ended"
+
+
+@pytest.mark.parametrize("give_up", [CalibrationSession.cancel, CalibrationSession.discard])
+def test_the_process_of_a_fit_that_is_given_up_ends(session, give_up):
+    session.procedure.fit = lambda _, process: process.run(time.sleep, 3600)
+    session.fit()
+    until(lambda: session._process._process)
+    work = session._process._process
+    give_up(session)
+    work.join(BUSY_S)
+    assert work.exitcode == -signal.SIGKILL
+    assert session.state in ("collecting", "ended")
 
 
 @pytest.mark.parametrize("state", ["collecting", "fitting", "fitted", "ended"])

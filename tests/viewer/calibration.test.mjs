@@ -20,6 +20,10 @@ test("a result stands beside its interval and what was before", () => {
   ]);
 });
 
+test("a weight that was laid on once has no interval", () => {
+  assert.equal(gainRows({ ...gain, interval_kpa_per_count: null })[0][2], "unknown");
+});
+
 test("the verdict says what changed, or why nothing can be told", () => {
   assert.match(verdict({ cover }), /thinner than/);
   assert.match(verdict({ cover: { ...cover, before_mm: 1.1 } }), /thicker than/);

@@ -96,7 +96,9 @@ class GainResult(schemas.Schema):
 
     form: str = Field(description="of the curves: linear, power, cubic or spline", examples=["linear"])
     kpa_per_count: float = Field(description="median over the taxels", examples=[0.051])
-    interval_kpa_per_count: Interval = Field(examples=[[0.0505, 0.0515]])
+    interval_kpa_per_count: Interval | None = Field(
+        description="null: unknown, of a weight laid on once", examples=[[0.0505, 0.0515]]
+    )
     before_kpa_per_count: float | None = Field(description="null: counts had no scale", examples=[0.05])
     spread_percent: float | None = Field(
         description="standard deviation over the taxels; null: unknown", examples=[18.0]
@@ -143,7 +145,6 @@ class CalibrationSession(schemas.Schema):
     full: bool = Field(description="no more frames are collected")
     load: str = Field(description='load that the newest frames show, "" for none', examples=["contact of 12 kPa"])
     quality: Quality
-    progress: float | None = Field(description="share of the fit that is done; null: unknown", examples=[0.5])
     error: str = Field(description="why the last fit failed", examples=[""])
     gain: GainResult | None
     cover: CoverResult | None
@@ -185,7 +186,6 @@ def _answer(session: Session) -> CalibrationSession:
         full=collector.full,
         load=session.sensor.pipeline.load_description(),
         quality=Quality.model_validate(session.quality()),
-        progress=session.progress,
         error=session.error,
         gain=_gain(outcome) if isinstance(outcome, GainOutcome) else None,
         cover=_cover(outcome) if isinstance(outcome, CoverOutcome) else None,

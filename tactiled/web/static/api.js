@@ -76,7 +76,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 
 /**
  * @typedef {{
- *   form: string, kpa_per_count: number, interval_kpa_per_count: [number, number],
+ *   form: string, kpa_per_count: number, interval_kpa_per_count: [number, number]|null,
  *   before_kpa_per_count: number|null, spread_percent: number|null, hysteresis_percent: number|null, notes: string[],
  *   line: {counts: (number|null)[], measured_kpa: (number|null)[], fitted_kpa: (number|null)[]}
  * }} GainResult
@@ -94,7 +94,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 /**
  * @typedef {{
  *   sensor: string, way: Way, size_mm: number|null, state: "collecting"|"fitting"|"fitted"|"ended", frames: number,
- *   seconds: number, seconds_limit: number, full: boolean, load: string, quality: Quality, progress: number|null,
+ *   seconds: number, seconds_limit: number, full: boolean, load: string, quality: Quality,
  *   error: string, gain: GainResult|null, cover: CoverResult|null
  * }} CalibrationSession
  */

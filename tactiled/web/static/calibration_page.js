@@ -208,7 +208,6 @@ export class CalibrationPage {
     saturated.classList.toggle("some", quality.presses_saturated > 0);
     setText(byId("calibrate-frames"), `${Math.round(session.seconds)} of ${session.seconds_limit} s${session.full ? ", full: fit or discard" : ""}`);
     fit.disabled = quality.presses === 0;
-    progress("calibrate-progress", session.progress);
     if (session.error) this._say(session.error, true);
     if (state === "fitted") this._result.show(session);
   }
@@ -338,11 +337,9 @@ export class CalibrationPage {
 /** @param {Way} way @returns {typeof SIZES.tip|null} what is measured of what presses */
 const sizeOf = (way) => (way === "tip" || way === "edge" ? SIZES[way] : null);
 
-/** @param {string} id @param {number|null} share null: unknown */
+/** @param {string} id @param {number} share */
 function progress(id, share) {
-  const bar = /** @type {HTMLProgressElement} */ (byId(id));
-  if (share === null) bar.removeAttribute("value");
-  else bar.value = Math.min(1, share);
+  /** @type {HTMLProgressElement} */ (byId(id)).value = Math.min(1, share);
 }
 
 /** @param {Way} way @param {boolean} checked @returns {HTMLElement} */

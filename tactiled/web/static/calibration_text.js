@@ -64,9 +64,9 @@ export const coverRows = (cover) => {
 /** @param {GainResult} gain @returns {Row[]} */
 export function gainRows(gain) {
   const digits = (/** @type {number} */ value) => Number(value.toPrecision(4)).toString().replace("-", "\u2212");
-  const { before_kpa_per_count: before, spread_percent: spread, hysteresis_percent: hysteresis } = gain;
+  const { before_kpa_per_count: before, interval_kpa_per_count: interval, spread_percent: spread, hysteresis_percent: hysteresis } = gain;
   /** @type {Row[]} */
-  const rows = [["gain, kPa per count", digits(gain.kpa_per_count), between(gain.interval_kpa_per_count, digits), before === null ? "none" : digits(before)]];
+  const rows = [["gain, kPa per count", digits(gain.kpa_per_count), interval ? between(interval, digits) : "unknown", before === null ? "none" : digits(before)]];
   if (spread !== null) rows.push(["spread over taxels, %", number(spread, 2), "", ""]);
   if (hysteresis !== null) rows.push(["hysteresis, % of full scale", number(hysteresis, 2), "", ""]);
   return rows;
