@@ -3,32 +3,21 @@
 Constants are chosen on the first family (tactiled.study.scenes) or on a third. Lengths are in pitches.
 """
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactiled.study.scenes import PEAK_KPA
-
-Floats = NDArray[np.float64]
-# x, y from the array's middle, half of its side, where sizes come from -> pressure over its peak
-Draw = Callable[[Floats, Floats, float, np.random.Generator], Floats]
 
 FINER = 8  # cells along each side of a taxel: an edge is one of them wide
 STEP = 0.13  # that a scene moves in a frame
 STICK_FRAMES, SLIP = 4, 0.9  # frames that a contact sticks, and how far it then slips
 APPEARS = 3  # frame in which a scene that appears at once is there
 STROKES = {  # from x y to x y, on a field of 4 x 4
-    "A": ("04 20 44", "13 33"),
-    "E": ("40 00 04 44", "02 32"),
-    "H": ("00 04", "40 44", "02 42"),
-    "K": ("00 04", "40 02 44"),
-    "M": ("04 00 22 40 44",),
-    "R": ("04 00 30 41 32 02", "22 44"),
-    "S": ("41 30 10 01 12 32 43 34 14 03",),
-    "Z": ("00 40 04 44",),
-}
+    "A": "04 20 44/13 33", "E": "40 00 04 44/02 32", "H": "00 04/40 44/02 42", "K": "00 04/40 02 44",
+    "M": "04 00 22 40 44", "R": "04 00 30 41 32 02/22 44", "S": "41 30 10 01 12 32 43 34 14 03",
+    "Z": "00 40 04 44",
+}  # fmt: skip
 
 
 def _inside(distance):
@@ -43,8 +32,7 @@ def _hertz(distance, radius):
 
 def _laid(x, y, random, off):
     """Coordinates of what lies turned by any angle, up to `off` away from the middle along either axis."""
-    a, b = random.uniform(-off, off, 2)
-    angle = random.uniform(0, 2 * np.pi)
+    (a, b), angle = random.uniform(-off, off, 2), random.uniform(0, 2 * np.pi)
     return (x - a) * np.cos(angle) + (y - b) * np.sin(angle), (y - b) * np.cos(angle) - (x - a) * np.sin(angle)
 
 
@@ -64,7 +52,7 @@ def _letters(x, y, half, random):
     distance = np.full_like(x, np.inf)
     for n, letter in enumerate(word):
         start = (1.4 * (n - len(word) / 2) + 0.2) * side
-        for stroke in STROKES[letter]:
+        for stroke in STROKES[letter].split("/"):
             points = [(start + int(a) * side / 4, (int(b) / 4 - 0.5) * side) for a, b in stroke.split()]
             distance = np.minimum(distance, _from_line(u, v, points))
     return _inside(wide - distance)
@@ -141,8 +129,7 @@ def _stone(x, y, half, random):
 def _bumps(x, y, half, random):
     total = np.zeros_like(x)
     for _ in range(random.integers(2, 8)):
-        a, b = random.uniform(-0.75, 0.75, 2) * half
-        width = random.uniform(0.4, 0.6)
+        (a, b), width = random.uniform(-0.75, 0.75, 2) * half, random.uniform(0.4, 0.6)
         total += random.uniform(0.5, 1) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * width**2))
     return total
 
@@ -158,18 +145,16 @@ def _caps(x, y, half, random):
     return total
 
 
-ALL = (
-    _letters, _screws, _cables, _textures, _fingertip, _gear, _mesh, _stone, _bumps, _caps,
-)  # fmt: skip
-HELD_OUT_SCENES: dict[str, Draw] = {draw.__name__.strip("_"): draw for draw in ALL}
+# x, y from the array's middle, half of its side, where sizes come from -> pressure over its peak
+ALL = _letters, _screws, _cables, _textures, _fingertip, _gear, _mesh, _stone, _bumps, _caps
+HELD_OUT_SCENES = {draw.__name__.strip("_"): draw for draw in ALL}
 MOTIONS = ("still", "moving", "rolling", "slipping", "appearing")
 
 
 def held_out(scene, skin, seed, motion="still", frame=0):
     """The pressure (kPa) of a scene on a skin's fine cells, in a frame of its motion."""
-    x, y = skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
-    half, draw = skin.surface.size / skin.array.pitch / 2, HELD_OUT_SCENES[scene]
-    window = 1.0
+    x, y = _places(skin)
+    half, window = skin.surface.size / skin.array.pitch / 2, 1.0
     match motion:
         case "moving":
             x = x - STEP * frame
@@ -180,12 +165,15 @@ def held_out(scene, skin, seed, motion="still", frame=0):
             x, y = x - SLIP * slips, y - 0.07 * slips * x
         case "appearing" if frame < APPEARS:
             window = 0.0
-    return PEAK_KPA * window * draw(x, y, half, np.random.default_rng(seed))
+    return PEAK_KPA * window * HELD_OUT_SCENES[scene](x, y, half, np.random.default_rng(seed))
 
 
 def growing_bump(skin, seed, frame):
     """The pressure (kPa) of a bump that grows slowly."""
-    x, y = skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
-    a, b = np.random.default_rng(seed).uniform(-3, 3, 2)
-    width = 0.6 + 0.06 * frame
+    x, y = _places(skin)
+    (a, b), width = np.random.default_rng(seed).uniform(-3, 3, 2), 0.6 + 0.06 * frame
     return 0.01 * PEAK_KPA * (15 + frame) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * width**2))
+
+
+def _places(skin):
+    return skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
