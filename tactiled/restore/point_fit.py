@@ -7,7 +7,7 @@ import numpy as np
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
 
-# All chosen on the scenes of `python -m tests.study restore`.
+# All chosen on the scenes of `python -m tests.study judge --family first`.
 MAX_POINTS = 8
 MAX_STEPS = 12  # for one number of points
 EARLY_STEPS = 3  # after which a step that takes off less than

@@ -6,7 +6,7 @@ from tactiled.restore.modes import Image
 from tactiled.restore.nonnegative import PENALTY, SPARSE_GAUSSIAN, Nonnegative, Step
 from tactiled.restore.scene import Scene
 
-# Weight, corner and tolerance were chosen on the scenes of `python -m tests.study restore`.
+# Weight, corner and tolerance were chosen on the scenes of `python -m tests.study judge --family first`.
 VARIATION_WEIGHT = 0.04  # times the geometric mean of noise and contrast
 FLAT_CORNER = 0.2  # cycles a cell: a scene whose spectrum reaches further has few flat parts to look for
 WARM_TOLERANCE = 0.2  # noise standard deviations: from the image before, the pull needs longer than the image
