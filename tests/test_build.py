@@ -39,6 +39,7 @@ def test_a_plan_has_the_files_curves_no_load_dead_taxels_and_cover(plan):
     np.testing.assert_array_equal(made.calibration.curves.gain, file.gain.curves.gain)
     np.testing.assert_array_equal(made.calibration.no_loads, file.no_load.values)
     assert (made.calibration.dead, made.calibration.saturation, made.calibration.noise_kpa) == ((3,), 4000, 0.5)
+    np.testing.assert_array_equal(made.calibration.noise_counts, np.where(np.arange(64) == 3, np.nan, 1.5))
     assert (made.calibration_id, made.calibrated, made.warnings) == (file.id, True, ())
     assert made.blur.thickness_error == pytest.approx(0.03 / 1.96)
     np.testing.assert_array_equal(made.kernel.gain, solve(STACK.thickened(1.2), "layered").gain)
