@@ -1,5 +1,8 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
+from copy import copy
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
@@ -21,8 +24,21 @@ class PointResponse:
         self.shape, self.side = shape, 1 / refine
         U, s, Vt = np.linalg.svd(stencil * refine**2)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
-        self._down = _Axis(U[:, :parts] * s[:parts], shape[0], refine)
-        self._across = _Axis(Vt[:parts].T, shape[1], refine)
+        self._parts = U[:, :parts] * s[:parts], Vt[:parts].T
+        self._down, self._across = (_Axis(part, n, refine) for part, n in zip(self._parts, shape, strict=True))
+        self._widened: dict[float, PointResponse] = {}
+
+    def widened(self, width: float) -> "PointResponse":
+        """The response to a Gaussian load whose variance along any axis is `width` (square pitches); made once."""
+        from scipy.ndimage import gaussian_filter1d  # which nothing else imports that starts a service
+
+        if width not in self._widened:
+            wide, cells = copy(self), sqrt(width) / self.side
+            smooth = (gaussian_filter1d(part, cells, axis=0, mode="nearest") for part in self._parts)
+            axes = (_Axis(part, n, round(1 / self.side)) for part, n in zip(smooth, self.shape, strict=True))
+            wide._down, wide._across = axes
+            self._widened[width] = wide
+        return self._widened[width]
 
     def jacobian(self, places: Floats, out: Image) -> None:
         """Fill out (6, n, R C): unit loads' frames at `places` (n, 2), slopes down and across, and what widths do.
