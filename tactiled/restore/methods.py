@@ -29,7 +29,7 @@ NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
 
 
 class Restorer:
-    """Turns frames of one array into surface pressure by one method; remembers the frame before, until `reset`."""
+    """Turns frames of one array into surface pressure by one method; no frame matters to the next."""
 
     def __init__(self, method: str, blur: Blur, noise_kpa: float, noise_ratio: Floats | None = None) -> None:
         self._scene = Scene(blur, noise_kpa)
@@ -37,7 +37,7 @@ class Restorer:
         self.weigh = self._inpainter.weigh
         self.weigh(noise_ratio)
         self._method = METHODS[method](self._scene)
-        self.prepare, self.reset = self._method.prepare, self._method.reset
+        self.prepare = self._method.prepare
         self._filled = False  # the last frame
 
     def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
@@ -88,9 +88,6 @@ class Linear:
     def _done(self, image: Image, name: str, iterations: int, gain: float, why: str = BY_HAND) -> Restored:
         self._image = image
         return Restored(image, name, why, iterations, gain, self._scene.resolution())
-
-    def reset(self) -> None:
-        """Forget nothing: each frame stands alone."""
 
     def prepare(self) -> None:
         """Make now what any frame may need, so that none has to wait for it."""
@@ -147,12 +144,9 @@ class _Nonnegative(Linear):
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
-        done = self._solver(self._wiener)
+        done = self._solver(self._wiener())
         gain = self._solver.noise_gain(self._wiener.filter().noise_gain)
         return self._done(self._solver.image, self._name, done, gain, self._why)
-
-    def reset(self) -> None:
-        self._solver.reset()
 
     def prepare(self) -> None:
         self._scene.prepare(self._wiener.filter, self._solver.prepare)
@@ -173,10 +167,6 @@ class _Points(_Nonnegative):
         if steps:
             return self._done(drawing.image, "points", done.iterations + steps, drawing.noise_gain, POINTS)
         return done._replace(why=self._points.unavailable or NO_POINTS)
-
-    def reset(self) -> None:
-        super().reset()
-        self._points.reset()
 
     def deviation(self) -> Floats:
         return self._points.drawing.deviation() if self._points.loads else super().deviation()

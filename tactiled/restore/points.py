@@ -34,7 +34,6 @@ MAX_LAST_SHIFT = 0.25  # pitches that the last step may move a point: it is line
 MAX_LAST_STRETCH = 0.5  # of a force that it may change
 MAX_FORCE_ERROR = 0.2  # of a force
 MAX_PLACE_ERROR = 0.5  # pitches
-HYSTERESIS = 1.5  # times further that these bounds reach for points that go on from those of the frame before
 AXES = np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 1], [0.5, 0.5, -1]])  # of a width: down, across, between these
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
@@ -64,12 +63,7 @@ class Points:
         self._refine = blur.surface_shape[0] // blur.frame_shape[0]
         self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
-        self._last: PointLoads | None = None
         self.loads: PointLoads | None = None
-
-    def reset(self) -> None:
-        """Forget the points of the frame before."""
-        self._last = self.loads = None
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
@@ -81,14 +75,8 @@ class Points:
             return 0
         y = self._frame = y.reshape(-1)
         self._model = MODEL_ERROR**2 * float(y.dot(y))
-        done = 0
-        if self._last is not None:
-            done, fit = self._fitter(y, self._last.places, self._model)
-            self.loads = self._accepted(self._fitter, fit, HYSTERESIS)
-        places = None if self.loads else self._peaks(image)
-        if places:
-            done += self._from_peaks(self._fitter, np.array(places), image)
-        self._last = self.loads
+        places = self._peaks(image)
+        done = self._from_peaks(self._fitter, np.array(places), image) if places else 0
         return done if self.loads else 0
 
     def _from_peaks(self, fitter: Fitter, places: Floats, image: Image) -> int:
@@ -139,7 +127,7 @@ class Points:
         pair = fit.places[worst] + 0.5 * np.array([axes[:, -1], -axes[:, -1]])
         return fitter.within(np.concatenate([np.delete(fit.places, worst, axis=0), pair]))
 
-    def _accepted(self, fitter: Fitter, fit: Fit | None, reach: float = 1.0) -> PointLoads | None:
+    def _accepted(self, fitter: Fitter, fit: Fit | None) -> PointLoads | None:
         """Draw and give what stands, each load allowed a width of its own; None where anything is uncertain."""
         if fit is None:
             return None
@@ -152,28 +140,25 @@ class Points:
         common = max(float(width @ (1 / spread) / (1 / spread).sum()), 0.0)
         last = self._last_step(normal, right, common)
         residual = fit.residual + float(last @ (normal @ last - 2 * right))
-        if residual > noise * (free + reach * RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
+        if residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
             return None
         variance = max(residual / free, noise)
         width_variance = variance / float((1 / spread).sum())
-        if common + WIDTH_SIGMAS * sqrt(width_variance) > reach * MAX_WIDTH:
+        if common + WIDTH_SIGMAS * sqrt(width_variance) > MAX_WIDTH:
             return None
-        if (width - LENGTH_SIGMAS * np.sqrt(spread * variance)).max() > common + reach * MAX_WIDTH_SURPLUS:
+        if (width - LENGTH_SIGMAS * np.sqrt(spread * variance)).max() > common + MAX_WIDTH_SURPLUS:
             return None
         widths = fit.widths()
-        if _longest(*widths, reach * LENGTH_SIGMAS * sqrt(variance)) > common + reach * MAX_LENGTH_SURPLUS:
+        if _longest(*widths, LENGTH_SIGMAS * sqrt(variance)) > common + MAX_LENGTH_SURPLUS:
             return None
-        if self._leaves_signal(fitter, fit, last, reach):
+        if self._leaves_signal(fitter, fit, last):
             return None
         force, *shift = last[: 3 * n].reshape(3, n)
-        if (
-            np.abs(shift).max() > reach * MAX_LAST_SHIFT
-            or (np.abs(force) > reach * MAX_LAST_STRETCH * fit.force).any()
-        ):
+        if np.abs(shift).max() > MAX_LAST_SHIFT or (np.abs(force) > MAX_LAST_STRETCH * fit.force).any():
             return None
         errors = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
-        too_uncertain = (errors[:, 0] > (reach * MAX_FORCE_ERROR * fit.force) ** 2).any()
-        if too_uncertain or errors[:, 1:].max() > (reach * MAX_PLACE_ERROR) ** 2:
+        too_uncertain = (errors[:, 0] > (MAX_FORCE_ERROR * fit.force) ** 2).any()
+        if too_uncertain or errors[:, 1:].max() > (MAX_PLACE_ERROR) ** 2:
             return None
         loads = PointLoads(
             places=fitter.within(fit.places + np.stack(shift, axis=1)),
@@ -184,8 +169,8 @@ class Points:
             noise=noise / variance,
         )
         self.drawing(loads)
-        may_be_pair = _widest(*widths, sqrt(variance)) > reach * PAIR_WIDTH
-        return None if self._wary and may_be_pair and self._raw_is_near(reach) else loads
+        may_be_pair = _widest(*widths, sqrt(variance)) > PAIR_WIDTH
+        return None if self._wary and may_be_pair and self._raw_is_near() else loads
 
     def _last_step(self, normal: Floats, right: Floats, common: float) -> Floats:
         """The last step of all unknowns, every width held near the common one."""
@@ -195,16 +180,16 @@ class Points:
         right[3 * n :] += firm * common
         return np.asarray(np.linalg.solve(normal, right), float)
 
-    def _raw_is_near(self, reach: float) -> bool:
+    def _raw_is_near(self) -> bool:
         """Whether the raw image may be nearer to the truth than the points just drawn, were one of them two."""
         y, image, k = self._frame, self.drawing.image, self._refine
         rows, columns = self._scene.blur.frame_shape
         square = float(np.vdot(image, image))
         both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
         missed = k**2 * float(y.dot(y)) - 2 * both + square
-        return missed < (RAW_ERROR / reach) ** 2 * square
+        return missed < (RAW_ERROR) ** 2 * square
 
-    def _leaves_signal(self, fitter: Fitter, fit: Fit, last: Floats, reach: float) -> bool:
+    def _leaves_signal(self, fitter: Fitter, fit: Fit, last: Floats) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
         n = len(fit.force)
         moved = last * np.concatenate([np.ones(n), *[fit.force] * 3])
@@ -215,7 +200,7 @@ class Points:
         about = (_window(unexplained, each, 1) for each in fit.places)
         return any(
             float(np.vdot(each, each))
-            > noise * (each.size + reach * NEIGHBOURHOOD_SIGMAS * sqrt(2 * each.size)) + self._model
+            > noise * (each.size + NEIGHBOURHOOD_SIGMAS * sqrt(2 * each.size)) + self._model
             for each in about
         )
 

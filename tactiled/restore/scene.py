@@ -1,7 +1,7 @@
 """One frame in the blur's modes: what every method starts from."""
 
 from collections.abc import Callable
-from math import prod, sqrt
+from math import inf, prod
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +14,6 @@ FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside
 MAX_PREPARED_CELLS = 1024  # up to which what every spectrum needs is made beforehand: memory grows with its square
 FORCE_AGREES_SIGMAS = 0.25  # standard deviations of the total force: a smaller difference is left alone
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to
-UNRELATED = 0.3  # of the frame's square: one that changed by more has little to do with the frame before
-MOVED = 1.5  # times what noise alone may change
-CHANGE_SIGMAS = 4.0  # standard deviations of that
 SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
 SPOTS_TAXELS = 16.0  # a frame as rough whose pressure is on no more may be of points
 
@@ -45,13 +42,11 @@ class Scene:
         self.prior = Prior(self.modes, noise, self.gain_variance)
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
-        self.follows = False  # whether a method starts from the frame before
-        self._from = np.zeros_like(self.c)  # the modes of the last frame that moved
-        self.step = np.zeros_like(self.c)  # what changed since
-        self.moved = True  # whether that is more than noise does
-        self.unrelated = True  # whether the frame before says nothing about this one
-        self.flat, self._flat_step = self.c.reshape(-1), self.step.reshape(-1)
-        self._noise_step = 2 * noise**2 * (self.c.size + CHANGE_SIGMAS * sqrt(2 * self.c.size))
+        self.flat = self.c.reshape(-1)
+        self.deadline, self.late = (
+            inf,
+            False,
+        )  # when (s, perf_counter) this frame's image is due; whether it was cut
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._analyse(ones, self._analyse.empty()).reshape(-1)
         analyse = self.modes.to_surface_modes()
@@ -76,13 +71,6 @@ class Scene:
         """Take in a frame without gaps."""
         self._analyse(y, self.c)
         self.spectrum = self.prior.pick(self.c)
-        if self.follows:
-            np.subtract(self.c, self._from, out=self.step)
-            changed = float(self._flat_step.dot(self._flat_step))
-            self.moved = changed > MOVED * self._noise_step
-            self.unrelated = self.moved and changed > self._noise_step + UNRELATED * self.square
-            if self.moved:
-                np.copyto(self._from, self.c)
 
     def look_at_nothing(self) -> None:
         """Take in that there is no pressure."""

@@ -3,13 +3,15 @@
 import numpy as np
 
 from tactiled.restore.modes import Image
-from tactiled.restore.nonnegative import PENALTY, SPARSE_GAUSSIAN, Nonnegative, Step
+from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.scene import Scene
 
 # Weight, corner and tolerance were chosen on the scenes of `python -m tests.study judge --family first`.
 VARIATION_WEIGHT = 0.04  # times the geometric mean of noise and contrast
 FLAT_CORNER = 0.2  # cycles a cell: a scene whose spectrum reaches further has few flat parts to look for
-WARM_TOLERANCE = 0.2  # noise standard deviations: from the image before, the pull needs longer than the image
+PENALTY, RELAXATION = 0.3, 1.0  # of the splitting: the edges' pull takes one step an iteration, too
+MAX_ITERATIONS = 30
+SETTLED = 0.0  # the edges settle after the share of pressed cells
 MIN_WEIGHT = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
 DUAL_STEP = 0.125  # of the edges' pull: 1 over the largest eigenvalue of a grid's differences
 
@@ -54,14 +56,14 @@ class Edges:
             total += float(self._length.dot(inside))
         return total
 
-    def fill(self, t: Image) -> None:
-        """Make x what is left of t (R C,) under the pull, 0 where that is negative."""
+    def fill(self, z: Image) -> None:
+        """Make x what is left of z (R C,) under the pull, 0 where that is negative."""
         x = self.x
         np.subtract(self._across, self._before, out=x)
         np.add(x, self._down, out=x)
         np.subtract(x, self._above, out=x)
         np.multiply(x, self._step, out=x)
-        np.add(x, t, out=x)
+        np.add(x, z, out=x)
         np.maximum(x, self._zero, out=x)
 
     def follow(self) -> None:
@@ -85,47 +87,42 @@ class Edges:
 class TotalVariation(Nonnegative):
     """The same iteration, the weighted variation of the image added: its edges' pull is found along the way.
 
-    max(t, 0) becomes max(t - D'p, 0), where p follows D x, in no cell longer than the weight over P. The weight is
+    max(z, 0) becomes max(z - D'p, 0), where p follows D x, in no cell longer than the weight over P. The weight is
     VARIATION_WEIGHT sqrt(sigma B) / (1 + (q0 / FLAT_CORNER)^2), B = sum x^2 / sum |D x|: between the noise and
     what the image has to lose, and less the further the scene's spectrum reaches.
     """
 
-    _warm_tolerance = WARM_TOLERANCE
+    _relaxation, _max_iterations, _settled = RELAXATION, MAX_ITERATIONS, SETTLED
 
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
         rows, columns = scene.blur.surface_shape
         self._edges = Edges((rows, columns))
-        self._x, self._flat_t = self._edges.x.reshape(rows, columns), self._t.reshape(-1)
+        self._x = self._edges.x.reshape(rows, columns)
 
-    def _start(self, guess: Image) -> None:
-        super()._start(guess)
-        self._x[...] = self._t
+    def _start(self, linear: Image) -> None:
+        super()._start(linear)
+        np.maximum(linear, self._zeros, out=self._x)
         self._edges.reset()
-
-    def _shift(self, change: Image) -> None:
-        np.add(self._x, change, out=self._x)
 
     def _show(self) -> None:
         self.image[...] = self._x
 
-    def _slack(self, share: float) -> float:
-        del share  # flat parts are asked for in its place
-        return SPARSE_GAUSSIAN
+    def _penalty_for(self, curvature: Image) -> float:
+        del curvature
+        return PENALTY
 
-    def _reflect(self) -> Image:
-        return np.subtract(self._x, self._pull, out=self._abs)
+    def _mirror(self) -> Image:
+        self._edges.fill(self._z.reshape(-1))
+        self._edges.follow()
+        mirrored = np.add(self._x, self._x, out=self._mirrored)
+        return np.subtract(mirrored, self._z, out=mirrored)
 
-    def _load(self) -> Step:
+    def _load(self, share: float) -> None:
+        super()._load(share)
         scene, x = self._scene, self._edges.x
         differences = self._edges.sum_of_differences()
         contrast = float(x.dot(x)) / differences if differences else 0.0
         flat = 1 / (1 + (scene.spectrum.corner / FLAT_CORNER) ** 2)
         weight = VARIATION_WEIGHT * flat * (scene.noise * contrast) ** 0.5
-        self._edges.limit(max(weight, MIN_WEIGHT * scene.noise) / PENALTY)
-        return super()._load()
-
-    def _split(self) -> None:
-        self._edges.fill(self._flat_t)
-        np.subtract(self._t, self._x, out=self._change)
-        self._edges.follow()
+        self._edges.limit(max(weight, MIN_WEIGHT * scene.noise) / self._penalty)

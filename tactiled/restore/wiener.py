@@ -59,8 +59,3 @@ class Wiener:
         if scale != 1.0:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
         return self._synthesise(self._modes, self._image)
-
-    def of(self, c: Image) -> Image:
-        """Give what the scene's filter makes of any modes `c`; the total force is not held to."""
-        np.multiply(c, self.filter().weight, out=self._modes)
-        return self._synthesise(self._modes, self._image)

@@ -4,7 +4,7 @@ from math import prod, sqrt
 
 import numpy as np
 
-from tactiled.restore.auto import ITERATED, REVIEW_FRAMES, SUM_SIGMAS, Auto
+from tactiled.restore.auto import SUM_SIGMAS, Auto
 from tactiled.restore.blur import Blur, GridBlur
 from tactiled.restore.deviation import deviation
 from tactiled.restore.modes import Floats, Image
@@ -14,7 +14,6 @@ from tactiled.restore.scene import Restored, Scene
 SIDE = 32  # taxels: windows of 16 on grids of 32 saved nothing (docs/decisions.md)
 MIN_WINDOWS = 2  # that a grid has taxels for: on a smaller one, looking costs what solving less saves
 MARGIN = 4  # taxels within the window's edge that must be noise too
-MOVE_TAXELS = 2  # taxels within that margin that a contact is given to move in
 CONTACT = 0.8  # of what noise hardly reaches: a taxel above belongs to the contact
 
 Slices = tuple[slice, slice]
@@ -27,10 +26,9 @@ def fits(blur: Blur) -> bool:
 
 
 class Windowed:
-    """Restores by `auto` until a small contact needs iterations, then in a window while all around it is noise.
+    """Restores by `auto`: a small contact in a window around it, where all around that is noise.
 
-    All around is noise where peak, trough, sum and power are. A window that its contact leaves is put around it
-    again; one that did not last `REVIEW_FRAMES`, or could not be put, gives way to the full grid for as many.
+    All around is noise where peak, trough, sum and power are.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -43,21 +41,16 @@ class Windowed:
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
         self._flat, self._ones = self._around.reshape(-1), np.ones(self._around.size, np.float32)
         self._image = np.zeros(blur.surface_shape, np.float32)
+        self._pressed = np.empty(blur.frame_shape, bool)
         self._peak = detection_threshold(scene.noise, scene.flat.size)
-        self._open = self.used = False  # whether there is a window, and whether the last image came from it
+        self.used = False  # whether the last image came from a window
         self._taxels = self._inside = self._cells = (slice(0), slice(0))
-        self._age = self._wait = 0
         self.is_idle = self._full.is_idle
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
         self._full.prepare()
         self._part.prepare()
-
-    def reset(self) -> None:
-        """Forget the frames so far."""
-        self._open, self._wait = False, 0
-        self._full.reset()
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""
@@ -70,33 +63,17 @@ class Windowed:
 
     def __call__(self, y: Image) -> Restored:
         """Restore a frame without gaps."""
-        self.used = False
-        if self._open:
-            if self._quiet(y) or (self._age > REVIEW_FRAMES and self._put(y)):
-                done = self._windowed(y)
-                if done.method != "idle":
-                    return done
-            self._close()
-        done = self._full(y)
-        if self._wait:
-            self._wait -= 1
-        elif done.method in ITERATED and not self._put(y):
-            self._close()
-        return done
-
-    def _close(self) -> None:
-        if self._open:
-            self._full.follow(self._part)
-        self._open, self.used, self._wait = False, False, REVIEW_FRAMES
+        self.used = not self.is_idle(y) and self._put(y)
+        return self._windowed(y) if self.used else self._full(y)
 
     def _windowed(self, y: Image) -> Restored:
+        scene, part = self._scene, self._part_scene
         self._crop[...] = y[self._taxels]
-        self._part_scene.high, self._part_scene.low = self._scene.high, self._scene.low
-        self._part.keep_method()  # linear was refused on the full grid, where more noise shows
+        part.high, part.low, part.deadline, part.late = scene.high, scene.low, scene.deadline, False
         done = self._part(self._crop)
+        scene.late = part.late
+        self._image[...] = 0
         self._image[self._cells] = done.image
-        self._age += 1
-        self.used = True
         return done._replace(image=self._image)
 
     def _quiet(self, y: Image) -> bool:
@@ -113,7 +90,7 @@ class Windowed:
 
     def _put(self, y: Image) -> bool:
         """Put the window around the contact; False where that has no room in it, or more is pressed elsewhere."""
-        pressed = y > CONTACT * self._peak
+        pressed = np.greater(y, CONTACT * self._peak, out=self._pressed)
         rows, columns = (
             _place(np.flatnonzero(pressed.any(axis)), n) for axis, n in zip((1, 0), y.shape, strict=True)
         )
@@ -124,9 +101,6 @@ class Windowed:
             return False
         k = self._refine
         self._cells = slice(k * rows[0].start, k * rows[0].stop), slice(k * columns[0].start, k * columns[0].stop)
-        self._image[...] = 0
-        self._part.follow(self._part if self._open else self._full)
-        self._open, self._age = True, 0
         return True
 
 
@@ -137,6 +111,4 @@ def _place(pressed: "np.ndarray[tuple[int, ...], np.dtype[np.intp]]", n: int) ->
     first, last = int(pressed[0]), int(pressed[-1])
     start = min(max((first + last + 1 - SIDE) // 2, 0), n - SIDE)
     inside = slice(start + MARGIN if start else 0, start + SIDE - MARGIN if start + SIDE < n else n)
-    ahead = first - inside.start if start else MOVE_TAXELS
-    behind = inside.stop - 1 - last if start + SIDE < n else MOVE_TAXELS
-    return (slice(start, start + SIDE), inside) if min(ahead, behind) >= MOVE_TAXELS else None
+    return (slice(start, start + SIDE), inside) if inside.start <= first and last < inside.stop else None

@@ -103,7 +103,6 @@ class Pipeline:
     def _use_zero(self) -> None:
         measured = self._zero.time is not None or self._plan.calibration.no_loads is not None
         self.calibrator.tare(self._zero.counts.astype(float), measured)
-        self._restorer.reset()
         self._recent = ()
 
     def take_over(self, other: "Pipeline") -> None:
@@ -129,7 +128,6 @@ class Pipeline:
                 self._deviation = wanted_by, make(wanted_by[0], self._plan.blur, wanted_by[1])
             restorer = self._deviation[1]
             restorer.weigh(self._noise_ratio)
-            restorer.reset()
             restorer(image.raw, image.flags)
             return restorer.deviation().astype(np.float32)
 

@@ -1,6 +1,6 @@
 """Speed against accuracy: every method timed and scored on the same frames, in one run on one thread; a chart."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -18,8 +18,6 @@ from tactiled.study.charts import BLACK, BLUE, OURS, PINK, RED, SKY, figure
 from tactiled.study.peers import STOPS, Restore, absent, peers
 from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Skin, clips, into, nrmse, rubber
-
-Run = tuple[Restore, Callable[[], None]]  # restores a frame; forgets the frames so far
 
 BOUND = "best linear filter, given the truth's spectrum"
 SIZES = {"auto": 10, "nnls": 14}  # points: auto often selects nnls, and then both must show
@@ -140,7 +138,7 @@ def panel(skin: Skin, noise: float, effort: Effort, seed: int) -> Panel:
         floors.append(floor(skin, clip))
         for name, run in _runs(skin, clip, noise, effort.stops).items():
             rounds = effort.rounds if name in METHODS else effort.peer_rounds
-            played.setdefault(name, []).append([_play(*run, clip) for _ in range(rounds)])
+            played.setdefault(name, []).append([_play(run, clip) for _ in range(rounds)])
     marks = []
     for name, of_clips in played.items():
         error = float(np.mean([rounds[0][0] for rounds in of_clips]))
@@ -163,9 +161,8 @@ def floor(skin: Skin, clip: Clip) -> float:
     return float(np.sqrt(residual.sum() / power.sum()))
 
 
-def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, list[float]]:
-    """Restore a clip from its start: mean NRMSE, and microseconds of each frame."""
-    forget()
+def _play(run: Restore, clip: Clip) -> tuple[float, list[float]]:
+    """Restore a clip: mean NRMSE, and microseconds of each frame."""
     errors, times = [], []
     for frame, truth in zip(clip.frames, clip.truths, strict=True):
         start = perf_counter()
@@ -175,16 +172,15 @@ def _play(run: Restore, forget: Callable[[], None], clip: Clip) -> tuple[float, 
     return float(np.mean(errors)), times
 
 
-def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Run]:
+def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Restore]:
     runs = {name: _own_run(make(name, skin.blur, clip.sigma)) for name in METHODS}
     if skin.psf is not None:
-        others = peers(skin.psf, clip.frames.shape[1:], noise, stops)
-        runs |= {name: (run, lambda: None) for name, run in others.items()}
+        runs |= peers(skin.psf, clip.frames.shape[1:], noise, stops)
     return runs
 
 
-def _own_run(restorer: Restorer) -> Run:
-    return lambda frame: restorer(frame).image, restorer.reset
+def _own_run(restorer: Restorer) -> Restore:
+    return lambda frame: restorer(frame).image
 
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:

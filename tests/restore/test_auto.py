@@ -1,13 +1,9 @@
-import itertools
-
 import numpy as np
 import pytest
 
 from tactiled.frames import DEAD
-from tactiled.restore.auto import POINTS_PAUSE_FRAMES
 from tactiled.restore.methods import METHODS, make
-from tactiled.restore.points import Points
-from tactiled.study.skin import clips, nrmse, rubber
+from tactiled.study.skin import nrmse
 from tests.study.presses import presses
 
 SIGMA = 0.5
@@ -95,7 +91,7 @@ def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch, name)
     restorer = make(name, covered(SHAPE), SIGMA)
     restorer.prepare()
     monkeypatch.delattr("tactiled.restore.wiener.Filter.__init__")
-    monkeypatch.delattr("tactiled.restore.nonnegative.Step.__init__")
+    monkeypatch.delattr("tactiled.restore.nonnegative.Smooth.__init__")
     methods = {restorer(sensed(truth)).method for truth in (20 + bump(5), bump(1), bump(2, 5))}
     assert methods == {"auto": {"wiener", "nnls"}, "points": {"nnls"}}.get(name, {name})
 
@@ -118,24 +114,6 @@ def test_every_choice_has_a_reason(covered, sensed):
     ]
 
 
-@pytest.mark.parametrize(("weakest", "strongest", "limit"), [(0.0, 40.0, 7), (0.3, 0.9, 20), (0.5, 1.2, 40)])
-def test_a_scene_on_the_border_does_not_flicker(covered, sensed, weakest, strongest, limit):
-    """Without hysteresis these rising presses change the method 12, 75 and 95 times."""
-    auto = make("auto", covered(SHAPE), SIGMA)
-    methods = [auto(sensed(bump(3, peak))).method for peak in np.linspace(weakest, strongest, 300)]
-    assert sum(a != b for a, b in itertools.pairwise(methods)) < limit
-
-
-def test_a_faint_press_that_linear_almost_does_for_does_not_flicker():
-    """Asked again every eighth frame, 41 changes."""
-    press = next(each for each in presses(16, (2.0,), (1e-6,), 1, 31) if each.scene == "blobs")
-    random, faint = np.random.default_rng(0), press.frame * np.float32(10 * SIGMA / press.frame.max())
-    auto = make("auto", press.blur, SIGMA)
-    frames = (faint + random.normal(0, SIGMA, faint.shape).astype(np.float32) for _ in range(600))
-    methods = [auto(frame).method for frame in frames]
-    assert sum(a != b for a, b in itertools.pairwise(methods)) < 20
-
-
 def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):
     auto = make("auto", covered(SHAPE), SIGMA)
     flags = np.zeros(SHAPE, np.uint8)
@@ -143,44 +121,6 @@ def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):
     frame = sensed(np.zeros(SHAPE))
     frame[3, 4] = 500
     assert auto(frame, flags).method == "idle"
-
-
-def test_an_old_image_does_not_come_back(covered, sensed):
-    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
-    before, after = np.zeros(SHAPE), np.zeros(SHAPE)
-    before[10:13, 4:7], after[10:13, 17:20] = 100, 100
-    for _ in range(5):
-        auto(sensed(before, 2.0))
-    for _ in range(3):
-        image = auto(sensed(after, 2.0)).image
-    assert image[:, :10].sum() < 0.02 * image.sum()
-
-
-@pytest.mark.parametrize(("scene", "method"), [("rings", "nnls"), ("points", "points")])
-def test_a_moving_scene_starts_from_the_image_or_the_points_before(scene, method):
-    skin = rubber(1.0, 16)
-    clip = next(clips(skin, 0.002, 6, 1, (scene,)))
-    following = make("auto", skin.blur, clip.sigma)
-    iterations = [following(frame).iterations for frame in clip.frames]
-    fresh = make("auto", skin.blur, clip.sigma)(clip.frames[-1])
-    assert fresh.method == method
-    assert iterations[-1] < 0.4 * fresh.iterations
-
-
-def test_points_are_left_alone_after_a_fit_that_did_not_stand(covered, sensed, monkeypatch):
-    auto = make("auto", covered(SHAPE, 2.0), SIGMA)
-    truth = np.zeros(SHAPE)
-    truth[10:13, 10:13] = 100
-    tried = []
-    fit = Points.__call__
-    monkeypatch.setattr(Points, "__call__", lambda *each: tried.append(1) or fit(*each))
-    for _ in range(POINTS_PAUSE_FRAMES):
-        assert auto(sensed(truth, 2.0)).method == "nnls"
-    assert len(tried) == 1
-    auto(sensed(np.zeros(SHAPE)))
-    truth[10:13, 10:13] = 0
-    truth[11, 12] = 600
-    assert auto(sensed(truth, 2.0)).method == "points"
 
 
 def test_no_disc_is_made_a_spike_that_the_noise_does_not_resolve():

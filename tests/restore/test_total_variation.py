@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from skimage.restoration import denoise_tv_chambolle
 
 from tactiled.restore.methods import make
-from tactiled.restore.nonnegative import MIN_SHARE, SPARSE_GAUSSIAN, SPARSE_WEIGHT
+from tactiled.restore.nonnegative import GAUSSIAN_SHARE, SPARSE_SHARE
 from tactiled.restore.scene import Scene
 from tactiled.restore.total_variation import FLAT_CORNER, VARIATION_WEIGHT, Edges, TotalVariation
 from tactiled.restore.wiener import Wiener
@@ -43,13 +43,12 @@ def test_the_sum_of_differences_is_that_of_all_differences(shape):
 
 def weights(scene, x):
     """What the image of a scene is weighed by: its Gaussian (surface modes), its sum and its variation."""
-    gaussian = SPARSE_GAUSSIAN / scene.spectrum.ratio
-    share = max(x.sum() ** 2 / (x.size * (x**2).sum()), MIN_SHARE)
+    share = x.sum() ** 2 / (x.size * (x**2).sum())
     contrast = (x**2).sum() / sum(np.abs(each).sum() for each in differences(x))
     flat = 1 / (1 + (scene.spectrum.corner / FLAT_CORNER) ** 2)
     return (
-        gaussian,
-        SPARSE_WEIGHT * scene.noise / np.sqrt(share),
+        min(1, share / GAUSSIAN_SHARE) / scene.spectrum.ratio,
+        min(1, SPARSE_SHARE / share) * scene.noise,
         VARIATION_WEIGHT * flat * np.sqrt(scene.noise * contrast),
     )
 
@@ -82,10 +81,10 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     frame, _ = pressed(blur, SIGMA, seed)
     scene = Scene(blur, SIGMA)
     monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
-    solver, wiener = TotalVariation(scene), Wiener(scene)
-    for _ in range(3000):
-        scene.look(frame)
-        solver(wiener)
+    monkeypatch.setattr(TotalVariation, "_max_iterations", 20_000)
+    solver = TotalVariation(scene)
+    scene.look(frame)
+    solver(Wiener(scene)())
     ours = solver.image.astype(float)
     exact = objective(scene, frame, ours)
     best = ours.ravel()
@@ -113,33 +112,7 @@ def test_flat_parts_come_out_flat(covered, thickness, sigma):
     images = {name: make(name, blur, sigma)(frame).image for name in ("tv", "nnls")}
     inside = np.hypot(x, y) < 5
     assert images["tv"][inside].std() < 0.6 * images["nnls"][inside].std()
-    assert np.linalg.norm(images["tv"] - truth) < 0.85 * np.linalg.norm(images["nnls"] - truth)
-
-
-def test_from_another_image_it_comes_to_the_same(covered, pressed):
-    blur = covered((16, 16))
-    frame, _ = pressed(blur, SIGMA)
-    other = np.ascontiguousarray(pressed(blur, SIGMA, 1)[0][::-1, ::-1])
-    warm, cold = make("tv", blur, SIGMA), make("tv", blur, SIGMA)
-    for _ in range(5):
-        warm(other)
-    for _ in range(300):
-        image, expected = warm(frame).image, cold(frame).image
-    assert np.sqrt(np.mean((image - expected) ** 2)) < 0.01 * SIGMA
-
-
-def test_warm_iterations_are_fewer_and_the_image_is_still_better(covered, pressed):
-    blur = covered((24, 24))
-    restorers = {name: make(name, blur, SIGMA) for name in ("tv", "nnls")}
-    cold = min([restorer(pressed(blur, SIGMA, 0)[0]).iterations for restorer in restorers.values()])
-    error = dict.fromkeys(restorers, 0.0)
-    for seed in range(1, 6):
-        frame, truth = pressed(blur, SIGMA, seed)
-        for name, restorer in restorers.items():
-            done = restorer(frame)
-            error[name] += np.linalg.norm(done.image - truth)
-            assert done.iterations < cold / 2
-    assert error["tv"] < 0.95 * error["nnls"]
+    assert np.linalg.norm(images["tv"] - truth) < 0.9 * np.linalg.norm(images["nnls"] - truth)
 
 
 def test_without_a_grid_it_is_plain_least_squares_and_says_so(covered, pressed):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.operator import matrix
-from tactiled.restore.auto import REVIEW_FRAMES, Auto
+from tactiled.restore.auto import Auto
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.window import SIDE, Windowed, fits
@@ -60,7 +60,6 @@ def test_windows_are_for_large_grids(covered):
 @pytest.mark.parametrize("place", [(20, 30), (3, 4), (45, 49)], ids=["middle", "corner", "far corner"])
 def test_in_a_window_a_contact_is_what_it_is_on_the_full_grid(sensed, both, place):
     truth = disc(*place)
-    both(sensed(truth))
     for _ in range(5):
         in_window, full_grid, windowed = both(sensed(truth))
         assert windowed.used
@@ -79,7 +78,7 @@ def test_a_contact_that_crosses_is_never_cut(sensed, both):
         errors.append((error(in_window.image, truth), error(full_grid.image, truth)))
     in_window, full_grid = np.array(errors).T
     assert np.mean(used) > 0.9
-    assert sum(a != b for a, b in itertools.pairwise(used)) <= 3
+    assert sum(a != b for a, b in itertools.pairwise(used)) <= 4
     assert in_window.mean() < full_grid.mean()
     assert (in_window < 1.5 * full_grid).all()
 
@@ -89,7 +88,7 @@ def test_a_contact_that_grows_is_left_to_the_full_grid(sensed, both):
     for radius in np.arange(3, 20, 0.25):
         in_window, full_grid, windowed = both(sensed(disc(24, 26, radius)))
         used.append(windowed.used)
-    assert used[1]
+    assert used[0]
     assert not used[-1]
     assert sum(a != b for a, b in itertools.pairwise(used)) <= 4
     assert error(in_window.image, disc(24, 26, radius)) < 1.05 * error(full_grid.image, disc(24, 26, radius))
@@ -104,23 +103,21 @@ LEAVING = {
 
 
 @pytest.mark.parametrize("case", LEAVING)
-def test_a_window_closes_on_what_is_not_one_small_contact(sensed, both, case):
-    for _ in range(REVIEW_FRAMES + 3):
-        *_, windowed = both(sensed(disc(12, 12)))
+def test_no_window_for_what_is_not_one_small_contact(sensed, both, case):
+    *_, windowed = both(sensed(disc(12, 12)))
     assert windowed.used
     truth = LEAVING[case](disc(12, 12))
-    for _ in range(2 * REVIEW_FRAMES):
+    for _ in range(8):
         in_window, full_grid, windowed = both(sensed(truth))
         assert not windowed.used
         assert case != "nothing" or in_window.method == full_grid.method == "idle"
         if case == "another contact":
-            assert error(in_window.image, truth) < 1.1 * error(full_grid.image, truth)
+            np.testing.assert_array_equal(in_window.image, full_grid.image)
     assert case != "wide and faint" or in_window.image[36:, 36:].mean() > 0.3
 
 
-def test_a_window_closes_on_power_that_no_taxel_and_no_sum_shows(sensed, both):
-    for _ in range(3):
-        *_, windowed = both(sensed(disc(12, 12)))
+def test_no_window_where_there_is_power_that_no_taxel_and_no_sum_shows(sensed, both):
+    *_, windowed = both(sensed(disc(12, 12)))
     assert windowed.used
     ripple = (-1.0) ** np.add.outer(*map(np.arange, SHAPE))
     *_, windowed = both(sensed(disc(12, 12)) + (0.6 * SIGMA * ripple).astype(np.float32))
@@ -136,15 +133,11 @@ def test_points_and_deviation_are_where_the_window_is():
         return (clean + random.normal(0, SIGMA, SHAPE)).astype(np.float32)
 
     restorer = make("auto", sensor.blur, SIGMA)
-    alone = restorer(sensed()).image.copy()
-    around = restorer.deviation()
     done = restorer(sensed())
     assert done.method == "points"
-    assert error(done.image, truth) < 0.1 + error(alone, truth)
     assert done.image.argmax() == np.ravel_multi_index((31, 40), SHAPE)
     assert done.image.sum() == pytest.approx(2000, rel=0.02)
     spread = restorer.deviation()
     assert spread.shape == SHAPE
-    assert spread[31, 40] > 0.5 * around[31, 40]
     assert 0 < spread[2, 2] < 0.2 * spread[31, 40]
     assert np.count_nonzero(spread > 0.5 * spread[31, 40]) <= SIDE**2

@@ -6,23 +6,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tactiled.restore.methods import make
-from tactiled.study.scenes import PEAK_KPA
 from tactiled.study.skin import rubber
 from tests.study import frame_times, transitions
 from tests.study.held_out_scenes import FINER
-from tests.study.transitions import play, recorded, steps, summary
+from tests.study.transitions import steps, summary
 
 
 class Lagging:
     """Shows the frame before, if there is one."""
 
     def __init__(self, *_):
-        self.reset()
-        self.prepare = self.reset
-
-    def reset(self):
         self.image = None
+
+    def prepare(self):
+        pass
 
     def __call__(self, frame):
         self.image, image = frame, frame if self.image is None else self.image
@@ -51,14 +48,6 @@ def test_a_method_that_looks_back_is_told_from_one_that_does_not(monkeypatch):
     assert (
         int(summary("", judged["frame 1"])[6]) == len(judged["frame 1"]) > int(summary("", judged["slipping"])[6])
     )
-
-
-def test_a_reset_restorer_gives_what_a_fresh_one_does():
-    skin, random = rubber(1.0, 16, FINER), np.random.default_rng(2)
-    load = np.maximum(0, 100 - 3 * np.hypot(skin.surface.x - 2, 4 * skin.surface.y) ** 2)
-    clip, other = (recorded(skin, [each] * 3, 0.01, random) for each in (load, 0.8 * np.roll(load, 4)))
-    used, fresh = (make("auto", skin.blur, 0.01 * PEAK_KPA) for _ in range(2))
-    assert play(used, other) != play(used, clip) == play(fresh, clip)
 
 
 class Slow(Lagging):

@@ -1,5 +1,6 @@
 """A frame after others: its error over that of the same frame alone."""
 
+from functools import partial
 from itertools import chain, islice, permutations, product
 from typing import NamedTuple
 
@@ -37,20 +38,20 @@ def recorded(skin, pressures, noise, random):
     )
 
 
-def play(restorer, clip, before=()):
-    """Error of every frame of a clip, from the start or after the frames `before`; without load there is none."""
-    restorer.reset()
+def play(fresh, clip, before=()):
+    """Error of every frame of a clip by a fresh restorer after the frames `before`; NaN without a load."""
+    restorer = fresh()
     for frame in before:
         restorer(frame)
     images = ((restorer(frame).image, truth) for frame, truth in zip(clip.frames, clip.truths, strict=True))
     return [nrmse(image, truth) if truth.any() else np.nan for image, truth in images]
 
 
-def references(restorer, clip):
+def references(fresh, clip):
     """Error of every frame alone, and of its raw image."""
     for frame, truth in zip(clip.frames, clip.truths, strict=True):
         if truth.any():
-            yield play(restorer, Clip("", clip.sigma, frame[None], truth[None]))[0], nrmse(frame, truth)
+            yield play(fresh, Clip("", clip.sigma, frame[None], truth[None]))[0], nrmse(frame, truth)
         else:
             yield np.nan, np.nan
 
@@ -61,24 +62,24 @@ def steps(method, skin, noise, seed):
         np.random.default_rng([seed, int(1e4 * noise)]),
         f"t/pitch {skin.thickness:g}, {100 * noise:g} %",
     )
-    restorer = make(method, skin.blur, noise * PEAK_KPA)
+    fresh = partial(make, method, skin.blur, noise * PEAK_KPA)
     still = {scene: [held_out(scene, skin, seed)] * FRAMES for scene in HELD_OUT_SCENES}
     still["growing"] = [growing_bump(skin, seed, n) for n in range(FRAMES)]
     clips = {scene: recorded(skin, each, noise, random) for scene, each in still.items()}
-    single = {scene: list(references(restorer, clip)) for scene, clip in clips.items()}
+    single = {scene: list(references(fresh, clip)) for scene, clip in clips.items()}
     for a, b in permutations(clips, 2):
-        for n, error in enumerate(play(restorer, clips[b], clips[a].frames)):
+        for n, error in enumerate(play(fresh, clips[b], clips[a].frames)):
             yield f"frame {n + 1}", Step(f"{a}, then {b}, {about}", error, *single[b][n])
     places = list(zip(random.choice(list(clips), JUMPS), random.integers(0, FRAMES, JUMPS), strict=True))
     frames, truths = (
         np.stack([getattr(clips[scene], name)[n] for scene, n in places]) for name in ("frames", "truths")
     )
-    for error, (scene, n) in zip(play(restorer, Clip("", 0, frames, truths)), places, strict=True):
+    for error, (scene, n) in zip(play(fresh, Clip("", 0, frames, truths)), places, strict=True):
         yield "jumps", Step(f"jump to {scene}, {about}", error, *single[scene][n])
     for motion, scene in product(MOTIONS[1:], HELD_OUT_SCENES):
         pressures = [held_out(scene, skin, seed, motion, n) for n in range(MOVING_FRAMES)]
         clip = recorded(skin, pressures, noise, random)
-        each = zip(play(restorer, clip), list(references(restorer, clip)), strict=True)
+        each = zip(play(fresh, clip), list(references(fresh, clip)), strict=True)
         for error, others in list(each)[APPEARS if motion == "appearing" else 0 :]:
             yield motion, Step(f"{motion} {scene}, {about}", error, *others)
 
