@@ -16,7 +16,7 @@ from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.points import Points
 from tactiled.restore.richardson_lucy import RichardsonLucy
-from tactiled.restore.scene import Restored, Scene
+from tactiled.restore.scene import Restored, Scene, never
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Wiener
 from tactiled.restore.window import Windowed, fits
@@ -40,8 +40,16 @@ class Restorer:
         self.prepare = self._method.prepare
         self._filled = False  # the last frame
 
-    def __call__(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None = None) -> Restored:
-        """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN."""
+    def __call__(
+        self,
+        frame: NDArray[np.float32],
+        flags: NDArray[np.uint8] | None = None,
+        expired: Callable[[], bool] = never,
+    ) -> Restored:
+        """Restore a frame (kPa, the taxels' shape; NaN and flagged taxels are unknown); never gives NaN.
+
+        Once `expired` says so, the image is the best so far, and `cut_short`.
+        """
         y, scene, self._filled = np.ascontiguousarray(frame, np.float32), self._scene, False
         scene.measure_range(y)
         plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
@@ -51,7 +59,9 @@ class Restorer:
             if not self._method.is_idle(y):
                 y, self._filled = self._inpainter.fill(), True
                 scene.measure_range(y)
-        return self._method(y)
+        scene.expired, scene.cut_short = expired, False
+        done = self._method(y)
+        return done._replace(cut_short=True) if scene.cut_short else done
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored."""

@@ -1,7 +1,6 @@
 """Non-negative least squares in the blur's own modes: pressure pushes, it never pulls."""
 
 from math import inf, pi, prod, sqrt
-from time import perf_counter
 
 import numpy as np
 
@@ -86,8 +85,7 @@ class Nonnegative:
                 before, share = share, self._share()
                 if abs(share - before) < self._settled * before:
                     break
-                if perf_counter() > scene.deadline:
-                    scene.late = True
+                if scene.cut():
                     break
                 self._load(share)
             self._iterate()

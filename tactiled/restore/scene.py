@@ -1,7 +1,7 @@
 """One frame in the blur's modes: what every method starts from."""
 
 from collections.abc import Callable
-from math import inf, prod
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,11 @@ SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
 SPOTS_TAXELS = 16.0  # a frame as rough whose pressure is on no more may be of points
 
 
+def never() -> bool:
+    """Whether time is over, where there is no end to it."""
+    return False
+
+
 class Restored(NamedTuple):
     """A restored image and what is known about it."""
 
@@ -27,6 +32,7 @@ class Restored(NamedTuple):
     iterations: int
     noise_gain: float  # restored noise over raw noise, root mean square over the cells
     resolution_mm: float  # the finest half-period that the image carries above its noise
+    cut_short: bool = False  # whether the time for it was over before the method was done
 
 
 class Scene:
@@ -43,10 +49,8 @@ class Scene:
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
         self.flat = self.c.reshape(-1)
-        self.deadline, self.late = (
-            inf,
-            False,
-        )  # when (s, perf_counter) this frame's image is due; whether it was cut
+        self.expired: Callable[[], bool] = never  # whether the time for this frame's image is over
+        self.cut_short = False  # whether that ended an iteration
         ones = np.ones(blur.frame_shape, np.float32)
         self.ones = self._analyse(ones, self._analyse.empty()).reshape(-1)
         analyse = self.modes.to_surface_modes()
@@ -62,6 +66,11 @@ class Scene:
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
         self._resolution: dict[Spectrum, float] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
+
+    def cut(self) -> bool:
+        """Whether to stop iterating because the time for the image is over."""
+        self.cut_short = self.expired()
+        return self.cut_short
 
     def measure_range(self, y: Image) -> None:
         """Take in a frame's largest and smallest pressure."""

@@ -69,9 +69,9 @@ class Windowed:
     def _windowed(self, y: Image) -> Restored:
         scene, part = self._scene, self._part_scene
         self._crop[...] = y[self._taxels]
-        part.high, part.low, part.deadline, part.late = scene.high, scene.low, scene.deadline, False
+        part.high, part.low, part.expired, part.cut_short = scene.high, scene.low, scene.expired, False
         done = self._part(self._crop)
-        scene.late = part.late
+        scene.cut_short = part.cut_short
         self._image[...] = 0
         self._image[self._cells] = done.image
         return done._replace(image=self._image)
