@@ -55,6 +55,20 @@ def test_frames_of_which_no_message_is_lost(messages, sequences, loss):
         assert not frame.flags.any()
 
 
+def test_a_frame_carries_what_its_bus_has_counted_until_then():
+    bus = {}
+    assembler = Assembler(CODEC, lambda: bus)
+
+    def loss(messages):
+        return [frame.loss for each in messages for frame in assembler.push(CODEC.decode(each))]
+
+    assert loss(A) == [Loss()]
+    bus["errors"] = 2
+    assert loss([*B, *C[:2]]) == [Loss(errors=2)]
+    bus["dropped"] = 1
+    assert loss(frame_of(3)) == [Loss(lost=1, incomplete=1, errors=2, dropped=1)] * 2
+
+
 OTHER_A = CODEC.encode(counts_of(5), 0, 0.0)
 
 

@@ -1,8 +1,10 @@
+from threading import Event
+
 import numpy as np
 import pytest
 
 from tactiled.runtime.sensor import Sensor
-from tests.conftest import until
+from tests.conftest import BUSY_S, until
 from tests.runtime.conftest import Timed, frame
 
 
@@ -35,6 +37,34 @@ def test_a_frame_that_waits_when_the_next_one_comes_is_skipped_and_counted(plan)
     assert image.sequence == 4
     assert (image.loss.skipped, image.loss.lost) == (4, 3)
     assert sensor.status().loss.skipped == 4
+
+
+def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, monkeypatch):
+    slow, other = Sensor(plan), Sensor(plan)
+    begun, go_on, process, sequences = Event(), Event(), slow.pipeline.process, []
+
+    def held(frame):
+        begun.set()
+        assert go_on.wait(BUSY_S)
+        return process(frame)
+
+    monkeypatch.setattr(slow.pipeline, "process", held)
+    slow.hub.subscribe(lambda image: sequences.append((image.sequence, image.loss.skipped)))
+    for sensor in (slow, other):
+        sensor.start()
+        sensor.offer(frame(0))
+    assert begun.wait(BUSY_S)
+    for n in range(1, 5):
+        slow.offer(frame(n))
+        other.offer(frame(n))
+        until(lambda n=n: (image := other.hub.latest()) and image.sequence == n)
+    assert sequences == []
+    go_on.set()
+    until(lambda: len(sequences) == 2)
+    slow.stop()
+    other.stop()
+    assert sequences == [(0, 0), (4, 3)]
+    assert slow.status().loss.skipped == 3
 
 
 def test_a_frame_that_cannot_be_restored_makes_the_sensor_stale_until_the_next(plan, monkeypatch):

@@ -3,12 +3,12 @@
 import typer
 from threadpoolctl import threadpool_limits
 
-from tests.study import bus, contacts, cover, eflesh, frame_times, health, judge, restore, transitions
+from tests.study import bus, contacts, cover, eflesh, frame_times, health, judge, restore, sensors, transitions
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health, judge.judge,
-    restore.restore, transitions.transitions,
+    restore.restore, sensors.sensors, transitions.transitions,
 ):  # fmt: skip
     app.command()(measurement)
 
