@@ -50,7 +50,7 @@ class Touch:
 
     def nodes(self, likelihood: Likelihood) -> Quadrature:
         """The quadrature of a likelihood of this touch."""
-        raise NotImplementedError
+        return likelihood.model.response.nodes
 
     def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
         """Each reading's distance (M,) in mm from the load, and what the load is there (kPa): the plot's units."""

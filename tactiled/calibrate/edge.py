@@ -129,11 +129,6 @@ class EdgeTouch(Touch):
         across = [distances(self.centred, angle, offset)[0] for *_, angle, offset in self.prior.own]
         return np.asarray((np.abs(across) < reach + np.nan_to_num(self.width, posinf=0) / 2) & inside)
 
-    def nodes(self, likelihood: Likelihood) -> Quadrature:
-        """The quadrature of a likelihood of this touch."""
-        assert isinstance(likelihood.model, EdgeModel)
-        return likelihood.model.response.nodes
-
     def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
         """Each reading's distance (M,) in mm into the load, and the load's pressure (kPa) at that place."""
         model, own = likelihood.model, solution.own[likelihood.readings.press].T

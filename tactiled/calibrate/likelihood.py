@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from tactiled.calibrate.touch_response import EdgeResponse, TipResponse
 from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -56,6 +57,7 @@ class Model:
     positions: Floats  # (M, 2) mm, of the readings' taxels
     press: Ints  # (M,)
     spectrum: Spectrum
+    response: TipResponse | EdgeResponse
 
     def of(self, keep: NDArray[np.bool_], press: Ints) -> "Model":
         """The model of some readings, of presses numbered anew."""

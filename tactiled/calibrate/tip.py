@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
 PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given, by default
+CALIPER_ERROR_MM = 0.02  # standard deviation of a measured diameter
 MIN_PRESSES = 3
 
 
@@ -27,7 +28,7 @@ class Tip:
     """What presses: evenly on a disc, or as a sphere does (Hertz), of a contact diameter (mm), None: unknown."""
 
     diameter_mm: float | None = None
-    error_mm: float = 0.02  # standard deviation of the diameter: what a calliper is good for
+    error_mm: float = CALIPER_ERROR_MM  # standard deviation of the diameter
     sphere: bool = False
 
     def radius_prior(self, pitch: float) -> tuple[float, float]:
@@ -74,11 +75,6 @@ class TipTouch(Touch):
         del depth
         offsets = self.array.positions[None] - self.prior.own[:, None, 1:]
         return np.asarray(np.linalg.norm(offsets, axis=-1) < reach)
-
-    def nodes(self, likelihood: Likelihood) -> Quadrature:
-        """The quadrature of a likelihood of this touch."""
-        assert isinstance(likelihood.model, TipModel)
-        return likelihood.model.response.nodes
 
     def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
         """Each reading's distance (M,) in mm from the tip's middle, and the response there (kPa)."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -86,6 +86,7 @@ def picard(
 
 def calibration(
     trials: Annotated[int, typer.Option(help="Simulated skins to calibrate.", min=1, max=10_000)] = 20,
+    way: Annotated[Literal["tip", "edge", "blind"] | None, typer.Option(help="Only this way.")] = None,
     out: Out = OUT,
     seed: Seed = 1,
 ) -> None:
@@ -94,7 +95,7 @@ def calibration(
 
     make_folder(out)
     with threadpool_limits(1):
-        results = study.measure(trials, seed)
+        results = study.measure(trials, seed, way)
     study.write(out, results)
     print_table(f"Calibration of {trials} simulated skins", study.HEADINGS, study.lines(results))
     print(f"Seed {seed}. One thread. {machine()}")

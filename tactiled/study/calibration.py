@@ -24,7 +24,7 @@ from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import GainFit, fit_steps
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.presses import Press, find_presses
-from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.tip import CALIPER_ERROR_MM, Tip, tip_touch
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.kernel import cached
 from tactiled.cover.stack import Layer, Stack
@@ -60,7 +60,7 @@ DEAD_TAXELS = 2
 STEPS_KPA = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 TIP_RADII_MM = 0.5, 1.2
 PRESSES, EDGES = 20, 5
-SIDE = 16  # taxels along each side, of trials
+SIDE, TOUR_SIDE = 16, 20  # taxels along each side, of trials: of presses, of the tour
 LARGE, LARGE_S, LARGE_RATE_HZ = 32, 60.0, 100.0  # taxels along each side, and a recording of them
 RESTORED_SKINS = 4
 TOUR_S, TOUR_NOISE_KPA = 60.0, 0.2  # of the demo
@@ -166,10 +166,11 @@ def calibrated(truth: Truth, random: np.random.Generator) -> Calibrated:
 
 
 def tip_fit(skin: Calibrated, random: np.random.Generator) -> CoverFit:
-    """Fit the cover to presses with a tip of known size at unknown places."""
+    """Fit the cover to presses with a tip at unknown places, its diameter measured with a caliper."""
     radius = float(random.uniform(*TIP_RADII_MM))
+    measured_mm = float(random.normal(2 * radius, CALIPER_ERROR_MM))
     presses, (array, configured, gain_error) = _presses(skin, tips(skin.truth, radius, random)), skin.for_touch
-    return fit_cover(tip_touch(presses, array, configured, Tip(2 * radius), gain_error), presses, "tip")
+    return fit_cover(tip_touch(presses, array, configured, Tip(measured_mm), gain_error), presses, "tip")
 
 
 def edge_fit(skin: Calibrated, random: np.random.Generator) -> CoverFit:
@@ -184,15 +185,16 @@ def _presses(skin: Calibrated, series: FrameSeries, border: bool = False) -> lis
 
 def blind_fit(skin: Calibrated, random: np.random.Generator) -> CoverFit:
     """Fit the cover to the demo's tour, of which the fit knows nothing."""
-    array = skin.truth.skin.array
+    array, configured, gain_error = skin.for_touch
     frames = skin.pressure(tour_series(skin.truth.skin, TOUR_S, random)).reshape(-1, *array.frame_shape)
-    return fit_blind(frames, skin.truth.skin.noise_kpa, CoverFamily(skin.truth.configured), array)
+    noise_kpa, error = skin.truth.skin.noise_kpa, float(np.median(gain_error))
+    return fit_blind(frames, noise_kpa, CoverFamily(configured), array, error)
 
 
 WAYS: dict[str, tuple[int, float, Callable[[Calibrated, np.random.Generator], CoverFit]]] = {
     "tip": (SIDE, NOISE_KPA, tip_fit),
     "edge": (SIDE, NOISE_KPA, edge_fit),
-    "blind": (LARGE, TOUR_NOISE_KPA, blind_fit),  # as the demo has
+    "blind": (TOUR_SIDE, TOUR_NOISE_KPA, blind_fit),
 }
 
 
@@ -249,26 +251,27 @@ class Results:
     gain_errors: Floats  # relative, of all live taxels of all trials
     trials: tuple[Trial, ...]
     restored: tuple[Restored, ...]
-    large_gain_s: float  # gain of LARGE x LARGE taxels from LARGE_S of recording
-    large_tip_s: float  # their cover from PRESSES presses
+    large_gain_s: float = np.nan  # gain of LARGE x LARGE taxels from LARGE_S of recording
+    large_tip_s: float = np.nan  # their cover from PRESSES presses
 
 
-def measure(count: int, seed: int) -> Results:
-    """Run `count` trials of every way, and restore what the first RESTORED_SKINS of them calibrate."""
+def measure(count: int, seed: int, only: str | None = None) -> Results:
+    """Run `count` trials of every way, restore what RESTORED_SKINS of them calibrate; or run `only` one."""
     errors: list[Floats] = []
     rows: list[Trial] = []
     images: list[Restored] = []
     for n in track(range(count), "Calibrating", transient=True):
-        for way, (side, noise_kpa, fit) in WAYS.items():
+        for way in [only] if only else WAYS:
+            side, noise_kpa, fit = WAYS[way]
             random = np.random.default_rng([seed, n, side])
             skin = calibrated(draw_truth(side, noise_kpa, random), random)
             errors.append(skin.gain_errors)
             began = perf_counter()
             fitted = fit(skin, random)
             rows.append(_trial(way, n, skin.truth, fitted, perf_counter() - began))
-            if way == "tip" and n < RESTORED_SKINS:
+            if way == "tip" and n < RESTORED_SKINS and not only:
                 images += restored(skin, fitted, random)
-    return Results(np.concatenate(errors), tuple(rows), tuple(images), *_large(seed))
+    return Results(np.concatenate(errors), tuple(rows), tuple(images), *(() if only else _large(seed)))
 
 
 def _large(seed: int) -> tuple[float, float]:
@@ -287,14 +290,20 @@ def lines(results: Results) -> list[tuple[str, str, str]]:
     """A table by HEADINGS."""
     errors = np.abs(results.gain_errors)
     worst = f"{100 * rms(errors):.2f} / {100 * errors.max():.2f} %"
+    ways = {each.way: [one for one in results.trials if one.way == each.way] for each in results.trials}
+    table = [
+        ("gain of a taxel, root mean square / worst error", worst, f"{100 * GAIN_AIM:g} %"),
+        *(line for way, trials in ways.items() for line in _way_lines(way, trials)),
+    ]
+    if not results.restored:
+        return table
     before, after = (
         np.array([getattr(each, when) / each.true for each in results.restored]) for when in ("before", "after")
     )
     ratio = "NRMSE {} calibration over that with the truth, median / worst"
     large = f"{LARGE} x {LARGE} taxels: {{}}"
     return [
-        ("gain of a taxel, root mean square / worst error", worst, f"{100 * GAIN_AIM:g} %"),
-        *(line for way in WAYS for line in _way_lines(way, [each for each in results.trials if each.way == way])),
+        *table,
         (ratio.format("before"), f"{np.median(before):.2f} / {before.max():.2f}", ""),
         (ratio.format("after"), f"{np.median(after):.3f} / {after.max():.3f}", f"{NRMSE_AIM:g}"),
         (large.format(f"gain from {LARGE_S:g} s of recording"), f"{results.large_gain_s:.1f} s", "10 s"),

@@ -22,12 +22,13 @@ from tactiled.simulate.playback import SCENE_S, TOUR
 from tactiled.simulate.scenes import SCENES
 from tactiled.study.scenes import Floats
 
-PERIOD_MM = 128.0  # after which the waves repeat: several times the array
-EDGE_WAVES = 8  # as many more for an edge, which is one-dimensional
+PERIOD_MM = 64.0  # after which the waves repeat: readings of 16 x 16 are those of twice as long to 1e-8
+EDGE_WAVES = 16  # as many more for an edge, which is one-dimensional
 RATE_HZ = 50.0
 FREE_S, RAMP_S, PLATEAU_S = 0.3, 0.2, 0.5  # of one press: before it, rising and falling, and held
 STEP_S = 2.0  # of uniform pressure
 TOUR_RATE_HZ, TOUR_FINER = 50.0, 6  # frames a second of the tour, cells along a taxel's side
+TOUR_START_S = 600.0  # within which a recording of the tour begins: its scenes move, and none repeats exactly
 FULL_SCALE = 65535  # counts
 NO_LOAD, KPA_PER_COUNT = 2000.0, 0.01  # of a taxel before its own spread
 
@@ -148,9 +149,9 @@ def uniform_series(
 
 
 def tour_series(skin: SimulatedSkin, seconds: float, random: np.random.Generator) -> FrameSeries:
-    """Frames of the demo's tour, on cells finer than the demo's."""
+    """Frames of the demo's tour from a random moment on, on cells finer than the demo's."""
     surface = Surface(skin.cover, skin.array, TOUR_FINER)
-    times = np.arange(0, seconds, 1 / TOUR_RATE_HZ)
+    times = random.uniform(0, TOUR_START_S) + np.arange(0, seconds, 1 / TOUR_RATE_HZ)
     scenes = [SCENES[TOUR[int(t / SCENE_S) % len(TOUR)]] for t in times]
     felt = [
         surface.sense(scene(surface.x, surface.y, t, surface.size, surface.grain))

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from tactiled.calibrate.blind import STILL_PITCHES, find_scenes, fit_blind, still_means
+from tactiled.calibrate.blind import (
+    LOG_FACTORS,
+    STILL_PITCHES,
+    WEIGHT_ERROR,
+    Profiles,
+    _fit,
+    find_scenes,
+    fit_blind,
+    still_means,
+)
 from tactiled.calibrate.deblur import REFINE, Convolution, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import stencil
@@ -69,6 +78,33 @@ def test_scenes_without_a_sharp_edge_do_not_tell(thickness, scenes):
     fit = fit_blind(pressed(thickness, scenes, seed=2), NOISE, CoverFamily(rubber(thickness)), ARRAY)
     assert fit.reason
     assert not 0.9 < fit.factor < 1.1
+
+
+def profiles(best, slope):
+    """Scenes whose misfit is least at logarithms `best` (S,), and whose cells grow by `slope`."""
+    chi2, cells = 500 * (LOG_FACTORS - best[:, None]) ** 2, np.tile(slope * LOG_FACTORS, (len(best), 1))
+    return Profiles(chi2, cells, np.full(len(best), 100.0), np.arange(len(best)), np.full(len(best), 100))
+
+
+def test_intervals_of_four_scenes_that_disagree_hold_as_often_as_they_say():
+    random, family = np.random.default_rng(9), CoverFamily(rubber(1.0))
+    ends = np.array([_fit(profiles(random.normal(0, 0.03, 4), 0.0), family).interval for _ in range(300)])
+    assert 0.92 < ((ends[:, 0] < 1) & (ends[:, 1] > 1)).mean() < 0.98
+
+
+def test_scenes_that_agree_are_as_uncertain_as_the_weight_of_cells():
+    low, high = _fit(profiles(np.zeros(4), 40.0), CoverFamily(rubber(1.0))).interval
+    moved = 40 / (2 * 500)  # by twice the weight
+    assert np.log(high / low) / 2 == pytest.approx(
+        3.18 * WEIGHT_ERROR * moved, rel=0.05
+    )  # Student's, 3 scenes free
+
+
+def test_gains_do_not_count_as_known_better_than_cells_explain_frames():
+    array, random = grid(8, 8, 1.0), np.random.default_rng(2)
+    frames = np.where(np.arange(9)[:, None, None] % 3, 0, random.uniform(0, 100, (9, 8, 8)))
+    fits = [fit_blind(frames, 0.1, CoverFamily(rubber(1.0)), array, error) for error in (0.001, 0.01, 0.1)]
+    assert fits[0].residual == fits[1].residual > fits[2].residual
 
 
 @pytest.mark.parametrize(

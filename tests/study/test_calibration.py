@@ -42,3 +42,6 @@ def test_a_skin_is_calibrated_and_held_against_the_truth(tmp_path, monkeypatch):
     write(tmp_path, results)
     assert (tmp_path / "calibration_trials.svg").exists()
     assert "tip,0," in (tmp_path / "calibration_trials.csv").read_text()
+    alone = calibration.measure(1, 3, "tip")
+    assert alone.trials[0][:-1] == results.trials[0][:-1]
+    assert len(lines(alone)) < len(lines(results))
