@@ -3,7 +3,7 @@
 from collections import defaultdict
 from functools import partial
 from itertools import cycle, product
-from time import perf_counter
+from time import thread_time
 
 import numpy as np
 from rich.progress import track
@@ -17,7 +17,7 @@ from tactiled.study.skin import rubber, sense
 from tests.study.held_out_scenes import HELD_OUT_SCENES, MOTIONS, held_out
 from tests.study.judge import NOISES, THICKNESSES
 
-PASSES = 3  # through the same frames, of whose times the least counts: others may be using the machine
+PASSES = 3  # through the same frames, of whose times the least counts: others empty the caches
 CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
 CHUNK, COLD = 60, 2  # frames that a pass lasts, and those before on a fresh, prepared restorer
 WIENER_EVERY = 20  # frames, between which scikit-image's filter is timed
@@ -51,10 +51,10 @@ def chunk(clips, noise, random):
 
 
 def timed(run, frame):
-    """Microseconds of one frame."""
-    start = perf_counter()
+    """Microseconds of this thread's processor time for one frame: others may be using the machine."""
+    start = thread_time()
     run(frame)
-    return 1e6 * (perf_counter() - start)
+    return 1e6 * (thread_time() - start)
 
 
 def measure(size, frames, seed, method="auto"):
