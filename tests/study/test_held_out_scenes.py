@@ -11,19 +11,16 @@ SKIN = rubber(1.0, 16, FINER)
 def test_scenes_press_and_differ_and_move_as_their_motion_says(scene):
     still = held_out(scene, SKIN, 1)
     assert still.shape == (16 * FINER, 16 * FINER)
-    assert still.min() == 0 or scene == "bumps"
-    assert 40 < still.max() < 250
+    assert 0 <= still.min() < 40 < still.max() < 250
     assert not np.array_equal(still, held_out(scene, SKIN, 2))
-    assert np.array_equal(still, held_out(scene, SKIN, 1, frame=7))
     before, after = (held_out(scene, SKIN, 1, "appearing", n) for n in (APPEARS - 1, APPEARS))
     assert not before.any()
     assert np.array_equal(after, still)
-    stuck = [held_out(scene, SKIN, 1, "slipping", n) for n in range(5)]
-    assert [np.array_equal(stuck[0], each) for each in stuck] == [True] * 4 + [False]
+    stuck = [np.array_equal(still, held_out(scene, SKIN, 1, "slipping", n)) for n in range(5)]
+    assert stuck == [True] * 4 + [False]
     rolled = [held_out(scene, SKIN, 1, "rolling", n) for n in (0, 9)]
-    touching = np.minimum(*rolled) > 0
     assert not np.array_equal(*rolled)
-    assert np.all(still[touching] >= np.maximum(*rolled)[touching])
+    assert np.all(still >= np.maximum(*rolled))
 
 
 def test_a_moving_scene_is_the_same_farther_right_and_a_bump_grows():

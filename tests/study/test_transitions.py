@@ -41,13 +41,9 @@ def test_a_method_that_looks_back_is_told_from_one_that_does_not(monkeypatch):
     monkeypatch.setattr(transitions, "make", Lagging)
     judged = groups("lagging")
     assert min(each.error / each.alone for each in judged["frame 1"]) > 1.1
-    assert len(judged["frame 1"]) == 11 * 10
     still = [each for each in judged["frame 2"] if "then growing" not in each.case]
     assert [each.error / each.alone for each in still] == pytest.approx([1] * 100, abs=0.1)
-    assert all(each.alone == each.raw for steps in judged.values() for each in steps)
-    assert (
-        int(summary("", judged["frame 1"])[6]) == len(judged["frame 1"]) > int(summary("", judged["slipping"])[6])
-    )
+    assert int(summary("", judged["frame 1"])[6]) == len(judged["frame 1"]) == 11 * 10
 
 
 class Slow(Lagging):

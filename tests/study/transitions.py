@@ -10,7 +10,7 @@ from rich.progress import track
 from tactiled.cli.bench import Reduced, print_table
 from tactiled.restore.methods import make
 from tactiled.study.scenes import PEAK_KPA
-from tactiled.study.skin import Clip, nrmse, rubber, sense
+from tactiled.study.skin import nrmse, rubber, sense
 from tests.study.held_out_scenes import APPEARS, FINER, HELD_OUT_SCENES, MOTIONS, growing_bump, held_out
 from tests.study.judge import NOISES, THICKNESSES, WORSE
 
@@ -30,30 +30,24 @@ class Step(NamedTuple):
 
 
 def recorded(skin, pressures, noise, random):
-    """A clip of pressures on fine cells, scaled to a peak of PEAK_KPA; its white noise is relative to that."""
+    """Frames and truths of pressures on fine cells, scaled to a peak of PEAK_KPA; noise is relative to that."""
     clean, truths = (np.stack(each) for each in zip(*(sense(skin, each) for each in pressures), strict=True))
-    scale, sigma = PEAK_KPA / clean.max(), noise * PEAK_KPA
-    return Clip(
-        "", sigma, (scale * clean + random.normal(0, sigma, clean.shape)).astype(np.float32), scale * truths
-    )
+    scale, white = PEAK_KPA / clean.max(), random.normal(0, noise * PEAK_KPA, clean.shape)
+    return (scale * clean + white).astype(np.float32), scale * truths
 
 
-def play(fresh, clip, before=()):
-    """Error of every frame of a clip by a fresh restorer after the frames `before`; NaN without a load."""
+def play(fresh, frames, truths, before=()):
+    """Error of every frame by a fresh restorer, after the frames `before`."""
     restorer = fresh()
     for frame in before:
         restorer(frame)
-    images = ((restorer(frame).image, truth) for frame, truth in zip(clip.frames, clip.truths, strict=True))
-    return [nrmse(image, truth) if truth.any() else np.nan for image, truth in images]
+    return [nrmse(restorer(frame).image, truth) for frame, truth in zip(frames, truths, strict=True)]
 
 
-def references(fresh, clip):
+def alone(fresh, frames, truths):
     """Error of every frame alone, and of its raw image."""
-    for frame, truth in zip(clip.frames, clip.truths, strict=True):
-        if truth.any():
-            yield play(fresh, Clip("", clip.sigma, frame[None], truth[None]))[0], nrmse(frame, truth)
-        else:
-            yield np.nan, np.nan
+    pairs = list(zip(frames, truths, strict=True))
+    return [(play(fresh, [frame], [truth])[0], nrmse(frame, truth)) for frame, truth in pairs]
 
 
 def steps(method, skin, noise, seed):
@@ -66,21 +60,20 @@ def steps(method, skin, noise, seed):
     still = {scene: [held_out(scene, skin, seed)] * FRAMES for scene in HELD_OUT_SCENES}
     still["growing"] = [growing_bump(skin, seed, n) for n in range(FRAMES)]
     clips = {scene: recorded(skin, each, noise, random) for scene, each in still.items()}
-    single = {scene: list(references(fresh, clip)) for scene, clip in clips.items()}
+    single = {scene: alone(fresh, *clip) for scene, clip in clips.items()}
     for a, b in permutations(clips, 2):
-        for n, error in enumerate(play(fresh, clips[b], clips[a].frames)):
+        for n, error in enumerate(play(fresh, *clips[b], clips[a][0])):
             yield f"frame {n + 1}", Step(f"{a}, then {b}, {about}", error, *single[b][n])
     places = list(zip(random.choice(list(clips), JUMPS), random.integers(0, FRAMES, JUMPS), strict=True))
-    frames, truths = (
-        np.stack([getattr(clips[scene], name)[n] for scene, n in places]) for name in ("frames", "truths")
-    )
-    for error, (scene, n) in zip(play(fresh, Clip("", 0, frames, truths)), places, strict=True):
+    frames, truths = zip(*((clips[scene][0][n], clips[scene][1][n]) for scene, n in places), strict=True)
+    for error, (scene, n) in zip(play(fresh, frames, truths), places, strict=True):
         yield "jumps", Step(f"jump to {scene}, {about}", error, *single[scene][n])
     for motion, scene in product(MOTIONS[1:], HELD_OUT_SCENES):
         pressures = [held_out(scene, skin, seed, motion, n) for n in range(MOVING_FRAMES)]
-        clip = recorded(skin, pressures, noise, random)
-        each = zip(play(fresh, clip), list(references(fresh, clip)), strict=True)
-        for error, others in list(each)[APPEARS if motion == "appearing" else 0 :]:
+        frames, truths = recorded(skin, pressures, noise, random)
+        first = APPEARS if motion == "appearing" else 0
+        errors = play(fresh, frames[first:], truths[first:], frames[:first])
+        for error, others in zip(errors, alone(fresh, frames[first:], truths[first:]), strict=True):
             yield motion, Step(f"{motion} {scene}, {about}", error, *others)
 
 
