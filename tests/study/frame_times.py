@@ -19,8 +19,7 @@ from tests.study.judge import NOISES, THICKNESSES
 
 PASSES = 3  # through the same frames, of whose times the least counts: others empty the caches
 CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
-CHUNK, COLD = 60, 2  # frames that a pass lasts, and those before on a fresh, prepared restorer
-WIENER_EVERY = 20  # frames, between which scikit-image's filter is timed
+CHUNK, COLD, WIENERS = 60, 2, 3  # frames of a pass; those on a fresh, prepared restorer, and scikit-image's
 IDLE = 0.05  # of the runs: nothing touches
 SPOTS = ("bumps", "caps")  # of which fits of points may fail
 HEADINGS = ("", "frames", "median", "p99", "p99.9", "worst", "worst / wiener")
@@ -57,37 +56,34 @@ def timed(run, frame):
     return 1e6 * (thread_time() - start)
 
 
-def measure(size, frames, seed, method="auto"):
-    """Microseconds (frames,) by label, the least of PASSES each; "wiener" is scikit-image's."""
-    random, times = np.random.default_rng(seed), defaultdict(list)
-    settings = []
-    for thickness in THICKNESSES:
-        clips, skin = list(clean_clips(size, thickness, seed)), rubber(thickness, size)
-        settings += [
-            (skin, clips, noise, [prepared(method, skin, noise) for _ in range(PASSES)]) for noise in NOISES
-        ]
-    rounds = range(-(-frames // (CHUNK * len(settings))))
-    for _, (skin, clips, noise, restorers) in track(list(product(rounds, settings)), f"{size}", transient=True):
-        labels, sequence = chunk(clips, noise, random)
-        wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
-        passes = defaultdict(list)
-        for restorer in restorers:
-            passes["cold"].append([timed(prepared(method, skin, noise), frame) for frame in sequence[:COLD]])
-            passes["frames"].append([timed(restorer, frame) for frame in sequence])
-            passes["wiener"].append([timed(wiener, frame) for frame in sequence[::WIENER_EVERY]])
-        times_us = {name: np.min(took, axis=0) for name, took in passes.items()}
-        for label, took in zip(labels, times_us.pop("frames"), strict=True):
-            times[label].append(took)
-        for label, took in times_us.items():
-            times[label].extend(took)
-    return {label: np.array(took) for label, took in times.items()}
-
-
 def prepared(method, skin, noise):
     """A fresh restorer, with all made that can be before its first frame."""
     restorer = make(method, skin.blur, noise * PEAK_KPA)
     restorer.prepare()
     return restorer
+
+
+def measure(size, frames, seed, method="auto"):
+    """Microseconds (frames,) by label, the least of PASSES each; "wiener" is scikit-image's."""
+    random, times, settings = np.random.default_rng(seed), defaultdict(list), []
+    for thickness in THICKNESSES:
+        skin, clips = rubber(thickness, size), list(clean_clips(size, thickness, seed))
+        settings += [(skin, clips, n, [prepared(method, skin, n) for _ in range(PASSES)]) for n in NOISES]
+    rounds = range(-(-frames // (CHUNK * len(settings))))
+    for _, (skin, clips, noise, restorers) in track(list(product(rounds, settings)), f"{size}", transient=True):
+        labels, sequence = chunk(clips, noise, random)
+        wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
+        passes = [
+            [timed(prepared(method, skin, noise), frame) for frame in sequence[:COLD]]
+            + [timed(wiener, frame) for frame in sequence[:: CHUNK // WIENERS]]
+            + [timed(restorer, frame) for frame in sequence]
+            for restorer in restorers
+        ]
+        for label, took in zip(
+            ["cold"] * COLD + ["wiener"] * WIENERS + labels, np.min(passes, axis=0), strict=True
+        ):
+            times[label].append(took)
+    return {label: np.array(took) for label, took in times.items()}
 
 
 def frame_times(frames: int = 20_000, sizes: str = "16,32,64", method: str = "auto", seed: int = 1) -> None:
