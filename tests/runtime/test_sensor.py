@@ -43,12 +43,12 @@ def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, 
     slow, other = Sensor(plan), Sensor(plan)
     begun, go_on, process, sequences = Event(), Event(), slow.pipeline.process, []
 
-    def held(frame):
+    def process_later(frame):
         begun.set()
         assert go_on.wait(BUSY_S)
         return process(frame)
 
-    monkeypatch.setattr(slow.pipeline, "process", held)
+    monkeypatch.setattr(slow.pipeline, "process", process_later)
     slow.hub.subscribe(lambda image: sequences.append((image.sequence, image.loss.skipped)))
     for sensor in (slow, other):
         sensor.start()

@@ -69,11 +69,11 @@ class Feed:
 
     def __init__(self, sensors):
         self._sensors = [(int(each.name[1:]), recorded(each.array.shape[0]), each.codec.id) for each in sensors]
-        self._sent = 0
+        self.position = 0
 
     def next(self):
         """When the next frame is due, s, and its messages."""
-        number, place = divmod(self._sent, len(self._sensors))
+        number, place = divmod(self.position, len(self._sensors))
         first, frames, id_ = self._sensors[place]
         due = self.began + (number + place / len(self._sensors)) / RATE_HZ
         return due, [
@@ -85,7 +85,7 @@ class Feed:
         if (wait := due - time.time()) > 0:
             time.sleep(min(wait, timeout))
             return []
-        self._sent += 1
+        self.position += 1
         return messages
 
     def send(self, message):
@@ -109,7 +109,7 @@ def frame_us(sides, rounds=5):
         began = time.thread_time()
         for _ in range(count):
             due, messages = feed.next()
-            feed._sent += 1
+            feed.position += 1
             for message in messages:
                 for name, frame in router.push(message, due):
                     service.sensors[name].restore(frame)

@@ -4,11 +4,11 @@ from tests.study import sensors
 
 def test_images_of_every_size_are_timed_and_what_is_missing_is_counted():
     result = sensors.live([8, 8, 12], 0.5)
-    sent = 3 * 0.5 * sensors.RATE_HZ
+    due = 3 * 0.5 * sensors.RATE_HZ
     received = {side: len(each) for side, each in result.ages_ms.items()}
     assert set(received) == {8, 12}
     assert min(each.min() for each in result.ages_ms.values() if len(each)) > 0
-    assert abs(result.missed - (1 - sum(received.values()) / sent)) < 1e-9
+    assert abs(result.missed - (1 - sum(received.values()) / due)) < 1e-9
     assert result.cores > 0
 
 
