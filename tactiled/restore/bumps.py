@@ -19,6 +19,7 @@ from tactiled.restore.scene import Scene
 # `python -m tests.study restore`.
 WIDTHS = (0.0, 0.12, 0.25, 0.4, 0.6)  # square pitches: a load's variance along an axis
 MAX_HOPS = 2  # from one of these to another
+FAR, MIDDLE = 2.0, 0.25  # times what noise leaves: so far from points, the width tried next (square pitches)
 OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches and share of the common width: deviation of the loads' own
 MAX_WIDTH_ERROR = 0.1  # square pitches of the common width: of one less certain the shape is made up
 MAX_FORCE_ERROR = 0.4  # of a force
@@ -26,12 +27,13 @@ WIDE = 0.08  # square pitches: loads so wide show their shape in the non-negativ
 MAX_DIFFERENCE = 0.45  # of their own norm that it may then differ by
 MIN_SENSITIVITY = 0.1  # that a quarter of a pitch changes of a load's frame: less, and loads less wide are unsure
 REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
-MAX_NEIGHBOURS = 1.5  # in the mean: loads with more are a chain or a field, which is one contact
+MAX_NEIGHBOURS = 1.2  # in the mean; a pair has one, a chain of three 4/3: that is one contact
 
 
 class Estimate(NamedTuple):
     """The last step of a fit's unknowns, with what is left and how certain it is."""
 
+    step: Floats  # (4 n,) of n times force, row, column and width
     force: Floats
     shift: Floats  # (n, 2) pitches
     width: Floats  # (n,) square pitches, each load's own
@@ -71,9 +73,10 @@ class Bumps(Points):
         self.loads = self._accepted(fitter, fit)
         if self.loads or fit is None:
             return done
-        base = 0.0
+        base, total = 0.0, _common_width(fit)[2]
+        if fit.residual > FAR * (self._scene.noise**2 * fitter.residual.size + self._model):
+            total = MIDDLE
         for _ in range(MAX_HOPS):
-            total = base + _common_width(fit)[2]
             nearest = min(WIDTHS, key=lambda width: abs(width - total))
             wider = self._fitter_of(nearest)
             if nearest == base or wider is None:
@@ -83,6 +86,7 @@ class Bumps(Points):
             done += steps
             if fit is None:
                 return done
+            total = base + _common_width(fit)[2]
         self.loads = self._accepted_bumps(fitter, fit, base)
         if self.loads or len(fit.force) == MAX_POINTS:
             return done
@@ -115,7 +119,8 @@ class Bumps(Points):
             width=last.common_variance * variance,
             noise=noise / variance,
         )
-        if _neighbours(loads.places, last.width) > MAX_NEIGHBOURS:
+        crowded = _neighbours(loads.places, (loads.spread**2).mean(axis=1)) > MAX_NEIGHBOURS
+        if crowded or self._leaves_signal(fitter, fit, last.step):
             return None
         self.drawing(loads)
         return loads if self._shows(last.common) else None
@@ -151,6 +156,7 @@ def _estimate(fit: Fit, base: float, noise: float) -> Estimate:
     last = inverse @ pull
     force, row, column, width = last.reshape(4, n)
     return Estimate(
+        step=last,
         force=force,
         shift=np.stack([row, column], axis=1),
         width=np.maximum(base + width, 0),
