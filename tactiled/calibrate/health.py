@@ -32,7 +32,7 @@ Mask = NDArray[np.bool_]
 
 
 class Fault(IntEnum):
-    """What is wrong with a taxel; the first that applies."""
+    """What is wrong with a taxel; of several, the first of RULES."""
 
     HEALTHY = 0
     STUCK = 1
@@ -40,6 +40,7 @@ class Fault(IntEnum):
     NOISY = 3
     DEAD = 4
     WEAK = 5
+    SWAPPED = 6
 
 
 class Rule(NamedTuple):
@@ -51,12 +52,16 @@ class Rule(NamedTuple):
 
 
 RULES = {
+    Fault.SWAPPED: Rule(1, False, "it feels what lies on another taxel's place"),  # by `map_monitor`
     Fault.STUCK: Rule(6, True, "its reading does not change, and the others' noise does"),
     Fault.SATURATED: Rule(20, True, "it stays at its ceiling, and its neighbours feel no such load"),
     Fault.NOISY: Rule(20, False, "it is noisy, and its neighbours are not"),
     Fault.DEAD: Rule(3 * SURROUNDED, True, "it feels no load, and its neighbours do"),
     Fault.WEAK: Rule(5 * SURROUNDED, True, "it feels less than half of what its neighbours do"),
 }
+
+
+UNRELATED = (Fault.STUCK, Fault.SATURATED, Fault.NOISY)  # to the load: what a taxel reads says nothing of it
 
 
 class Change(NamedTuple):
@@ -87,9 +92,10 @@ class TaxelHealth:
         self._mean = np.full(n, np.nan, np.float32)  # of the last block
         self._presses = _Presses(n)
 
-    def update(self, block: Block, sigma: Floats, load: Floats, usable: Mask) -> list[Change]:
-        """Take a block, its taxels' noise and load over zero, (N,) counts, and which taxels are in use."""
+    def update(self, block: Block, sigma: Floats, load: Floats, usable: Mask, swapped: Mask) -> list[Change]:
+        """Take a block, its taxels' noise and load over zero, (N,) counts, which are in use, which are swapped."""
         readable = block.readable & usable
+        self._score(Fault.SWAPPED, swapped, ~swapped)
         self._blocks += 1
         self._look_at_noise(block, sigma, readable)
         top = self._look_at_ceiling(block, sigma, load, readable)
@@ -150,7 +156,7 @@ class TaxelHealth:
         around = -self._largest_beside(-working)
         needed = np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
         ended, ratio, weight = self._presses.update(load, opposite, around, needed)
-        explained = np.isin(self.faults, (Fault.STUCK, Fault.SATURATED, Fault.NOISY))
+        explained = np.isin(self.faults, UNRELATED) | (self.faults == Fault.SWAPPED)
         judged = ended & readable & ~explained
         dead = judged & (ratio < DEAD_RATIO)
         weak = judged & ~dead & (ratio < WEAK_RATIO) & self._calibrated

@@ -11,10 +11,11 @@ from tactiled.calibrate.blocks import Blocks, TaxelNoise
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.creep import Creep, CreepMeter
 from tactiled.calibrate.drift import DriftTracker, reach_mm
-from tactiled.calibrate.health import LOADED, LOADED_SIGMAS, Change, Fault, TaxelHealth
+from tactiled.calibrate.health import LOADED, LOADED_SIGMAS, UNRELATED, Change, Fault, TaxelHealth
+from tactiled.calibrate.map_monitor import MapMonitor
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import matrix
-from tactiled.frames import FAULTY, RawFrame
+from tactiled.frames import BAD, FAULTY, MISSING, RawFrame
 from tactiled.geometry import Array, layout
 
 
@@ -42,6 +43,7 @@ class SkinMonitor:
         self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
         self._configured_noise = np.nan if calibration.noise_counts is None else calibration.noise_counts
         self._health = TaxelHealth(array, joined(kernel, array), (empty, ceiling), calibration.curves is not None)
+        self.map = MapMonitor(array)
         self._drift: DriftTracker | None = None
         if calibration.track_drift:
             span = abs(ceiling - calibration.no_load)
@@ -54,13 +56,18 @@ class SkinMonitor:
         """Take a frame; now and then correct the calibrator, and say so."""
         if self._tares != calibrator.tares:
             self._restart(calibrator)
+        if self.map.due(frame.time):
+            load = calibrator.pressure(frame.counts) / np.float32(self._per_count)
+            unknown = frame.flags & (MISSING | BAD) > 0
+            unread = unknown | calibrator.dead | np.isin(self._health.faults, UNRELATED)
+            self.map.push(frame.time, np.where(unread, np.float32(0), load), self._noise.sigma)
         block = self._blocks.push(frame.time, frame.counts, frame.flags)
         if block is None:
             return False
         self._noise.update(block)
         sigma, load = self._noise.sigma, calibrator.pressure(block.mean) / np.float32(self._per_count)
         configured = ~calibrator.dead
-        self._changes.extend(self._health.update(block, sigma, load, configured))
+        self._changes.extend(self._health.update(block, sigma, load, configured, self.map.swapped))
         healthy = configured & (self._health.faults == Fault.HEALTHY)
         calibrator.faulty = np.where(self._health.faults > 0, FAULTY, 0).astype(np.uint8)
         loaded = healthy & (load > np.maximum(LOADED_SIGMAS * sigma, LOADED * self._health.full_scale))
@@ -72,7 +79,7 @@ class SkinMonitor:
 
     def take_over(self, other: "SkinMonitor") -> None:
         """Go on from what `other`, of the same array and another calibration, knows of the taxels."""
-        self._noise, self._changes = other._noise, other._changes
+        self._noise, self._changes, self.map = other._noise, other._changes, other.map
         self._health.take_over(other._health)
 
     def _restart(self, calibrator: Calibrator) -> None:

@@ -1,13 +1,16 @@
-"""Whether the taxels lie where the map says: under a finger that rolls, neighbours in space are so in time, too.
+"""Whether the taxels lie where the map says: under a contact that moves, neighbours in space are so in time, too.
 
 The frames of a right map are smoother across neighbours than those of any wrong one. A map that is mirrored as a
 whole is as smooth; only the known direction of a roll shows it.
 """
 
+from collections.abc import Iterator
+from itertools import combinations_with_replacement
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tactiled.geometry import Array
@@ -18,48 +21,90 @@ EDGE_PITCHES = 1.1  # distance of neighbours that are compared
 PRESSED_SIGMAS, PRESSED_PART = 8.0, 0.05  # noise standard deviations and part of the peak of a pressed taxel
 MIN_PRESSED = 0.7  # of the taxels: with fewer the roll says too little
 SMOOTHER = 0.7  # of the configured map's roughness: another map is right
+SEAM = 0.5  # of the roughness where a block meets the others: it is swapped, or reversed
 SWAPPED = 0.85  # of two taxels' own roughness: they are swapped; of neighbours under t/pitch 0.3 it is 0.82
-MAX_SWAPS = 16
+MIN_ROUGH = 0.1  # of a place that may be wrong: pressed evenly, all taxels are alike but for their noise
+MAX_SWAPS, MAX_BLOCK_SWAPS = 16, 4
+SUSPECTS, SUSPECT_BLOCKS = 64, 8  # the roughest taxels, and blocks of each size: swaps are sought among them
+MAX_BLOCKS, MIN_BLOCK = 64, 4  # connectors of an array, and taxels of one
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating]
 Indices = NDArray[np.intp]
 
 
 class MapVerdict(NamedTuple):
-    """What a roll says of the map; `text` is for people."""
+    """What a roll says of the map."""
 
-    text: str
+    texts: tuple[str, ...]  # for people: what is wrong, or why it cannot be told
     order: Indices | None = None  # (N,) the taxel that lies at each place; None: cannot tell
     swaps: tuple[tuple[int, int], ...] = ()
 
+    @property
+    def text(self) -> str:
+        """In a line."""
+        return ", ".join(self.texts) or "as configured"
 
-def check_map(pressure: Floats, array: Array, noise: float, direction: Direction | None = None) -> MapVerdict:
+
+def check_map(
+    pressure: Floats,
+    array: Array,
+    noise: float | Floats,
+    direction: Direction | None = None,
+    min_pressed: float = MIN_PRESSED,
+    swapped: float = SWAPPED,
+) -> MapVerdict:
     """Judge the map of an array by pressures (T, N) while a finger rolls over it; `direction`: of one roll."""
-    peak = np.nanmax(pressure, axis=0)
-    pressed = peak > max(PRESSED_SIGMAS * noise, PRESSED_PART * float(peak.max()))
-    if pressed.mean() < MIN_PRESSED:
-        return MapVerdict(f"cannot tell: {np.mean(pressed):.0%} of the taxels were pressed: roll over all of them")
-    frames = np.nan_to_num(pressure)
-    alike = pressed * frames / np.sqrt(np.maximum(np.square(frames).mean(axis=0), noise**2))  # whatever the gains
-    moments, edges = alike.T @ alike, _edges(array)
-    scores = {name: _roughness(moments, edges, order) for name, order in _maps(array).items()}
+    frames = np.nan_to_num(pressure).astype(np.float32)
+    peak = frames.max(axis=0)
+    pressed = peak > np.maximum(PRESSED_SIGMAS * noise, PRESSED_PART * float(peak.max()))
+    if pressed.mean() < min_pressed:
+        share = f"{np.mean(pressed):.0%} of the taxels were pressed"
+        return MapVerdict((f"cannot tell: {share}: roll over all of them",))
+    power = np.square(frames).mean(axis=0)
+    alike = frames / np.sqrt(np.maximum(power, np.square(noise)), dtype=np.float32)  # whatever the gains
+    roll = _Roll.of(alike, pressed, array)
+    maps = _maps(array)
+    scores = {name: roll.roughness(*order[roll.pairs]) for name, order in maps.items()}
     smoothest = min(scores, key=lambda name: scores[name])
     name = smoothest if scores[smoothest] < SMOOTHER * scores["as configured"] else "as configured"
-    order = _maps(array)[name].copy()
-    swaps = _swaps(moments, edges, order)
+    order = maps[name].copy()
     texts = [name] if name != "as configured" else []
+    texts += _swapped_blocks(roll, array, order)
+    swaps = _swaps(roll, order, swapped)
     if direction and (turned := _turned(frames[:, order], array, direction)):
         texts.append(turned)
-    texts += [f"taxels {a} and {b} swapped" for a, b in swaps]
-    return MapVerdict(", ".join(texts) or "as configured", order, swaps)
+    return MapVerdict((*texts, *(f"taxels {a} and {b} swapped" for a, b in swaps)), order, swaps)
 
 
-def _edges(array: Array) -> NDArray[np.bool_]:
-    """(N, N) places that are neighbours."""
-    pairs = cKDTree(array.positions).query_pairs(EDGE_PITCHES * array.pitch, output_type="ndarray")
-    edges = np.zeros((array.size, array.size), bool)
-    edges[pairs[:, 0], pairs[:, 1]] = edges[pairs[:, 1], pairs[:, 0]] = True
-    return edges
+class _Roll(NamedTuple):
+    """How alike taxels felt it."""
+
+    pressed: NDArray[np.bool_]  # (N,) the others say nothing
+    power: Floats  # (N,) of their readings
+    squares: Floats  # (N, N) of the difference of any two
+    pairs: Indices  # (2, E) places that are neighbours
+
+    @classmethod
+    def of(cls, alike: Floats, pressed: NDArray[np.bool_], array: Array) -> "_Roll":
+        """From readings (T, N) of about the same strength."""
+        pairs = cKDTree(array.positions).query_pairs(EDGE_PITCHES * array.pitch, output_type="ndarray")
+        moments = alike.T @ alike
+        power = np.diag(moments)
+        return cls(pressed, power, power[:, None] + power - 2 * moments, np.asarray(pairs.T))
+
+    def roughness(self, a: Indices, b: Indices) -> float:
+        """Mean square difference of taxels (E,) over that of the readings."""
+        both = self.pressed[a] & self.pressed[b]
+        a, b = a[both], b[both]
+        return float(self.squares[a, b].sum() / max((self.power[a] + self.power[b]).sum(), 1e-9))
+
+    def of_places(self, order: Indices) -> Floats:
+        """Roughness (N,) of each place against its neighbours."""
+        (a, b), n = order[self.pairs], len(order)
+        both = self.pressed[a] & self.pressed[b]
+        values = both * self.squares[a, b], both * (self.power[a] + self.power[b])
+        rough, scale = (sum(np.bincount(side, each, n) for side in self.pairs) for each in values)
+        return np.asarray(rough / np.maximum(scale, 1e-9))
 
 
 def _maps(array: Array) -> dict[str, Indices]:
@@ -76,30 +121,85 @@ def _maps(array: Array) -> dict[str, Indices]:
     return maps
 
 
-def _roughness(moments: Floats, edges: NDArray[np.bool_], order: Indices) -> float:
-    """Mean square difference of neighbours over that of the readings."""
-    placed = moments[np.ix_(order, order)]
-    power = np.diag(placed)
-    return float((edges * (power[:, None] + power - 2 * placed)).sum() / (edges.sum(axis=0) * power).sum())
+def _blocks(array: Array) -> Iterator[tuple[str, Indices]]:
+    """Name and taxels (blocks, n) of what may share a connector: runs of the messages, rows, columns."""
+    order, columns = np.arange(array.size), array.shape[1] if array.shape else 0
+    for count in range(2, min(MAX_BLOCKS, array.size // MIN_BLOCK) + 1):
+        if array.size % count == 0:
+            yield "row" if array.size == count * columns else "taxels", order.reshape(count, -1)
+    if 1 < columns <= min(MAX_BLOCKS, array.size // MIN_BLOCK):
+        yield "column", order.reshape(-1, columns).T
 
 
-def _swaps(moments: Floats, edges: NDArray[np.bool_], order: Indices) -> tuple[tuple[int, int], ...]:
-    """Swap in `order` what lies at two places, as long as it makes both much smoother; gives the taxels."""
-    swaps = []
-    for _ in range(MAX_SWAPS):
-        placed = moments[np.ix_(order, order)]
-        power, degree = np.diag(placed), edges.sum(axis=0)
-        # cost[i, p]: the taxel that lies at i, were it at p, against the neighbours of p
-        cost = degree * power[:, None] + edges @ power - 2 * placed @ edges
-        own, between = np.diag(cost), edges * (power[:, None] + power - 2 * placed)
-        before, after = own[:, None] + own - 2 * between, cost + cost.T  # without what is between the two
-        gain = np.where(after < SWAPPED * before, before - after, 0)
-        a, b = np.unravel_index(gain.argmax(), gain.shape)
-        if not gain[a, b]:
+def _swapped_blocks(roll: _Roll, array: Array, order: Indices) -> list[str]:
+    """Swap in `order` blocks, or reverse them, as long as it makes their seams much smoother; says which."""
+    texts: list[str] = []
+    while len(texts) < MAX_BLOCK_SWAPS:
+        rough = roll.of_places(order)
+        gain, text, other = 0.0, "", order
+        for name, blocks in _blocks(array):
+            suspects = np.argsort(rough[blocks].mean(axis=1))[-SUSPECT_BLOCKS:]
+            for a, b in combinations_with_replacement(sorted(suspects.tolist()), 2):
+                tried = order.copy()
+                tried[blocks[a]], tried[blocks[b]] = order[blocks[b]], order[blocks[a]]
+                if a == b:
+                    tried[blocks[a]] = order[blocks[a][::-1]]
+                if (smoother := _smoother(roll, order, tried)) > gain:
+                    gain, text, other = smoother, _block_text(name, blocks, a, b), tried
+        if not text:
             break
-        swaps.append((int(min(order[a], order[b])), int(max(order[a], order[b]))))
-        order[[a, b]] = order[[b, a]]
+        texts.append(text)
+        order[:] = other
+    return texts
+
+
+def _smoother(roll: _Roll, order: Indices, other: Indices) -> float:
+    """By how much another order is smoother where it differs; 0 unless it is much smoother."""
+    now, then = np.sort(order[roll.pairs], axis=0), np.sort(other[roll.pairs], axis=0)
+    changed = (now != then).any(axis=0)
+    before, after = roll.roughness(*now[:, changed]), roll.roughness(*then[:, changed])
+    return (before - after) * float(changed.sum()) if before > MIN_ROUGH and after < SEAM * before else 0.0
+
+
+def _block_text(name: str, blocks: Indices, a: int, b: int) -> str:
+    """What is wrong with two blocks, or with one, in words."""
+    texts = [
+        f"{name} {at}" if name != "taxels" else f"taxels {blocks[at][0]} to {blocks[at][-1]}" for at in (a, b)
+    ]
+    return f"{texts[0]} in reverse order" if a == b else f"{texts[0]} and {texts[1]} swapped"
+
+
+def _swaps(roll: _Roll, order: Indices, swapped: float) -> tuple[tuple[int, int], ...]:
+    """Swap in `order` what lies at two places, as long as it makes both much smoother; gives the taxels."""
+    swaps: list[tuple[int, int]] = []
+    while len(swaps) < MAX_SWAPS:
+        rough = roll.of_places(order)
+        suspects = np.argsort(rough)[-SUSPECTS:]
+        suspects = suspects[rough[suspects] > MIN_ROUGH]
+        gain = _swap_gains(roll, order, suspects, swapped)
+        if not gain.any():
+            break
+        at = suspects[list(np.unravel_index(gain.argmax(), gain.shape))]
+        a, b = sorted(order[at].tolist())
+        if (a, b) in swaps:  # back again: they are alike
+            break
+        swaps.append((a, b))
+        order[at] = order[at[::-1]]
     return tuple(swaps)
+
+
+def _swap_gains(roll: _Roll, order: Indices, suspects: Indices, swapped: float) -> Floats:
+    """By how much smoother both are (K, K) if what lies at two of K places is swapped; 0 unless much smoother."""
+    n, (a, b) = len(order), roll.pairs
+    both = roll.pressed[order[a]] & roll.pressed[order[b]]
+    half = csr_array((both.astype(np.float32), (a, b)), shape=(n, n))
+    near = (half + half.T)[suspects]
+    squares = roll.squares[order[suspects]][:, order]
+    cost = (near @ squares.T).T  # [i, p]: the taxel that lies at i, were it at p, against the neighbours of p
+    now = np.diag(cost)
+    before = now[:, None] + now - 2 * near[:, suspects].toarray() * squares[:, suspects]  # without that between
+    after = cost + cost.T
+    return np.where(after < swapped * before, before - after, 0)
 
 
 def _turned(frames: Floats, array: Array, direction: Direction) -> str:

@@ -6,7 +6,7 @@ from tactiled.frames import FrameWarning
 
 WarningCode = Literal[
     "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
-    "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
+    "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty", "wrong_map",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count{unused}",
@@ -18,6 +18,7 @@ TEXTS: dict[WarningCode, str] = {
     "saturated": "{taxels} saturated: {their} pressure is a lower bound",
     "out_of_range": "{taxels} beyond the calibrated range: {their} pressure is extrapolated",
     "faulty": "{taxels} found not to work: restored from {their} neighbours",
+    "wrong_map": "the map of taxels is wrong: {wrong}",
     "cover_mismatch": "the image does not match the data: check the cover settings and look for faulty taxels",
     "outliers": "single taxels disagree with their neighbours: list dead or damaged ones in calibration.dead",
     "negative": "readings are negative: unload and tare, or check noise_kpa",

@@ -196,12 +196,20 @@ class Pipeline:
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._plan.warnings + self.noise.warning + _flag_warnings(flags) + check_warnings,
+            warnings=self._plan.warnings
+            + self.noise.warning
+            + _flag_warnings(flags)
+            + self._map_warning()
+            + check_warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
             unit=self._plan.unit,
             calibration=self._plan.calibration_id,
         )
+
+    def _map_warning(self) -> tuple[FrameWarning, ...]:
+        wrong = self.monitor.map.wrong
+        return (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
 
     def _apply_tare(self, frame: RawFrame) -> None:
         """Take a frame into a tare under way, and its zero once it is complete and has met no load."""

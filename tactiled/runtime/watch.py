@@ -101,6 +101,7 @@ class Watch:
 
     def _look_at_taxels(self, sensor: Sensor) -> None:
         monitor = sensor.pipeline.monitor
+        monitor.map.judge()
         for fault, taxels in _by_fault(monitor.drain_changes()).items():
             if fault == Fault.HEALTHY:
                 self._events.add("taxel_healed", f"{taxels}: works again", sensor.name)

@@ -218,7 +218,7 @@ def calibration(sensor: Sensor, session: str | None) -> calibration_schemas.Sens
 
 def taxel_health(sensor: Sensor) -> calibration_schemas.TaxelHealth:
     """What a sensor has found out about its taxels."""
-    state = sensor.pipeline.monitor.state
+    state, taxel_map = sensor.pipeline.monitor.state, sensor.pipeline.monitor.map
     faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
     counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
     return calibration_schemas.TaxelHealth(
@@ -229,6 +229,7 @@ def taxel_health(sensor: Sensor) -> calibration_schemas.TaxelHealth:
             )
             for at, fault in faulty
         ],
+        map=(", ".join(taxel_map.wrong) or "as configured") if taxel_map.judged else None,
         noise_counts=np.round(state.noise_counts.astype(float), DECIMALS).tolist(),
         drift_counts=None
         if state.drift_counts is None

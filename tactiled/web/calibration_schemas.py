@@ -45,7 +45,7 @@ class TaxelFault(Schema):
     """A taxel found not to work."""
 
     taxel: int = Field(description="index", examples=[17])
-    fault: Literal["stuck", "saturated", "noisy", "dead", "weak"]
+    fault: Literal["stuck", "saturated", "noisy", "dead", "weak", "swapped"]
     reason: str = Field(examples=["it feels no load, and its neighbours do"])
     since: float = Field(description="timestamp of the frame", examples=[1763712000.25])
 
@@ -65,6 +65,10 @@ class TaxelHealth(Schema):
 
     taxels: int = Field(examples=[1024])
     faults: list[TaxelFault] = Field(description="of taxels that do not work, without those configured as dead")
+    map: str | None = Field(
+        description='what of the map of taxels is wrong, or "as configured"; null: too few were pressed so far',
+        examples=["taxels 40 and 77 swapped"],
+    )
     noise_counts: list[float] = Field(description="standard deviation of each taxel", examples=[[0.4, 0.5]])
     drift_counts: list[float] | None = Field(
         description="that each zero has moved since it was measured; null: drift is not tracked",

@@ -22,6 +22,7 @@ README = PAGES[0]
 FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
 WARNING_VALUES = {
+    "wrong": "taxels 40 and 77 swapped",
     "unused": "", "pitch_mm": 1, "gap": "finer than 3.1 mm",
     "measured": 0.5, "noise": 0.2, "unit": "kPa", "source": "configured"
 }  # fmt: skip

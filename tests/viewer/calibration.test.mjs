@@ -51,7 +51,9 @@ test("a zone and a tare say how far they are", () => {
 
 test("taxels that are left out are named, three at most", () => {
   const faults = [17, 18, 19, 20].map((taxel) => ({ taxel, fault: "stuck" }));
-  assert.equal(taxelText([], []), "all work");
+  assert.equal(taxelText([], [], "as configured"), "all work");
+  assert.equal(taxelText([], [], "row 1 in reverse order"), "wrong map: row 1 in reverse order");
+  assert.equal(taxelText([3], [], "row 1 in reverse order"), "1 left out: 1 configured as dead; wrong map: row 1 in reverse order");
   assert.equal(taxelText([3], faults.slice(0, 1)), "2 left out: 17 stuck, 1 configured as dead");
   assert.equal(taxelText([], faults), "4 left out: 17 stuck, 18 stuck, 19 stuck, 1 more");
 });

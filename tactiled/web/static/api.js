@@ -193,7 +193,7 @@ export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE"
 /** @param {string} name @returns {Promise<Calibration>} */
 export const calibration = (name) => request(`${at(name)}/calibration`);
 
-/** @param {string} name @returns {Promise<{faults: TaxelFault[]}>} */
+/** @param {string} name @returns {Promise<{faults: TaxelFault[], map: string|null}>} */
 export const taxelHealth = (name) => request(`${at(name)}/health`);
 
 /** @param {string} name @returns {string} the path of a sensor's guided calibration */

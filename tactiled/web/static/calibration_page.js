@@ -48,6 +48,8 @@ export class CalibrationPage {
     this._plane = null;
     /** @type {import("./api.js").TaxelFault[]} */
     this._faults = [];
+    /** @type {string|null} */
+    this._verdict = null;
     this._busy = false; // with a look at the service
     this._acting = false;
     this._wire();
@@ -111,7 +113,7 @@ export class CalibrationPage {
     const name = this._name;
     try {
       const calibration = await api.calibration(name);
-      if (this._step === "tare") this._faults = (await api.taxelHealth(name)).faults;
+      if (this._step === "tare") ({ faults: this._faults, map: this._verdict } = await api.taxelHealth(name));
       if (this._acting) return; // what comes of it is the newest
       const session = calibration.session ? await api.calibrationSession(name) : null;
       if (this._acting || name !== this._name || !dialog.open) return;
@@ -184,8 +186,8 @@ export class CalibrationPage {
     setText(byId("calibrate-tared"), tareText(tared ? Math.max(0, Date.now() / 1000 - tared) : null));
     byId("calibrate-tare-undo").hidden = !undo;
     setText(byId("calibrate-gain-now"), gain === null ? "unknown: counts are shown" : `${Number(gain.toPrecision(3))} kPa per count`);
-    setText(byId("calibrate-taxels"), taxelText(dead, this._faults));
-    byId("calibrate-taxels").classList.toggle("some", this._faults.length > 0);
+    setText(byId("calibrate-taxels"), taxelText(dead, this._faults, this._verdict));
+    byId("calibrate-taxels").classList.toggle("some", this._faults.length > 0 || !["as configured", null].includes(this._verdict));
   }
 
   /** @param {CalibrationSession} session */

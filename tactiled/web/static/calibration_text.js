@@ -100,14 +100,16 @@ const MAX_FAULTS = 3; // that are named
 /**
  * @param {number[]} dead as configured
  * @param {{taxel: number, fault: string}[]} faults found while the sensor runs
+ * @param {string|null} map what is wrong with the map of taxels; null: not known
  * @returns {string}
  */
-export function taxelText(dead, faults) {
-  if (!dead.length && !faults.length) return "all work";
+export function taxelText(dead, faults, map) {
+  const wrong = map && map !== "as configured" ? `wrong map: ${map}` : "";
+  if (!dead.length && !faults.length) return wrong || "all work";
   const named = faults.slice(0, MAX_FAULTS).map((each) => `${each.taxel} ${each.fault}`);
   if (faults.length > MAX_FAULTS) named.push(`${faults.length - MAX_FAULTS} more`);
   if (dead.length) named.push(`${dead.length} configured as dead`);
-  return `${dead.length + faults.length} left out: ${named.join(", ")}`;
+  return `${dead.length + faults.length} left out: ${named.join(", ")}${wrong && `; ${wrong}`}`;
 }
 
 /**
