@@ -41,7 +41,7 @@ def fitted(skin, fine, share, seed, kind=Bumps, start=None):
     return fit, image, truth
 
 
-@pytest.mark.parametrize(("thickness", "share"), [*product((1.0, 1.5, 2.0), (0.01, 0.03))])
+@pytest.mark.parametrize(("thickness", "share"), [(0.5, 0.003), (0.5, 0.01), *product((1.0, 2.0), (0.01, 0.03))])
 def test_bumps_have_their_places_forces_and_widths(thickness, share):
     skin = rubber(thickness, SIZE)
     fit, image, truth = fitted(skin, fields(skin), share, 11)
