@@ -99,7 +99,8 @@ def transitions(reduced: Reduced = False, method: str = "auto", size: int = 32, 
     rows = [summary(group, judged) for group, judged in (groups | {"all pairs": pairs}).items()]
     print_table(f"Error of {method} over that of the frame alone, {size} x {size}", HEADINGS, rows)
     worst: dict[str, Step] = {}
-    for each in sorted(chain(*groups.values()), key=lambda each: each.alone / each.error):
+    higher = (each for each in chain(*groups.values()) if each.error > RATIOS[0] * each.alone)
+    for each in sorted(higher, key=lambda each: each.alone / each.error):
         worst.setdefault(each.case, each)
     for case, error, alone, raw in islice(worst.values(), WORST):
         print(f"{error / alone:5.2f}: {case}: {error:.3f}, alone {alone:.3f}, raw {raw:.3f}")
