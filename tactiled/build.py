@@ -47,6 +47,7 @@ class SensorPlan:
     cells: Cells  # of the restored image
     calibration: Calibration
     method: str
+    budget_s: float | None  # for restoring a frame; None for the default
     stale_after_s: float
     warnings: tuple[FrameWarning, ...]  # that hold for every image
     calibrated: bool  # whether pressures are in kPa; else they are in counts
@@ -132,6 +133,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
         cells=tiling(array, sensor.refine),
         calibration=calibration,
         method=sensor.method,
+        budget_s=None if sensor.budget_ms is None else 1e-3 * sensor.budget_ms,
         stale_after_s=sensor.stale_after_s,
         warnings=_constant_warnings(None if calibrated else sensor.calibration, summarise(kernel, array), array),
         calibrated=calibrated,

@@ -7,6 +7,7 @@ from tactiled.frames import FrameWarning
 WarningCode = Literal[
     "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
     "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty", "wrong_map",
+    "cut_short",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count{unused}",
@@ -25,6 +26,7 @@ TEXTS: dict[WarningCode, str] = {
     "offset": "no part of the array is free of pressure: if nothing lies on all of it, tare",
     "noise_low": "fine patterns have under half of the configured noise: lower noise_kpa, or taxels share noise",
     "plateau": "several taxels share the highest value: if they are saturated, set calibration.saturation",
+    "cut_short": "restoring took longer than {budget_ms:.2g} ms: the image is the best until then",
     "edge": "a contact reaches over the edge: what presses outside the array is felt inside",
 }
 

@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 from functools import cached_property
+from math import inf
 from threading import Lock
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import cast
 
 import numpy as np
@@ -164,8 +165,11 @@ class Pipeline:
             self._noise_ratio = ratio
             self._restorer.weigh(ratio)
 
-    def process(self, frame: RawFrame) -> Image:
-        """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning."""
+    def process(self, frame: RawFrame, budget_s: float = inf) -> Image:
+        """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning.
+
+        Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
+        """
         began = perf_counter()
         self._apply_tare(frame)
         if self.monitor.push(frame, self.calibrator):
@@ -177,9 +181,12 @@ class Pipeline:
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
-        done = self._restorer(raw, flags)
+        end = thread_time() + budget_s
+        done = self._restorer(raw, flags, lambda: thread_time() > end)
         doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(shape)
         check_warnings = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
+        if done.cut_short:
+            check_warnings = (*check_warnings, warning("cut_short", budget_ms=1e3 * budget_s))
         check_warnings = self._thickness(check_warnings, raw, doubtful, self.noise.kpa)
         return Image(
             sensor=self._plan.name,

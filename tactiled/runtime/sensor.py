@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import inf, sqrt
 from typing import Literal
 
 from tactiled.build import SensorPlan
@@ -21,6 +21,8 @@ from tactiled.threads import join_started
 
 State = Literal["live", "stale", "silent", "down"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
+MAX_BUDGET_S = 1e-3  # for restoring a frame, unless it is configured
+BUDGET_SHARE = 0.1  # of the time from frame to frame, the same
 MIN_RATE_WEIGHT = 0.02  # of a new period in the running mean, which else covers 1 s: at most 50 frames
 
 
@@ -207,13 +209,19 @@ class Sensor:
                     return
                 frame, self._waiting = self._waiting, None
             if frame is not None:
-                self._publish(frame)
+                self._publish(frame, self._budget_s())
 
-    def _publish(self, frame: RawFrame) -> None:
+    def _budget_s(self) -> float:
+        """Time for restoring a frame."""
+        if self.plan.budget_s is not None:
+            return self.plan.budget_s
+        return min(BUDGET_SHARE * self._period_s, MAX_BUDGET_S) if self._period_s else MAX_BUDGET_S
+
+    def _publish(self, frame: RawFrame, budget_s: float = inf) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
         try:
             with self._between_frames:
-                image = self.pipeline.process(frame)
+                image = self.pipeline.process(frame, budget_s)
             self.hub.publish(image)
             self.history.add(image)
             if image.warnings:
