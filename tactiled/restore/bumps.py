@@ -12,7 +12,13 @@ import numpy as np
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_fit import MAX_POINTS, Fit, Fitter
 from tactiled.restore.point_image import MIN_PLACE_ERROR, PointLoads
-from tactiled.restore.points import MAX_LAST_SHIFT, MAX_LAST_STRETCH, MAX_PLACE_ERROR, RESIDUAL_SIGMAS, Points
+from tactiled.restore.points import (
+    MAX_LAST_SHIFT,
+    MAX_LAST_STRETCH,
+    MAX_PLACE_ERROR,
+    RESIDUAL_SIGMAS,
+    Points,
+)
 from tactiled.restore.scene import Scene
 
 # All chosen on random points, bumps, caps, lines and balls with stones, and on the scenes of
@@ -55,46 +61,46 @@ class Bumps(Points):
 
     def prepare(self) -> None:
         """Make now what loads of any width need."""
-        for width in WIDTHS:
+        for width in WIDTHS if self._fitters else ():
             self._fitter_of(width)
 
-    def _fitter_of(self, width: float) -> Fitter | None:
-        response = self._scene.blur.response
-        if self._fitters and width not in self._fitters and response is not None:
-            fitter, first = Fitter(response.widened(width), self._scene.noise), self._fitters[0.0]
+    def _fitter_of(self, width: float) -> Fitter:
+        if width not in self._fitters:
+            response, first = self._scene.blur.response, self._fitters[0.0]
+            assert response is not None
+            fitter = Fitter(response.widened(width), self._scene.noise, self._scene.cut)
             fitter.jacobian, fitter.residual = first.jacobian, first.residual  # none outlives the next fit
             self._fitters[width] = fitter
-        return self._fitters.get(width)
+        return self._fitters[width]
 
-    def _from_peaks(self, fitter: Fitter, places: Floats, image: Image) -> int:
-        """Fit as many loads as an image has peaks, or one more; gives the steps made."""
-        self._image = image
-        done, fit = fitter(self._frame, places, self._model)
-        self.loads = self._accepted(fitter, fit)
-        if self.loads or fit is None:
-            return done
-        base, total = 0.0, _common_width(fit)[2]
-        if fit.residual > FAR * (self._scene.noise**2 * fitter.residual.size + self._model):
-            total = MIDDLE
+    def _fit(self, places: Floats, width: float, image: Image) -> int:
+        """Fit as many loads as there are places, or one more, of a width or the one that the frame shows."""
+        self._image, fitter = image, self._fitter_of(width)
+        done, fit = self._try(fitter, places, width)
         for _ in range(MAX_HOPS):
-            nearest = min(WIDTHS, key=lambda width: abs(width - total))
-            wider = self._fitter_of(nearest)
-            if nearest == base or wider is None:
+            if self.loads or fit is None or (nearest := self._nearest(fit, width)) == width:
                 break
-            base, fitter = nearest, wider
-            steps, fit = fitter(self._frame, fit.places, self._model)
+            width, fitter = nearest, self._fitter_of(nearest)
+            steps, fit = self._try(fitter, fit.places, width)
             done += steps
-            if fit is None:
-                return done
-            total = base + _common_width(fit)[2]
-        self.loads = self._accepted_bumps(fitter, fit, base)
-        if self.loads or len(fit.force) == MAX_POINTS:
+        if self.loads or fit is None or len(fit.force) == MAX_POINTS:
             return done
-        steps, fit = fitter(self._frame, self._split(fitter, fit, image), self._model)
-        self.loads = self._accepted(fitter, fit) if base == 0 else None
-        if fit is not None and self.loads is None:
-            self.loads = self._accepted_bumps(fitter, fit, base)
+        steps, _ = self._try(fitter, self._split(fitter, fit, image), width)
         return done + steps
+
+    def _nearest(self, fit: Fit, width: float) -> float:
+        """Which of WIDTHS is nearest to the common width that a fit about `width` shows."""
+        total = width + _common_width(fit)[2]
+        if width == 0 and fit.residual > FAR * (self._scene.noise**2 * self._unexplained.size + self._model):
+            total = MIDDLE
+        return min(WIDTHS, key=lambda each: abs(each - total))
+
+    def _accepted(self, fitter: Fitter, fit: Fit, width: float) -> PointLoads | None:
+        """Draw and give what stands of a fit, as points or as bumps."""
+        points = super()._accepted(fitter, fit, width) if width == 0 else None
+        if points or self._nearest(fit, width) != width:
+            return points
+        return self._accepted_bumps(fitter, fit, width)
 
     def _accepted_bumps(self, fitter: Fitter, fit: Fit, base: float) -> PointLoads | None:
         """Draw and give what stands of a fit about a width; None where anything is uncertain."""
@@ -128,7 +134,7 @@ class Bumps(Points):
     def _shows(self, width: float) -> bool:
         """Whether what was just drawn, of a common width, agrees with the non-negative image where that tells."""
         if width <= WIDE:
-            return self._sensitive
+            return self._sensitive and not (self._wary and self._raw_is_near())
         image = self.drawing.image
         return float(np.linalg.norm(image - self._image)) <= MAX_DIFFERENCE * float(np.linalg.norm(image))
 

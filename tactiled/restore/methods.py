@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
-from tactiled.restore.auto import POINTS, Auto
+from tactiled.restore.auto import LOADS, Auto
 from tactiled.restore.blur import Blur
+from tactiled.restore.bumps import Bumps
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
-from tactiled.restore.points import Points
 from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Restored, Scene, never
 from tactiled.restore.total_variation import TotalVariation
@@ -169,13 +169,14 @@ def _total_variation(scene: Scene) -> Linear:
 class _Points(_Nonnegative):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self._points = Points(scene)
+        self._points = Bumps(scene)
 
     def __call__(self, y: Image) -> Restored:
         done, drawing = super().__call__(y), self._points.drawing
         steps = self._points(y, done.image)
-        if steps:
-            return self._done(drawing.image, "points", done.iterations + steps, drawing.noise_gain, POINTS)
+        if steps and self._points.loads:
+            why = LOADS.format(len(self._points.loads.force))
+            return self._done(drawing.image, "points", done.iterations + steps, drawing.noise_gain, why)
         return done._replace(why=self._points.unavailable or NO_POINTS)
 
     def deviation(self) -> Floats:

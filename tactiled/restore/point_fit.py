@@ -1,5 +1,6 @@
 """Point loads fitted to a frame y by damped Gauss-Newton: min |y - sum f_i r(x_i)|^2 over places x, forces f."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,8 +60,10 @@ class Fit(NamedTuple):
 class Fitter:
     """Fits loads to frames (R, C) of a `noise` (kPa); `jacobian` and `residual` are those of the last fit."""
 
-    def __init__(self, response: PointResponse, noise: float) -> None:
-        self._response, self._noise = response, noise
+    def __init__(self, response: PointResponse, noise: float, cut: Callable[[], bool]) -> None:
+        """Fits end without a result where `cut` says so; `places` are those that were tried last."""
+        self._response, self._noise, self._cut = response, noise, cut
+        self.places = np.empty((0, 2))
         rows, columns = self.shape = response.shape
         self.jacobian = np.empty((6 * MAX_POINTS, rows * columns), np.float32)
         self.residual = np.empty(rows * columns, np.float32)
@@ -74,6 +77,9 @@ class Fitter:
         damping, fit = INITIAL_DAMPING, None
         done = 0
         while done < MAX_STEPS:
+            self.places = places
+            if self._cut():
+                return done, None
             done += 1
             A = self._responses(places)
             gram = np.asarray(A[0] @ A[0].T, float)

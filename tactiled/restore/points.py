@@ -54,7 +54,7 @@ class Points:
         if response is not None and response.sensitivity() < MIN_SENSITIVITY:
             self.unavailable = TOO_THIN
         elif response is not None:
-            self._fitter = Fitter(response, scene.noise)
+            self._fitter = Fitter(response, scene.noise, scene.cut)
             self._load_width = response.side**2 / 6  # of a load itself, which is no point
         self._frame: Image  # flat, the last
         self._unexplained = np.empty(scene.flat.size, np.float32)
@@ -64,6 +64,7 @@ class Points:
         self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
+        self._before: tuple[Floats, float] | None = None  # places and width of a fit that stood or was cut short
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
@@ -75,19 +76,33 @@ class Points:
             return 0
         y = self._frame = y.reshape(-1)
         self._model = MODEL_ERROR**2 * float(y.dot(y))
-        places = self._peaks(image)
-        done = self._from_peaks(self._fitter, np.array(places), image) if places else 0
+        done, before, self._before = 0, self._before, None
+        if before is not None:
+            done = self._fit(*before, image)
+        if self.loads is None and not self._scene.cut_short:
+            places = self._peaks(image)
+            done += self._fit(np.array(places), 0.0, image) if places else 0
         return done if self.loads else 0
 
-    def _from_peaks(self, fitter: Fitter, places: Floats, image: Image) -> int:
-        """Fit as many points as an image has peaks, or one more; gives the steps made."""
-        done, fit = fitter(self._frame, places, self._model)
-        self.loads = self._accepted(fitter, fit)
+    def _fit(self, places: Floats, width: float, image: Image) -> int:
+        """Fit as many points as there are places, or one more; gives the steps made."""
+        del width
+        assert self._fitter is not None
+        done, fit = self._try(self._fitter, places, 0.0)
         if self.loads or fit is None or len(fit.force) == MAX_POINTS:
             return done
-        more, fit = fitter(self._frame, self._split(fitter, fit, image), self._model)
-        self.loads = self._accepted(fitter, fit)
+        more, _ = self._try(self._fitter, self._split(self._fitter, fit, image), 0.0)
         return done + more
+
+    def _try(self, fitter: Fitter, places: Floats, width: float) -> tuple[int, Fit | None]:
+        """Fit loads of a width at places and keep them if they stand; gives the steps made and the fit."""
+        done, fit = fitter(self._frame, places, self._model)
+        cut = self._scene.cut()
+        if fit is not None and not cut:
+            self.loads = self._accepted(fitter, fit, width)
+        if cut or self.loads:
+            self._before = self.loads.places if self.loads else fitter.places, width
+        return done, None if cut else fit
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
@@ -127,17 +142,16 @@ class Points:
         pair = fit.places[worst] + 0.5 * np.array([axes[:, -1], -axes[:, -1]])
         return fitter.within(np.concatenate([np.delete(fit.places, worst, axis=0), pair]))
 
-    def _accepted(self, fitter: Fitter, fit: Fit | None) -> PointLoads | None:
+    def _accepted(self, fitter: Fitter, fit: Fit, width: float) -> PointLoads | None:
         """Draw and give what stands, each load allowed a width of its own; None where anything is uncertain."""
-        if fit is None:
-            return None
+        del width
         n = len(fit.force)
         normal, right = fit.isotropic()
         inverse = np.linalg.inv(normal)
         noise, free = self._scene.noise**2, max(fitter.residual.size - 4 * n, 1)
-        width = inverse[3 * n :] @ right
+        widths = inverse[3 * n :] @ right
         spread = np.maximum(inverse.diagonal()[3 * n :], 1e-30)
-        common = max(float(width @ (1 / spread) / (1 / spread).sum()), 0.0)
+        common = max(float(widths @ (1 / spread) / (1 / spread).sum()), 0.0)
         last = self._last_step(normal, right, common)
         residual = fit.residual + float(last @ (normal @ last - 2 * right))
         if residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
@@ -146,10 +160,10 @@ class Points:
         width_variance = variance / float((1 / spread).sum())
         if common + WIDTH_SIGMAS * sqrt(width_variance) > MAX_WIDTH:
             return None
-        if (width - LENGTH_SIGMAS * np.sqrt(spread * variance)).max() > common + MAX_WIDTH_SURPLUS:
+        if (widths - LENGTH_SIGMAS * np.sqrt(spread * variance)).max() > common + MAX_WIDTH_SURPLUS:
             return None
-        widths = fit.widths()
-        if _longest(*widths, LENGTH_SIGMAS * sqrt(variance)) > common + MAX_LENGTH_SURPLUS:
+        own = fit.widths()
+        if _longest(*own, LENGTH_SIGMAS * sqrt(variance)) > common + MAX_LENGTH_SURPLUS:
             return None
         if self._leaves_signal(fitter, fit, last):
             return None
@@ -169,7 +183,7 @@ class Points:
             noise=noise / variance,
         )
         self.drawing(loads)
-        may_be_pair = _widest(*widths, sqrt(variance)) > PAIR_WIDTH
+        may_be_pair = _widest(*own, sqrt(variance)) > PAIR_WIDTH
         return None if self._wary and may_be_pair and self._raw_is_near() else loads
 
     def _last_step(self, normal: Floats, right: Floats, common: float) -> Floats:
