@@ -15,6 +15,7 @@ from tactiled.restore.point_image import MIN_PLACE_ERROR, PointLoads
 from tactiled.restore.points import (
     MAX_LAST_SHIFT,
     MAX_LAST_STRETCH,
+    MAX_NEIGHBOURS,
     MAX_PLACE_ERROR,
     RESIDUAL_SIGMAS,
     Points,
@@ -33,7 +34,6 @@ WIDE = 0.08  # square pitches: loads so wide show their shape in the non-negativ
 MAX_DIFFERENCE = 0.45  # of their own norm that it may then differ by
 MIN_SENSITIVITY = 0.1  # that a quarter of a pitch changes of a load's frame: less, and loads less wide are unsure
 REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
-MAX_NEIGHBOURS = 1.2  # in the mean; a pair has one, a chain of three 4/3: that is one contact
 
 
 class Estimate(NamedTuple):

@@ -19,6 +19,8 @@ MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a lo
 MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
+TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
+MAX_NEIGHBOURS = 1.2  # that do, in the mean; a pair has one, a chain of three 4/3: that is one contact
 RESIDUAL_SIGMAS = 3.0  # standard deviations of the residual's square that noise may stray by
 NEIGHBOURHOOD_SIGMAS = 4.0  # the same about any one load: of so few taxels it strays further
 MAX_WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.45 pitch has it, and is no point
@@ -125,7 +127,9 @@ class Points:
             around[...] = 0
             remainder -= weight
             places.append(((row + 0.5) / k - 0.5, (column + 0.5) / k - 0.5))
-        return places if remainder <= MAX_OUTSIDE * total and spread <= len(places) else []
+        if remainder > MAX_OUTSIDE * total or spread > len(places) or _neighbours(places) > MAX_NEIGHBOURS:
+            return []
+        return places
 
     def _split(self, fitter: Fitter, fit: Fit, image: Image) -> Floats:
         """Give the places, the one that leaves most behind split in two along the image's longer axis there."""
@@ -217,6 +221,13 @@ class Points:
             > noise * (each.size + NEIGHBOURHOOD_SIGMAS * sqrt(2 * each.size)) + self._model
             for each in about
         )
+
+
+def _neighbours(places: list[tuple[float, float]]) -> float:
+    """How many others a peak has whose neighbourhood touches its own, in the mean."""
+    at = np.array(places)
+    touching = np.abs(at[:, None] - at).max(axis=-1) < TOUCHING
+    return float(touching.sum() / len(at) - 1)
 
 
 def _longest(own: Floats, covariance: Floats, sigmas: float) -> float:
