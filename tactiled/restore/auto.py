@@ -42,7 +42,7 @@ class Auto:
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._idle = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
-        self._shown = self._idle  # the last image
+        self._last = self._idle  # the last image
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
@@ -51,11 +51,11 @@ class Auto:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored: of loads the fit's."""
-        if self._shown.method == "points":
+        if self._last.method == "points":
             return self.loads.drawing.deviation()
-        if self._shown.method == "raw":
+        if self._last.method == "raw":
             return raw_deviation(self._scene, self._wiener)
-        return deviation(self._scene, None if self._shown is self._idle else self._shown.image)
+        return deviation(self._scene, None if self._last is self._idle else self._last.image)
 
     def is_idle(self, y: Image) -> bool:
         """Whether a frame is noise and nothing else: peak, trough and sum stay within what noise does."""
@@ -67,11 +67,11 @@ class Auto:
         """Restore a frame without gaps."""
         if self.is_idle(y):
             self._scene.look_at_nothing()
-            self._shown = self._idle
+            self._last = self._idle
         else:
             self._scene.look(y)
-            self._shown = self._restored(y)
-        return self._shown
+            self._last = self._restored(y)
+        return self._last
 
     def _restored(self, y: Image) -> Restored:
         filter_, resolution = self._wiener.filter(), self._scene.resolution()

@@ -23,7 +23,7 @@ FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"")
 WARNING_VALUES = {
     "wrong": "taxels 40 and 77 swapped",
-    "unused": "", "pitch_mm": 1, "gap": "finer than 3.1 mm",
+    "unused": "", "pitch_mm": 1, "budget_ms": 1, "gap": "finer than 3.1 mm",
     "measured": 0.5, "noise": 0.2, "unit": "kPa", "source": "configured"
 }  # fmt: skip
 by_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)

@@ -43,10 +43,10 @@ def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, 
     slow, other = Sensor(plan), Sensor(plan)
     begun, go_on, process, sequences = Event(), Event(), slow.pipeline.process, []
 
-    def process_later(frame):
+    def process_later(frame, budget_s):
         begun.set()
         assert go_on.wait(BUSY_S)
-        return process(frame)
+        return process(frame, budget_s)
 
     monkeypatch.setattr(slow.pipeline, "process", process_later)
     slow.hub.subscribe(lambda image: sequences.append((image.sequence, image.loss.skipped)))
@@ -71,7 +71,7 @@ def test_a_frame_that_cannot_be_restored_makes_the_sensor_stale_until_the_next(p
     sensor = Timed(plan).sensor
     sensor.start()
     with monkeypatch.context() as broken:
-        broken.setattr(sensor.pipeline, "process", lambda _: 1 / 0)
+        broken.setattr(sensor.pipeline, "process", lambda *_: 1 / 0)
         sensor.offer(frame(0))
         until(lambda: sensor.status().state == "stale")
     assert sensor.status().detail == "restoration failed: ZeroDivisionError: division by zero"
