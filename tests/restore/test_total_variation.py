@@ -7,11 +7,13 @@ import pytest
 from scipy.optimize import minimize
 from skimage.restoration import denoise_tv_chambolle
 
+from tactiled.restore import total_variation
 from tactiled.restore.methods import make
-from tactiled.restore.nonnegative import GAUSSIAN_SHARE, SPARSE_SHARE
-from tactiled.restore.scene import Scene
-from tactiled.restore.total_variation import FLAT_CORNER, VARIATION_WEIGHT, Edges, TotalVariation
+from tactiled.restore.scene import FORCE_AGREES_SIGMAS, Scene
+from tactiled.restore.total_variation import VARIANCE_POWER, VARIATION_WEIGHT, Edges, TotalVariation
 from tactiled.restore.wiener import Wiener
+from tactiled.study.skin import nrmse
+from tests.study.presses import presses
 
 SIGMA = 0.5
 
@@ -25,7 +27,7 @@ def differences(x):
 def test_without_a_blur_it_is_scikit_images(shape):
     t = (40 + 10 * np.random.default_rng(0).normal(size=shape)).astype(np.float32)
     edges = Edges(shape)
-    edges.limit(6.0)
+    edges.reset(6.0)
     for _ in range(20_000):
         edges.fill(t.reshape(-1))
         edges.follow()
@@ -33,29 +35,17 @@ def test_without_a_blur_it_is_scikit_images(shape):
     np.testing.assert_allclose(edges.x.reshape(shape).squeeze(), reference, atol=2e-3)
 
 
-@pytest.mark.parametrize("shape", [(5, 7), (1, 6), (6, 1), (1, 1)])
-def test_the_sum_of_differences_is_that_of_all_differences(shape):
-    edges = Edges(shape)
-    edges.x[...] = np.random.default_rng(1).normal(size=edges.x.size)
-    expected = sum(np.abs(each).sum() for each in differences(edges.x.reshape(shape)))
-    assert edges.sum_of_differences() == pytest.approx(expected, rel=1e-5, abs=1e-6)
-
-
-def weights(scene, x):
-    """What the image of a scene is weighed by: its Gaussian (surface modes), its sum and its variation."""
-    share = x.sum() ** 2 / (x.size * (x**2).sum())
-    contrast = (x**2).sum() / sum(np.abs(each).sum() for each in differences(x))
-    flat = 1 / (1 + (scene.spectrum.corner / FLAT_CORNER) ** 2)
-    return (
-        min(1, share / GAUSSIAN_SHARE) / scene.spectrum.ratio,
-        min(1, SPARSE_SHARE / share) * scene.noise,
-        VARIATION_WEIGHT * flat * np.sqrt(scene.noise * contrast),
-    )
+def weight(scene, frame):
+    """Of the variation, in the problem that is to be solved for a frame."""
+    h, S = np.zeros_like(scene.spectrum.ratio), scene.spectrum.ratio
+    h[scene.modes.head] = scene.modes.gain
+    variance = (S / (1 + h**2 * S)).mean()
+    return VARIATION_WEIGHT * np.sqrt(scene.noise * np.sqrt((frame**2).mean())) / variance**VARIANCE_POWER
 
 
 def objective(scene, frame, x, smooth=0.0):
-    """The problem that is to be solved, the weights being those of `x`; its value and slope at any image."""
-    (gaussian, total, weight), modes = weights(scene, x), scene.modes
+    """The problem that is to be solved: its value and slope at any image of the shape of `x`."""
+    heavy, modes = weight(scene, frame), scene.modes
     V, W = modes.surface
     c = modes.taxel[0].T @ frame.astype(float) @ modes.taxel[1]
 
@@ -65,10 +55,10 @@ def objective(scene, frame, x, smooth=0.0):
         across, down = differences(image)
         length = np.sqrt(across**2 + down**2 + smooth**2)
         misfit = modes.gain * z - c
-        value = (misfit**2).sum() / 2 + (gaussian * z**2).sum() / 2 + total * flat.sum() + weight * length.sum()
-        slope = V @ (modes.gain * misfit + gaussian * z) @ W.T + total
+        value = (misfit**2).sum() / 2 + heavy * length.sum()
+        slope = V @ (modes.gain * misfit) @ W.T
         for part, axis in ((across, 1), (down, 0)):
-            pull = weight * part / np.maximum(length, 1e-300)
+            pull = heavy * part / np.maximum(length, 1e-300)
             slope += np.roll(pull, 1, axis) - pull
         return value, slope.ravel()
 
@@ -81,7 +71,7 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     frame, _ = pressed(blur, SIGMA, seed)
     scene = Scene(blur, SIGMA)
     monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
-    monkeypatch.setattr(TotalVariation, "_max_iterations", 20_000)
+    monkeypatch.setattr(total_variation, "ITERATIONS", 20_000)
     solver = TotalVariation(scene)
     scene.look(frame)
     solver(Wiener(scene)())
@@ -139,3 +129,30 @@ def test_a_frame_allocates_next_to_nothing(covered, pressed):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak - before < frames[0].nbytes / 2
+
+
+def test_over_presses_of_all_kinds_it_is_nearer_the_truth_than_plain_least_squares():
+    errors = [
+        [nrmse(make(name, each.blur, each.sigma)(each.frame).image, each.truth) for name in ("tv", "nnls")]
+        for each in presses(16, (1.0, 3.0), (0.01, 0.05), seed=40)
+    ]
+    tv, nnls = np.log(errors).mean(axis=0)
+    assert tv < nnls + np.log(0.95)
+
+
+def test_an_excess_of_force_is_taken_from_all_pressed_cells_alike(covered, pressed):
+    blur = covered((16, 16))
+    scene = Scene(blur, SIGMA)
+    frame, _ = pressed(blur, SIGMA, 1)
+    scene.look(frame)
+    solver = TotalVariation(scene)
+    solver.flatten(Wiener(scene)().clip(0))
+    with_haze = solver.image + np.random.default_rng(2).uniform(0, 3, (16, 16)).astype(np.float32)
+    solver.image[...] = with_haze
+    solver._keep_force()
+    assert (blur.reach * solver.image).sum() == pytest.approx(frame.sum(), abs=FORCE_AGREES_SIGMAS * SIGMA * 16)
+    assert solver.image.min() == 0
+    taken = with_haze - solver.image
+    pressed_still = solver.image > 0
+    assert np.ptp(taken[pressed_still]) < 1e-3
+    assert (with_haze[~pressed_still] <= taken[pressed_still].max() + 1e-3).all()
