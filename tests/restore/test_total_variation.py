@@ -152,7 +152,7 @@ def test_an_excess_of_force_is_taken_from_all_pressed_cells_alike(covered, press
     solver._keep_force()
     assert (blur.reach * solver.image).sum() == pytest.approx(frame.sum(), abs=FORCE_AGREES_SIGMAS * SIGMA * 16)
     assert solver.image.min() == 0
-    taken = with_haze - solver.image
+    excess = with_haze - solver.image
     pressed_still = solver.image > 0
-    assert np.ptp(taken[pressed_still]) < 1e-3
-    assert (with_haze[~pressed_still] <= taken[pressed_still].max() + 1e-3).all()
+    assert np.ptp(excess[pressed_still]) < 1e-3
+    assert (with_haze[~pressed_still] <= excess[pressed_still].max() + 1e-3).all()
