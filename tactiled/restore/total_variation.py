@@ -37,7 +37,7 @@ class Edges:
         self._across, self._down = self._both
         self._before, self._above = p[:cells], p[1 + cells :][:cells]
         self._length, self._square_down = self._squares.reshape(2, part)[:, :cells]
-        self._here, self._right, self._upper, self._under = (
+        self._centre, self._right, self._upper, self._under = (
             self.x[:-1],
             self.x[1:],
             self.x[:-columns],
@@ -65,7 +65,7 @@ class Edges:
     def follow(self) -> None:
         """Move the pull on by the differences of x, then cut it to its limit."""
         length = self._length
-        np.subtract(self._right, self._here, out=self._rightward)
+        np.subtract(self._right, self._centre, out=self._rightward)
         self._row_ends.fill(0)
         np.subtract(self._under, self._upper, out=self._downward)
         np.add(self._p, self._changes, out=self._p)
