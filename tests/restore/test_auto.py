@@ -98,3 +98,38 @@ def test_no_disc_is_made_a_spike_that_the_noise_does_not_resolve():
     for press in (each for each in presses(24, (2.5, 3.0), (0.1,), 5, seed=9002) if each.scene == "punches"):
         image = make("auto", press.blur, press.sigma)(press.frame).image
         assert nrmse(image, press.truth) <= 1.02 * nrmse(press.frame, press.truth)
+
+
+@pytest.fixture
+def two_indenters():
+    press = next(each for each in presses(24, (1.0,), (0.002,), 6, seed=2) if each.scene == "points")
+    return press, make("points", press.blur, press.sigma)(press.frame)
+
+
+def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
+    truth = np.zeros(SHAPE)
+    truth[10:13, 10:13] = 100
+    frame, auto = sensed(truth, 2.0), make("auto", covered(SHAPE, 2.0), SIGMA)
+    errors = {}
+    for n in (0, 1, 100):  # times that there is time left
+        left = iter([False] * n)
+        done = auto(frame, expired=lambda left=left: next(left, True))
+        errors[n] = nrmse(done.image, truth), done.iterations, done.cut_short
+    assert [each[2] for each in errors.values()] == [True, True, False]
+    assert errors[0][1] == 0 < errors[1][1] < errors[100][1]
+    assert errors[0][0] > errors[1][0] > errors[100][0]
+
+
+def test_a_fit_that_was_cut_short_goes_on_in_the_next_frame(two_indenters):
+    press, alone = two_indenters
+    assert alone.method == "points"
+    auto, steps = make("auto", press.blur, press.sigma), []
+    for _ in range(20):
+        left = iter([False] * 4)  # of which the non-negative image takes two or three
+        done = auto(press.frame, expired=lambda left=left: next(left, True))
+        steps.append(done.method)
+        if done.method == "points":
+            break
+        assert (done.method, done.cut_short) == ("nnls", True)
+    assert len(steps) > 1
+    assert nrmse(done.image, press.truth) < 1.1 * nrmse(alone.image, press.truth)
