@@ -29,6 +29,8 @@ MAX_WIDTH_SURPLUS = 0.03  # square pitches of width by which points may differ
 MAX_LENGTH_SURPLUS = 0.02  # square pitches of width that a point may have along one axis above the common one
 LENGTH_SIGMAS = 2.0  # standard deviations beyond these: one so wide is two
 PAIR_WIDTH = 0.0625  # square pitches of width, at most, that two loads half a pitch apart have
+MAX_CUTS = 4  # fits cut short one after the other: the time that there is does not do for one
+PAUSE_FRAMES = 64  # that follow without a fit
 RAW_ERROR = (
     0.6  # of the points' image, that the raw one misses: if more, points hardly do worse, though one were two
 )
@@ -66,6 +68,7 @@ class Points:
         self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
+        self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
         self._before: tuple[Floats, float] | None = None  # places and width of a fit that stood or was cut short
 
     def __call__(self, y: Image, image: Image) -> int:
@@ -78,12 +81,18 @@ class Points:
             return 0
         y = self._frame = y.reshape(-1)
         self._model = MODEL_ERROR**2 * float(y.dot(y))
+        if self._pause:
+            self._pause -= 1
+            return 0
         done, before, self._before = 0, self._before, None
         if before is not None:
             done = self._fit(*before, image)
         if self.loads is None and not self._scene.cut_short:
             places = self._peaks(image)
             done += self._fit(np.array(places), 0.0, image) if places else 0
+        self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
+        if self._cuts == MAX_CUTS:
+            self._cuts, self._pause = 0, PAUSE_FRAMES
         return done if self.loads else 0
 
     def _fit(self, places: Floats, width: float, image: Image) -> int:
