@@ -1,4 +1,4 @@
-"""What does this scene need? Nothing, the raw image, a linear filter, non-negativity, or a few loads fitted to it.
+"""What does this scene need? Nothing, the raw image, a linear filter, sharp edges, or a few loads fitted to it.
 
 These are the candidates in the order of their cost. Each says what the next one would certainly put right, as a
 share of the image's norm; the next one runs where that is at least WORTH. All numbers are of this frame alone.
@@ -14,6 +14,7 @@ from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.scene import Restored, Scene
+from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Filter, Wiener
 
 WORTH = 0.02  # of the norm: at 0.015 a tenth more frames are iterated, for 0.4 % less error
@@ -22,7 +23,7 @@ SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
 WIENER = "smooth contact: {:.1%} of the linear image is below zero"
-NNLS = "sharp contact: {:.1%} of the linear image is below zero"
+SHARP = "sharp contact: {:.1%} of the linear image is below zero"
 LOADS = "isolated indenters: {} explain the frame down to its noise"
 
 
@@ -33,6 +34,8 @@ class Auto:
         self._scene = scene
         self._wiener, self._nonnegative = Wiener(scene), Nonnegative(scene)
         self.loads = Bumps(scene, wary=True)
+        is_grid = len(scene.blur.surface_shape) == 2
+        self._flat = TotalVariation(scene, self._nonnegative) if is_grid else None
         size = scene.flat.size
         self._taxel_ones = np.ones(size, np.float32)
         self._peak = detection_threshold(scene.noise, size)
@@ -46,7 +49,7 @@ class Auto:
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
-        self._scene.prepare(self._wiener.filter, self._nonnegative.prepare)
+        self._scene.prepare(self._wiener.filter, (self._flat or self._nonnegative).prepare)
         self.loads.prepare()
 
     def deviation(self) -> Floats:
@@ -87,8 +90,12 @@ class Auto:
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        gain = self._nonnegative.noise_gain(filter_.noise_gain)
-        return Restored(self._nonnegative.image, "nnls", NNLS.format(negative), done, gain, resolution)
+        solver: Nonnegative | TotalVariation = self._nonnegative
+        if self._flat:
+            done += self._flat.flatten(solver.image)
+            solver = self._flat
+        gain = solver.noise_gain(filter_.noise_gain)
+        return Restored(solver.image, solver.name, SHARP.format(negative), done, gain, resolution)
 
     def _spared(self, filter_: Filter) -> float:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""

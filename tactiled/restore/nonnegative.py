@@ -44,7 +44,7 @@ class Nonnegative:
     the image so far, no smaller than what the noise lets a frame resolve.
     """
 
-    _relaxation, _max_iterations, _settled = RELAXATION, MAX_ITERATIONS, SETTLED
+    name = "nnls"
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -59,8 +59,7 @@ class Nonnegative:
         self._flat = self.image.reshape(-1)
         # Ready-made: to turn a number into an array costs as much as the sum.
         self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
-        self._kept = np.asarray(1 - self._relaxation / 2, np.float32)
-        self._reach = scene.blur.reach.reshape(-1)
+        self._kept = np.asarray(1 - RELAXATION / 2, np.float32)
         self._pressed = np.empty(self.image.shape, bool)
         self._penalty = 0.0  # P of the iteration so far; 0 before the first
 
@@ -77,42 +76,27 @@ class Nonnegative:
     def __call__(self, linear: Image) -> int:
         """Iterate from the linear image until the share of pressed cells has settled; gives how often."""
         scene = self._scene
-        self._start(linear)
+        np.copyto(self._z, linear)
+        self._penalty = 0.0
         self.prepare()
         done, share = 0, 0.0
-        while done < self._max_iterations:
+        while done < MAX_ITERATIONS:
             if done % SHARE_EVERY == 0:
                 before, share = share, self._share()
-                if abs(share - before) < self._settled * before:
+                if abs(share - before) < SETTLED * before:
                     break
                 if scene.cut():
                     break
                 self._load(share)
             self._iterate()
             done += 1
-        self._show()
-        scale = scene.force_scale(scene.force - float(self._reach.dot(self._flat)))
-        if scale != 1.0:
-            self._factor[()] = scale
-            np.multiply(self.image, self._factor, out=self.image)
-        return done
-
-    def _start(self, linear: Image) -> None:
-        """Start from an image that may be negative."""
-        np.copyto(self._z, linear)
-        self._penalty = 0.0
-
-    def _show(self) -> None:
-        """Put the image so far in place."""
         np.maximum(self._z, self._zeros, out=self.image)
-
-    def _mirror(self) -> Image:
-        """Give 2 x - z."""
-        return np.abs(self._z, out=self._mirrored)
+        scene.keep_force(self._flat)
+        return done
 
     def _share(self) -> float:
         """Share of the cells pressed in the image so far."""
-        self._show()
+        np.maximum(self._z, self._zeros, out=self.image)
         flat = self._flat
         total, squares = float(flat.dot(self._flat_ones)), float(flat.dot(flat))
         share = total**2 / (flat.size * squares) if squares else 1.0
@@ -122,32 +106,24 @@ class Nonnegative:
         """Put in place what the next iterations owe to the data and to the share of pressed cells."""
         scene, smooth = self._scene, self._smooth[self._scene.spectrum]
         inverse, factor = self._inverse, self._factor
-        factor[()] = self._gaussian_weight(share)
+        factor[()] = min(1.0, share / GAUSSIAN_SHARE)
         np.multiply(smooth.prior, factor, out=inverse)
         np.add(inverse, smooth.square, out=inverse)
-        penalty = self._penalty_for(inverse)
+        penalty = sqrt(inverse.item(inverse.argmin()) * inverse.item(inverse.argmax()))
         self._rescale(penalty)
         factor[()] = penalty
         np.add(inverse, factor, out=inverse)
-        factor[()] = self._relaxation
+        factor[()] = RELAXATION
         np.divide(factor, inverse, out=inverse)
         factor[()] = penalty
         np.multiply(inverse, factor, out=self._again)
-        factor[()] = self._relaxation / 2
+        factor[()] = RELAXATION / 2
         np.subtract(self._again, factor, out=self._again)
         factor[()] = -min(1.0, SPARSE_SHARE / share) * scene.noise
         np.multiply(self._ones, factor, out=self._data)
         np.multiply(scene.c, smooth.data, out=self._product)
         np.add(self._head, self._product, out=self._head)
         np.multiply(self._data, inverse, out=self._data)
-
-    def _gaussian_weight(self, share: float) -> float:
-        """How much of the Gaussian's weight remains."""
-        return min(1.0, share / GAUSSIAN_SHARE)
-
-    def _penalty_for(self, curvature: Image) -> float:
-        """P for the smooth part's curvature in every mode."""
-        return sqrt(curvature.item(curvature.argmin()) * curvature.item(curvature.argmax()))
 
     def _rescale(self, penalty: float) -> None:
         """Go on with another P: z - x, the multiplier over P, shrinks or grows with it."""
@@ -160,7 +136,7 @@ class Nonnegative:
 
     def _iterate(self) -> None:
         """Move z one iteration on: with r = 2 x - z, to (1 - a/2) z - (a/2) r + a w, the last two one product."""
-        z, new, mirrored = self._z, self._next, self._mirror()
+        z, new, mirrored = self._z, self._next, np.abs(self._z, out=self._mirrored)
         self._analyse(mirrored, self._modes)
         np.multiply(self._modes, self._again, out=self._modes)
         np.add(self._modes, self._data, out=self._modes)

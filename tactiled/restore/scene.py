@@ -13,6 +13,7 @@ from tactiled.restore.prior import CORNERS, Prior, Spectrum
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 MAX_PREPARED_CELLS = 1024  # up to which what every spectrum needs is made beforehand: memory grows with its square
 FORCE_AGREES_SIGMAS = 0.25  # standard deviations of the total force: a smaller difference is left alone
+FORCE_PASSES = 8  # of Newton's method, to take an excess of force from the pressed cells; three or four settle
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to
 SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
 SPOTS_TAXELS = 16.0  # a frame as rough whose pressure is on no more may be of points
@@ -64,6 +65,8 @@ class Scene:
         self.power = self.prior.squares.reshape(-1)  # c squared
         self.spectrum = self.prior.spectra[0]
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
+        self._reach, self._pressed = blur.reach.reshape(-1), np.empty(blur.reach.size, np.float32)
+        self._factor, self._zero = np.zeros((), np.float32), np.zeros((), np.float32)
         self._resolution: dict[Spectrum, float] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
@@ -118,6 +121,25 @@ class Scene:
         if abs(force) < self._force_clear or predicted * force <= 0:
             return 1.0
         return min(max(force / predicted, FORCE_BOUNDS[0]), FORCE_BOUNDS[1])
+
+    def keep_force(self, flat: Image) -> None:
+        """Hold an image (M,) without negative values to the frame's total force, as far as that is known.
+
+        An excess is taken from all pressed cells alike, as far as they go; what lacks force is scaled up.
+        """
+        pressed, factor = self._pressed, self._factor
+        for _ in range(FORCE_PASSES):
+            missed = self.force - float(self._reach.dot(flat))
+            scale = self.force_scale(missed)
+            if scale >= 1:
+                break
+            np.sign(flat, out=pressed)
+            factor[()] = missed / float(self._reach.dot(pressed))
+            np.add(flat, factor, out=flat)
+            np.maximum(flat, self._zero, out=flat)
+        if scale != 1.0:
+            factor[()] = scale
+            np.multiply(flat, factor, out=flat)
 
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""

@@ -17,7 +17,6 @@ ITERATIONS = 5  # 20 spare another 2 % of error
 CUT_EVERY = 2  # iterations after which the time is looked at again
 DUAL_STEP = 0.24  # of the edges' pull: below 2 over the largest eigenvalue of a grid's differences, 8
 MIN_WEIGHT = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
-FORCE_PASSES = 8  # of Newton's method; three or four settle
 
 
 class Edges:
@@ -37,7 +36,7 @@ class Edges:
         self._across, self._down = self._both
         self._before, self._above = p[:cells], p[1 + cells :][:cells]
         self._length, self._square_down = self._squares.reshape(2, part)[:, :cells]
-        self._centre, self._right, self._upper, self._under = (
+        self._inner, self._right, self._upper, self._lower = (
             self.x[:-1],
             self.x[1:],
             self.x[:-columns],
@@ -65,9 +64,9 @@ class Edges:
     def follow(self) -> None:
         """Move the pull on by the differences of x, then cut it to its limit."""
         length = self._length
-        np.subtract(self._right, self._centre, out=self._rightward)
+        np.subtract(self._right, self._inner, out=self._rightward)
         self._row_ends.fill(0)
-        np.subtract(self._under, self._upper, out=self._downward)
+        np.subtract(self._lower, self._upper, out=self._downward)
         np.add(self._p, self._changes, out=self._p)
         np.multiply(self._p, self._p, out=self._squares)
         np.add(length, self._square_down, out=length)
@@ -87,6 +86,8 @@ class TotalVariation:
     VARIATION_WEIGHT sqrt(sigma rms(y)) / v^VARIANCE_POWER, and P is PENALTY / v.
     """
 
+    name = "tv"
+
     def __init__(self, scene: Scene, nonnegative: Nonnegative | None = None) -> None:
         rows, columns = scene.blur.surface_shape
         self._scene, self._nonnegative = scene, nonnegative or Nonnegative(scene)
@@ -103,9 +104,7 @@ class TotalVariation:
         self._edges = Edges((rows, columns))
         self._flat = self._edges.x
         self.image = self._flat.reshape(rows, columns)
-        self._reach = scene.blur.reach.reshape(-1)
-        self._factor, self._zero = np.zeros((), np.float32), np.zeros((), np.float32)
-        self._pressed = np.empty(self._flat.shape, np.float32)
+        self._factor = np.zeros((), np.float32)
 
     def prepare(self) -> None:
         """Make what the spectrum picked for the scene needs."""
@@ -131,7 +130,7 @@ class TotalVariation:
             edges.follow()
             self._iterate()
             done += 1
-        self._keep_force()
+        scene.keep_force(self._flat)
         return done
 
     def _cell_variance(self) -> float:
@@ -165,19 +164,3 @@ class TotalVariation:
         np.add(z, rest, out=z)
         self._edges.fill(z.reshape(-1))
         np.subtract(z, x, out=rest)
-
-    def _keep_force(self) -> None:
-        """Take an excess of force from all pressed cells alike, as far as they go; scale up what lacks force."""
-        scene, flat, pressed = self._scene, self._flat, self._pressed
-        for _ in range(FORCE_PASSES):
-            missed = scene.force - float(self._reach.dot(flat))
-            if scene.force_scale(missed) >= 1:
-                break
-            np.sign(flat, out=pressed)
-            self._factor[()] = missed / float(self._reach.dot(pressed))
-            np.add(flat, self._factor, out=flat)
-            np.maximum(flat, self._zero, out=flat)
-        scale = scene.force_scale(scene.force - float(self._reach.dot(flat)))
-        if scale != 1.0:
-            self._factor[()] = scale
-            np.multiply(flat, self._factor, out=flat)

@@ -63,21 +63,21 @@ def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch, name)
     monkeypatch.delattr("tactiled.restore.wiener.Filter.__init__")
     monkeypatch.delattr("tactiled.restore.nonnegative.Smooth.__init__")
     methods = {restorer(sensed(truth)).method for truth in (20 + bump(5), bump(1), bump(2, 5))}
-    assert methods == {"auto": {"wiener", "nnls"}, "points": {"nnls"}}.get(name, {name})
+    assert methods == {"auto": {"wiener", "tv"}, "points": {"nnls"}}.get(name, {name})
 
 
 def test_non_negative_where_the_scene_is_sharp(covered, sensed):
     truth = np.zeros(SHAPE)
     truth[10:13, 10:13] = 100
     done = make("auto", covered(SHAPE, 2.0), SIGMA)(sensed(truth, 2.0))
-    assert done.method == "nnls"
+    assert done.method == "tv"
     assert done.image.min() >= 0
 
 
 def test_every_choice_has_a_reason(covered, sensed):
     auto = make("auto", covered(SHAPE), SIGMA)
     results = [auto(sensed(truth)) for truth in (0 * bump(1), 20 + bump(5), bump(1))]
-    assert [done.method for done in results] == ["idle", "wiener", "nnls"]
+    assert [done.method for done in results] == ["idle", "wiener", "tv"]
     assert results[0].why == "no contact above the noise"
     for done, smooth in zip(results[1:], (True, False), strict=True):
         share = float(re.search(r"([\d.]+)% of the linear image is below zero", done.why)[1]) / 100
@@ -112,8 +112,8 @@ def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
     frame, auto = sensed(truth, 2.0), make("auto", covered(SHAPE, 2.0), SIGMA)
     errors = {}
     for n in (0, 1, 100):  # times that there is time left
-        left = iter([False] * n)
-        done = auto(frame, expired=lambda left=left: next(left, True))
+        checks = iter([False] * n)
+        done = auto(frame, expired=lambda checks=checks: next(checks, True))
         errors[n] = nrmse(done.image, truth), done.iterations, done.cut_short
     assert [each[2] for each in errors.values()] == [True, True, False]
     assert errors[0][1] == 0 < errors[1][1] < errors[100][1]
@@ -125,11 +125,11 @@ def test_a_fit_that_was_cut_short_goes_on_in_the_next_frame(two_indenters):
     assert alone.method == "points"
     auto, steps = make("auto", press.blur, press.sigma), []
     for _ in range(20):
-        left = iter([False] * 4)  # of which the non-negative image takes two or three
-        done = auto(press.frame, expired=lambda left=left: next(left, True))
+        checks = iter([False] * 4)  # of which the non-negative image takes two or three
+        done = auto(press.frame, expired=lambda checks=checks: next(checks, True))
         steps.append(done.method)
         if done.method == "points":
             break
-        assert (done.method, done.cut_short) == ("nnls", True)
+        assert (done.method, done.cut_short) == ("tv", True)
     assert len(steps) > 1
     assert nrmse(done.image, press.truth) < 1.1 * nrmse(alone.image, press.truth)

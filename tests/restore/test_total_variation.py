@@ -149,7 +149,7 @@ def test_an_excess_of_force_is_taken_from_all_pressed_cells_alike(covered, press
     solver.flatten(Wiener(scene)().clip(0))
     with_haze = solver.image + np.random.default_rng(2).uniform(0, 3, (16, 16)).astype(np.float32)
     solver.image[...] = with_haze
-    solver._keep_force()
+    scene.keep_force(solver.image.reshape(-1))
     assert (blur.reach * solver.image).sum() == pytest.approx(frame.sum(), abs=FORCE_AGREES_SIGMAS * SIGMA * 16)
     assert solver.image.min() == 0
     excess = with_haze - solver.image
