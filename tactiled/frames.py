@@ -1,7 +1,7 @@
 """The frozen values that pass from the bus to the browser; none of them owns behaviour."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ UNKNOWN = MISSING | BAD | DEAD | FAULTY  # of such a taxel there is no pressure
 CONFIGURED = "configured"  # the calibration of an image where there is no calibration file
 
 
+Direction = Literal["thinner", "thicker"]  # than configured
 Counts: TypeAlias = NDArray[np.uint16 | np.float32]  # floats where a skin sends more than 16 bits, or a sign
 
 
@@ -85,7 +86,9 @@ class FrameWarning:
     code: str  # one of `diagnostics.warning_codes`: programs compare this
     text: str  # for people
     taxels: int | None = None  # how many it is about; None where that does not apply
-    thickness_mm: float | None = None  # of the thickest cover that explains a `cover_mismatch`, where one does
+    thickness_mm: float | None = None  # of the cover that explains a `cover_mismatch`, where one does
+    direction: Direction | None = None  # of the real cover, where it has one
+    interval_mm: tuple[float, float] | None = None  # 95 % of the thickness; None: it is at most `thickness_mm`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

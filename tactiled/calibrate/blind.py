@@ -21,6 +21,7 @@ from scipy.special import stdtrit
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.deblur import Convolution, Images, deblurred
 from tactiled.cover.family import CoverFamily
+from tactiled.cover.stack import Stack
 from tactiled.geometry import Array
 from tactiled.restore.noise import detection_threshold
 
@@ -69,6 +70,14 @@ class Profiles:
         np.add.at(of_scenes, self.scene, of_frames)
         return np.asarray(CubicSpline(LOG_FACTORS, of_scenes, axis=1)(FINE_FACTORS))
 
+    def followed_by(self, newer: "Profiles") -> "Profiles":
+        """The newest MAX_FRAMES of both, each a scene."""
+        chi2, cells = (
+            np.concatenate(each)[-MAX_FRAMES:] for each in ((self.chi2, newer.chi2), (self.cells, newer.cells))
+        )
+        snr, readings = np.concatenate([self.snr, newer.snr]), np.concatenate([self.readings, newer.readings])
+        return Profiles(chi2, cells, snr[-MAX_FRAMES:], np.arange(len(chi2)), readings[-MAX_FRAMES:])
+
 
 def fit_blind(
     frames: NDArray[np.floating],
@@ -100,6 +109,18 @@ def fit_blind(
             "a blind fit stands: press harder, or hold still",
         )
     return _fit(profile(over_noise, scene, max(gain_error, GAIN_ERROR), (family, array)), family)
+
+
+def add_contacts(
+    kept: Profiles | None, contacts: list[tuple[Images, int]], gain_error: float, stack: Stack, array: Array
+) -> tuple[Profiles, CoverFit]:
+    """Profiles of the newest MAX_FRAMES contacts and their fit; of a new one frames over noise, and its place."""
+    family = CoverFamily(stack)
+    means = [still_means(frames, [np.arange(len(frames))], np.array([place]), 1.0) for frames, place in contacts]
+    over_noise = np.concatenate([mean / noise for mean, noise in means])
+    newer = profile(over_noise, np.arange(len(means)), max(gain_error, GAIN_ERROR), (family, array))
+    kept = kept.followed_by(newer) if kept else newer
+    return kept, _fit(kept, family)
 
 
 def find_scenes(frames: Images, noise_kpa: float) -> list[Ints]:

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from tactiled.frames import FrameWarning
+from tactiled.frames import Direction, FrameWarning
 
 WarningCode = Literal[
     "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
@@ -39,10 +39,14 @@ def warning(code: WarningCode, taxels: int | None = None, **values: object) -> F
     return FrameWarning(code, TEXTS[code].format(**counted, **values), taxels)
 
 
-def cover_warning(thickness_mm: float, configured_mm: float) -> FrameWarning:
-    """The warning that covers up to `thickness_mm` explain what the thicker, configured one does not."""
+def cover_warning(
+    thickness_mm: float, configured_mm: float, interval_mm: tuple[float, float] | None = None
+) -> FrameWarning:
+    """The warning that covers of a thickness, in an interval or up to it, fit better than the configured one."""
+    direction: Direction = "thinner" if thickness_mm < configured_mm else "thicker"
+    bounds = f"({interval_mm[0]:.2g} to {interval_mm[1]:.2g} mm)" if interval_mm else "or less"
     text = (
-        f"the image does not match the data: a cover of {thickness_mm:.2g} mm or less fits better than the "
-        f"configured {configured_mm:.2g} mm"
+        f"the cover is {direction} than configured: {thickness_mm:.2g} mm {bounds} fits better than the configured"
     )
-    return FrameWarning("cover_mismatch", text, thickness_mm=round(thickness_mm, 3))
+    text += f" {configured_mm:.2g} mm"
+    return FrameWarning("cover_mismatch", text, None, round(thickness_mm, 3), direction, interval_mm)

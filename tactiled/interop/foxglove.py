@@ -30,7 +30,8 @@ DISC_SIGMAS = 2.0  # radius of a contact's disc, in standard deviations of its p
 INTEGER, NUMBER, STRING, BOOLEAN, OBJECT = (
     {"type": each} for each in ("integer", "number", "string", "boolean", "object")
 )  # in JSON Schema
-WARNING = OBJECT | {"properties": {"code": STRING, "taxels": INTEGER, "thickness_mm": NUMBER, "text": STRING}}
+COVER = {"thickness_mm": NUMBER, "direction": STRING, "interval_mm": {"type": "array", "items": NUMBER}}
+WARNING = OBJECT | {"properties": {"code": STRING, "taxels": INTEGER, **COVER, "text": STRING}}
 BUS = {"id": INTEGER, "extended": BOOLEAN, "fd": BOOLEAN, "data": STRING | {"contentEncoding": "base64"}}
 STATUS = {
     "sequence": INTEGER, "method": STRING, "why": STRING, "iterations": INTEGER, "noise": NUMBER,

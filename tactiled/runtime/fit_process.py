@@ -62,6 +62,14 @@ class FitProcess:
                 self._process.kill()
 
 
+def start(function: Callable[..., object], *arguments: object) -> Connection:
+    """Run a module's function that nobody waits for; its outcome and error (one None) come together."""
+    receiver, sender = SPAWN.Pipe(duplex=False)
+    with sender:
+        SPAWN.Process(target=_work, args=(sender, function, arguments, {}), daemon=True).start()
+    return receiver
+
+
 def _work(
     sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
 ) -> None:

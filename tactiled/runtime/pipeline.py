@@ -20,6 +20,7 @@ from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
+from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.runtime.thickness_search import ThicknessSearch
 from tactiled.units import N_PER_KPA_MM2, Unit
@@ -51,6 +52,7 @@ class Pipeline:
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self._thickness = ThicknessSearch(plan)
+        self.cover = CoverMonitor(plan)
         self.method: str = before.method if before else plan.method
         self._noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy
         self._restorer = self._make_restorer()
@@ -105,6 +107,7 @@ class Pipeline:
         measured = self._zero.time is not None or self._plan.calibration.no_loads is not None
         self.calibrator.tare(self._zero.counts.astype(float), measured)
         self._recent = ()
+        self.cover.reset()
 
     def take_over(self, other: "Pipeline") -> None:
         """Go on from where `other`, of the same array and another calibration, is: method, zero, tare under way.
@@ -188,6 +191,8 @@ class Pipeline:
         if done.cut_short:
             check_warnings = (*check_warnings, warning("cut_short", budget_ms=1e3 * budget_s))
         check_warnings = self._thickness(check_warnings, raw, doubtful, self.noise.kpa)
+        if self.noise.settled:
+            self.cover.push(raw, doubtful, self.noise.kpa)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,
@@ -207,7 +212,8 @@ class Pipeline:
             + self.noise.warning
             + _flag_warnings(flags)
             + self._map_warning()
-            + check_warnings,
+            + check_warnings
+            + self.cover.warning,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
             unit=self._plan.unit,

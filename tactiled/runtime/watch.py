@@ -54,6 +54,8 @@ class Watch:
                 self._look_at_warnings(sensor, now)
                 self._look_at_tare(sensor)
                 self._look_at_taxels(sensor)
+            with self._faults.turn(f"search of the cover of {sensor.name}"):
+                sensor.pipeline.cover.search(now)
         self._faults.clear()
 
     def _changed(self, what: str, whose: str, value: Hashable, at_start: Hashable) -> bool:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from tactiled import units
 from tactiled.diagnostics.warning_codes import WarningCode
-from tactiled.frames import Loss
+from tactiled.frames import Direction, Loss
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import State
 
@@ -141,7 +141,11 @@ class FrameWarning(Schema):
     code: WarningCode = Field(description="for programs: it does not change", examples=["saturated"])
     taxels: int | None = Field(None, description="how many, where the warning counts them", examples=[3])
     thickness_mm: float | None = Field(
-        None, description="of the thickest cover that explains a cover_mismatch, where one does", examples=[None]
+        None, description="of the cover that explains a cover_mismatch, where one does", examples=[None]
+    )
+    direction: Direction | None = Field(None, description="of that cover to the configured one", examples=[None])
+    interval_mm: tuple[float, float] | None = Field(
+        None, description="95 %, of thickness_mm; null: it is the most that the cover has", examples=[None]
     )
     text: str = Field(description="for people: it may change", examples=["3 taxels saturated: ..."])
 

@@ -1,0 +1,105 @@
+"""The cover's thickness from a live sensor's own contacts, judged now and then in a process of its own.
+
+A cover thicker than configured leaves no misfit in any frame: only contacts together tell it, as in a blind fit.
+"""
+
+from multiprocessing.connection import Connection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.calibrate.blind import CLEAR, MAX_NEAR_FRAMES, Profiles, add_contacts
+from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.recorded_presses import gain_errors
+from tactiled.diagnostics.warning_codes import cover_warning
+from tactiled.frames import SATURATED, FrameWarning
+from tactiled.runtime.fit_process import start
+
+EVERY_FRAMES = 8  # is looked at
+MAX_GAIN_ERROR = 0.03  # of a taxel that counts: uncalibrated gains, 20 % apart, bias the thickness
+MIN_TAXELS = 0.9  # of all, that count
+SAME_SHAPE = 0.7  # correlation of two frames in turn, from which they are of one contact
+MIN_SNR = 100.0  # of a frame that counts: with 200, 240 s of the tour had no six under 3.9 mm at 0.2 kPa
+CONTACTS = 6  # before the first search, and at most in one: the steepest, as soft ones say nothing
+PAUSE = 100.0  # times the last search: it takes at most 1 % of a core
+# Half of the 95 % interval of the thickness's logarithm, at least: what presses a live sensor comes again, so that
+# contacts share errors which their scatter does not show. Those of the tour were 3.6 % (standard deviation).
+SHARED_ERROR = 0.07
+MIN_HALF_INTERVALS = 1.51  # from the configured thickness that are worth a warning: 3 standard deviations
+MIN_MISMATCH = 0.15  # of it that is: Poisson's ratio of 0.45 that is taken for 0.48 makes 0.11
+# Largest step between neighbours over the peak; frames over noise, NaN where unknown; which of them it is of.
+Steep = tuple[float, list[NDArray[np.float32]], int]
+
+
+class CoverMonitor:
+    """Warns of a cover that contacts contradict; `search` may run on another thread than the rest."""
+
+    def __init__(self, plan: SensorPlan) -> None:
+        self._plan, kernel = plan, plan.kernel
+        errors = gain_errors(plan.calibration, plan.array.size)
+        self._usable = (errors <= MAX_GAIN_ERROR).reshape(plan.array.frame_shape)
+        self._gain_error = float(np.median(errors))
+        solved = kernel.model != "measured" and kernel.profile is None
+        self._judges = plan.array.shape is not None and solved and self._usable.mean() >= MIN_TAXELS
+        self._frames, self._due, self._began = 0, -np.inf, 0.0
+        self._resets = self._resets_before = 0  # before the search under way
+        self._running: Connection | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every contact: their zeros were others."""
+        self._resets += 1
+        self._before = np.zeros(self._plan.array.frame_shape, np.float32)
+        self._near: list[NDArray[np.float32]] = []  # of the present contact; replaced, never changed, as _waiting
+        self._best: Steep | None = None
+        self._waiting: list[Steep] = []
+        self._profiles: Profiles | None = None
+        self.warning: tuple[FrameWarning, ...] = ()
+
+    def push(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], noise_kpa: float) -> None:
+        """Take a frame in kPa; a contact ends at a lift, or as another shape, its steepest frame then waits."""
+        self._frames += 1
+        if not self._judges or self._frames % EVERY_FRAMES or (flags & SATURATED).any():
+            return
+        usable = self._usable & (flags == 0)
+        frame, before = np.where(usable, raw / np.float32(noise_kpa), np.float32(0)), self._before
+        alike = np.vdot(frame, before) > SAME_SHAPE * np.linalg.norm(frame) * np.linalg.norm(before)
+        self._before, touched = frame, frame.max() > CLEAR
+        if not (touched and alike):
+            if self._best:
+                self._waiting = sorted([*self._waiting, self._best], key=lambda each: each[0])[-CONTACTS:]
+            self._best, self._near = None, []
+        if touched:
+            self._near = [*self._near, np.where(usable, frame, np.float32(np.nan))][-2 * MAX_NEAR_FRAMES - 1 :]
+            place = len(self._near) // 2
+            middle = np.nan_to_num(self._near[place])
+            steepness = float(max(np.abs(np.diff(middle, axis=axis)).max() for axis in (0, 1)) / middle.max())
+            if middle.max() > MIN_SNR and (self._best is None or steepness > self._best[0]):
+                self._best = steepness, self._near, place
+
+    def search(self, now: float) -> None:
+        """Judge the contacts that wait, if it is time, `now` (s); raises what the last search raised."""
+        if self._running:
+            if not self._running.poll():
+                return
+            self._due, running, self._running = now + PAUSE * (now - self._began), self._running, None
+            outcome, error = running.recv()
+            if error:
+                raise error
+            self._profiles, self.warning = outcome[0], self._judged(outcome[1])
+            if self._resets != self._resets_before:  # asked last, as a reset may come at any time
+                self._profiles, self.warning = None, ()
+        elif now >= self._due and len(self._waiting) >= (1 if self._profiles else CONTACTS):
+            self._began, self._resets_before = now, self._resets
+            contacts, self._waiting = [(np.stack(frames), place) for _, frames, place in self._waiting], []
+            skin = self._plan.kernel.stack, self._plan.array
+            self._running = start(add_contacts, self._profiles, contacts, self._gain_error, *skin)
+
+    def _judged(self, fit: CoverFit) -> tuple[FrameWarning, ...]:
+        """A warning where a fit contradicts the configured thickness."""
+        half = float(np.hypot(np.log(fit.interval[1] / fit.interval[0]) / 2, SHARED_ERROR))
+        if fit.reason or abs(np.log(fit.factor)) <= max(MIN_HALF_INTERVALS * half, np.log(1 + MIN_MISMATCH)):
+            return ()
+        low, high = np.round(fit.thickness_mm * np.exp([-half, half]), 3).tolist()
+        return (cover_warning(fit.thickness_mm, self._plan.kernel.stack.depth, (low, high)),)

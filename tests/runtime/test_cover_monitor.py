@@ -1,0 +1,118 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.frames import SATURATED
+from tactiled.runtime import cover_monitor
+from tactiled.runtime.cover_monitor import CONTACTS, EVERY_FRAMES, PAUSE, CoverMonitor
+from tactiled.runtime.pipeline import Pipeline
+from tactiled.simulate.array import Surface
+from tactiled.simulate.scenes import SCENES
+from tests.calibrate.files import gain_section
+from tests.plans import plan
+
+SIDE, THICKNESS, NOISE = 16, 1.5, 0.2
+SOUND = np.zeros((SIDE, SIDE), np.uint8)
+UNCALIBRATED = plan((SIDE, SIDE), THICKNESS, substrate=True)
+CURVES = gain_section(np.full(SIDE**2, 0.1)).curves
+SKIN = replace(UNCALIBRATED, calibration=replace(UNCALIBRATED.calibration, curves=CURVES))
+
+
+@cache
+def contacts(factor=1.0, count=8):
+    """Frames of contacts with a lift after each, under a cover `factor` times as thick as configured."""
+    skin = Surface(plan((SIDE, SIDE), factor * THICKNESS, substrate=True).kernel, SKIN.array, finer=8)
+    random, frames = np.random.default_rng(5), []
+    gains = 1 + 0.01 * random.normal(size=SIDE**2)
+    for n in range(count):
+        scene, start = SCENES[("ring", "indenters", "edge", "sphere")[n % 4]], random.uniform(0, 60)
+        pressure = [scene(skin.x, skin.y, start + 0.04 * step, skin.size, skin.grain) for step in range(6)]
+        frames += [gains * skin.sense(each) for each in pressure] + [np.zeros(SIDE**2)]
+    return (np.array(frames) + random.normal(0, NOISE, (len(frames), SIDE**2))).reshape(-1, SIDE, SIDE)
+
+
+def searched(monitor, frames, now=0.0, flags=SOUND):
+    """What is known after a search at `now` (s) that has `frames`."""
+    for frame in np.repeat(frames.astype(np.float32), EVERY_FRAMES, axis=0):
+        monitor.push(frame, flags, NOISE)
+    monitor.search(now)
+    if monitor._running:
+        assert monitor._running.poll(60)
+        monitor.search(now)
+    return monitor.warning
+
+
+@pytest.mark.parametrize(("factor", "direction"), [(1.25, "thicker"), (0.75, "thinner")])
+def test_a_cover_of_another_thickness_is_named_with_its_direction_and_interval(factor, direction):
+    (named,) = searched(CoverMonitor(SKIN), contacts(factor))
+    low, high = named.interval_mm
+    assert (named.code, named.direction) == ("cover_mismatch", direction)
+    assert low < factor * THICKNESS < high < 1.3 * low
+    assert named.thickness_mm == pytest.approx(factor * THICKNESS, rel=0.06)
+    assert f"the cover is {direction} than configured" in named.text
+
+
+def test_a_cover_as_configured_is_judged_and_names_none():
+    monitor = CoverMonitor(SKIN)
+    assert searched(monitor, contacts()) == ()
+    assert len(monitor._profiles.snr) == CONTACTS
+
+
+@pytest.fixture
+def searches(monkeypatch):
+    """Contacts of each search; each gives the next of `factors`."""
+
+    class Search(list):
+        factors = ()
+
+        def __call__(self, _function, _profiles, frames, *_others):
+            self.append(len(frames))
+            return self
+
+        def poll(self, *_seconds):
+            return True
+
+        def recv(self):
+            factor, *self.factors = self.factors
+            ends = 0.99 * factor, 1.01 * factor
+            return ("profiles", CoverFit("blind", factor, ends, factor * THICKNESS, (1, 2), 8)), None
+
+    search = Search()
+    monkeypatch.setattr(cover_monitor, "start", search)
+    return search
+
+
+def test_none_is_judged_without_calibrated_gains_or_from_saturated_frames_or_few_contacts(searches):
+    searched(CoverMonitor(UNCALIBRATED), contacts(1.25))
+    flags = SOUND.copy()
+    flags[0, 0] = SATURATED
+    searched(CoverMonitor(SKIN), contacts(1.25), flags=flags)
+    searched(CoverMonitor(SKIN), contacts(1.25, CONTACTS - 1))
+    assert searches == []
+
+
+def test_a_warning_ends_with_the_next_judgement_and_with_a_tare(searches):
+    """A factor within 15 % is never named, however narrow its interval."""
+    searches.factors = 1.25, 1.14, 1.25
+    pipeline = Pipeline(SKIN)
+    monitor = pipeline.cover
+    assert searched(monitor, contacts())[0].direction == "thicker"
+    assert searched(monitor, contacts(count=1), 1.0) == ()
+    assert searched(monitor, contacts(count=2), 2.0)[0].direction == "thicker"
+    assert searches == [CONTACTS, 1, 2]
+    pipeline.set_zero(pipeline.zero)
+    assert searched(monitor, contacts(count=1), 3.0) == ()
+
+
+def test_a_search_rests_a_hundred_times_as_long_as_it_took(searches):
+    searches.factors = 1.25, 1.25
+    monitor = CoverMonitor(SKIN)
+    monitor._waiting = [(0.1, [SOUND], 0)] * CONTACTS
+    for now in (0.0, 2.0, 2.0 + 1.9 * PAUSE, 2.0 + 2 * PAUSE):
+        assert len(searches) == (now > 0.0)
+        monitor.search(now)
+        monitor._waiting = [(0.1, [SOUND], 0)]
+    assert searches == [CONTACTS, 1]
