@@ -191,8 +191,7 @@ class Pipeline:
         if done.cut_short:
             check_warnings = (*check_warnings, warning("cut_short", budget_ms=1e3 * budget_s))
         check_warnings = self._thickness(check_warnings, raw, doubtful, self.noise.kpa)
-        if self.noise.settled:
-            self.cover.push(raw, doubtful, self.noise.kpa)
+        self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,
