@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 
 from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.frames import SATURATED
+from tactiled.frames import SATURATED, Loss, RawFrame
 from tactiled.runtime import cover_monitor
 from tactiled.runtime.cover_monitor import CONTACTS, EVERY_FRAMES, PAUSE, CoverMonitor
+from tactiled.runtime.events import Events, Faults
 from tactiled.runtime.pipeline import Pipeline
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.watch import Watch
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
 from tests.calibrate.files import gain_section
@@ -116,3 +119,17 @@ def test_a_search_rests_a_hundred_times_as_long_as_it_took(searches):
         monitor.search(now)
         monitor._waiting = [(0.1, [SOUND], 0)]
     assert searches == [CONTACTS, 1]
+
+
+def test_a_sensor_that_runs_is_searched_by_the_watch_and_its_images_warn(searches):
+    searches.factors = (1.25,)
+    calibration = replace(SKIN.calibration, noise_kpa=NOISE)
+    sensor, events = Sensor(replace(SKIN, method="raw", calibration=calibration)), Events()
+    watch = Watch([sensor], events, Faults(events), str)
+    for counts in np.repeat(contacts().reshape(-1, SIDE**2) / 0.1, EVERY_FRAMES, axis=0).astype(np.float32):
+        sensor.restore(RawFrame(0, 0.0, 0.0, counts, SOUND.ravel(), Loss()))
+    for now in (0.0, 1.0):
+        watch.look(now)
+    sensor.restore(RawFrame(0, 0.0, 0.0, counts, SOUND.ravel(), Loss()))
+    assert searches == [CONTACTS]
+    assert sensor.hub.latest().warnings[-1].direction == "thicker"
