@@ -1,7 +1,7 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
 from copy import copy
-from math import sqrt
+from math import ceil, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,9 @@ class PointResponse:
 
     def widened(self, width: float) -> "PointResponse":
         """The response to a Gaussian load whose variance along any axis is `width` (square pitches); made once."""
-        from scipy.ndimage import gaussian_filter1d  # which nothing else imports that starts a service
-
         if width not in self._widened:
             wide, cells = copy(self), sqrt(width) / self.side
-            smooth = (gaussian_filter1d(part, cells, axis=0, mode="nearest") for part in self._parts)
+            smooth = (_smoothed(part, cells) for part in self._parts)
             axes = (_Axis(part, n, round(1 / self.side)) for part, n in zip(smooth, self.shape, strict=True))
             wide._down, wide._across = axes
             self._widened[width] = wide
@@ -67,6 +65,15 @@ class PointResponse:
         first, second = out[0].astype(float)
         across = second - first * (first @ second) / (first @ first)
         return float(np.linalg.norm(across) / np.linalg.norm(second))
+
+
+def _smoothed(parts: Floats, sigma: float) -> Floats:
+    """Columns (n, parts) convolved with a Gaussian of deviation `sigma` cells; ends go on as they are."""
+    reach = ceil(4 * sigma)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
+    padded = np.pad(parts, ((reach, reach), (0, 0)), mode="edge")
+    columns = [np.convolve(column, weights / weights.sum(), "valid") for column in padded.T]
+    return np.stack(columns, axis=1)
 
 
 class _Axis:

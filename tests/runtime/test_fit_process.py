@@ -3,18 +3,15 @@ import os
 import pytest
 
 from tactiled.errors import ConfigError
+from tactiled.restore.methods import require
 from tactiled.runtime.fit_process import NICENESS, Cancelled, FitProcess
-
-
-def refuse(text):
-    raise ConfigError(text)
 
 
 def test_a_function_runs_in_a_nicer_process_and_its_outcome_and_error_come_back():
     assert FitProcess().run(os.getpid) != os.getpid()
     assert FitProcess().run(os.nice, 0) == min(os.nice(0) + NICENESS, 19)
-    with pytest.raises(ConfigError, match="no press"):
-        FitProcess().run(refuse, "no press")
+    with pytest.raises(ConfigError, match="no such method"):
+        FitProcess().run(require, "sharpen")
 
 
 def test_a_process_that_dies_is_an_error_and_a_cancelled_one_never_starts():
