@@ -31,7 +31,7 @@ def test_recording_has_the_same_raw_images_and_the_same_force_when_restored(sens
                 known = np.isnan(old[f"{sensor}_raw"]).sum(axis=(1, 2)) < 2  # what is missing is inferred
                 force, before = (each[known].sum(axis=(1, 2)) for each in (new[kind], expected))
                 assert known.sum() > 0.9 * len(known)
-                np.testing.assert_allclose(force, before, rtol=0.025)
+                np.testing.assert_allclose(force, before, rtol=0.05)
                 continue
             # Other processors sum in another order: single precision of the largest value.
             np.testing.assert_allclose(
