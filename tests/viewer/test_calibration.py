@@ -33,6 +33,7 @@ def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
     page.get_by_role("radio", name="Even pressure").wait_for()
     page.inspect()
     page.get_by_role("button", name="Start").click()
+    page.wait(VISIBLE.format("collect"))  # frames count from then on
     for kpa in (0, 150, 300):
         skin.level(kpa)
         page.get_by_label("The array is under").fill(str(kpa))

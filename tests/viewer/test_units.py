@@ -57,5 +57,5 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     )
     rig.both()
     page.wait("document.getElementById('scrub').max === '0'")  # no frame in counts is left
-    assert page.text("peak-raw") == ["200.0"]
+    page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
     assert page.locator("#readings-title + table .force-unit").inner_text() == "N"
