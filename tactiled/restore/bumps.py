@@ -23,7 +23,7 @@ from tactiled.restore.points import (
 from tactiled.restore.scene import Scene
 
 # All chosen on random points, bumps, caps, lines and balls with stones, and on the scenes of
-# `python -m tests.study restore`.
+# `python -m tests.study judge --family first`.
 WIDTHS = (0.0, 0.12, 0.25, 0.4, 0.6)  # square pitches: a load's variance along an axis
 MAX_HOPS = 2  # from one of these to another
 FAR, MIDDLE = 2.0, 0.25  # times what noise leaves: so far from points, the width tried next (square pitches)

@@ -19,14 +19,11 @@ SETTLED = 0.1  # of the share: once it changes by less, further iterations sharp
 
 
 class Smooth:
-    """What one spectrum and its cover weigh, in the modes; the variance of the gains adds to their squares."""
+    """What one spectrum weighs, in the modes, and the smallest share of the cells that it resolves."""
 
     def __init__(self, scene: Scene) -> None:
         S = scene.spectrum.ratio
-        square = np.zeros_like(S)
-        square[scene.modes.head] = scene.modes.gain**2 + scene.gain_variance
-        self.square, self.prior = np.asarray(square, np.float32), np.asarray(1 / S, np.float32)
-        self.data = np.asarray(scene.modes.gain, np.float32)
+        self.prior = np.asarray(1 / S, np.float32)
         radius, shape = MIN_RADIUS * scene.resolution() / scene.blur.cell_mm, S.shape
         cells = min(pi * radius**2, prod(min(2 * radius, n) for n in shape) if len(shape) == 2 else inf)
         self.min_share = min(cells / S.size, 1.0)
@@ -49,6 +46,9 @@ class Nonnegative:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._smooth: dict[Spectrum, Smooth] = {}
+        square = np.zeros(scene.blur.surface_shape)
+        square[scene.modes.head] = scene.modes.gain**2 + scene.gain_variance
+        self.square, self.gain = np.asarray(square, np.float32), np.asarray(scene.modes.gain, np.float32)
         self._analyse, self._synthesise = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._modes, self._data, self._inverse, self._again = (self._analyse.empty() for _ in range(4))
         ones = np.ones(scene.blur.surface_shape, np.float32)
@@ -60,7 +60,6 @@ class Nonnegative:
         # Ready-made: to turn a number into an array costs as much as the sum.
         self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
         self._kept = np.asarray(1 - RELAXATION / 2, np.float32)
-        self._pressed = np.empty(self.image.shape, bool)
         self._penalty = 0.0  # P of the iteration so far; 0 before the first
 
     def prepare(self) -> None:
@@ -70,8 +69,7 @@ class Nonnegative:
 
     def noise_gain(self, linear: float) -> float:
         """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
-        np.greater(self.image, self._zeros, out=self._pressed)
-        return linear * (np.count_nonzero(self._pressed) / self._pressed.size) ** 0.5
+        return linear * (np.count_nonzero(self._flat) / self._flat.size) ** 0.5
 
     def __call__(self, linear: Image) -> int:
         """Iterate from the linear image until the share of pressed cells has settled; gives how often."""
@@ -108,7 +106,7 @@ class Nonnegative:
         inverse, factor = self._inverse, self._factor
         factor[()] = min(1.0, share / GAUSSIAN_SHARE)
         np.multiply(smooth.prior, factor, out=inverse)
-        np.add(inverse, smooth.square, out=inverse)
+        np.add(inverse, self.square, out=inverse)
         penalty = sqrt(inverse.item(inverse.argmin()) * inverse.item(inverse.argmax()))
         self._rescale(penalty)
         factor[()] = penalty
@@ -121,7 +119,7 @@ class Nonnegative:
         np.subtract(self._again, factor, out=self._again)
         factor[()] = -min(1.0, SPARSE_SHARE / share) * scene.noise
         np.multiply(self._ones, factor, out=self._data)
-        np.multiply(scene.c, smooth.data, out=self._product)
+        np.multiply(scene.c, self.gain, out=self._product)
         np.add(self._head, self._product, out=self._head)
         np.multiply(self._data, inverse, out=self._data)
 

@@ -91,9 +91,7 @@ class TotalVariation:
     def __init__(self, scene: Scene, nonnegative: Nonnegative | None = None) -> None:
         rows, columns = scene.blur.surface_shape
         self._scene, self._nonnegative = scene, nonnegative or Nonnegative(scene)
-        square = np.zeros((rows, columns))
-        square[scene.modes.head] = scene.modes.gain**2 + scene.gain_variance
-        self._square, self._gain = np.asarray(square, np.float32), np.asarray(scene.modes.gain, np.float32)
+        self._square, self._gain = self._nonnegative.square, self._nonnegative.gain
         self._variance: dict[Spectrum, float] = {}  # v
         self._analyse, self._synthesise = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._modes, self._data, self._inverse, self._again = (np.zeros_like(self._square) for _ in range(4))
