@@ -3,11 +3,14 @@ from tests.study import sensors
 
 
 def test_images_of_every_size_are_timed_and_what_is_missing_is_counted():
-    result = sensors.live([8, 8, 12], 0.5)
-    due = 3 * 0.5 * sensors.RATE_HZ
-    received = {side: len(each) for side, each in result.ages_ms.items()}
+    for seconds in (0.5, 2.0, 8.0, 32.0):  # a busy machine restores nothing for a while
+        result = sensors.live([8, 8, 12], seconds)
+        received = {side: len(each) for side, each in result.ages_ms.items()}
+        if all(received.values()):
+            break
+    due = 3 * seconds * sensors.RATE_HZ
     assert set(received) == {8, 12}
-    assert min(each.min() for each in result.ages_ms.values() if len(each)) > 0
+    assert min(each.min() for each in result.ages_ms.values()) > 0
     assert abs(result.missed - (1 - sum(received.values()) / due)) < 1e-9
     assert result.cores > 0
 
