@@ -1,37 +1,46 @@
-"""Files that are complete or absent: written under another name, then renamed."""
+"""Files, and folders of files, that are complete or absent: written under another name, then renamed."""
 
 import errno
+import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from secrets import token_hex
+from tempfile import TemporaryDirectory
+
+from tactiled.errors import ConfigError
 
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of file systems without them
 
 
 @contextmanager
 def atomic_write(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """A path to write to: it becomes `path` where the block ends well, and is removed where it does not.
+    """A path for a file or folder: it becomes `path` where the block ends well, and is removed where it does not.
 
+    It has the name of `path` in a hidden folder of its own beside it, where other temporary files may lie, too.
     OSError where that fails; FileExistsError where `path` exists by then and `replace` is false.
     """
-    part = path.with_name(f".tactiled-{token_hex(8)}.part")
-    try:
+    with TemporaryDirectory(prefix=".tactiled-", dir=path.parent, ignore_cleanup_errors=True) as folder:
+        part = Path(folder) / path.name
         yield part
-        with part.open("rb+") as file:
-            os.fsync(file.fileno())
-        if replace:
-            part.replace(path)
-        else:
+        for each in (part, *part.rglob("*")):
+            if not each.is_dir():
+                with each.open("rb+") as file:
+                    os.fsync(file.fileno())
+        if not replace:
             _rename_new(part, path)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+            return
+        if part.is_dir() and path.is_dir():
+            path.rename(Path(folder) / ".replaced")
+        part.replace(path)
 
 
 def _rename_new(part: Path, path: Path) -> None:
-    """Give a file the name `path`; FileExistsError where it is taken."""
+    """Give a file or folder the name `path`; FileExistsError where it is taken."""
+    if part.is_dir():
+        path.mkdir()  # reserves the name
+        part.replace(path)
+        return
     try:
         path.hardlink_to(part)
     except OSError as error:
@@ -43,3 +52,12 @@ def _rename_new(part: Path, path: Path) -> None:
         except BaseException:
             path.unlink(missing_ok=True)
             raise
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a recording, in hex; ConfigError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise ConfigError(f"recording {path}: {error.strerror}") from error

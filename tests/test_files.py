@@ -63,3 +63,15 @@ def test_two_writers_of_one_name_do_not_share_a_part(tmp_path):
         one.write_text("one")
         other.write_text("other")
     assert (path.read_text(), names(tmp_path)) == ("one", ["a"])
+
+
+def test_a_folder_is_renamed_with_its_files_and_replaces_only_if_it_may(tmp_path):
+    path = tmp_path / "a"
+    for text, replace in (("one", False), ("two", True)):
+        with atomic_write(path, replace=replace) as part:
+            (part / "deep").mkdir(parents=True)
+            (part / "deep" / "b").write_text(text)
+        assert ((path / "deep" / "b").read_text(), names(tmp_path)) == (text, ["a"])
+    with pytest.raises(FileExistsError), atomic_write(path) as part:
+        part.mkdir()
+    assert ((path / "deep" / "b").read_text(), names(tmp_path)) == ("two", ["a"])

@@ -18,6 +18,7 @@ from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSectio
 from tactiled.cli import options
 from tactiled.config import schema
 from tactiled.errors import ConfigError
+from tactiled.files import sha256
 from tactiled.runtime.frame_series import read_frame_series
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | N
 
 def made_from(recording: Path, method: str) -> Origin:
     """Origin of a section that is made now."""
-    digest, created = options.file_sha256(recording), utc(time.time())
+    digest, created = sha256(recording), utc(time.time())
     return build(Origin, recording=recording.name[-255:], sha256=digest, method=method, created=created)
 
 

@@ -1,6 +1,5 @@
 """Options that several verbs have, and what is checked of them alike."""
 
-import hashlib
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,15 +61,6 @@ def new_file(path: Path) -> Iterator[Path]:
         raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
     except OSError as error:
         raise TactileError(f"{path}: {error.strerror or error}: nothing is written") from error
-
-
-def file_sha256(recording: Path) -> str:
-    """SHA-256 of a recording; ConfigError where it cannot be read."""
-    try:
-        with recording.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise ConfigError(f"recording {recording}: {error.strerror}") from error
 
 
 def write_configuration(path: Path, text: str) -> None:

@@ -12,9 +12,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter
 from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
-from tactiled.cli.export_arrays import METHOD_NAME, Hdf5Export, NpzExport
 from tactiled.config import load, parse
 from tactiled.config.example import GRASP
 from tactiled.frames import MISSING
@@ -159,7 +159,7 @@ def test_shear_of_a_3_axis_skin_in_every_format(tmp_path):
     [("mcap", "foxglove", "foxglove"), ("mcap", "mcap", "foxglove"), ("h5", "h5py", "hdf5")],
 )
 def test_a_missing_library_is_named_before_any_work(tmp_path, config, monkeypatch, ending, package, extra):
-    monkeypatch.setattr("tactiled.cli.export.find_spec", lambda name: name != package)
+    monkeypatch.setattr("tactiled.archive.writers.find_spec", lambda name: name != package)
     message = refusal("export", "gone.log", "--config", config, "-o", tmp_path / f"a.{ending}")
     assert message == f"--out: .{ending} needs {package}: pip install 'tactiled[{extra}]', or export to .npz"
 
@@ -192,7 +192,8 @@ def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy)
 WITH_FAULT = """
 import os, resource, shutil, signal, sys
 from pathlib import Path
-from tactiled.cli import app, export
+from tactiled.archive import export
+from tactiled.cli import app
 
 log, config, out, fault = sys.argv[1:]
 process = export.Pipeline.process
@@ -240,11 +241,11 @@ def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, conf
     assert [each.read_text() for each in files] == (["old"] if "old" in fault else [])
 
 
-@pytest.mark.parametrize(("form", "load"), [(NpzExport, np.load), (Hdf5Export, h5py.File)])
+@pytest.mark.parametrize(("form", "load"), [(NpzWriter, np.load), (Hdf5Writer, h5py.File)])
 def test_memory_does_not_grow_with_the_recording(tmp_path, form, load, monkeypatch):
     row = {"raw": np.ones((64, 64), np.float32), "method": np.array("wiener", METHOD_NAME)}
-    monkeypatch.setattr("tactiled.cli.export_arrays.row", lambda _: row)
-    export = form(tmp_path / "out", tmp_path, sensor_plan("palm", parse(CONFIG).sensor["palm"]))
+    monkeypatch.setattr("tactiled.archive.arrays.row", lambda _: row)
+    export = form(tmp_path / "out", sensor_plan("palm", parse(CONFIG).sensor["palm"]))
     tracemalloc.start()
     for _ in range(4000):
         export.add_image(None)

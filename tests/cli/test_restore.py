@@ -79,7 +79,7 @@ def test_frames_are_restored_by_every_method(config, npy, tmp_path, method):
     if method != "auto":
         fallback = {"nnls"} if method == "points" else set()  # where a fit is refused
         assert method in {each["method"] for each in stories} <= {method} | fallback
-    assert not list(tmp_path.glob("*.part"))
+    assert not list(tmp_path.glob(".tactiled-*"))
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def earlier(tmp_path):
         file.write_text("earlier")
     yield files
     assert [file.read_text() for file in files] == ["earlier", "earlier"]
-    assert not list(tmp_path.glob("*.part"))
+    assert not list(tmp_path.glob(".tactiled-*"))
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])

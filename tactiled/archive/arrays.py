@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple, fields
 from pathlib import Path
@@ -21,16 +22,19 @@ METHOD_NAME = "<U16"  # longer than any method's name
 FRAMES_AT_ONCE = 1024  # that are copied to HDF5
 
 
-class NpzExport:
-    """numpy's .npz; until it is written each array of a frame has a file of its own in `folder`."""
+class NpzWriter:
+    """numpy's .npz; until it is written each array of a frame has a file of its own beside it."""
 
-    def __init__(self, path: Path, folder: Path, plan: SensorPlan) -> None:
-        self._path, self._folder, self._plan = path, folder, plan
+    def __init__(self, path: Path, plan: SensorPlan) -> None:
+        self._path, self._plan = path, plan
         self._files = ExitStack()
         self._columns: dict[str, BinaryIO] = {}
         self._row: Arrays = {}
         self._count = 0
         self.close = self._files.close
+
+    def _column(self, name: str) -> Path:
+        return self._path.with_name(f".{name}")
 
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
@@ -40,21 +44,21 @@ class NpzExport:
         self._row, self._count = row(image), self._count + 1
         for name, array in self._row.items():
             if name not in self._columns:
-                self._columns[name] = self._files.enter_context((self._folder / name).open("wb"))
+                self._columns[name] = self._files.enter_context(self._column(name).open("wb"))
             self._columns[name].write(array.tobytes())
 
-    def finish(self, provenance: dict[str, Any]) -> None:
+    def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the file, `provenance` as JSON in it."""
         self.close()
         columns = {
-            name: np.memmap(self._folder / name, array.dtype, "r", shape=(self._count, *array.shape))
+            name: np.memmap(self._column(name), array.dtype, "r", shape=(self._count, *array.shape))
             for name, array in self._row.items()
         }
         places = {"positions_mm": self._plan.array.positions, "cells_mm": self._plan.cells.positions}
         self.save(self._path, columns | places, provenance)
 
     @staticmethod
-    def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:
+    def save(path: Path, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
         """Write arrays, and `provenance` as one more."""
         text = np.array(json.dumps(provenance, indent=1))
         with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
@@ -64,11 +68,11 @@ class NpzExport:
                     np.lib.format.write_array(file, array, allow_pickle=False)
 
 
-class Hdf5Export(NpzExport):
+class Hdf5Writer(NpzWriter):
     """HDF5, with the unit of each array beside it."""
 
     @staticmethod
-    def save(path: Path, arrays: Arrays, provenance: dict[str, Any]) -> None:
+    def save(path: Path, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
         """Write arrays as datasets, and `provenance` as an attribute of the file."""
         import h5py
 

@@ -1,8 +1,11 @@
 """Exports as MCAP: images and status in Foxglove's schemas, and the bus's data frames."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from mcap.writer import Writer
 
 from tactiled import __version__
 from tactiled.build import SensorPlan
@@ -10,12 +13,10 @@ from tactiled.frames import Image, Message
 from tactiled.interop import foxglove
 
 
-class McapExport:
+class McapWriter:
     """One MCAP file, written as messages and images come."""
 
-    def __init__(self, path: Path, _: Path, plan: SensorPlan) -> None:
-        from mcap.writer import Writer
-
+    def __init__(self, path: Path, plan: SensorPlan) -> None:
         self._file = path.open("wb")
         self.close = self._file.close
         self._writer: Any = Writer(self._file)  # partly untyped
@@ -41,7 +42,7 @@ class McapExport:
         for channel, data in zip(self._channels, self._topics.messages(image), strict=True):
             self._add(channel, image.time, data)
 
-    def finish(self, provenance: dict[str, Any]) -> None:
+    def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the rest, `provenance` in the metadata."""
         self._writer.add_metadata("provenance", {"json": json.dumps(provenance)})
         self._writer.finish()

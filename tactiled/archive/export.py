@@ -1,0 +1,93 @@
+"""One recording into one export: every frame restored, with its units and provenance."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tactiled import __version__
+from tactiled.archive.arrays import LOSS_KINDS
+from tactiled.archive.writers import Writer
+from tactiled.build import SensorPlan
+from tactiled.bus.codec import Codec
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import frames
+from tactiled.bus.router import Router
+from tactiled.errors import ConfigError
+from tactiled.files import sha256
+from tactiled.frames import FLAG_BITS, Message
+from tactiled.runtime.pipeline import Pipeline
+from tactiled.units import LENGTH, PRESSURE
+
+SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
+UNITS = {
+    "time": "s, on the recording's clock, of a frame's first message",
+    "sequence": "counts up without wrapping, lost frames included",
+    "positions_mm": f"{LENGTH}, (x, y) of the taxels, in the order of raw",
+    "cells_mm": f"{LENGTH}, (x, y) of the surface cells, in the order of restored",
+    "flags": "bits, as in flag_bits",
+    "loss": "counts so far, by kind as in loss_kinds",
+}
+
+
+def export(
+    recording: Recording,
+    out: Path,
+    writer: type[Writer],
+    plan: SensorPlan,
+    codecs: Mapping[str, Codec],
+    config: Mapping[str, Any],
+) -> int:
+    """Write every frame of one sensor to `out`; returns their number, ConfigError where there is none.
+
+    `codecs` are of all sensors on its bus; `config`, which tells no secret, goes into the provenance.
+    """
+    router, pipeline, count = Router(codecs), Pipeline(plan), 0
+    with closing(writer(out, plan)) as target:
+        for name, frame in frames(_tapped(recording, target.add_message), router):
+            if name == plan.name:
+                target.add_image(pipeline.process(frame))
+                count += 1
+        if not count:
+            where = f"recording {recording.path}"
+            raise ConfigError(f"{where}: holds no frame of sensor {plan.name} ({recording.summary()})")
+        loss = asdict(router.assemblers[plan.name].loss)
+        target.finish(_provenance(recording, plan) | {"loss": loss, "config": config})
+    return count
+
+
+def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Message]:
+    """A recording's messages, each of which `tap` gets first."""
+    for message in recording:
+        tap(message)
+        yield message
+
+
+def _units(plan: SensorPlan) -> dict[str, str]:
+    """Unit of each array; pressure is in counts where the sensor is uncalibrated."""
+    noise = f"{plan.unit}, standard deviation of one raw taxel"
+    pressures = {"raw": plan.unit, "restored": plan.unit, "noise": noise}
+    calibrated = {"noise_kpa": noise} if plan.unit == PRESSURE else {}
+    return pressures | calibrated | UNITS | ({"shear": SHEAR} if plan.shears else {})
+
+
+def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
+    """Where the arrays come from, and their units."""
+    return {
+        "made_by": f"tactiled {__version__}",
+        "recording": {
+            "file": recording.path.name,
+            "sha256": sha256(recording.path),
+            "messages": recording.count,
+            "end_cut_off": recording.torn,
+        },
+        "sensor": {"name": plan.name, "bus": plan.bus, "codec": plan.codec_name, "method": plan.method},
+        "calibration": plan.calibration_id,
+        "cover": {"model": plan.kernel.model, "gain_error": plan.kernel.error_estimate},
+        "cell_mm": plan.cell_mm,
+        "units": _units(plan),
+        "flag_bits": FLAG_BITS,
+        "loss_kinds": LOSS_KINDS,
+        "warnings": [asdict(each) for each in plan.warnings],
+    }

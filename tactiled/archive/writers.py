@@ -1,0 +1,60 @@
+"""Formats of exports: what a writer is, and the table of writers by the ending of their file's name."""
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, cast
+
+from tactiled.build import SensorPlan
+from tactiled.errors import ConfigError
+from tactiled.frames import Image, Message
+
+
+class Writer(Protocol):
+    """One export under way. Beside `path` it may have temporary files, which are removed after it."""
+
+    def __init__(self, path: Path, plan: SensorPlan) -> None:
+        """Start a file or folder at `path`, which is not there yet, for the images of one sensor."""
+
+    def add_message(self, message: Message) -> None:
+        """Take one data frame of the sensor's bus, before the image that it completes."""
+
+    def add_image(self, image: Image) -> None:
+        """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded."""
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """Complete what is at `path`, with `provenance` (JSON's types) in it."""
+
+    def close(self) -> None:
+        """Let go of every file, complete or not; once more does nothing."""
+
+
+class Format(NamedTuple):
+    """Where a format's writer is, which is imported when it is used, and what it needs."""
+
+    module: str
+    writer: str
+    extra: str = ""  # of pyproject.toml
+    packages: tuple[str, ...] = ()  # of that extra: one that is missing is named before any work
+
+
+FORMATS = {
+    ".npz": Format("tactiled.archive.arrays", "NpzWriter"),
+    ".h5": Format("tactiled.archive.arrays", "Hdf5Writer", "hdf5", ("h5py",)),
+    ".mcap": Format("tactiled.archive.mcap", "McapWriter", "foxglove", ("mcap", "foxglove")),
+}
+
+
+def writer(name: str) -> type[Writer]:
+    """The writer for a file of this name; ConfigError for an unknown ending, or an extra that is missing."""
+    suffix = Path(name).suffix
+    if suffix not in FORMATS:
+        raise ConfigError(f"{name}: unsupported format; use {', '.join(FORMATS)}")
+    format_ = FORMATS[suffix]
+    for package in format_.packages:
+        if not find_spec(package):
+            raise ConfigError(
+                f"--out: {suffix} needs {package}: pip install 'tactiled[{format_.extra}]', or export to .npz"
+            )
+    return cast(type[Writer], getattr(import_module(format_.module), format_.writer))
