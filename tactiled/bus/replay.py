@@ -32,8 +32,8 @@ class Replay:
     """A recording on a thread of its own, in the place of a bus's listener.
 
     `take` gets every frame and may take its time: what is behind waits, and nothing is skipped. `ended` gets one
-    line at the end, `stepped` one for each step of the recording's clock. A `speed` of 0 is as fast as `take`
-    allows.
+    line at the end, and whether that is a fault, `stepped` one for each step of the recording's clock. A `speed`
+    of 0 is as fast as `take` allows.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Replay:
         codecs: Mapping[str, Codec],
         take: Callable[[str, RawFrame], None],
         speed: float = 1.0,
-        ended: Callable[[str], None] = lambda _: None,
+        ended: Callable[[str, bool], None] = lambda *_: None,
         stepped: Callable[[str], None] = lambda _: None,
     ) -> None:
         if not 0 <= speed < float("inf"):
@@ -71,13 +71,13 @@ class Replay:
                 if self._stop.is_set():
                     return
                 self._take(name, frame)
-            self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}")
+            self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}", False)
         except TactileError as error:
-            self._ended(str(error))
+            self._ended(str(error), True)
         except Exception as error:  # our own fault, or a codec's: no reason to go silent
             name, count = self._recording.path.name, self._recording.count
             LOG.exception("replay of %s failed", name)
-            self._ended(f"{name}: the replay failed at message {count}: {type(error).__name__}: {error}")
+            self._ended(f"{name}: the replay failed at message {count}: {type(error).__name__}: {error}", True)
 
     def _paced(self) -> Iterator[Message]:
         """The messages, each when it is due."""

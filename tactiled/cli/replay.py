@@ -11,7 +11,7 @@ from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
-from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.sensor import REPLAYED, Sensor
 from tactiled.runtime.service import Service
 from tactiled.web.server import serve
 
@@ -40,17 +40,17 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
     """A service whose only bus is a recording."""
 
     def listen(bus: str, _: object, sensors: dict[str, Sensor]) -> Replay:
-        def ended(line: str) -> None:
+        def ended(line: str, failed: bool) -> None:
             print(f"tactiled: {line}", flush=True)
             for each in sensors.values():
-                each.down = line
+                setattr(each, "down" if failed else "ended", line)
 
         def stepped(line: str) -> None:
             print(f"tactiled: {line}", flush=True)
             service.events.add("replay_stepped", line, bus=bus)
 
         for each in sensors.values():
-            each.clock = "recording"
+            each.clock = REPLAYED
         codecs = {name: each.codec for name, each in sensors.items()}
         return Replay(file, codecs, lambda name, frame: sensors[name].restore(frame), speed, ended, stepped)
 

@@ -13,7 +13,7 @@ from tactiled.frames import FrameWarning
 from tactiled.runtime.hub import Publisher
 
 Kind = Literal[
-    "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "bus_up", "bus_down",
+    "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "sensor_ended", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
     "tare_asked", "tare_done", "tare_lapsed", "tare_refused", "tare_undone", "tare_kept", "tare_ignored",
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended",

@@ -19,10 +19,11 @@ from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.threads import join_started
 
-State = Literal["live", "stale", "silent", "down"]
+State = Literal["live", "stale", "silent", "down", "ended"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
 MAX_BUDGET_S = 1e-3  # for restoring a frame, unless it is configured
 BUDGET_SHARE = 0.1  # of the time from frame to frame, the same
+REPLAYED = "recording"  # the clock of a sensor whose bus is a recording
 MIN_RATE_WEIGHT = 0.02  # of a new period in the running mean, which else covers 1 s: at most 50 frames
 
 
@@ -39,6 +40,7 @@ class Status:
     skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
     errors: Mapping[str, int] = field(default_factory=dict)  # error frames of the bus, by kind
     tared_at: float | None = None  # s, Unix, of the tare that holds; None: not tared
+    position_s: float | None = None  # of the newest frame in a replayed recording; None: on a bus
 
 
 class _Jitter:
@@ -75,6 +77,7 @@ class Sensor:
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
+        self.ended: str | None = None  # how the recording that was replayed ended
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.errors: Callable[[], Mapping[str, int]] = dict  # error frames of its bus by now, by kind
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
@@ -246,12 +249,18 @@ class Sensor:
             skew_s=self.newest.skew if self.newest else None,
             errors=self.errors(),
             tared_at=self.pipeline.zero.time,
+            position_s=self._position(),
         )
 
     @property
     def state(self) -> State:
         """State of `status`, at less cost."""
         return self._judge(self._age())[0]
+
+    def _position(self) -> float | None:
+        if self.clock != REPLAYED:
+            return None
+        return self.newest.arrived if self.newest else 0.0
 
     def _age(self) -> float | None:
         return None if self._arrived_at is None else max(0.0, self._clock() - self._arrived_at)
@@ -260,6 +269,8 @@ class Sensor:
         """State and detail: the first of these that holds."""
         if self.down is not None:
             return "down", self.down
+        if self.ended is not None:
+            return "ended", self.ended
         if age is None:
             return "silent", f"no frame yet on {self.plan.bus}"
         if age > self.plan.stale_after_s:

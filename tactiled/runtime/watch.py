@@ -14,6 +14,7 @@ LOOK_EVERY_S = 0.1
 MAX_TAXELS_NAMED = 8  # in an event
 STATE_EVENTS: dict[State, Kind] = {
     "live": "sensor_live", "stale": "sensor_stale", "silent": "sensor_silent", "down": "sensor_down",
+    "ended": "sensor_ended",
 }  # fmt: skip
 
 

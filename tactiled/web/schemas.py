@@ -59,13 +59,18 @@ def _or_null(schema: type[Schema]) -> Any:
 class Status(Schema):
     """Health of a sensor."""
 
-    state: State = Field(description="live; stale: no new frame; silent: none yet; down: the bus is gone")
+    state: State = Field(
+        description="live; stale: no new frame; silent: none yet; down: the bus is gone; ended: the replay"
+    )
     age_s: float | None = Field(description="since the last frame came in", examples=[0.004])
     rate_hz: float = Field(description="frames a second", examples=[100.0])
     jitter_s: float | None = Field(description="standard deviation of the last 100 periods", examples=[0.0002])
     skew_s: float | None = Field(description="from a frame's first message to its last", examples=[0.0031])
     detail: str = Field(description="one line on the state", examples=[""])
     tared_at: float | None = Field(None, description="Unix time of the tare that holds; null: none")
+    position_s: float | None = Field(
+        None, description="in the replayed recording; null: of a bus", examples=[None]
+    )
     loss: Loss = Field(description="what went wrong on the way in, counted by kind since the start")
 
 

@@ -24,7 +24,7 @@ def images(path, speed=0.0):
     got = []
     sensor.hub.subscribe(got.append)
     with service.running():
-        until(lambda: sensor.down)
+        until(lambda: sensor.ended or sensor.down)
     return got, sensor
 
 
@@ -48,13 +48,14 @@ def test_images_are_bit_identical_at_any_speed(lossy):
     assert [each.sequence for each in first] == list(range(FRAMES))
     status = sensor.status()
     assert sensor.clock == "recording"
-    assert (status.state, status.detail) == ("down", f"a.log has ended after {3 * FRAMES - 3} messages")
+    assert (status.state, status.detail) == ("ended", f"a.log has ended after {3 * FRAMES - 3} messages")
+    assert status.position_s == pytest.approx((FRAMES - 1) * 0.01 + 0.001)
 
 
 @pytest.mark.parametrize("speed", [1, 3])
 def test_the_recorded_pace_and_multiples_of_it(lossy, clock, speed):
     times, done = [], Event()
-    play = Replay(lossy, {"palm": CODEC}, lambda *_: times.append(clock.now), speed, lambda _: done.set())
+    play = Replay(lossy, {"palm": CODEC}, lambda *_: times.append(clock.now), speed, lambda *_: done.set())
     play.start()
     assert done.wait(BUSY_S)
     play.stop()
@@ -101,7 +102,7 @@ def test_a_step_of_the_recordings_clock_is_an_event_and_a_short_pause(tmp_path, 
     service, began = replaying(parse(CONFIG), stepping(tmp_path / "a.log", step), 1.0), clock.now
     (sensor,) = service.sensors.values()
     with service.running():
-        until(lambda: sensor.down)
+        until(lambda: sensor.ended)
     assert [each.text for each in service.events.after(0) if each.kind == "replay_stepped"] == [event]
     assert clock.now - began == pytest.approx(0.18 + wait)
     assert sensor.hub.latest().loss.late == 0
@@ -120,7 +121,9 @@ def test_a_sender_that_restarts_at_a_step_of_the_clock_is_followed(step):
 def test_a_bug_ends_the_replay_with_a_reason(lossy, monkeypatch):
     monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
     _, sensor = images(lossy)
-    assert sensor.status().detail == "a.log: the replay failed at message 1: KeyError: 'byte 7'"
+    status = sensor.status()
+    assert (status.state, status.position_s) == ("down", 0.0)
+    assert status.detail == "a.log: the replay failed at message 1: KeyError: 'byte 7'"
 
 
 @pytest.mark.parametrize("ending", [".log", ".asc", ".blf", ".log.gz", ".asc.gz"])

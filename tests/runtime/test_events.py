@@ -48,6 +48,8 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     watched.sensor.down = None
     watched.sensor.restore(frame(1))
     assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
+    watched.sensor.ended = "a.log has ended"
+    assert watched.look() == [("sensor_ended", "palm", "a.log has ended")]
 
 
 def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):

@@ -88,6 +88,7 @@ test("only what is the present is called live", () => {
     ["bus down", open, { ...live, state: "down", detail: "no can0" }, "down", /^no can0. Last frame 1.5 s ago.$/],
     ["silent", open, { ...live, state: "silent", detail: "no frame yet on can0", age_s: null }, "silent",
       /^no frame yet/],
+    ["an end", open, { ...live, state: "ended", detail: "a.log has ended" }, "ended", /^a.log has ended.$/],
     ["stale", open, { ...live, state: "stale", detail: "no frame for 1 s" }, "stale", /^last frame 1.5 s ago.$/],
     ["no image", { ...open, requestedAt: 7500 }, live, "stale", /^last image 2.5 s ago, though frames come in.$/],
     ["a slow sensor", { ...open, requestedAt: 7500 }, { ...live, rate_hz: 1 }, "live", /^$/],

@@ -68,7 +68,14 @@ def test_what_is_recorded_is_what_was_sent_and_replays_as_it_was(recording, rig,
         assert not replayed.locator("#recordings-hint").is_visible()
         replayed.keyboard.press("r")
         replayed.get_by_role("button", name="Delete").wait_for()
+        assert replayed.locator("#notice").inner_text() == "This is a replay: no bus is open to record."
         assert [each.name for each in folder.iterdir()] == ["a.log"]
+        replayed.wait("document.body.dataset.level === 'ended'")
+        replayed.refreshed(20)
+        assert replayed.text("pill-text", "when") == ["end of recording", "end"]
+        assert not replayed.locator("#banner").is_visible()
+        assert not replayed.locator("#latencies").is_visible()
+        replayed.inspect()
         replayed.finish()
     service.stop()
     assert page.painted() >= 3

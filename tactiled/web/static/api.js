@@ -6,7 +6,7 @@ const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
 const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 
-/** @typedef {"live"|"stale"|"silent"|"down"} State */
+/** @typedef {"live"|"stale"|"silent"|"down"|"ended"} State */
 /** @typedef {{code: string, taxels: number|null, text: string}} Warning */
 
 /**
@@ -19,7 +19,8 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   name: string, bus: string, codec: string, rows: number|null, columns: number|null, taxels: number,
  *   pitch_mm: number, shear: boolean, unit: string, method: string, methods: string[], state: State, age_s: number|null,
- *   rate_hz: number, jitter_s: number|null, skew_s: number|null, clock: string|null, detail: string, loss: Loss,
+ *   rate_hz: number, jitter_s: number|null, skew_s: number|null, position_s: number|null, clock: string|null,
+ *   detail: string, loss: Loss,
  *   error_kinds: Record<string, number>, sequence: number|null
  * }} Sensor
  */

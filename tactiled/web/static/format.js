@@ -41,6 +41,15 @@ export function duration(seconds) {
   return `${Math.floor(seconds / 3600)} h`;
 }
 
+/** @param {number} seconds in a recording @returns {string} minutes and seconds, with hours where there are any */
+export function positionText(seconds) {
+  if (!Number.isFinite(seconds)) return "\u2013";
+  const tenths = Math.max(0, Math.round(10 * seconds)); // first, or 59.97 s would be 60.0
+  const [hours, minutes, rest] = [Math.floor(tenths / 36000), Math.floor(tenths / 600) % 60, tenths % 600];
+  const tail = `${(rest / 10).toFixed(1).padStart(4, "0")}`;
+  return hours ? `${hours}:${String(minutes).padStart(2, "0")}:${tail}` : `${minutes}:${tail}`;
+}
+
 /** @param {number} bytes @returns {string} */
 export function byteText(bytes) {
   if (bytes < 1000) return `${bytes} B`;

@@ -9,7 +9,7 @@ import { duration } from "./format.js";
 
 /**
  * @typedef {object} Health
- * @property {"live"|"connecting"|"disconnected"|"down"|"silent"|"stale"} level
+ * @property {"live"|"connecting"|"disconnected"|"down"|"silent"|"stale"|"ended"|"playback"} level
  * @property {string} title
  * @property {string} text
  */
@@ -43,7 +43,11 @@ export function healthOf(socket, replies, status, statusAt, imageAt, now) {
     return { level: "disconnected", title: "NO ANSWER", text: `No message for ${duration((now - replies.lastMessageAt) / 1000)}. ${lastFrame}` };
   }
   if (!status) return CONNECTING;
-  if (status.state === "down") return { level: "down", title: "BUS DOWN", text: `${status.detail}. ${lastFrame}` };
+  if (status.state === "ended") return { level: "ended", title: "", text: `${status.detail}.` };
+  if (status.state === "down") {
+    const title = status.position_s === null ? "BUS DOWN" : "REPLAY FAILED";
+    return { level: "down", title, text: `${status.detail}. ${lastFrame}` };
+  }
   if (status.state === "silent") return { level: "silent", title: "SILENT", text: `${status.detail}.` };
   if (status.state === "stale") {
     const more = status.detail.startsWith("no frame") ? "" : ` ${status.detail}`;

@@ -2,7 +2,7 @@
 
 import { ContactTable } from "./contact_table.js";
 import { byId, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { fixed, positionText } from "./format.js";
 import { ACROSS } from "./geometry.js";
 import { CONNECTING } from "./health.js";
 import { Readings } from "./readings.js";
@@ -18,7 +18,8 @@ import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 /** @import { Viewer } from "./viewer.js" */
 
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"]]);
-const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale" };
+const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
+const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
 
@@ -49,16 +50,19 @@ export class PageText {
     const { session, pace } = viewer;
     const health = session?.health() ?? (reachable || viewer.name ? CONNECTING : UNREACHABLE);
     const paused = session?.paused ?? false;
+    const replayed_s = session?.status?.position_s ?? null;
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
+    if (replayed_s !== null && health.level === "live" && !paused) setText(byId("pill-text"), `replay ${positionText(replayed_s)}`);
+    document.body.classList.toggle("replayed", replayed_s !== null);
     const frame = session?.frame ?? null;
     this._shear.hidden = !session?.hasShear;
     const live = health.level === "live";
     this.readings.frame(frame);
     this._restoration(session, frame);
     this.readings.status(session?.status ?? null, live);
-    this.readings.pace(pace.fps(), live && !paused && pace.painted ? pace.latency : NaN, pace.skew);
+    this.readings.pace(pace.fps(), live && !paused && pace.painted && replayed_s === null ? pace.latency : NaN, pace.skew);
     setText(byId("probe"), probeText(viewer, frame) || "Point at a map to read it; click or tap to pin.");
-    this._playback(session, frame, live);
+    this._playback(session, frame, live ? replayed_s === null ? "live" : "replay" : health.level === "ended" ? "end" : "last");
     this.range(viewer.range);
     this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
@@ -106,17 +110,19 @@ export class PageText {
   _health(health, name, paused, closed) {
     if (health.level !== this._level) {
       this._level = health.level;
-      const what = health.level === "live" ? `${name} is live` : `${name || "service"}: ${health.title.toLowerCase()}. ${health.text}`;
+      const state = (health.title || PILL_TEXTS[health.level]).toLowerCase();
+      const what = health.level === "live" ? `${name} is live` : `${name || "service"}: ${state}. ${health.text}`;
       setText(byId("announce"), health.level === "connecting" ? "" : what);
       document.body.dataset.level = health.level;
     }
     document.body.classList.toggle("paused", paused);
+    document.body.classList.toggle("old", !CURRENT_LEVELS.has(health.level));
     byId("banner").hidden = health.title === "" || health.level === "connecting";
     setText(byId("banner-title"), health.title);
     setText(byId("banner-text"), health.text);
     byId("banner-action").hidden = health.level !== "disconnected" || !closed;
     setText(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL_TEXTS[health.level]);
-    const title = name ? `${name}${health.level === "live" ? "" : ` (${health.level})`}, tactiled` : "tactiled";
+    const title = name ? `${name}${health.level === "live" ? "" : ` (${PILL_TEXTS[health.level]})`}, tactiled` : "tactiled";
     if (document.title !== title) document.title = title;
   }
 
@@ -136,8 +142,8 @@ export class PageText {
     showNumber(this._high, range.high, typed);
   }
 
-  /** @param {Session|null} session @param {Frame|null} frame @param {boolean} live */
-  _playback(session, frame, live) {
+  /** @param {Session|null} session @param {Frame|null} frame @param {string} running what the newest frame is called */
+  _playback(session, frame, running) {
     const count = session?.history.length ?? 0;
     const back = session?.back ?? 0;
     const paused = session?.paused ?? false;
@@ -148,7 +154,7 @@ export class PageText {
     this._scrub.disabled = count < 2;
     const newest = session?.history.at(0);
     const when = frame && newest && back ? `${fixed(frame.timestamp - newest.timestamp, 2)} s` : "newest";
-    const text = paused ? when : live ? "live" : "last";
+    const text = paused ? when : running;
     setText(byId("when"), text);
     if (this._scrub.getAttribute("aria-valuetext") !== text) this._scrub.setAttribute("aria-valuetext", text);
   }

@@ -20,7 +20,7 @@ export class Recorder {
     this._recordings = [];
     this._shownKey = "";
     this.offered = false;
-    this._records = false;
+    this._records = this._replayed = false;
     this._button.addEventListener("click", () => this.toggle());
   }
 
@@ -30,6 +30,7 @@ export class Recorder {
    */
   offer(offered, replayed) {
     this.offered = offered;
+    this._replayed = replayed;
     this._records = offered && !replayed;
     this._button.hidden = !this._records;
     byId("recordings-hint").hidden = offered || replayed;
@@ -52,6 +53,7 @@ export class Recorder {
   /** Begin to record the bus that is watched, or end it. */
   async toggle() {
     const bus = this._bus();
+    if (!this._records) notice(this._replayed ? "This is a replay: no bus is open to record." : "To record, name a folder: server.recordings.", true);
     if (!this._records || !bus) return;
     const running = this._running;
     if (running) await this._stop(running.name);

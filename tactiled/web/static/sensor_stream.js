@@ -10,7 +10,7 @@ import { kindOf, packet, parse } from "./wire.js";
  * The stream's JSON message on the sensor and its newest image.
  * @typedef {{
  *   type: "status", sensor: string, state: State, age_s: number|null, rate_hz: number, jitter_s: number|null,
- *   skew_s: number|null, detail: string, loss: Loss, method: string, sequence: number, timestamp: number, ran: string,
+ *   skew_s: number|null, position_s: number|null, detail: string, loss: Loss, method: string, sequence: number, timestamp: number, ran: string,
  *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
  *   resolution_mm: number, warnings: Warning[]
  * }} Status

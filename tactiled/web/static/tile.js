@@ -219,9 +219,9 @@ export class Tile {
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     this._warn(live ? this._warnings : []);
-    setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level);
+    setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level === "ended" ? "end of recording" : health.level);
     if (!this._plane || (live && this._freshness.heldBack)) return;
-    setText(this._force, live ? this._imageAt ? forceText(this._of.force, this.unit) : "\u2013" : health.text);
+    setText(this._force, live || health.level === "ended" ? this._imageAt ? forceText(this._of.force, this.unit) : "\u2013" : health.text);
   }
 
   /** @param {string[]} warnings that hold of what is shown */
