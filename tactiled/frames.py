@@ -91,6 +91,17 @@ class FrameWarning:
     interval_mm: tuple[float, float] | None = None  # 95 % of the thickness; None: it is at most `thickness_mm`
 
 
+class StageTimes(NamedTuple):
+    """When a frame had passed each stage on its way to an image, s, on a clock that never steps."""
+
+    arrived: float  # its last message had come; of a recording, it was read
+    assembled: float  # it had been decoded and was handed to its sensor
+    started: float  # it was its turn
+    calibrated: float  # it was in `unit`
+    restored: float
+    checked: float  # its warnings were known
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
     """One frame of pressures, as measured and as restored, with everything known against it."""
@@ -116,3 +127,4 @@ class Image:
     arrived: float = 0.0  # s, as of its frame
     unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits
+    times: StageTimes | None = None  # None where it was made elsewhere

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cached_property
 from math import inf
 from threading import Lock
-from time import perf_counter, thread_time
+from time import monotonic, thread_time
 from typing import cast
 
 import numpy as np
@@ -16,10 +16,11 @@ from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, robust_mean
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
+from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
+from tactiled.restore.scene import Restored
 from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.runtime.thickness_search import ThicknessSearch
@@ -168,12 +169,13 @@ class Pipeline:
             self._noise_ratio = ratio
             self._restorer.weigh(ratio)
 
-    def process(self, frame: RawFrame, budget_s: float = inf) -> Image:
+    def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
         """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning.
 
         Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
+        `came` is when it arrived and was assembled (s, monotonic); None: now.
         """
-        began = perf_counter()
+        began = monotonic()
         self._apply_tare(frame)
         if self.monitor.push(frame, self.calibrator):
             self._weigh_taxels()
@@ -184,14 +186,11 @@ class Pipeline:
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
-        end = thread_time() + budget_s
+        calibrated, end = monotonic(), thread_time() + budget_s
         done = self._restorer(raw, flags, lambda: thread_time() > end)
-        doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(shape)
-        check_warnings = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
-        if done.cut_short:
-            check_warnings = (*check_warnings, warning("cut_short", budget_ms=1e3 * budget_s))
-        check_warnings = self._thickness(check_warnings, raw, doubtful, self.noise.kpa)
-        self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
+        restored = monotonic()
+        warnings = self._check(raw, flags, done, budget_s)
+        checked = monotonic()
         return Image(
             sensor=self._plan.name,
             sequence=frame.sequence,
@@ -202,22 +201,31 @@ class Pipeline:
             method=done.method,
             why=done.why,
             iterations=done.iterations,
-            microseconds=(perf_counter() - began) * 1e6,
+            microseconds=(checked - began) * 1e6,
             noise=self.noise.kpa,
             noise_gain=done.noise_gain,
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
-            warnings=self._plan.warnings
-            + self.noise.warning
-            + _flag_warnings(flags)
-            + self._map_warning()
-            + check_warnings
-            + self.cover.warning,
+            warnings=warnings,
             shear=self._tared_shear(frame.shear, flags),
             arrived=frame.arrived,
             unit=self._plan.unit,
             calibration=self._plan.calibration_id,
+            times=StageTimes(*(came or (began, began)), began, calibrated, restored, checked),
         )
+
+    def _check(
+        self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
+    ) -> tuple[FrameWarning, ...]:
+        """All that is known against an image."""
+        doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(flags.shape)
+        checked = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
+        if done.cut_short:
+            checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
+        checked = self._thickness(checked, raw, doubtful, self.noise.kpa)
+        self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
+        of_skin = self._plan.warnings + self.noise.warning + _flag_warnings(flags) + self._map_warning()
+        return of_skin + checked + self.cover.warning
 
     def _map_warning(self) -> tuple[FrameWarning, ...]:
         wrong = self.monitor.map.wrong

@@ -17,6 +17,7 @@ from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
 from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
+from tactiled.runtime.timings import Timings
 from tactiled.threads import join_started
 
 State = Literal["live", "stale", "silent", "down", "ended"]
@@ -72,7 +73,7 @@ class Sensor:
         history: tuple[float, int] = (0.0, 0),  # s and bytes of images that are kept
     ) -> None:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
-        self.pipeline, self.hub = Pipeline(plan), Hub()
+        self.pipeline, self.hub, self.timings = Pipeline(plan), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
@@ -85,7 +86,7 @@ class Sensor:
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
         self._between_frames = threading.Lock()  # is held while a frame is processed
         self._wake = threading.Condition()
-        self._waiting: RawFrame | None = None
+        self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
         self._stopping = False
         self._skipped = 0
         self._loss = Loss()
@@ -173,22 +174,22 @@ class Sensor:
 
     def offer(self, frame: RawFrame) -> None:
         """Take a new frame; one that still waits for its turn is skipped and counted."""
-        self._note_arrival(frame)
+        assembled = self._note_arrival(frame)
         with self._wake:
             self._skipped += self._waiting is not None
             if self._skipped:
                 frame = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
-            self._waiting, self._loss = frame, frame.loss
+            self._waiting, self._loss = (frame, assembled), frame.loss
             self._wake.notify()
 
     def restore(self, frame: RawFrame) -> None:
         """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
-        self._note_arrival(frame)
+        now = self._note_arrival(frame)
         self._loss = frame.loss
-        self._publish(frame)
+        self._publish(frame, inf, (now, now))
 
-    def _note_arrival(self, frame: RawFrame) -> None:
-        """A frame comes now."""
+    def _note_arrival(self, frame: RawFrame) -> float:
+        """A frame comes now: the time (s)."""
         last, self.newest = self.newest, frame
         if last is None or not 0 <= frame.time - last.time < self.plan.stale_after_s:
             self._jitter = _Jitter()
@@ -203,6 +204,7 @@ class Sensor:
             self._period_s += (gap - self._period_s) * weight if self._period_s else gap
         self._arrived_at = now
         self.frames.publish(frame)
+        return now
 
     def _work(self) -> None:
         while True:
@@ -210,9 +212,10 @@ class Sensor:
                 self._wake.wait_for(lambda: self._stopping or self._waiting is not None)
                 if self._stopping:
                     return
-                frame, self._waiting = self._waiting, None
-            if frame is not None:
-                self._publish(frame, self._budget_s())
+                waiting, self._waiting = self._waiting, None
+            if waiting is not None:
+                frame, assembled = waiting
+                self._publish(frame, self._budget_s(), (frame.arrived, assembled))
 
     def _budget_s(self) -> float:
         """Time for restoring a frame."""
@@ -220,12 +223,16 @@ class Sensor:
             return self.plan.budget_s
         return min(BUDGET_SHARE * self._period_s, MAX_BUDGET_S) if self._period_s else MAX_BUDGET_S
 
-    def _publish(self, frame: RawFrame, budget_s: float = inf) -> None:
-        """Publish one image; a frame that cannot be restored ends neither the thread nor the service."""
+    def _publish(self, frame: RawFrame, budget_s: float, came: tuple[float, float]) -> None:
+        """Publish one image; a frame that cannot be restored ends neither the thread nor the service.
+
+        `came` is when it arrived and was assembled (s).
+        """
         try:
             with self._between_frames:
-                image = self.pipeline.process(frame, budget_s)
+                image = self.pipeline.process(frame, budget_s, came)
             self.hub.publish(image)
+            self.timings.add(image, time.monotonic())
             self.history.add(image)
             if image.warnings:
                 with self._wake:

@@ -150,7 +150,8 @@ def stream_parameters():
 def metrics():
     state = app().state
     lines = [
-        line.split(maxsplit=3) for line in prometheus.text(state.service, state.streams, Places(1)).splitlines()
+        line.split(maxsplit=3)
+        for line in prometheus.text(state.service, state.streams, Places(1)).decode().splitlines()
     ]
     types = {words[2]: words[3] for words in lines if words[:2] == ["#", "TYPE"]}
     for name, text in (words[2:] for words in lines if words[:2] == ["#", "HELP"]):

@@ -43,10 +43,10 @@ def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, 
     slow, other = Sensor(plan), Sensor(plan)
     begun, go_on, process, sequences = Event(), Event(), slow.pipeline.process, []
 
-    def process_later(frame, budget_s):
+    def process_later(frame, *_):
         begun.set()
         assert go_on.wait(BUSY_S)
-        return process(frame, budget_s)
+        return process(frame)
 
     monkeypatch.setattr(slow.pipeline, "process", process_later)
     slow.hub.subscribe(lambda image: sequences.append((image.sequence, image.loss.skipped)))

@@ -1,14 +1,21 @@
-"""`GET /metrics`: every sensor's health and counts in Prometheus's text format, version 0.0.4."""
+"""`GET /metrics`: health, counts and times of every sensor in Prometheus's text format, version 0.0.4."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
-from typing import get_args
+from itertools import accumulate, chain
+from typing import Any, get_args
 
 from fastapi import APIRouter, Request, Response
+from prometheus_client import ProcessCollector, generate_latest
+from prometheus_client.metrics_core import CounterMetricFamily as Counter
+from prometheus_client.metrics_core import GaugeMetricFamily as Gauge
+from prometheus_client.metrics_core import HistogramMetricFamily, Metric
+from prometheus_client.registry import Collector
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.runtime.sensor import State
+from tactiled.runtime.sensor import Sensor, State
 from tactiled.runtime.service import Service
+from tactiled.runtime.timings import BOUNDS_S, Histogram
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import CurrentService
@@ -20,63 +27,97 @@ GAUGES = (  # name, help text, field of a sensor's status
     ("jitter_seconds", "standard deviation of the last 100 frame periods", "jitter_s"),
     ("skew_seconds", "time from first to last message of the newest frame", "skew_s"),
 )
-Sample = tuple[dict[str, str], float | None]  # labels; None where there is no value now
+HISTOGRAMS = (  # name, help text, second label, field of a sensor's timings
+    ("stage_seconds", "time of a frame in each stage", "stage", "stages"),
+    ("restore_seconds", "time of restoring a frame, by the method that ran", "method", "methods"),
+    (
+        "frame_age_seconds",
+        "time since a frame's last message when it is published, and when it is sent",
+        "at",
+        "ages",
+    ),
+)
+LE = (*map(str, BOUNDS_S), "+Inf")
 
 router = APIRouter(include_in_schema=False)
 
 
 @router.get("/metrics")
 def metrics(request: Request, service: CurrentService) -> Response:
-    """Health and counts, for Prometheus to scrape."""
+    """Health, counts and times, for Prometheus to scrape."""
     state = request.app.state
     return Response(text(service, state.streams, state.places), media_type=MEDIA_TYPE)
 
 
-def text(service: Service, streams: ConcurrencyLimit, places: Places) -> str:
-    """Every family of a service, its streams and its connections."""
-    families = (*_sensors(service), *_clients(streams, places))
-    return "".join(f"{line}\n" for family in families for line in family)
+def text(service: Service, streams: ConcurrencyLimit, places: Places) -> bytes:
+    """Every family of a service, its streams, its connections and its process."""
+    return generate_latest(_Families(service, streams, places))
 
 
-def _sensors(service: Service) -> Iterator[Iterator[str]]:
-    statuses = {name: sensor.status() for name, sensor in service.sensors.items()}
-    states: list[Sample] = [
-        ({"sensor": name, "state": state}, float(state == status.state))
+class _Families(Collector):
+    def __init__(self, service: Service, streams: ConcurrencyLimit, places: Places) -> None:
+        self._sensors, self._streams, self._places = service.sensors, streams, places
+
+    def collect(self) -> Iterable[Metric]:
+        """Every family, as of now."""
+        process = ProcessCollector(registry=None).collect()
+        return chain(_health(self._sensors), _times(self._sensors), _clients(self._streams, self._places), process)
+
+
+def _health(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+    statuses = {name: sensor.status() for name, sensor in sensors.items()}
+    states = [
+        (name, state, float(state == status.state))
         for name, status in statuses.items()
         for state in get_args(State)
     ]
-    yield _family("state", "gauge", "1 for the present state of the sensor, else 0", states)
+    yield _family(Gauge, "state", "1 for the present state of the sensor, else 0", ("sensor", "state"), states)
     for gauge, help_text, field in GAUGES:
-        values = [({"sensor": name}, getattr(status, field)) for name, status in statuses.items()]
-        yield _family(gauge, "gauge", help_text, values)
-    losses = [
-        ({"sensor": name, "kind": kind}, count)
-        for name, status in statuses.items()
-        for kind, count in asdict(status.loss).items()
-    ]
-    yield _family("loss_total", "counter", "losses on the way in, by kind", losses)
-    buses = {service.sensors[name].plan.bus: status.errors for name, status in statuses.items()}
-    errors = [({"bus": bus, "kind": kind}, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
-    yield _family("error_frames_total", "counter", "error frames of the bus, by kind", errors)
+        values = [(name, getattr(status, field)) for name, status in statuses.items()]
+        yield _family(Gauge, gauge, help_text, ("sensor",), values)
+    losses = [(name, *loss) for name, status in statuses.items() for loss in asdict(status.loss).items()]
+    yield _family(Counter, "loss", "losses on the way in, by kind", ("sensor", "kind"), losses)
+    buses = {sensors[name].plan.bus: status.errors for name, status in statuses.items()}
+    errors = [(bus, kind, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
+    yield _family(Counter, "error_frames", "error frames of the bus, by kind", ("bus", "kind"), errors)
+    images = [image for sensor in sensors.values() if (image := sensor.hub.latest())]
+    warnings = [(image.sensor, code, 1.0) for image in images for code in {each.code for each in image.warnings}]
+    yield _family(Gauge, "warning", "1 for each warning of the newest image", ("sensor", "code"), warnings)
 
 
-def _clients(streams: ConcurrencyLimit, places: Places) -> Iterator[Iterator[str]]:
-    refused = [({"bound": bound}, count) for bound, count in streams.refused.items()]
-    dropped = [({"how": how}, count) for how, count in places.dropped.items()]
-    yield _family("streams", "gauge", "open WebSockets", [({}, streams.open)])
-    yield _family("streams_refused_total", "counter", "refused WebSockets, by the bound that was reached", refused)
-    yield _family("connections", "gauge", "open connections, with WebSockets", [({}, places.open)])
-    yield _family("connections_dropped_total", "counter", "connections above the bound, by what was done", dropped)
+def _times(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+    for name, help_text, label, field in HISTOGRAMS:
+        family = HistogramMetricFamily(f"tactiled_{name}", help_text, labels=("sensor", label))
+        for sensor in sensors.values():
+            histograms: dict[str, Histogram] = getattr(sensor.timings, field)
+            for value, histogram in histograms.copy().items():
+                counts = accumulate(histogram.counts.copy())
+                family.add_metric((sensor.name, value), tuple(zip(LE, counts, strict=True)), histogram.sum_s)
+        yield family
 
 
-def _family(name: str, kind: str, help_text: str, samples: Iterable[Sample]) -> Iterator[str]:
-    yield f"# HELP tactiled_{name} {help_text}"
-    yield f"# TYPE tactiled_{name} {kind}"
-    for labels, value in samples:
+def _clients(streams: ConcurrencyLimit, places: Places) -> Iterator[Metric]:
+    refused, dropped = streams.refused.items(), places.dropped.items()
+    yield Gauge("tactiled_streams", "open WebSockets", streams.open)
+    yield _family(
+        Counter, "streams_refused", "refused WebSockets, by the bound that was reached", ("bound",), refused
+    )
+    yield Gauge("tactiled_connections", "open connections, with WebSockets", places.open)
+    yield _family(
+        Counter, "connections_dropped", "connections above the bound, by what was done", ("how",), dropped
+    )
+
+
+def _family(
+    kind: type[Gauge | Counter],
+    name: str,
+    help_text: str,
+    labels: tuple[str, ...],
+    samples: Iterable[tuple[Any, ...]],
+) -> Metric:
+    """A family of (label values, ..., value), those without a value left out."""
+    family = kind(f"tactiled_{name}", help_text, labels=labels)
+    for *label_values, value in samples:
         if value is not None:
-            pairs = ",".join(f'{label}="{_escaped(each)}"' for label, each in labels.items())
-            yield f"tactiled_{name}{f'{{{pairs}}}' if pairs else ''} {value!r}"
-
-
-def _escaped(value: str) -> str:
-    return value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+            family.add_metric(label_values, value)
+    return family

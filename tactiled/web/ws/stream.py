@@ -1,6 +1,7 @@
 """WebSocket streams of one sensor or several: newest wins, nothing queues for a client that does not read."""
 
 import asyncio
+import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -207,6 +208,7 @@ class Stream:
         frames = line.feed.frames(image, line.form)
         line.image, line.credit = image, max(0, line.credit - 1)
         self._protocol.send_frames(frames)
+        line.feed.sensor.timings.add_send(image, time.monotonic())
 
     def _send_status(self, line: _Line) -> None:
         key, now = line.feed.status_key(), self._loop.time()

@@ -3,8 +3,8 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.web.rest.metrics import _family
 from tests.conftest import ask, pressed, until
+from tests.web.ws.clients import images, stream
 
 
 def samples(text):
@@ -49,7 +49,49 @@ def test_metrics_are_those_of_the_api(rig, url):
     assert metrics["tactiled_connections",] >= 1
 
 
-def test_labels_are_escaped():
-    name = 'a "b"\\nc\nd'
-    text = "\n".join(_family("x", "gauge", "meaning", [({"sensor": name}, 2.5)])) + "\n"
-    assert samples(text) == {("tactiled_x", ("sensor", name)): 2.5}
+def test_histograms_count_every_image_that_was_restored_and_sent(rig, url):
+    stages = ("assemble", "wait", "calibrate", "restore", "check", "publish")
+    with stream(url, "?kinds=restored") as client:
+        until(lambda: scrape(url)["tactiled_streams",] == 1)
+        for method in ("wiener", "rl", "rl"):
+            rig.service.set_method("palm", method)
+            assert rig.show(pressed()).method == method
+            images(client, 1)
+        until(lambda: scrape(url).get(palm("frame_age_seconds_count", at="publish")) == 3)
+        until(lambda: scrape(url).get(palm("frame_age_seconds_count", at="send")) == 3)
+    metrics = scrape(url)
+    assert {metrics[palm("stage_seconds_count", stage=stage)] for stage in stages} == {3}
+    counts = {method: metrics[palm("restore_seconds_count", method=method)] for method in ("wiener", "rl")}
+    assert counts == {"wiener": 1, "rl": 2}
+    for at in ("publish", "send"):
+        below = {float(dict(name[1:])["le"]): value for name, value in metrics.items() if at_bucket(name, at)}
+        assert sorted(below)[:2] + sorted(below)[-2:] == [1e-5, 2e-5, 1.0, float("inf")]
+        assert list(below.values()) == sorted(below.values())
+        assert below[float("inf")] == metrics[palm("frame_age_seconds_count", at=at)] == 3
+    stages_s = sum(metrics[palm("stage_seconds_sum", stage=stage)] for stage in stages)
+    assert metrics[palm("frame_age_seconds_sum", at="publish")] == pytest.approx(stages_s)
+    assert metrics[palm("frame_age_seconds_sum", at="send")] > 0
+
+
+def at_bucket(name, at):
+    return name[0] == "tactiled_frame_age_seconds_bucket" and ("at", at) in name
+
+
+def test_warnings_of_the_newest_image_and_the_process_are_among_the_metrics(rig, url):
+    rig.send(pressed(), drop=(1,))
+    rig.show(pressed())
+    assert palm("warning", code="missing") not in scrape(url)
+    rig.send(pressed(), drop=(1,))
+    until(lambda: scrape(url).get(palm("warning", code="missing")) == 1)
+    metrics = scrape(url)
+    assert metrics["process_cpu_seconds_total",] > 0
+    assert metrics["process_resident_memory_bytes",] > 1e6
+
+
+def test_metrics_of_0_4_2_keep_their_names(url):
+    names = {name for name, *_ in scrape(url)}
+    assert names >= {
+        "tactiled_state", "tactiled_rate_hertz", "tactiled_loss_total", "tactiled_error_frames_total",
+        "tactiled_streams", "tactiled_streams_refused_total", "tactiled_connections",
+        "tactiled_connections_dropped_total",
+    }  # fmt: skip
