@@ -34,6 +34,7 @@ class BusThread:
         self._kinds: Counter[str] = Counter()  # of their error frames
         self._reader_lock = threading.Lock()
         self._down: str | None = None
+        self.turns = 0  # of its thread's loop; it stands still only if the thread hangs
         for sensor in sensors.values():
             sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._error_kinds
         self._poller = Poller(each.codec.polling for each in sensors.values())
@@ -57,6 +58,7 @@ class BusThread:
     def _run(self) -> None:
         wait, last_reason = BACK_OFF_S[0], ""
         while not self._stop.is_set():
+            self.turns += 1
             began, fault = time.monotonic(), None
             try:
                 self._reader = self._reader or open_bus(**self._settings)
@@ -84,6 +86,7 @@ class BusThread:
         """Take messages until the stop; BusError where the bus goes, and whatever else is raised."""
         self._poller.start(time.monotonic())
         while not self._stop.is_set():
+            self.turns += 1
             now = time.monotonic()
             reader.unsent += self._poller.send_due(reader.send, now)
             messages = reader.batch(min(POLL_S, self._poller.wait_s(now)))

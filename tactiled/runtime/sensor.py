@@ -87,7 +87,8 @@ class Sensor:
         self._between_frames = threading.Lock()  # is held while a frame is processed
         self._wake = threading.Condition()
         self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
-        self._stopping = False
+        self._working = self._stopping = False
+        self._turns = 0  # frames that the thread has finished
         self._skipped = 0
         self._loss = Loss()
         self._warnings: dict[str, FrameWarning] = {}  # by code, since they were last drained
@@ -101,6 +102,11 @@ class Sensor:
     def method(self) -> str:
         """Name of the method that is set."""
         return self.pipeline.method
+
+    @property
+    def turns(self) -> int | None:
+        """Frames that its thread has finished; None while it has none to restore."""
+        return self._turns if self._working or self._waiting is not None else None
 
     def need_shear(self) -> None:
         """NoShearError where its skin feels none."""
@@ -215,7 +221,10 @@ class Sensor:
                 waiting, self._waiting = self._waiting, None
             if waiting is not None:
                 frame, assembled = waiting
+                self._working = True
                 self._publish(frame, self._budget_s(), (frame.arrived, assembled))
+                self._turns += 1
+                self._working = False
 
     def _budget_s(self) -> float:
         """Time for restoring a frame."""

@@ -165,6 +165,12 @@ class Service:
         finally:
             self.stop()
 
+    def turns(self) -> dict[str, int | None]:
+        """Turns by now of every thread that must move, by its name; None for one that waits for work."""
+        buses = {f"bus {each.name}": each.turns for each in self._sources if isinstance(each, BusThread)}
+        sensors = {f"restore {name}": each.turns for name, each in self.sensors.items()}
+        return {**buses, **sensors, "watch": self._watch.turns}
+
     def stop(self) -> None:
         """Stop everything that runs."""
         self._watch.stop()

@@ -29,6 +29,7 @@ class Watch:
         self._keep_tare = keep_tare
         self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
         self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
+        self.turns = 0  # looks so far
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
 
@@ -44,6 +45,7 @@ class Watch:
     def _run(self) -> None:
         while not self._stop.wait(LOOK_EVERY_S):
             self.look(time.monotonic())
+            self.turns += 1
 
     def look(self, now: float) -> None:
         """Add an event for every change since the last look, at `now` (s); a sensor that raises is a fault."""

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import math
 import socket
 import sys
 import threading
@@ -14,11 +15,13 @@ from typing import Any, cast
 import uvicorn
 from fastapi import FastAPI
 
+from tactiled import systemd
 from tactiled.config import Server, tls
 from tactiled.errors import TactileError
 from tactiled.interop import foxglove
 from tactiled.interop.foxglove_live import bridge
 from tactiled.runtime.service import Service
+from tactiled.runtime.watchdog import Watchdog
 from tactiled.web.app import create
 from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
@@ -30,6 +33,7 @@ from tactiled.web.ws import session, xela
 SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
 LOG_LIMIT = LogLimit()
 MAX_START_S = 10.0
+EVERY_TICK = cast(int, -math.inf)  # of 1 s: uvicorn compares this with the wall clock, which may be set back
 WHY_NOT_BOUND = {
     errno.EADDRINUSE: "in use: choose another port, or 0 for any free one",
     errno.EACCES: "not permitted: choose a port of 1024 or more",
@@ -39,29 +43,68 @@ WHY_NOT_BOUND = {
 
 def _listen(config: Server) -> socket.socket:
     """Bind the port; TactileError, one line, where it cannot be had."""
-    host, port = config.host, config.port
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (socket.gaierror, ValueError) as error:  # ValueError: no possible name, such as one of 64 letters
-        why = error.strerror if isinstance(error, OSError) else error
-        raise TactileError(f"host {host}: {why}: give an address of this machine") from error
+    family, kind, address = _address(config)
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    if sys.platform == "linux":  # of each connection, in TLS as well
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * timeouts.UNREAD_S))
     try:
         listener.bind(address)
     except OSError as error:
         listener.close()
         why = WHY_NOT_BOUND.get(error.errno or 0, error.strerror)
-        raise TactileError(f"address {host}:{port}: {why}") from error
+        raise TactileError(f"address {config.host}:{config.port}: {why}") from error
+    return _bounded(listener)
+
+
+def _bounded(listener: socket.socket) -> socket.socket:
+    """Bound the time that each of its connections, in TLS as well, may leave an answer unread."""
+    if sys.platform == "linux":
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * timeouts.UNREAD_S))
     return listener
 
 
-def _server(app: FastAPI, config: Server) -> uvicorn.Server:
+def _socket_of_unit(config: Server) -> socket.socket | None:
+    """The socket of tactiled.socket, if there is one; TactileError unless it is at the configured address.
+
+    Which tokens are needed depends on the address, so another one is refused.
+    """
+    if (listener := systemd.listen_socket()) is None:
+        return None
+    if (bound := listener.getsockname()) != _address(config)[2]:
+        listener.close()
+        where = f"{config.host}:{config.port}"
+        raise TactileError(f"tactiled.socket: listens at {bound}, not at server.host and server.port, {where}")
+    return _bounded(listener)
+
+
+def _address(config: Server) -> tuple[socket.AddressFamily, socket.SocketKind, tuple[Any, ...]]:
+    """Where to listen; TactileError, one line, where the host has no address."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(config.host, config.port, type=socket.SOCK_STREAM)[0]
+    except (socket.gaierror, ValueError) as error:  # ValueError: no possible name, such as one of 64 letters
+        why = error.strerror if isinstance(error, OSError) else error
+        raise TactileError(f"host {config.host}: {why}: give an address of this machine") from error
+    return family, kind, address
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's, which tells systemd when it begins to stop."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Close every connection."""
+        systemd.notify(STOPPING="1", STATUS="stopping")
+        await super().shutdown(sockets)
+
+
+def _server(app: FastAPI, config: Server, watchdog: Watchdog | None = None) -> uvicorn.Server:
+    """A server whose event loop looks at the watchdog once a second."""
+
+    async def look() -> None:
+        if watchdog:
+            watchdog.look()
+
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     app.state.places = places = Places(limit(config.streams))
-    server = uvicorn.Server(
+    server = _Server(
         uvicorn.Config(
             app,
             loop="asyncio" if config.tls_certificate else "auto",  # uvloop reads before `start_tls` can
@@ -77,6 +120,8 @@ def _server(app: FastAPI, config: Server) -> uvicorn.Server:
             access_log=False,
             timeout_graceful_shutdown=cast(int, timeouts.SHUTDOWN_S),
             server_header=False,
+            callback_notify=look if watchdog else None,
+            timeout_notify=EVERY_TICK,
         )
     )
     for log in (logging.getLogger("uvicorn.error"), logging.lastResort):  # all that clients can write to
@@ -94,11 +139,12 @@ def _url(listener: socket.socket, config: Server) -> str:
 
 def serve(service: Service, config: Server) -> None:
     """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
-    listener = _listen(config)
+    listener = _socket_of_unit(config) or _listen(config)
     try:
         if config.foxglove is not None:
             foxglove.need("server.foxglove")
-        server = _server(create(service, config), config)
+        watchdog = Watchdog(service, _url(listener, config)) if systemd.supervises() else None
+        server = _server(create(service, config), config, watchdog)
         with bridge(service, config.foxglove) as port, xela_clients(service, config) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
