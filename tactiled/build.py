@@ -22,7 +22,7 @@ from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import CONFIGURED, FrameWarning
-from tactiled.geometry import Array, Cells, grid, layout, tiling
+from tactiled.geometry import Array, Cells, Pose, grid, layout, tiling
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
 from tactiled.restore.methods import require
 from tactiled.units import COUNTS, PRESSURE, Unit
@@ -52,6 +52,7 @@ class SensorPlan:
     warnings: tuple[FrameWarning, ...]  # that hold for every image
     calibrated: bool  # whether pressures are in kPa; else they are in counts
     file: CalibrationFile | None = None  # that it is calibrated with
+    pose: Pose | None = None  # of the array in its robot; None where it is not configured
 
     @property
     def cell_mm(self) -> float:
@@ -138,6 +139,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
         warnings=_constant_warnings(None if calibrated else sensor.calibration, summarise(kernel, array), array),
         calibrated=calibrated,
         file=file,
+        pose=make_pose(sensor.array),
     )
 
 
@@ -215,6 +217,12 @@ def make_array(sensor: schema.Sensor) -> Array:
     if array.rows is None or array.columns is None or array.pitch_mm is None:
         raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
     return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
+
+
+def make_pose(array: schema.Array) -> Pose | None:
+    """Where an array is; None where that is not configured."""
+    place = array.model_dump(include={"frame_id", "origin_mm", "orientation"}, exclude_none=True)
+    return Pose(**place) if place else None
 
 
 def make_codec(sensor: schema.Sensor) -> Codec:

@@ -74,6 +74,15 @@ def layout(positions: NDArray[np.float64], width: float | None = None, aperture:
     return Array(positions, pitch, width or pitch, aperture)
 
 
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where an array is in another frame of reference, such as a link of a robot."""
+
+    frame_id: str
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the array's (0, 0)
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # x, y, z, w: from the array's axes
+
+
 @dataclass(frozen=True, eq=False)
 class Cells:
     """The cells of a surface, each made of small squares, all of one side."""
@@ -93,6 +102,28 @@ class Cells:
         count = np.bincount(self.owner)
         sums = [np.bincount(self.owner, self.pieces[:, axis]) for axis in (0, 1)]
         return np.asarray(np.column_stack(sums) / count[:, None], float)
+
+    @cached_property
+    def raster(self) -> NDArray[np.int64]:
+        """(R, C) The cells' map in squares of `side`: the cell of each square, `no_cell` where there is none."""
+        column, row = np.rint((self.pieces - self.corner) / self.side).astype(np.int64).T
+        owners = np.full((row.max() + 1, column.max() + 1), self.no_cell)
+        owners[row, column] = self.owner
+        return owners
+
+    @property
+    def corner(self) -> NDArray[np.float64]:
+        """(2,) mm, the centre of the raster's first square."""
+        return np.asarray(self.pieces.min(axis=0), float)
+
+    @property
+    def no_cell(self) -> int:
+        """What the raster has where there is no cell."""
+        return len(self.areas)
+
+    def picture(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values of the cells, of any shape, on the raster (R, C); NaN where there is no cell."""
+        return np.append(values.ravel(), np.float32(np.nan))[self.raster]
 
 
 def tiling(array: Array, refine: int = 1) -> Cells:

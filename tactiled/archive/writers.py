@@ -43,14 +43,17 @@ FORMATS = {
     ".npz": Format("tactiled.archive.arrays", "NpzWriter"),
     ".h5": Format("tactiled.archive.arrays", "Hdf5Writer", "hdf5", ("h5py",)),
     ".mcap": Format("tactiled.archive.mcap", "McapWriter", "foxglove", ("mcap", "foxglove")),
+    "rosbag2": Format("tactiled.archive.rosbag2", "Rosbag2Writer", "ros", ("rosbags",)),
+    "rosbag2-sqlite3": Format("tactiled.archive.rosbag2", "Rosbag2SqliteWriter", "ros", ("rosbags",)),
 }
 
 
-def writer(name: str) -> type[Writer]:
-    """The writer for a file of this name; ConfigError for an unknown ending, or an extra that is missing."""
-    suffix = Path(name).suffix
+def writer(name: str, to: str | None = None) -> type[Writer]:
+    """Writer of a format, by default for a file of this name; ConfigError if unknown, or its extra is missing."""
+    suffix = Path(name).suffix if to is None else to if to in FORMATS else f".{to}"
     if suffix not in FORMATS:
-        raise ConfigError(f"{name}: unsupported format; use {', '.join(FORMATS)}")
+        place = name if to is None else f"--to {to}"
+        raise ConfigError(f"{place}: unsupported format; use {', '.join(FORMATS)}")
     format_ = FORMATS[suffix]
     for package in format_.packages:
         if not find_spec(package):

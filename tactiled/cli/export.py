@@ -14,7 +14,8 @@ from tactiled.bus.recording import Recording
 from tactiled.cli import options
 from tactiled.cli.replay import one_bus
 
-FORMAT_HELP = f"File to write, never overwritten: {', '.join(FORMATS)}."
+FORMAT_HELP = f"File to write, never overwritten: {', '.join(name for name in FORMATS if name[0] == '.')}."
+TO_HELP = f"Format: {', '.join(name.removeprefix('.') for name in FORMATS)}; left out: by the file's ending."
 
 
 def export(
@@ -22,10 +23,11 @@ def export(
     config: options.RecordedConfig,
     out: Annotated[Path, typer.Option("--out", "-o", help=FORMAT_HELP)],
     sensor: options.Sensor = None,
+    to: Annotated[str | None, typer.Option(help=TO_HELP)] = None,
 ) -> None:
-    """Restore every frame of a recording into a file of arrays, or into one for Foxglove."""
+    """Restore every frame of a recording into a file of arrays, or into one for Foxglove or ROS 2."""
     settings, name, one = options.one_sensor(config, sensor)
-    make_writer = writer(str(out))
+    make_writer = writer(str(out), to)
     began, recording = time.perf_counter(), Recording(file)
     with threadpool_limits(1), options.new_file(out) as part:
         plan = sensor_plan(name, one)

@@ -1,8 +1,9 @@
 """What a configuration file may hold: every key, its unit in its name, its bounds."""
 
+import math
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -26,6 +27,9 @@ from tactiled.config.section import Foreign, Redacted, Section
 from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+FrameId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]{0,127}$")]  # tf2 refuses a slash in front
+Quaternion: TypeAlias = tuple[float, float, float, float]
+NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
 
 
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -179,8 +183,16 @@ class Kernel(Section):
     """Largest error of the cover's gain."""
 
 
+def _check_norm(quaternion: Quaternion) -> Quaternion:
+    """Refuse what is no rotation."""
+    norm = math.hypot(*quaternion)
+    if not abs(norm**2 - 1) <= NORM_TOLERANCE:
+        raise ValueError(f"{list(quaternion)} has the norm {norm:.6g}: give a unit quaternion [x, y, z, w]")
+    return quaternion
+
+
 class Array(Section):
-    """Where the taxels are: rows and columns of a grid, or positions."""
+    """Where the taxels are: rows and columns of a grid, or positions; and where the array is, for ROS 2."""
 
     rows: Annotated[int, Bounds(1, 1024)] | None = None
     """Rows of a grid."""
@@ -194,6 +206,19 @@ class Array(Section):
     """Side, or diameter, of the area that a taxel senses; left out: the smallest distance between two taxels."""
     aperture: Literal["square", "round"] | None = None
     """Shape of that area; left out: square on a grid, round otherwise."""
+    frame_id: FrameId | None = None
+    """Frame of reference that the array is fixed in, such as a link of a robot; left out: not known."""
+    origin_mm: tuple[Place, Place, Place] | None = None
+    """`[x, y, z]` of the array's (0, 0) in `frame_id`; left out: at its origin."""
+    orientation: Annotated[Quaternion, AfterValidator(_check_norm)] | None = None
+    """Unit quaternion `[x, y, z, w]`, the array's rotation in `frame_id`; left out: none."""
+
+    @model_validator(mode="after")
+    def _placed_in_a_frame(self) -> "Array":
+        for key in ("origin_mm", "orientation"):
+            if self.frame_id is None and (value := getattr(self, key)) is not None:
+                raise ValueError(f"{key} = {list(value)} without frame_id: give the frame of reference, too")
+        return self
 
 
 class Calibration(Section):

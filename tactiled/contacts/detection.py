@@ -51,13 +51,12 @@ class Finder:
 
     def __init__(self, array: Array, cells: Cells) -> None:
         self._cells = cells
-        column, row = np.rint((cells.pieces - cells.pieces.min(axis=0)) / cells.side).astype(np.int64).T
-        no_cell = len(cells.areas)
-        self._cell = np.full((row.max() + 1, column.max() + 1), no_cell)  # of each square
-        self._cell[row, column] = cells.owner
-        distance = np.linalg.norm(cells.pieces - cells.positions[cells.owner], axis=1)
-        order = np.lexsort((distance, cells.owner))
-        first = order[np.searchsorted(cells.owner[order], np.arange(no_cell))]
+        self._cell = cells.raster
+        row, column = np.nonzero(self._cell < cells.no_cell)
+        owner = self._cell[row, column]
+        offset = cells.corner + cells.side * np.column_stack([column, row]) - cells.positions[owner]
+        order = np.lexsort((np.linalg.norm(offset, axis=1), owner))
+        first = order[np.searchsorted(owner[order], np.arange(cells.no_cell))]
         self._middle = row[first], column[first]  # of each cell, the square at its middle
         self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares

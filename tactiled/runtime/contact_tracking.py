@@ -14,12 +14,25 @@ LOOK_S = 0.05  # from one look to the next
 ASKED_S = 5.0  # that looking goes on after somebody has asked
 
 
+class ImageContacts:
+    """Finds the contacts in the images of one array, one after the other, and tracks them."""
+
+    def __init__(self, array: Array, cells: Cells) -> None:
+        self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
+
+    def __call__(self, image: Image, time_s: float) -> tuple[Contact, ...]:
+        """Contacts of one image; `time_s` on a clock that is the same for all of them."""
+        noise = image.noise * max(image.noise_gain, 1.0)
+        contacts = self._finder(image.restored, noise, image.unit, faint=self._tracker.holds)
+        return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
+
+
 class ContactTracking:
     """Looks for contacts when it is asked, and in between on a thread of its own, so that none moves on unseen."""
 
     def __init__(self, name: str, hub: Hub, array: Array, cells: Cells) -> None:
         self._hub = hub
-        self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
+        self._find = ImageContacts(array, cells)
         self._looking = threading.Lock()
         self._image: Image | None = None  # the one last looked at
         self._contacts: tuple[Contact, ...] = ()
@@ -51,9 +64,7 @@ class ContactTracking:
             self._due = time.monotonic() + LOOK_S
             image = self._hub.latest()
             if image is not None and image is not self._image:
-                noise = image.noise * max(image.noise_gain, 1.0)
-                contacts = self._finder(image.restored, noise, image.unit, faint=self._tracker.holds)
-                self._contacts = tuple(self._tracker(contacts, image.arrived, BEGIN_SIGMAS * noise))
+                self._contacts = self._find(image, image.arrived)
                 self._image = image
             return image, self._contacts
 

@@ -1,0 +1,79 @@
+"""Exports as rosbag2: a folder with one file, MCAP or sqlite3, that holds the images as ROS 2's messages."""
+
+import errno
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from tactiled.build import SensorPlan
+from tactiled.frames import Image, Message
+from tactiled.interop import ros
+from tactiled.runtime.contact_tracking import ImageContacts
+
+VERSION: Literal[8] = 8  # of metadata.yaml: Iron's, which later ones read, and Humble as far as it knows its keys
+
+
+class Rosbag2Writer:
+    """One bag with MCAP storage, written as images come."""
+
+    storage = StoragePlugin.MCAP
+
+    def __init__(self, path: Path, plan: SensorPlan) -> None:
+        self._topics, self._contacts = ros.Topics(plan), ImageContacts(plan.array, plan.cells)
+        self._writer = Writer(path, version=VERSION, storage_plugin=self.storage)
+        self._empty = True
+        with _os_errors():
+            self._writer.open()
+            self._connections = {each.name: self._connection(each) for each in self._topics.topics}
+
+    def _connection(self, topic: ros.Topic) -> Any:
+        types = self._topics.types.store
+        return self._writer.add_connection(
+            topic.name, topic.type, typestore=types, offered_qos_profiles=[topic.qos]
+        )
+
+    def add_message(self, message: Message) -> None:
+        """Take one message, before the image that it completes."""
+
+    def add_image(self, image: Image) -> None:
+        """Write one image, its contacts and status, at the time of its frame."""
+        if self._empty:
+            self._write(self._topics.first(image.time), image.time)
+            self._empty = False
+        self._write(self._topics.messages(image, self._contacts(image, image.time)), image.time)
+
+    def _write(self, messages: Iterator[ros.Message], time_s: float) -> None:
+        with _os_errors():
+            for topic, data in messages:
+                self._writer.write(self._connections[topic.name], ros.nanoseconds(time_s), data)
+
+    def finish(self, provenance: Mapping[str, Any]) -> None:
+        """Complete the bag, with `provenance` in its metadata."""
+        self._writer.set_custom_data("provenance", json.dumps(provenance))
+        with _os_errors():
+            self._writer.close()
+
+    def close(self) -> None:
+        """Let go of the bag's file, complete or not."""
+        with suppress(OSError, sqlite3.Error):  # of a full disk, which is reported already
+            self._writer.abort()
+
+
+class Rosbag2SqliteWriter(Rosbag2Writer):
+    """The same with sqlite3 storage, the default of ROS 2 up to Humble."""
+
+    storage = StoragePlugin.SQLITE3
+
+
+@contextmanager
+def _os_errors() -> Iterator[None]:
+    """OSError where sqlite3 cannot write, as from any other file."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(errno.EIO, str(error)) from error

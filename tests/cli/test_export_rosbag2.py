@@ -1,0 +1,194 @@
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import mcap.reader
+import numpy as np
+import pytest
+from rerun.chunk import McapReader
+from rosbags.highlevel import AnyReader
+
+from tactiled.bus import recording
+from tactiled.config.example import GRASP
+from tactiled.frames import FLAG_BITS, MISSING
+from tactiled.interop.ros import ros_name
+from tests.cli.commands import refusal, succeed
+
+ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
+PLACE = f'pitch_mm = 1.0, frame_id = "hand", origin_mm = {ORIGIN_MM}, orientation = {ORIENTATION}'
+PALM = {"raw", "restored", "tactile", "markers", "layout", "wrench"}
+
+
+def exported(log, config, out, to):
+    succeed("export", log, "--config", config, "-o", out, *(() if out.suffix else ("--to", to)))
+    return out
+
+
+def columns(file):
+    """What Rerun, whose reader of ROS 2's messages is another, reads: each topic's times (ns) and columns."""
+    topics = {}
+    for chunk in McapReader(file).stream():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            names = [name.split(":")[-1] for name in batch.schema.names]
+            topics[chunk.entity_path] = dict(zip(names, batch.columns, strict=True))
+    return topics
+
+
+def messages(file, topic):
+    (column,) = (values for name, values in columns(file)[topic].items() if name == "message")
+    return [each[0] for each in column.to_pylist()]
+
+
+def pictures(topic):
+    form = topic["format"][0].as_py()[0]
+    data = np.array([each[0] for each in topic["buffer"].to_pylist()], np.uint8)
+    return data.view("<f4").reshape(len(data), form["height"], form["width"])
+
+
+@pytest.fixture(scope="module")
+def layout(tmp_path_factory):
+    """A bag of a layout that is not a grid, uncalibrated, and its arrays."""
+    folder = tmp_path_factory.mktemp("hand")
+    (folder / "hand.toml").write_text(GRASP)
+    log = recording.path("book_1")
+    arrays = np.load(exported(log, folder / "hand.toml", folder / "a.npz", None))
+    return arrays, exported(log, folder / "hand.toml", folder / "hand", "rosbag2") / "hand.mcap"
+
+
+def test_a_bag_holds_the_images_of_every_frame_at_its_time(tmp_path, config, lossy):
+    npz = np.load(exported(lossy, config, tmp_path / "a.npz", None))
+    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    got = columns(file)
+    assert {*got} == {f"/palm/{name}" for name in PALM} | {"/diagnostics"}
+    times = [round(each * 1e9) for each in npz["time"].tolist()]
+    for name in ("raw", "restored"):
+        np.testing.assert_array_equal(pictures(got[f"/palm/{name}"]), npz[name])
+        for clock in ("message_log_time", "ros2_timestamp"):
+            assert got[f"/palm/{name}"][clock].cast("int64").to_pylist() == times
+    arrays = messages(file, "/palm/tactile")
+    np.testing.assert_array_equal([each["raw"] for each in arrays], npz["raw"].reshape(len(arrays), -1))
+    np.testing.assert_array_equal([each["flags"] for each in arrays], npz["flags"].reshape(len(arrays), -1))
+    assert np.isnan(arrays[7]["raw"]).sum() == 41 == np.count_nonzero(np.array(arrays[7]["flags"]) & MISSING)
+    assert [each["sequence"] for each in arrays] == npz["sequence"].tolist()
+    assert (arrays[0]["pressure_unit"], arrays[0]["force_unit"]) == ("kPa", "N")
+    np.testing.assert_allclose([each["force"] for each in arrays], 1e-3 * npz["restored"].sum((1, 2)), atol=1e-5)
+
+
+def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, config, lossy):
+    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    contacts = [each for array in messages(file, "/palm/tactile") for each in array["contacts"]]
+    wrenches = [each["wrench"] for each in messages(file, "/palm/wrench")]
+    assert len(contacts) == len(wrenches) > 20
+    for contact, wrench in zip(contacts, wrenches, strict=True):
+        place = [1e-3 * contact["x_mm"], 1e-3 * contact["y_mm"], 0.0]
+        force, torque = ([each[axis] for axis in "xyz"] for each in (wrench["force"], wrench["torque"]))
+        np.testing.assert_allclose(force, [0, 0, contact["force"]], rtol=1e-6)
+        np.testing.assert_allclose(torque, np.cross(place, force), rtol=1e-6)
+    last = contacts[-1]
+    assert last["force"] == pytest.approx(1.4, abs=0.1)  # four taxels of 1 mm2 at 350 kPa
+    assert (last["x_mm"], last["y_mm"]) == pytest.approx((3.5, 4.5), abs=0.05)
+
+
+def test_the_place_of_the_array_is_a_static_transform(tmp_path, config, lossy):
+    config.write_text(config.read_text().replace("pitch_mm = 1.0", PLACE))
+    got = columns(exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap")["/tf_static"]
+    (parent,), (shift,), (rotation,) = (
+        got[key].to_pylist() for key in ("parent_frame", "translation", "quaternion")
+    )
+    assert parent == ["hand"]
+    np.testing.assert_allclose(shift, [np.multiply(1e-3, ORIGIN_MM)], rtol=1e-6)
+    np.testing.assert_allclose(rotation, [ORIENTATION], rtol=1e-6)
+
+
+def test_warnings_and_loss_are_diagnostics_when_they_change(tmp_path, config, lossy):
+    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    states = [each["status"][0] for each in messages(file, "/diagnostics")]
+    missing = next(each for each in states if "missing" in {pair["key"] for pair in each["values"]})
+    assert (missing["level"], missing["hardware_id"]) == (1, "can0")
+    assert "41 taxels" in missing["message"]
+    lost = [int(pair["value"]) for each in states for pair in each["values"] if pair["key"] == "lost so far"]
+    assert (lost[0], lost[-1]) == (0, 3)
+    assert len(states) < 20  # of 60 frames in 0.6 s
+
+
+def test_an_uncalibrated_layout_is_a_picture_in_counts_without_wrenches(layout):
+    npz, file = layout
+    got = columns(file)
+    assert {*got} == {f"/hand/{name}" for name in PALM - {"wrench"}} | {"/diagnostics"}
+    (where,) = messages(file, "/hand/layout")
+    places = np.column_stack([where["x_mm"], where["y_mm"]])
+    np.testing.assert_allclose(places, npz["positions_mm"], atol=1e-3)
+    assert messages(file, "/hand/tactile")[0]["pressure_unit"] == "counts"
+    for name, at in (("raw", places), ("restored", npz["cells_mm"])):
+        images = pictures(got[f"/hand/{name}"])
+        column, row = np.rint((at - where[f"{name}_corner_mm"]) / where[f"{name}_pixel_mm"]).astype(int).T
+        np.testing.assert_array_equal(images[:, row, column], npz[name])
+        assert np.isnan(images).any()  # between the fingers
+
+
+def test_the_file_is_sound_and_defines_its_messages(layout):
+    _, file = layout
+    with file.open("rb") as opened:
+        reader = mcap.reader.make_reader(opened, validate_crcs=True)
+        assert len(list(reader.iter_messages())) == reader.get_summary().statistics.message_count
+        schemas = {each.name: each.data.decode() for each in reader.get_summary().schemas.values()}
+    for name, bit in FLAG_BITS.items():
+        assert f"uint8 {name}={bit}\n" in schemas["tactiled_msgs/msg/TactileArray"]
+    with AnyReader([file.parent]) as bag:  # by metadata.yaml, and by these definitions
+        qos = {each.topic: each.ext.offered_qos_profiles[0] for each in bag.connections}
+        assert {bag.deserialize(data, each.msgtype).header.frame_id for each, _, data in bag.messages()
+                if each.topic == "/hand/tactile"} == {"hand"}  # fmt: skip
+    assert (qos["/hand/raw"].reliability.name, qos["/hand/restored"].reliability.name) == (
+        "BEST_EFFORT",
+        "RELIABLE",
+    )
+    assert qos["/hand/layout"].durability.name == "TRANSIENT_LOCAL"
+    check = subprocess.run([Path(sys.executable).with_name("rerun"), "mcap", "check", "--full", file],
+                           capture_output=True, text=True)  # fmt: skip
+    assert check.returncode == 0, check.stdout
+
+
+def test_the_same_export_is_the_same_bag_and_sqlite3_holds_the_same_messages(tmp_path, config, lossy):
+    mcap_bag = exported(lossy, config, tmp_path / "grasp", "rosbag2")
+    (tmp_path / "again").mkdir()
+    again = exported(lossy, config, tmp_path / "again" / "grasp", "rosbag2")
+    assert all(each.read_bytes() == (again / each.name).read_bytes() for each in mcap_bag.iterdir())
+    bag = exported(lossy, config, tmp_path / "old", "rosbag2-sqlite3")
+    with (mcap_bag / "grasp.mcap").open("rb") as file:
+        reader = mcap.reader.make_reader(file)
+        rows = [
+            (each.topic, one.log_time, one.data) for _, each, one in reader.iter_messages(log_time_order=False)
+        ]
+    with sqlite3.connect(bag / "old.db3") as old:
+        join = (
+            "select name, timestamp, data from messages join topics on topic_id = topics.id order by messages.id"
+        )
+        assert old.execute(join).fetchall() == rows
+    old.close()
+
+
+@pytest.mark.parametrize("to", ["rosbag2", "rosbag2-sqlite3"])
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, to, monkeypatch):
+    def full(*_):
+        raise sqlite3.OperationalError("database or disk is full") if "sql" in to else OSError(28, "No space left")
+
+    monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
+    before = sorted(tmp_path.iterdir())
+    message = refusal("export", lossy, "--config", config, "-o", tmp_path / "grasp", "--to", to)
+    assert message.endswith(("disk is full: nothing is written", "No space left: nothing is written"))
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_formats_are_named(tmp_path, config, lossy, monkeypatch):
+    message = refusal("export", lossy, "--config", config, "-o", tmp_path / "grasp", "--to", "rosbag")
+    assert message.startswith("--to rosbag: unsupported format; use .npz, ")
+    monkeypatch.setattr("tactiled.archive.writers.find_spec", lambda _: None)
+    message = refusal("export", lossy, "--config", config, "-o", tmp_path / "grasp", "--to", "rosbag2")
+    assert "rosbag2 needs rosbags: pip install 'tactiled[ros]'" in message
+
+
+@pytest.mark.parametrize(("name", "topic"), [("palm", "palm"), ("left-hand", "left_hand"), ("7th", "sensor_7th")])
+def test_names_of_topics_are_those_that_ros_takes(name, topic):
+    assert ros_name(name) == topic
