@@ -52,6 +52,10 @@ class StateError(TactileError):
     """The state file, or a calibration file, cannot be written."""
 
 
+class ReloadError(TactileError):
+    """A service that cannot read its configuration again."""
+
+
 class TareStateError(TactileError):
     """There is no tare to undo."""
 

@@ -22,6 +22,7 @@ class Codec(ABC):
     """Messages of one array to counts and back."""
 
     modulus: int | None = None  # number at which the sequence counter wraps; None where the skin sends none
+    source: bytes = b""  # the file beside the settings that it was made from
 
     @cached_property
     def size(self) -> int:

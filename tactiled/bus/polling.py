@@ -58,6 +58,17 @@ class Poller:
             self.start(now + START_AGAIN_S)
         return unsent
 
+    def exchanged(self, skins: Iterable[Polling], send: Send, now: float) -> "Poller":
+        """The poller of other skins from `now` (s) on: those gone are stopped, new ones started, others go on."""
+        other, due = Poller(skins), dict(zip(self._polls, self._due, strict=True))
+        _send_all(send, [each for each in self._stops if each not in other._stops])
+        starts = [(now + after, each) for after, each in other._starts if (after, each) not in self._starts]
+        starts += [(at, each) for at, each in self._starting if each in [message for _, message in other._starts]]
+        other._starting = sorted(starts, key=lambda each: each[0])
+        last = other._starting[-1][0] if other._starting else now
+        other._due = [due.get(each, last) for each in other._polls]
+        return other
+
     def stop(self, send: Send) -> None:
         """Send the stop messages."""
         _send_all(send, self._stops)

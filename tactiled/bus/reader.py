@@ -125,6 +125,15 @@ class Reader:
         except Exception as error:  # a driver whose device was unplugged raises what it likes
             raise _bus_error(error, self.label, self._redact) from error
 
+    def set_filters(self, filters: list[dict[str, Any]]) -> None:
+        """Have the kernel pass other ids (python-can's `can_filters`) from now on; no message is lost."""
+        try:
+            self._bus.set_filters(filters)  # type: ignore[arg-type]
+        except Exception as error:  # a driver raises what it likes
+            raise _bus_error(error, self.label, self._redact) from error
+        if isinstance(self._bus, SocketcanBus) and not self._bus._is_filtered:
+            self._frames = None
+
     def _count_special(self, id_: int, data: bytes, error: bool) -> None:
         """Count an error frame, of which only SocketCAN's report their kinds, or a remote frame."""
         if not error:

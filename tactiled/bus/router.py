@@ -13,9 +13,17 @@ Frames = tuple[tuple[str, RawFrame], ...]
 class Router:
     """Hands every message to the sensor that its id belongs to, and counts those that belong to none."""
 
-    def __init__(self, codecs: Mapping[str, Codec], bus_counts: Callable[[], Mapping[str, int]] = dict) -> None:
-        """`bus_counts` gives what the bus itself counts, by the names of `Loss`."""
-        self.assemblers = {name: Assembler(codec, bus_counts) for name, codec in codecs.items()}
+    def __init__(
+        self,
+        codecs: Mapping[str, Codec],
+        bus_counts: Callable[[], Mapping[str, int]] = dict,
+        before: Mapping[str, Assembler] | None = None,
+    ) -> None:
+        """`bus_counts` gives what the bus itself counts, by the names of `Loss`; assemblers of `before` go on."""
+        before = before or {}
+        self.assemblers = {
+            name: before.get(name) or Assembler(codec, bus_counts) for name, codec in codecs.items()
+        }
         self._owner: dict[tuple[int, bool], str] = {}
         for name, codec in codecs.items():
             for key in codec.ids:

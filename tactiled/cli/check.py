@@ -86,7 +86,7 @@ def _bus(config: Config, name: str, seconds: float) -> list[Finding]:
 def prepared(config: Path) -> Service:
     """The service of a configuration file, all of it made and nothing started."""
     settings = load(config)
-    return Service(settings, state=StateFile(settings.server.state or default_path(config)))
+    return Service(settings, state=StateFile(settings.server.state or default_path(config)), path=config)
 
 
 def _count(named: Mapping[str, object], noun: str) -> str:

@@ -1,11 +1,20 @@
 """`tactiled run`: the service on the buses of a configuration."""
 
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+
 import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.check import findings_of, prepared
+from tactiled.runtime.reload import Reload
+from tactiled.runtime.service import Service
 from tactiled.web.server import serve
 
 
@@ -17,5 +26,29 @@ def run(config: options.Config, foxglove: options.Foxglove = None) -> None:
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         server = service.config.server.model_copy(update=options.present(foxglove=foxglove))
-        with stoppable(), service.running():
+        with stoppable(), _reloadable(service), service.running():
             serve(service, server)
+
+
+@contextmanager
+def _reloadable(service: Service) -> Iterator[None]:
+    """Reload the configuration at SIGHUP meanwhile, unless it comes because the terminal was closed."""
+    on_terminal = sys.stdin is not None and sys.stdin.isatty()
+
+    def reload(*_: object) -> None:
+        if on_terminal and not sys.stdin.isatty():
+            os.kill(os.getpid(), signal.SIGTERM)
+        else:
+            service.start_reload().add_done_callback(_print_outcome)
+
+    before = signal.signal(signal.SIGHUP, reload)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def _print_outcome(future: Future[Reload]) -> None:
+    """Print what a reload changed; why one failed is in the log."""
+    if future.exception() is None:
+        print(f"tactiled: configuration reloaded: {future.result()}", flush=True)

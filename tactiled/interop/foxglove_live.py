@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 
@@ -30,7 +30,7 @@ class _SensorChannels:
             schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
             return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=context)
 
-        self._sensor, self._channel = sensor, channel
+        self.sensor, self._channel = sensor, channel
         self._images: list[sdk.Channel] = []
         self._advertise_images(sensor.plan.unit)
         self._state = channel(foxglove.state_topic(sensor.name))
@@ -43,12 +43,17 @@ class _SensorChannels:
         """Advertise the topics of images, whose schemas name the unit of pressure."""
         for each in self._images:
             each.close()
-        self._topics = foxglove.Topics(self._sensor.plan, unit)
+        self._topics = foxglove.Topics(self.sensor.plan, unit)
         self._images = [self._channel(topic) for topic in self._topics.topics]
+
+    def close(self) -> None:
+        """Take the topics back."""
+        for each in (*self._images, self._state, self._contacts):
+            each.close()
 
     def send(self, now: float) -> None:
         """Send what is new at `now` (s, monotonic) to whoever has subscribed."""
-        image = self._sensor.hub.latest()
+        image = self.sensor.hub.latest()
         if image is not None and image.unit != self._topics.unit:
             self._advertise_images(image.unit)
         images_subscribed = any(channel.has_sinks() for channel in self._images)
@@ -65,19 +70,19 @@ class _SensorChannels:
             self._send_state(now)
 
     def _send_contacts(self) -> None:
-        image, contacts = self._sensor.contacts()
+        image, contacts = self.sensor.contacts()
         if image is not None:
-            message = foxglove.contacts_message(self._sensor.name, image.time, image.unit, contacts)
+            message = foxglove.contacts_message(self.sensor.name, image.time, image.unit, contacts)
             self._contacts.log(message, log_time=foxglove.nanoseconds(image.time))
 
     def _send_state(self, now: float) -> None:
         """Send the state when it has changed, and every STATE_EVERY_S."""
-        status = self._sensor.status()
+        status = self.sensor.status()
         if status.state == self._state_sent and now - self._state_sent_at < STATE_EVERY_S:
             return
         self._state_sent, self._state_sent_at = status.state, now
         values = {name: getattr(status, name, None) for name in foxglove.STATE}
-        values |= {"method": self._sensor.method, "loss": asdict(status.loss)}
+        values |= {"method": self.sensor.method, "loss": asdict(status.loss)}
         content = {name: value for name, value in values.items() if value is not None}
         self._state.log(json.dumps(content).encode(), log_time=time.time_ns())
 
@@ -96,11 +101,24 @@ def bridge(service: Service, port: int | None) -> Iterator[int | None]:
         )
     except RuntimeError as error:
         raise TactileError(f"server.foxglove = {port}: {error}: choose another port, or 0 for any") from error
-    sensors = {name: _SensorChannels(context, sensor) for name, sensor in service.sensors.items()}
+    sensors: dict[str, _SensorChannels] = {}
+    unsubscribe: dict[str, Callable[[], None]] = {}
     new, ended = threading.Event(), threading.Event()
+
+    def follow() -> None:
+        """Have the topics of the sensors that there are now."""
+        present = service.sensors
+        for name in [name for name, each in sensors.items() if present.get(name) is not each.sensor]:
+            unsubscribe.pop(name)()
+            sensors.pop(name).close()
+        for name in [name for name in present if name not in sensors]:
+            sensors[name] = _SensorChannels(context, present[name])
+            unsubscribe[name] = present[name].hub.subscribe(lambda _: new.set())
 
     def work() -> None:
         while not ended.is_set():
+            with service.faults.turn("foxglove"):
+                follow()
             new.wait(STATE_EVERY_S / 2)
             new.clear()
             for name, channels in sensors.items():
@@ -108,14 +126,14 @@ def bridge(service: Service, port: int | None) -> Iterator[int | None]:
                     channels.send(time.monotonic())
 
     thread = threading.Thread(target=work, name="foxglove", daemon=True)
-    unsubscribe = [sensor.hub.subscribe(lambda _: new.set()) for sensor in service.sensors.values()]
+    follow()
     thread.start()
     try:
         yield server.port
     finally:
-        for each in unsubscribe:
-            each()
         ended.set()
         new.set()
         thread.join()
+        for each in unsubscribe.values():
+            each()
         server.stop()

@@ -5,10 +5,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from tactiled.bus.assembler import Assembler
 from tactiled.bus.polling import Poller
 from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
@@ -27,24 +29,35 @@ class BusThread:
     """One bus and the thread that reads it; the bus is opened again, with back-off, when it goes away."""
 
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
-        self.name, self._sensors = name, sensors
-        self._router = Router({each.name: each.codec for each in sensors.values()}, self._bus_counts)
-        self._settings = only(settings, self._router.ids)
+        self.name, self._sensors, self._bus_settings = name, sensors, settings
+        self._next_sensors: dict[str, Sensor] | None = None  # that another thread has asked for
+        self._route()
         self._counts: Counter[str] = Counter()  # of readers before this one
         self._kinds: Counter[str] = Counter()  # of their error frames
         self._reader_lock = threading.Lock()
         self._down: str | None = None
         self.turns = 0  # of its thread's loop; it stands still only if the thread hangs
-        for sensor in sensors.values():
-            sensor.counts, sensor.errors = partial(self._loss, sensor.name), self._error_kinds
         self._poller = Poller(each.codec.polling for each in sensors.values())
         self._stop = threading.Event()
         self._reader: Reader | None = None
-        self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
+        self._thread = self._new_thread()
+
+    def open(self) -> None:
+        """Open the bus; BusError where it cannot be."""
+        self._reader = open_bus(**self._settings)
 
     def start(self) -> None:
-        """Open the bus (BusError where it cannot be) and start to read it."""
-        self._reader = open_bus(**self._settings)
+        """Open the bus (BusError where it cannot be), unless it is open, and start to read it."""
+        if self._reader is None:
+            self.open()
+        self._thread.start()
+
+    def resume(self) -> None:
+        """Go on after a stop; a bus that cannot be opened again is down until it can."""
+        self._stop.clear()
+        self._thread = self._new_thread()
+        with suppress(BusError):  # the thread meets it again
+            self.open()
         self._thread.start()
 
     def stop(self) -> None:
@@ -53,7 +66,45 @@ class BusThread:
         join_started(self._thread)
         if self._reader is not None:
             self._poller.stop(self._reader.send)
-            self._reader.close()
+        self._close_reader()
+
+    def exchange(self, sensors: dict[str, Sensor]) -> None:
+        """Go on with these sensors within POLL_S; those that it has already lose nothing. Any thread."""
+        for sensor in sensors.values():
+            sensor.down = self._down
+        self._next_sensors = sensors
+
+    def _new_thread(self) -> threading.Thread:
+        return threading.Thread(target=self._run, name=f"bus {self.name}", daemon=True)
+
+    def _route(self, before: Mapping[str, Assembler] | None = None) -> None:
+        """Hand messages to the present sensors; assemblers of `before` go on."""
+        codecs = {each.name: each.codec for each in self._sensors.values()}
+        self._router = Router(codecs, self._bus_counts, before)
+        self._settings = only(self._bus_settings, self._router.ids)
+        for name, sensor in self._sensors.items():
+            sensor.counts, sensor.errors = partial(self._loss, self._router.assemblers[name]), self._error_kinds
+
+    def _exchange(self) -> None:
+        """Take the sensors that another thread has asked for, between two messages."""
+        sensors, self._next_sensors = self._next_sensors, None
+        if sensors is None:
+            return
+        kept = {
+            name: self._router.assemblers[name] for name in sensors if self._sensors.get(name) is sensors[name]
+        }
+        self._sensors, filters = sensors, self._settings.get("can_filters")
+        self._route(kept)
+        polling = (each.codec.polling for each in sensors.values())
+        self._set_down(self._down)
+        if self._reader is None:
+            self._poller = Poller(polling)
+            return
+        self._poller = self._poller.exchanged(polling, self._reader.send, time.monotonic())
+        if self._settings.get("can_filters") != filters:
+            self._reader.set_filters(self._settings["can_filters"])
+        for sensor in sensors.values():
+            sensor.clock = self._reader.clock
 
     def _run(self) -> None:
         wait, last_reason = BACK_OFF_S[0], ""
@@ -61,6 +112,7 @@ class BusThread:
             self.turns += 1
             began, fault = time.monotonic(), None
             try:
+                self._exchange()
                 self._reader = self._reader or open_bus(**self._settings)
                 self._set_down(None)
                 for sensor in self._sensors.values():
@@ -87,6 +139,7 @@ class BusThread:
         self._poller.start(time.monotonic())
         while not self._stop.is_set():
             self.turns += 1
+            self._exchange()
             now = time.monotonic()
             reader.unsent += self._poller.send_due(reader.send, now)
             messages = reader.batch(min(POLL_S, self._poller.wait_s(now)))
@@ -114,9 +167,9 @@ class BusThread:
         with self._reader_lock:
             return self._kinds + Counter(self._reader.kinds if self._reader else {})
 
-    def _loss(self, name: str) -> Loss:
+    def _loss(self, assembler: Assembler) -> Loss:
         """Losses by now on a sensor's way in; any thread."""
-        return replace(self._router.assemblers[name].loss, **self._bus_counts())
+        return replace(assembler.loss, **self._bus_counts())
 
     def _set_down(self, reason: str | None) -> None:
         self._down = reason

@@ -19,7 +19,7 @@ Kind = Literal[
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended",
     "calibration_started", "calibration_ended",
     "taxel_faulty", "taxel_healed", "creep_measured",
-    "fault_raised", "fault_cleared", "replay_stepped",
+    "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000
 CLEAR_AFTER_S = 1.0  # without a fault or a warning: one that flickers makes one event

@@ -40,6 +40,10 @@ class GuidedCalibrations:
 
     def _open(self, name: str) -> Session | None:
         """The session of a sensor that has not ended; one whose client has gone away ends here."""
+        for other, each in list(self._sessions.items()):
+            if each.sensor is not self._service.sensors.get(other):  # the configuration was reloaded
+                self._sessions.pop(other).discard()
+                self._service.events.add("calibration_ended", "its sensor has ended: nothing was changed", other)
         session = self._sessions.get(name)
         if session is not None and session.lapsed():
             del self._sessions[name]

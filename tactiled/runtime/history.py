@@ -39,8 +39,8 @@ class History:
         shear: bool = False,  # whether the images have it
     ) -> None:
         shapes = {"raw": raw, "restored": restored} | ({"shear": (2, *raw)} if shear else {})
-        frame_bytes = 4 * sum(map(prod, shapes.values())) + prod(raw) + BYTES_BESIDE
-        slots = min(ceil(seconds * MAX_RATE_HZ), max_bytes // frame_bytes)
+        self._frame_bytes = 4 * sum(map(prod, shapes.values())) + prod(raw) + BYTES_BESIDE
+        slots = min(ceil(seconds * MAX_RATE_HZ), max_bytes // self._frame_bytes)
         self.capacity = max(slots - 1, 0)  # frames; one slot more is being written
         slots = self.capacity and slots
         self._images = {kind: np.zeros((slots, *shape), np.float32) for kind, shape in shapes.items()}
@@ -50,6 +50,11 @@ class History:
         self._method = [""] * slots
         self._in_counts = np.zeros(slots, bool)
         self._count = 0
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it has."""
+        return len(self._method) * self._frame_bytes
 
     def add(self, image: Image) -> None:
         """Copy one image in over the oldest; allocates nothing."""

@@ -1,22 +1,29 @@
 """The running service: every sensor and every bus, started and stopped together."""
 
+import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
-from threading import Lock
+from pathlib import Path
+from threading import Lock, Thread
+from types import MappingProxyType
 from typing import Any
 
-from tactiled.build import sensor_plan, sensor_plans
+from tactiled.build import SensorPlan, sensor_plan, sensor_plans
 from tactiled.bus.replay import Replay
 from tactiled.calibrate.calibration_file import CalibrationFile, former, save
-from tactiled.config import Config
-from tactiled.errors import ConfigError, StateError, TactileError, UnknownSensorError
+from tactiled.config import Config, load
+from tactiled.errors import BusError, ConfigError, ReloadError, StateError, TactileError, UnknownSensorError
 from tactiled.restore.methods import METHODS, require
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults, duration
+from tactiled.runtime.reload import Reload, compare, new_plans
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.state import KeptTare, StateFile
 from tactiled.runtime.watch import Watch
+
+LOG = logging.getLogger(__name__)
 
 
 class Service:
@@ -28,27 +35,33 @@ class Service:
         listen: Callable[[str, dict[str, Any], dict[str, Sensor]], BusThread | Replay] = BusThread,
         state: StateFile | None = None,
         replayed: bool = False,  # whether recordings are in the buses' place: none is open then
+        path: Path | None = None,  # of the configuration file, to reload it
     ) -> None:
         self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
-        self.faults = Faults(self.events)
+        self.faults, self.path = Faults(self.events), path
+        self._reload_lock = Lock()  # one reload at a time, which may take long
+        self._change_lock, self._stopped = Lock(), False  # what runs is changed, or stopped
         self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
-        history = config.server.history_s, int(config.server.history_mb * 1e6 / max(len(config.sensor), 1))
-        plans = sensor_plans(config)
-        try:
-            self.sensors = {plan.name: Sensor(plan, history=history) for plan in plans}
-        except MemoryError as error:
-            setting = f"server.history_mb = {config.server.history_mb:g}"
-            raise ConfigError(f"{setting}: this machine has less memory: give less") from error
+        plans = {plan.name: plan for plan in sensor_plans(config)}
+        self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed
         self._apply_lock = Lock()  # one calibration is applied at a time
         self._watch = Watch(self.sensors.values(), self.events, self.faults, self._keep_tare)
-        self._set_kept_methods()
-        self._set_kept_tares()
-        self._note_missing_calibrations()
-        self._sources = [
-            listen(name, settings, {key: each for key, each in self.sensors.items() if each.plan.bus == name})
-            for name, settings in self.buses.items()
-        ]
+        self._take_state()
+        self._sources = {name: listen(name, bus, _on(name, self.sensors)) for name, bus in self.buses.items()}
+
+    def _make_sensors(
+        self, plans: dict[str, SensorPlan], beside: Mapping[str, Sensor] = MappingProxyType({})
+    ) -> dict[str, Sensor]:
+        """Sensors that share the memory for past images that those `beside` them leave; none runs yet."""
+        server = self.config.server
+        free_bytes = server.history_mb * 1e6 - sum(each.history.bytes for each in beside.values())
+        history = server.history_s, int(max(free_bytes, 0.0) / max(len(plans), 1))
+        try:
+            return {name: Sensor(plan, history=history) for name, plan in plans.items()}
+        except MemoryError as error:
+            setting = f"server.history_mb = {server.history_mb:g}"
+            raise ConfigError(f"{setting}: this machine has less memory: give less") from error
 
     def sensor(self, name: str) -> Sensor:
         """The sensor of that name; UnknownSensorError if it is not configured."""
@@ -62,9 +75,9 @@ class Service:
 
         ConfigError where there is no such method, StateError where it cannot be kept; then nothing has changed.
         """
-        sensor = self.sensor(name)
         require(method)
         with self._set_lock:
+            sensor = self.sensor(name)
             if keep:
                 if self.state is None:
                     raise StateError("keep = true: this service keeps no state: `tactiled run` does")
@@ -103,11 +116,11 @@ class Service:
         path = self.config.sensor[self.sensor(name).name].calibration.file
         return former(path) if path else {}
 
-    def _note_missing_calibrations(self) -> None:
-        for name, sensor in self.config.sensor.items():
-            if sensor.calibration.file and not self.sensors[name].plan.file:
-                text = f"{sensor.calibration.file.name}: not there yet: the configuration holds"
-                self.events.add("calibration_missing", text, name)
+    def _note_missing_calibration(self, name: str) -> None:
+        file = self.config.sensor[name].calibration.file
+        if file and not self.sensors[name].plan.file:
+            text = f"{file.name}: not there yet: the configuration holds"
+            self.events.add("calibration_missing", text, name)
 
     def _keep_tare(self, sensor: Sensor) -> str:
         """Keep a sensor's zero over a restart where there is a state file; in words whether it is kept."""
@@ -122,9 +135,18 @@ class Service:
             return str(error)
         return "kept"
 
-    def _set_kept_tares(self) -> None:
+    def _take_state(self, names: Collection[str] | None = None) -> None:
+        """Take what is kept of these sensors, None: of all; events say what is taken, and what does not apply."""
+        self._set_kept_methods(names)
+        self._set_kept_tares(names)
+        for name in self.sensors if names is None else names:
+            self._note_missing_calibration(name)
+
+    def _set_kept_tares(self, names: Collection[str] | None) -> None:
         """Take over the tares of the state file; an event says how old they are, or why one is ignored."""
         for name, tare in self.state.tares.items() if self.state else ():
+            if names is not None and name not in names:
+                continue
             sensor = self.sensors.get(name)
             if sensor is None or tare is None or not tare.fits(sensor.plan.codec_name, sensor.array.size):
                 self.events.add("tare_ignored", f"sensor {name}: of another array", name if sensor else None)
@@ -134,9 +156,11 @@ class Service:
                 sensor.set_zero(tare.zero)
                 self.events.add("tare_kept", f"tared {duration(time.time() - tare.time)} ago", name)
 
-    def _set_kept_methods(self) -> None:
+    def _set_kept_methods(self, names: Collection[str] | None) -> None:
         """Set the methods of the state file; an event names those that no longer apply."""
         for name, method in self.state.methods.items() if self.state else ():
+            if names is not None and name not in names:
+                continue
             sensor = self.sensors.get(name)
             if sensor is None or method not in METHODS:
                 self.events.add("state_ignored", f"sensor {name}, method {method}: no longer there")
@@ -149,7 +173,7 @@ class Service:
         for sensor in self.sensors.values():
             sensor.start()
         try:
-            for source in self._sources:
+            for source in self._sources.values():
                 source.start()
         except TactileError:
             self.stop()
@@ -167,12 +191,110 @@ class Service:
 
     def turns(self) -> dict[str, int | None]:
         """Turns by now of every thread that must move, by its name; None for one that waits for work."""
-        buses = {f"bus {each.name}": each.turns for each in self._sources if isinstance(each, BusThread)}
+        buses = {f"bus {each.name}": each.turns for each in self._sources.values() if isinstance(each, BusThread)}
         sensors = {f"restore {name}": each.turns for name, each in self.sensors.items()}
         return {**buses, **sensors, "watch": self._watch.turns}
 
     def stop(self) -> None:
         """Stop everything that runs."""
+        with self._change_lock:
+            self._stopped = True
         self._watch.stop()
-        for each in (*self._sources, *self.sensors.values()):
+        for each in (*self._sources.values(), *self.sensors.values()):
             each.stop()
+
+    def reload(self) -> Reload:
+        """Read the configuration file again, and change what it changes; frames of the rest go on.
+
+        ReloadError where there is none or the service ends, another TactileError where the file is wrong or a bus
+        cannot be opened; then nothing has changed. Of two calls at once one waits.
+        """
+        if self.path is None:
+            raise ReloadError("this service has no configuration file to read again: `tactiled run` has")
+        with self._reload_lock:
+            try:
+                outcome = self._reload(load(self.path))
+            except Exception as error:
+                ours = not isinstance(error, TactileError)
+                text = f"{type(error).__name__}: {error}" if ours else "; ".join(str(error).splitlines())
+                self.events.add("config_refused", text)
+                LOG.error("the configuration is not reloaded: %s", text, exc_info=error if ours else None)
+                raise
+            self.events.add("config_reloaded", str(outcome))
+            return outcome
+
+    def start_reload(self) -> Future[Reload]:
+        """Start `reload` on a thread that does not keep the process from ending."""
+        future: Future[Reload] = Future()
+
+        def work() -> None:
+            future.set_running_or_notify_cancel()
+            try:
+                future.set_result(self.reload())
+            except Exception as error:
+                future.set_exception(error)
+
+        Thread(target=work, name="reload", daemon=True).start()
+        return future
+
+    def _reload(self, config: Config) -> Reload:
+        """Make all that another configuration adds, and then exchange it."""
+        running = {name: sensor.plan for name, sensor in self.sensors.items()}
+        outcome = compare(running, self.config, config)
+        kept = {name: self.sensors[name] for name in outcome.sensors.unchanged}
+        made = self._make_sensors(new_plans(running, config, outcome.sensors), kept)
+        sensors = {name: (kept | made)[name] for name in config.sensor}
+        with self._apply_lock, self._set_lock, self._change_lock:
+            if self._stopped:
+                raise ReloadError("the service ends")
+            if any(self.sensors[name].plan is not running[name] for name in outcome.sensors.restarted):
+                raise ReloadError("a calibration was applied meanwhile: reload again")
+            self._exchange(outcome, config, sensors)
+        return outcome
+
+    def _exchange(self, outcome: Reload, config: Config, sensors: dict[str, Sensor]) -> None:
+        """Go on by another configuration; BusError, and everything as before, where a bus cannot be opened."""
+        buses = {name: bus.settings() for name, bus in config.bus.items()}
+        threads = {name: each for name, each in self._sources.items() if isinstance(each, BusThread)}
+        kept = {name: threads[name] for name in outcome.buses.unchanged}
+        opened = {name: BusThread(name, buses[name], _on(name, sensors)) for name in outcome.buses.beginning}
+        _exchange_buses([threads[name] for name in outcome.buses.ending], opened.values())
+        self._sources = {name: (kept | opened)[name] for name in buses}
+        before = self.sensors
+        for name in outcome.sensors.ending:
+            before[name].down = "restarts" if name in sensors else "is no longer in the configuration"
+        self.sensors, self.config = sensors, config
+        self._watch.sensors = tuple(sensors.values())
+        self.buses.update(buses)
+        for name in outcome.buses.removed:
+            del self.buses[name]
+        self._take_state(outcome.sensors.beginning)
+        for name in outcome.sensors.beginning:
+            sensors[name].start()
+        for source in opened.values():
+            source.start()
+        for name, source in kept.items():
+            if (on_it := _on(name, sensors)) != _on(name, before):
+                source.exchange(on_it)
+        for name in outcome.sensors.ending:
+            before[name].stop()
+
+
+def _exchange_buses(ended: Collection[BusThread], opened: Collection[BusThread]) -> None:
+    """Close some buses and open others; BusError, and those that were closed go on, where one cannot be."""
+    for each in ended:  # first: two may be one device
+        each.stop()
+    try:
+        for each in opened:
+            each.open()
+    except BusError:
+        for each in opened:
+            each.stop()
+        for each in ended:
+            each.resume()
+        raise
+
+
+def _on(bus: str, sensors: dict[str, Sensor]) -> dict[str, Sensor]:
+    """The sensors on a bus."""
+    return {name: each for name, each in sensors.items() if each.plan.bus == bus}

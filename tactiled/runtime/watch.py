@@ -25,7 +25,9 @@ class Watch:
         self, sensors: Iterable[Sensor], events: Events, faults: Faults, keep_tare: Callable[[Sensor], str]
     ) -> None:
         """`keep_tare` keeps a tare that is done, and says in words whether it could."""
-        self._sensors, self._events, self._faults = tuple(sensors), events, faults
+        self.sensors = tuple(sensors)  # any thread may replace it
+        self._events, self._faults = events, faults
+        self._watched = self.sensors  # at the last look
         self._keep_tare = keep_tare
         self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
         self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
@@ -49,9 +51,12 @@ class Watch:
 
     def look(self, now: float) -> None:
         """Add an event for every change since the last look, at `now` (s); a sensor that raises is a fault."""
-        for bus in dict.fromkeys(each.plan.bus for each in self._sensors):
+        sensors = self.sensors
+        self._forget(set(self._watched) - set(sensors))
+        self._watched = sensors
+        for bus in dict.fromkeys(each.plan.bus for each in sensors):
             self._look_at_bus(bus)
-        for sensor in self._sensors:
+        for sensor in sensors:
             with self._faults.turn(f"watch of {sensor.name}"):
                 self._look_at_state(sensor)
                 self._look_at_warnings(sensor, now)
@@ -67,8 +72,18 @@ class Watch:
         self._values[what, whose] = value
         return value != before
 
+    def _forget(self, ended: set[Sensor]) -> None:
+        """Sensors that have ended have no warnings; others of their names start anew."""
+        names = {each.name for each in ended}
+        self._values = {
+            key: value for key, value in self._values.items() if key[0] == "bus" or key[1] not in names
+        }
+        for key in [key for key in self._raised if key[0] in names]:
+            warning, _ = self._raised.pop(key)
+            self._events.add("warning_cleared", warning.text, key[0], warning=warning)
+
     def _look_at_bus(self, bus: str) -> None:
-        down = next((each.down for each in self._sensors if each.plan.bus == bus and each.down), None)
+        down = next((each.down for each in self._watched if each.plan.bus == bus and each.down), None)
         if self._changed("bus", bus, down, None):
             if down:
                 self._events.add("bus_down", down, bus=bus)

@@ -31,7 +31,7 @@ from tactiled.web.rest import (
 from tactiled.web.rest.dependencies import Costly, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
-from tactiled.web.ws.feed import Feed, ticking
+from tactiled.web.ws.feed import Feeds, ticking
 
 STATIC = Path(__file__).parent / "static"
 API_PAGE_FILES = ("fastapi_offline", "static")  # package and folder
@@ -45,7 +45,7 @@ Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, describ
 
 def create(service: Service, server: Server) -> FastAPI:
     """Make the application of a service."""
-    feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
+    feeds = Feeds(service)
     app = FastAPI(
         title="tactiled",
         version=__version__,

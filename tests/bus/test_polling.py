@@ -51,6 +51,27 @@ def test_requests_leave_when_they_are_due_and_do_not_burst_after_a_delay():
     assert poller.wait_s(15.4) == pytest.approx(0.1)
 
 
+def test_skins_are_exchanged_without_a_pause_for_those_that_stay():
+    wire, poller = Wire(), Poller([Polling(polls=(FIRST,)), STARTED._replace(polls=(), start=())])
+    poller.start(10.0)
+    poller.send_due(wire.send, 10.0)
+    wire.messages.clear()
+    other = poller.exchanged(
+        [Polling(polls=(FIRST,)), Polling(start=((0.5, GO), (0.0, SET)), polls=(SECOND,))], wire.send, 10.05
+    )
+    assert wire.messages == [STOP]
+    turns = []
+    for now in (10.05, 10.1, 10.54, 10.55):
+        wire.messages.clear()
+        other.send_due(wire.send, now)
+        turns.append(wire.messages.copy())
+    assert turns == [[SET], [FIRST.message], [FIRST.message], [GO, SECOND.message]]
+    again = poller.exchanged([STARTED], wire.send, 10.6).exchanged([STARTED], wire.send, 10.6)
+    wire.messages.clear()
+    again.send_due(wire.send, 11.1)
+    assert wire.messages == [SET, GO, FIRST.message]  # its start goes on where it was
+
+
 def test_a_skin_is_set_up_then_started_then_asked_and_stopped_at_the_end():
     wire, poller = Wire(), Poller([STARTED, STARTED])  # two arrays of one board: started once
     poller.start(0.0)

@@ -145,6 +145,21 @@ def test_the_state_comes_without_frames_and_a_late_client_gets_the_last_image(ri
     assert not rig.sensor.hub._listeners
 
 
+def test_topics_follow_a_reload(rig, tmp_path):
+    rig.service.path, palm = tmp_path / "rig.toml", CONFIG.format(channel=rig.config.bus["can0"].channel)
+    with app(rig, {"/palm/raw"}) as client:
+        for text, op in ((palm.replace("sensor.palm", "sensor.tip"), "unadvertise"), (palm, "advertise")):
+            rig.service.path.write_text(text)
+            rig.service.reload()
+            topics = set()
+            while len(topics) < len(TOPICS):
+                message = json.loads(client.socket.recv(timeout=BUSY_S))
+                if message["op"] == op == "unadvertise":
+                    topics |= set(message["channelIds"])
+                elif message["op"] == op:
+                    topics |= {each["topic"] for each in message["channels"]} & TOPICS
+
+
 def test_a_fault_is_in_the_health_and_the_next_image_comes(rig, url, monkeypatch, caplog):
     with app(rig) as client:
         client.next("/palm/state")

@@ -44,7 +44,7 @@ class Dbc(Codec):
     """The signals `names` ("Message.Signal" of every taxel in turn) of a DBC file as one array."""
 
     def __init__(self, file: Path, names: Sequence[str]) -> None:
-        self.size = len(names)
+        self.size, self.source = len(names), file.read_bytes() if file.is_file() else b""
         self._parts = tuple(_segments(_signals(_load(file), file, names)))
         self.segments = len(self._parts)
         self._of: dict[tuple[int, bool], list[int]] = {}

@@ -16,6 +16,7 @@ from tactiled.errors import (
     NoCalibrationError,
     NoShearError,
     NotLiveError,
+    ReloadError,
     TactileError,
     TareStateError,
     UnknownSensorError,
@@ -72,6 +73,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(LoadedError)
     @app.exception_handler(CalibrationStateError)
     @app.exception_handler(TareStateError)
+    @app.exception_handler(ReloadError)
     async def _not_now(_: Request, error: TactileError) -> Response:
         loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
         return response(409, str(error), **loaded)

@@ -1,14 +1,18 @@
-"""`GET /api/v1/config`: what the service runs with, without its secrets."""
+"""`/api/v1/config`: what the service runs with, without its secrets; and to read the file again."""
 
+import asyncio
 from typing import Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import Field
 
 from tactiled.config import Server, schema
+from tactiled.errors import BusError, ConfigError, PhysicsError
 from tactiled.runtime.service import Service
 from tactiled.web import schemas
+from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService
+from tactiled.web.rest.openapi import CONTROL, problems
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
 
@@ -47,6 +51,43 @@ def config(request: Request, service: CurrentService) -> Config:
         sensor=service.config.sensor,
         overrides=tuple(_overrides(service)),
     )
+
+
+class Changes(schemas.Schema):
+    """Sensors, or buses, by name."""
+
+    added: tuple[str, ...] = Field(examples=[["tip"]])
+    removed: tuple[str, ...] = Field(examples=[[]])
+    restarted: tuple[str, ...] = Field(examples=[["palm"]])
+    unchanged: tuple[str, ...] = Field(examples=[["thumb"]])
+
+
+class Reload(schemas.Schema):
+    """What a reload changed."""
+
+    sensors: Changes
+    buses: Changes
+
+
+@router.post("/config/reload", responses=problems(409, 503, *CONTROL))
+async def reload(service: CurrentService) -> Reload:
+    """Read the configuration file again: only what changed restarts, and a wrong file changes nothing.
+
+    The answer comes when the kernels of new and changed sensors are solved and everything runs. A sensor also
+    restarts if its bus changed, or a file that its table names. A change of `[server]` is refused.
+    """
+    try:
+        outcome = await asyncio.wrap_future(service.start_reload())
+    except (ConfigError, PhysicsError) as error:
+        raise Problem(422, _named(error, service)) from error
+    except BusError as error:
+        raise Problem(503, str(error)) from error
+    return Reload.model_validate(outcome, from_attributes=True)
+
+
+def _named(error: Exception, service: Service) -> str:
+    """An error's text with the file's name in place of its path."""
+    return str(error) if service.path is None else str(error).replace(str(service.path), service.path.name)
 
 
 def _server(server: Server, service: Service) -> dict[str, Any]:

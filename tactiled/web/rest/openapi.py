@@ -34,7 +34,8 @@ PROBLEMS = {
     408: ("the body did not come in time", f"the body did not come within {BODY_TIMEOUT_S:g} s"),
     409: (
         "not possible now: the sensor is not live, shows a load (code = loaded: force=true tares anyway), or has "
-        "no tare to undo; the recording runs or exists already; this service keeps no state",
+        "no tare to undo; the recording runs or exists already; this service keeps no state, or has no "
+        "configuration file",
         "sensor 'palm': stale, no frame for 0.6 s: a tare needs frames",
     ),
     413: (

@@ -6,7 +6,7 @@ import { byId, element } from "./dom.js";
 /** @import { Event } from "./api.js" */
 
 const MAX_LINES = 100; // lines
-const BAD_KINDS = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised", "taxel_faulty"]);
+const BAD_KINDS = new Set(["sensor_stale", "sensor_down", "bus_down", "warning_raised", "state_ignored", "fault_raised", "taxel_faulty", "config_refused"]);
 
 export class EventLog {
   constructor() {

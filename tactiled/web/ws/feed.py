@@ -2,12 +2,13 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from typing import NamedTuple
 
 from tactiled.frames import Image
 from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
 from tactiled.web import answers, schemas
 from tactiled.web.http.protocols import frame
 from tactiled.wire import Kind, pack
@@ -60,9 +61,13 @@ class Feed:
             if not self._clients:
                 self._stop()
 
+    def forget_status(self) -> None:
+        """Look at the sensor's state anew."""
+        self._status = self._status_key = self._status_frame = None
+
     def tick(self) -> None:
         """Wake every client."""
-        self._status = self._status_key = self._status_frame = None
+        self.forget_status()
         for wake in self._clients:
             wake()
 
@@ -123,13 +128,56 @@ class Feed:
         self.tick()
 
 
+class Feeds(Mapping[str, Feed]):
+    """The feed of every sensor of a service, also after a reload; lives on one event loop."""
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        self._sensors: dict[str, Sensor] = {}
+        self._feeds: dict[str, Feed] = {}
+        self._listeners: set[Callable[[], None]] = set()
+        self.follow()
+
+    def __getitem__(self, name: str) -> Feed:
+        return self._feeds[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._feeds)
+
+    def __len__(self) -> int:
+        return len(self._feeds)
+
+    @contextmanager
+    def listen(self, changed: Callable[[], None]) -> Iterator[None]:
+        """Call `changed` whenever a sensor was added, removed or restarted."""
+        self._listeners.add(changed)
+        try:
+            yield
+        finally:
+            self._listeners.discard(changed)
+
+    def follow(self) -> None:
+        """Take the sensors that the service has now."""
+        sensors = self._service.sensors
+        if sensors is self._sensors:
+            return
+        before, self._sensors = self._feeds, sensors
+        self._feeds = {
+            name: before[name] if name in before and before[name].sensor is sensor else Feed(sensor)
+            for name, sensor in sensors.items()
+        }
+        for changed in tuple(self._listeners):
+            changed()
+
+
 @asynccontextmanager
-async def ticking(feeds: dict[str, Feed]) -> AsyncIterator[None]:
-    """Wake every client of these feeds twice a second meanwhile."""
+async def ticking(feeds: Feeds) -> AsyncIterator[None]:
+    """Wake every client of these feeds twice a second meanwhile, and follow what sensors there are."""
 
     async def tick() -> None:
         while True:
             await asyncio.sleep(TICK_S)
+            feeds.follow()
             for feed in feeds.values():
                 feed.tick()
 

@@ -12,7 +12,8 @@ from tactiled.web.http.problems import close_reason
 from tactiled.web.http.protocols import ENDS
 from tactiled.web.http.timeouts import MAX_FRAGMENTS
 
-BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, TOO_MANY, FULL = 4400, 4401, 4403, 4404, 4429, 4503
+BAD_REQUEST, UNAUTHORIZED, FORBIDDEN, NOT_FOUND, REMOVED = 4400, 4401, 4403, 4404, 4410
+TOO_MANY, FULL = 4429, 4503
 PROTOCOL, NOT_UTF8, TOO_BIG, FAILED, RESTART = 1002, 1007, 1009, 1011, 1012
 PING_S = 20.0  # between two pings of the service, and until one must be answered
 MAX_MESSAGE_BYTES = 64 << 10  # of a client's message
@@ -22,14 +23,22 @@ CLOSES = {
     TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
     FAILED: "the service failed, see its log; or the client answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
-    RESTART: ENDS,
+    RESTART: f"{ENDS}; or, for XELA's clients, the configuration has other modules now",
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "the token is missing or unknown",
     FORBIDDEN: "the page belongs to another site, or the host name is not one of loopback's",
     NOT_FOUND: "there is no stream at this address, no such sensor, or no shear; the reason names it",
+    REMOVED: "no sensor of the stream is in the configuration any more; the reason names them",
     TOO_MANY: "this client has too many streams (`streams_per_client`)",
     FULL: "all clients together have too many streams (`streams`)",
 }
+
+
+class StreamEndError(Exception):
+    """The service closes a stream, with this code and reason."""
+
+    def __init__(self, code: int, reason: str) -> None:
+        self.code, self.reason = code, reason
 
 
 async def refuse(socket: WebSocket, error: Exception) -> None:
@@ -58,7 +67,9 @@ async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], send: Coro
         await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         error = task.exception()
-        if task is listening and isinstance(error, ValueError):
+        if isinstance(error, StreamEndError):
+            await socket.close(error.code, close_reason(error.reason))
+        elif isinstance(error, NoShearError) or (task is listening and isinstance(error, ValueError)):
             await refuse(socket, error)
         elif error is not None and not isinstance(error, WebSocketDisconnect | ClientDisconnected):
             await socket.close(FAILED, "the service failed: see its log")

@@ -2,9 +2,10 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+from typing import NamedTuple
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
@@ -14,9 +15,9 @@ from tactiled.frames import Image
 from tactiled.runtime.events import Faults
 from tactiled.web.http.problems import close_reason
 from tactiled.web.http.protocols import protocol
-from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Format
+from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Feeds, Format
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse, parse_next
-from tactiled.web.ws.session import NOT_FOUND, receive, refuse, serve
+from tactiled.web.ws.session import NOT_FOUND, REMOVED, StreamEndError, receive, refuse, serve
 
 STATUS_S = 1.0  # between two statuses at most, sent at ticks or between
 CONTACTS_S = 0.05  # between two messages on contacts at least
@@ -27,17 +28,17 @@ TIMER_RESOLUTION_S = 1e-3  # uvloop's clock and timers count whole milliseconds
 MAX_CREDIT = 2  # images of each kind that a client may request ahead
 
 
-def make(feeds: dict[str, Feed], faults: Faults) -> APIRouter:
+def make(feeds: Feeds, faults: Faults) -> APIRouter:
     """The streams of these sensors."""
     router = APIRouter(prefix="/api/v1")
 
     @router.websocket("/sensors/{name}/stream")
     async def _one(socket: WebSocket, name: str) -> None:
-        await _serve(socket, lambda: Stream(socket, *_one_sensor(socket, feeds, name), faults))
+        await _serve(socket, lambda: Stream(socket, feeds, _one_sensor(socket, name), faults))
 
     @router.websocket("/stream")
     async def _several(socket: WebSocket) -> None:
-        await _serve(socket, lambda: Stream(socket, *_several_sensors(socket, feeds), faults))
+        await _serve(socket, lambda: Stream(socket, feeds, _several_sensors(socket), faults))
 
     return router
 
@@ -91,7 +92,7 @@ class _Line:
             feed.sensor.need_shear()
         self.feed, self.form = feed, form
         self.wake: Callable[[], None] = lambda: None  # until the stream runs
-        self.credit = 0  # images of each kind that the client has requested
+        self.listening = ExitStack()
         self.image: Image | None = None
         self.image_timer, self.status_timer, self.contacts_timer = _Timer(), _Timer(), _Timer()
         self.status_key: tuple[object, ...] = ()
@@ -100,24 +101,30 @@ class _Line:
         self.search: asyncio.Task[ContactsFrame | None] | None = None
 
 
-def _line(feeds: dict[str, Feed], name: str, query: StreamQuery, *, shear: bool = False, named: bool) -> _Line:
-    if name not in feeds:
-        raise UnknownSensorError.among(name, feeds)
-    kinds = (*query.kinds, "shear") if shear and "shear" not in query.kinds else query.kinds
-    return _Line(feeds[name], Format(kinds, query.format == "json", named, query.together == "1"))
+class _Request(NamedTuple):
+    """What a client wants of which sensors."""
+
+    query: StreamQuery
+    names: tuple[str, ...] | None  # None: all, whichever there are
+    named: bool
+    shear: tuple[str, ...] = ()
+
+    def line(self, feeds: Feeds, name: str) -> _Line:
+        """The line of a sensor; UnknownSensorError or NoShearError where there is none."""
+        if name not in feeds:
+            raise UnknownSensorError.among(name, feeds)
+        query = self.query
+        kinds = (*query.kinds, "shear") if name in self.shear and "shear" not in query.kinds else query.kinds
+        return _Line(feeds[name], Format(kinds, query.format == "json", self.named, query.together == "1"))
 
 
-def _one_sensor(socket: WebSocket, feeds: dict[str, Feed], name: str) -> tuple[list[_Line], StreamQuery]:
-    query = parse(socket.query_params, StreamQuery)
-    return [_line(feeds, name, query, named=False)], query
+def _one_sensor(socket: WebSocket, name: str) -> _Request:
+    return _Request(parse(socket.query_params, StreamQuery), (name,), named=False)
 
 
-def _several_sensors(socket: WebSocket, feeds: dict[str, Feed]) -> tuple[list[_Line], StreamQuery]:
+def _several_sensors(socket: WebSocket) -> _Request:
     query = parse(socket.query_params, SensorsQuery)
-    names = list(feeds) if query.sensors is None else query.sensors
-    if not set(query.shear) <= set(names):
-        raise ValueError(f"shear={','.join(query.shear)}: give some of {','.join(names)}")
-    return [_line(feeds, name, query, shear=name in query.shear, named=True) for name in names], query
+    return _Request(query, query.sensors, True, query.shear)
 
 
 def due_after(due: float, now: float, rate_hz: float) -> float:
@@ -128,24 +135,66 @@ def due_after(due: float, now: float, rate_hz: float) -> float:
 class Stream:
     """One client of one sensor or several.
 
-    An error at one of several sensors stops no other; at a single one it ends the stream.
+    An error at one of several sensors stops no other; at a single one it ends the stream. After a reload it goes
+    on with the sensors of the same names, and, where it is of all, with new ones too.
     """
 
-    def __init__(self, socket: WebSocket, lines: Sequence[_Line], query: StreamQuery, faults: Faults) -> None:
-        self._socket, self._query, self._faults = socket, query, faults
-        self._protocol, self._loop = protocol(socket), asyncio.get_running_loop()
-        self._lines = {line.feed.sensor.name: line for line in lines}
+    def __init__(self, socket: WebSocket, feeds: Feeds, request: _Request, faults: Faults) -> None:
+        feeds.follow()
+        self._socket, self._feeds, self._request, self._faults = socket, feeds, request, faults
+        self._query, self._protocol, self._loop = request.query, protocol(socket), asyncio.get_running_loop()
+        names = tuple(feeds) if request.names is None else request.names
+        if not set(request.shear) <= set(names):
+            raise ValueError(f"shear={','.join(request.shear)}: give some of {','.join(names)}")
+        self._lines = {name: request.line(feeds, name) for name in names}
+        self._credit = dict.fromkeys(names, 0)  # images of each kind that the client has requested
         self._due: dict[_Line, None] = {}  # lines that may have something to send
         self._error: Exception | None = None  # that a line raised where no task could
         self._wake = asyncio.Event()
 
     async def run(self) -> None:
         """Serve until the client leaves or sends a wrong message."""
-        with ExitStack() as stack:
-            for line in self._lines.values():
-                line.wake = partial(self._add, line)
-                stack.enter_context(line.feed.listen(line.wake))
-            await serve(self._socket, self._listen(), self._send())
+        with self._feeds.listen(self._follow):
+            try:
+                for line in self._lines.values():
+                    self._listen_to(line)
+                await serve(self._socket, self._listen(), self._send())
+            finally:
+                for line in self._lines.values():
+                    line.listening.close()
+
+    def _listen_to(self, line: _Line) -> None:
+        line.wake = partial(self._add, line)
+        line.listening.enter_context(line.feed.listen(line.wake))
+
+    def _follow(self) -> None:
+        """Go on with the sensors that there are now; the end of the stream where there are none."""
+        try:
+            for name, line in list(self._lines.items()):
+                if self._feeds.get(name) is not line.feed:
+                    self._leave(name, line)
+            for name in self._feeds if self._request.names is None else self._request.names:
+                if name in self._feeds and name not in self._lines:
+                    self._enter(name)
+            if not self._lines:
+                raise StreamEndError(REMOVED, f"{', '.join(self._credit)}: no longer in the configuration")
+        except Exception as error:  # the task that serves the client ends with it
+            self._error = error
+            self._wake.set()
+
+    def _leave(self, name: str, line: _Line) -> None:
+        """Send that a sensor is down for good, the last of it."""
+        del self._lines[name]
+        self._due.pop(line, None)
+        line.listening.close()
+        line.feed.forget_status()
+        self._protocol.send_frames([line.feed.status_frame()])
+
+    def _enter(self, name: str) -> None:
+        """Send what comes of a sensor; NoShearError where it has not what is wanted."""
+        self._credit.setdefault(name, 0)
+        self._lines[name] = line = self._request.line(self._feeds, name)
+        self._listen_to(line)
 
     def _add(self, line: _Line) -> None:
         """Send what is new of a sensor at once to a client that keeps up: a task's turn costs as much as that."""
@@ -160,10 +209,10 @@ class Stream:
 
     async def _listen(self) -> None:
         while True:
-            for name in parse_next(await receive(self._socket), list(self._lines)):
-                line = self._lines[name]
-                line.credit = min(line.credit + 1, MAX_CREDIT)
-                line.wake()
+            for name in parse_next(await receive(self._socket), list(self._credit)):
+                self._credit[name] = min(self._credit[name] + 1, MAX_CREDIT)
+                if name in self._lines:
+                    self._lines[name].wake()
 
     async def _send(self) -> None:
         while True:
@@ -181,7 +230,7 @@ class Stream:
         while self._due and self._protocol.keeps_up():
             line = next(iter(self._due))
             del self._due[line]
-            if len(self._lines) == 1:
+            if len(self._credit) == 1:
                 self._send_line(line)
                 continue
             with self._faults.turn(
@@ -197,8 +246,8 @@ class Stream:
             self._send_contacts(line)
 
     def _send_image(self, line: _Line) -> None:
-        image = line.feed.image
-        if image is None or image is line.image or (self._query.flow == "credit" and not line.credit):
+        image, name = line.feed.image, line.feed.sensor.name
+        if image is None or image is line.image or (self._query.flow == "credit" and not self._credit[name]):
             return
         if rate_hz := self._query.rate_hz:
             now = self._loop.time()
@@ -206,7 +255,7 @@ class Stream:
                 return
             line.image_timer.due = due_after(line.image_timer.due, now, rate_hz)
         frames = line.feed.frames(image, line.form)
-        line.image, line.credit = image, max(0, line.credit - 1)
+        line.image, self._credit[name] = image, max(0, self._credit[name] - 1)
         self._protocol.send_frames(frames)
         line.feed.sensor.timings.add_send(image, time.monotonic())
 

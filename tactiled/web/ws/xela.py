@@ -22,8 +22,8 @@ from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.protocols import protocol
-from tactiled.web.ws.feed import Feed, ticking
-from tactiled.web.ws.session import NOT_FOUND, receive, serve
+from tactiled.web.ws.feed import Feed, Feeds, ticking
+from tactiled.web.ws.session import NOT_FOUND, RESTART, StreamEndError, receive, serve
 from tactiled.web.ws.stream import no_stream
 
 NO_MODULE = "no sensor here has the codec xela"
@@ -32,28 +32,38 @@ SPECIAL_TAIL = [0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0]  # of unknown meaning; a public
 WELCOME = '{"message": "Welcome"}'
 
 
-def make(feeds: dict[str, Feed]) -> APIRouter:
+def make(feeds: Feeds) -> APIRouter:
     """The WebSocket of those sensors that are XELA's, numbered from 1 in the configuration's order."""
-    codecs = ((feed, feed.sensor.codec) for feed in feeds.values())
-    ours = [(feed, codec.model_name) for feed, codec in codecs if isinstance(codec, Xela)]
-    modules = [_Module(str(number), feed, model) for number, (feed, model) in enumerate(ours, 1)]
+    modules = _modules(feeds, [])
     router = APIRouter()
 
     @router.websocket("/")
     @router.websocket("/xela")
     async def _xela(socket: WebSocket) -> None:
+        nonlocal modules
         await socket.accept()
+        feeds.follow()
+        modules = _modules(feeds, modules)
         if modules:
-            await _Client(socket, modules).run()
+            await _Client(socket, feeds, modules).run()
         else:
             await socket.close(NOT_FOUND, NO_MODULE)
 
     return router
 
 
+def _modules(feeds: Feeds, before: list["_Module"]) -> list["_Module"]:
+    """The modules that there are now: the same objects where nothing has changed."""
+    ours = [(feed, feed.sensor.codec) for feed in feeds.values()]
+    xelas = [(feed, codec.model_name) for feed, codec in ours if isinstance(codec, Xela)]
+    if [feed for feed, _ in xelas] == [each.feed for each in before]:
+        return before
+    return [_Module(str(number), feed, model) for number, (feed, model) in enumerate(xelas, 1)]
+
+
 def alone(service: Service, server: Server) -> FastAPI:
     """An application that has nothing but this WebSocket, for a port of its own."""
-    feeds = {name: Feed(sensor) for name, sensor in service.sensors.items()}
+    feeds = Feeds(service)
     app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
     problems.install(app)
     app.include_router(make(feeds))
@@ -104,14 +114,15 @@ class _Module:
 class _Client:
     """One client; newest wins, as on every stream."""
 
-    def __init__(self, socket: WebSocket, modules: list[_Module]) -> None:
-        self._socket, self._modules = socket, modules
+    def __init__(self, socket: WebSocket, feeds: Feeds, modules: list[_Module]) -> None:
+        self._socket, self._feeds, self._modules = socket, feeds, modules
         self._wake = asyncio.Event()
         self._frames: dict[_Module, RawFrame] = {}  # of the newest message
 
     async def run(self) -> None:
         """Serve until the client leaves."""
         with ExitStack() as stack:
+            stack.enter_context(self._feeds.listen(self._wake.set))
             for module in self._modules:
                 stack.enter_context(module.feed.listen(self._wake.set))
             await serve(self._socket, self._listen(), self._send())
@@ -126,6 +137,8 @@ class _Client:
         while True:
             await self._wake.wait()
             self._wake.clear()
+            if _modules(self._feeds, self._modules) is not self._modules:
+                raise StreamEndError(RESTART, "the configuration has other modules now")
             await protocol(self._socket).ready()
             frames = {module: frame for module in self._modules if (frame := module.newest()) is not None}
             if any(frame is not self._frames.get(module) for module, frame in frames.items()):

@@ -7,6 +7,7 @@ import jsonschema
 import pytest
 from starlette.datastructures import QueryParams
 
+from tactiled.web.http.protocols import ENDS
 from tactiled.web.server import running
 from tactiled.web.ws import session
 from tactiled.web.ws.asyncapi import MESSAGES, parameters
@@ -110,7 +111,7 @@ def test_a_failure_and_the_end_of_the_service_close_a_stream(rig, monkeypatch):
         with running(rig.service) as url:
             client = stack.enter_context(stream(url))
             client.recv(timeout=BUSY_S)
-        assert closed(client) == (1012, session.CLOSES[1012])
+        assert closed(client) == (1012, ENDS)
     monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
     with running(rig.service) as url, stream(url) as client:
         assert closed(client) == (1011, "the service failed: see its log")

@@ -294,3 +294,16 @@ def test_the_service_prints_the_extra_port_and_ends_with_it(rig, capsys, monkeyp
     assert not thread.is_alive()
     with pytest.raises(ConnectionRefusedError):
         Client(address)
+
+
+def test_clients_are_closed_where_a_reload_changes_the_modules(request, tmp_path):
+    with started(request, {"skin": (1, 6), "tip": (2, 4)}) as modules, running(modules.service) as url:
+        modules.service.path = tmp_path / "skins.toml"
+        text = BUS.format(channel=modules.config.bus["can0"].channel)
+        one = MODULE.format(
+            name="skin", controller=1, width=6, columns=[5, 4, 3, 2, 1, 0], calibration=RAW, codec=""
+        )
+        with connect(websocket_url(url, "/xela")) as client:
+            modules.service.path.write_text(text + one)
+            assert modules.service.reload().sensors.removed == ("tip",)
+            assert closed(client) == (1012, "the configuration has other modules now")
