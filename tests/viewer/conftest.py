@@ -96,8 +96,8 @@ class ViewerPage:
             return np.array(picture.convert("RGBA")).astype(int)
 
     def text(self, *names):
-        """What stands in these elements."""
-        return [self.locator(f"#{name}").inner_text() for name in names]
+        """What stands in these elements, in folded ones, too."""
+        return [self.locator(f"#{name}").text_content() for name in names]
 
     def box(self, selector):
         return self.locator(selector).first.bounding_box()

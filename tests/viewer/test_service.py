@@ -26,7 +26,7 @@ def test_a_page_without_its_service_says_so_and_finds_it_again(request, open_pag
             page = open_page(url)
             for name in CHARTS:
                 page.wait(f"{INKED}('{name}')")
-            page.wait("/[µm]s/.test(document.getElementById('jitter').innerText)")
+            page.wait("/[µm]s/.test(document.getElementById('jitter').textContent)")
         page.locator("#banner", has_text="DISCONNECTED").get_by_role(
             "button", name="Retry now", exact=True
         ).wait_for()
@@ -38,7 +38,7 @@ def test_a_page_without_its_service_says_so_and_finds_it_again(request, open_pag
         page.locator("#notice", has_text="thumb").wait_for()
         for name in CHARTS[:-1]:  # the kernel's keeps its axes
             assert not page.evaluate(f"{INKED}('{name}')"), name
-        page.wait("document.getElementById('jitter').innerText === '\u2013'")
+        page.wait("document.getElementById('jitter').textContent === '\u2013'")
         assert set(page.text("skew", "rate", "force-raw")) == {"\u2013"}
         with running(rig.service, server):
             page.press("w")

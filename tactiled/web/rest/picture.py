@@ -1,7 +1,7 @@
 """An image as a picture for people: colours, a legend in their unit, axes in mm."""
 
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,8 @@ if TYPE_CHECKING:  # a service starts without matplotlib: the first picture impo
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
 
-COLORS = "magma"  # even in lightness, and readable for the colour-blind
+ColormapName = Literal["magma", "viridis", "turbo", "gray", "Greys", "RdBu_r"]  # Greys: white is no pressure
+COLORS: ColormapName = "magma"  # even in lightness, and readable for the colour-blind
 UNKNOWN_COLOR = "#8a8a8a"
 BETWEEN_TAXELS_COLOR = "#dfe3e6"  # of a layout that is no grid
 MIN_TOP_SIGMAS = 15.0  # the scale reaches at least so far above the noise, as in the viewer
@@ -24,11 +25,11 @@ MIN_TOP = 1e-6  # kPa, or counts
 WIDE_BELOW = 0.6  # height over width, below which the legend goes under the map
 
 
-def colors() -> list[list[int]]:
+def colors(name: ColormapName) -> list[list[int]]:
     """The 256 colours (red, green, blue) from no pressure to the largest."""
     from matplotlib import colormaps
 
-    table: list[list[int]] = np.round(colormaps[COLORS](np.arange(256))[:, :3] * 255).astype(int).tolist()
+    table: list[list[int]] = np.round(colormaps[name](np.arange(256))[:, :3] * 255).astype(int).tolist()
     return table
 
 

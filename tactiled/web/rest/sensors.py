@@ -22,9 +22,11 @@ def health(service: CurrentService) -> schemas.Health:
 
 
 @router.get("/colormap", tags=["service"])
-def colormap() -> schemas.Colormap:
-    """The 256 colours of the viewer and of PNG images."""
-    return schemas.Colormap(name=picture.COLORS, colors=picture.colors())
+def colormap(
+    name: Annotated[picture.ColormapName, Query(description="Matplotlib's name of the colours")] = picture.COLORS,
+) -> schemas.Colormap:
+    """256 colours of the viewer; those of PNG images unless another `name` is given."""
+    return schemas.Colormap(name=name, colors=picture.colors(name))
 
 
 @router.get("/sensors", tags=["sensors"])

@@ -178,8 +178,8 @@ export const geometry = (name) => request(`${at(name)}/geometry`);
 /** @param {string} name @returns {Promise<Kernel>} */
 export const kernel = (name) => request(`${at(name)}/kernel`);
 
-/** @returns {Promise<{name: string, colors: [number, number, number][]}>} */
-export const colormap = () => request("/colormap");
+/** @param {string} name @returns {Promise<{name: string, colors: [number, number, number][]}>} */
+export const colormap = (name) => request(`/colormap?name=${name}`);
 
 /** @param {string} name @param {string} method @returns {Promise<{method: string}>} */
 export const setMethod = (name, method) =>

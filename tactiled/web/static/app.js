@@ -2,7 +2,6 @@
 
 import * as api from "./api.js";
 import { CalibrationPage } from "./calibration_page.js";
-import { Colormap } from "./colormap.js";
 import { controls } from "./controls.js";
 import { byId } from "./dom.js";
 import { EventLog } from "./event_log.js";
@@ -39,6 +38,7 @@ document.documentElement.dataset.painted = "0";
 
 /** Update everything that is text. */
 function read() {
+  writeAddress();
   if (wall.open) document.title = "all sensors, tactiled";
   else screen.read(viewer, reachable);
 }
@@ -62,12 +62,18 @@ function choose(name) {
     viewer.select(name);
     showSensor();
   }
+  read();
+}
+
+/** Keep in the address what is shown, and how. */
+function writeAddress() {
+  const hash = wall.open ? WALL : viewer.name && `#${encodeURIComponent(viewer.name)}${viewer.view.address(viewer.unit)}`;
+  if (!hash || hash === location.hash) return;
   try {
-    window.history.replaceState(null, "", name === ALL ? WALL : `#${encodeURIComponent(name)}`);
+    window.history.replaceState(null, "", hash);
   } catch {
     // The address is a convenience only.
   }
-  read();
 }
 
 /** Show what the list of sensors says of the one that is chosen. */
@@ -89,13 +95,13 @@ async function loadOffers() {
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   calibration.offer(offered.has("/sensors/{name}/calibration/session"));
   log.offer(offered.has("/events"));
-  viewer.colormap = new Colormap((await api.colormap()).colors);
+  await viewer.view.load();
 }
 
 /** @returns {string} the sensor that the address names; "" where nobody can say which */
 function sensorInAddress() {
   try {
-    return decodeURIComponent(location.hash.slice(1));
+    return decodeURIComponent(location.hash.slice(1).split("?")[0]);
   } catch {
     return "";
   }
@@ -118,7 +124,7 @@ async function poll() {
     sensors = await api.sensors();
     reachable = true;
     tabs.update(sensors);
-    if (!viewer.colormap) await loadOffers();
+    if (!viewer.view.colormap) await loadOffers();
     chooseSensor();
     tabs.choose(wall.open ? ALL : viewer.name);
     showSensor();
@@ -140,6 +146,7 @@ controls(viewer, {
   choose,
   toggleWall: () => {
     if (sensors.length > 1) choose(wall.open ? last || sensors[0].name : ALL);
+    else notice("There is one sensor only.");
   },
   nextTheme: theme(byId("theme"), () => {
     viewer.restyle();

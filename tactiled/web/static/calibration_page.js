@@ -320,7 +320,7 @@ export class CalibrationPage {
 
   /** Paint the newest raw image. */
   _paint() {
-    const { session, colormap } = this._viewer;
+    const { session, view: { colormap } } = this._viewer;
     if (!session?.frame || !colormap || this._viewer.name !== this._name) return;
     if (this._plane !== session.plane) {
       this._plane = session.plane;

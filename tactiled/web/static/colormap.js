@@ -1,11 +1,32 @@
-/** The colour map of all pressure maps, as the service gives it. @module */
+/** The colours of pressure maps, as the service gives them, and two more for what lies beyond their range. @module */
 
-/** The 256 colours, as pixels and as CSS. */
+/** @typedef {[number, number, number]} Color red, green and blue, 0 to 255 */
+
+const BELOW = 256; // index of what is clearly below zero,
+const ABOVE = 257; // and of what is above the range
+/** @type {Color[]} that no colour map has at that end */
+const BEYOND = [[122, 140, 255], [0, 229, 255]];
+
+/** The 256 colours and those of BEYOND, as pixels and as CSS. */
 export class Colormap {
-  /** @param {[number, number, number][]} colors */
-  constructor(colors) {
+  /** @param {Color[]} colors @param {boolean} [signed] values below zero are nothing special */
+  constructor(colors, signed = false) {
+    const all = [...colors, ...BEYOND];
     /** One little-endian RGBA word a colour. */
-    this.rgba = Uint32Array.from(colors, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
-    this.css = colors.map(([r, g, b]) => `rgb(${r} ${g} ${b})`);
+    this.rgba = Uint32Array.from(all, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
+    this.css = all.map(([r, g, b]) => `rgb(${r} ${g} ${b})`);
+    this.signed = signed;
+  }
+
+  /**
+   * @param {number} value
+   * @param {import("./display_range.js").DisplayRange} range
+   * @returns {number} index of its colour
+   */
+  index(value, range) {
+    if (value > range.high) return ABOVE;
+    if (!this.signed && value < range.floor) return BELOW;
+    const level = ((value - range.low) * 256) / (range.high - range.low);
+    return level <= 0 ? 0 : level >= 255 ? 255 : level | 0;
   }
 }

@@ -5,6 +5,7 @@ const DECAY_S = 6; // the range forgets a peak over about this long
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
 const KEEP_ABOVE = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
 const MIN_TOP = 1; // kPa, or counts
+const BELOW_ZERO = { deviations: 5, share: 0.02 }; // of the noise, and of the range's top: what is further below zero is marked
 const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours must differ
 
 /** @param {number} value above 0 @returns {number} the least round number that is not below it */
@@ -34,6 +35,8 @@ export class DisplayRange {
     /** Bottom and top of the range, in its unit, or what else is shown on it. */
     this.low = 0;
     this.high = 10;
+    /** Below this, a value is clearly below zero, as no pressure is. */
+    this.floor = 0;
     this._peak = 0;
     this._time = 0;
   }
@@ -55,8 +58,8 @@ export class DisplayRange {
     const elapsed = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
     this._peak = Math.max(peak, this._minTop, 15 * noise, this._peak * Math.exp(-elapsed / DECAY_S));
-    if (!this.auto) return;
-    this.high = steadyTop(this.high, this._peak);
+    if (this.auto) this.high = steadyTop(this.high, this._peak);
+    this.floor = -Math.max(BELOW_ZERO.deviations * noise, BELOW_ZERO.share * this.high);
   }
 
   /**

@@ -76,16 +76,9 @@ export class Heatmap {
   _paintGrid(values, range, colormap, image) {
     const { rgba } = colormap;
     const out = this._pixels;
-    const { low } = range;
-    const slope = 256 / (range.high - low);
     for (let i = 0; i < out.length; i += 1) {
       const p = values[i];
-      if (p !== p) {
-        out[i] = 0;
-      } else {
-        const level = (p - low) * slope;
-        out[i] = rgba[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
-      }
+      out[i] = p !== p ? 0 : rgba[colormap.index(p, range)];
     }
     this._pen.putImageData(image, 0, 0);
   }
@@ -99,13 +92,11 @@ export class Heatmap {
     draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
     const px = this.zoom * this._ratio;
     const half = (cells.side / 2) * px;
-    const slope = 256 / (range.high - range.low);
     for (let i = 0; i < cells.count; i += 1) {
       const p = values[i];
       const x = (cells.x[i] - plane.left) * px;
       const y = (cells.y[i] - plane.top) * px;
-      const level = (p - range.low) * slope;
-      draw.fillStyle = p !== p ? this._unknown() : colormap.css[level <= 0 ? 0 : level >= 255 ? 255 : level | 0];
+      draw.fillStyle = p !== p ? this._unknown() : colormap.css[colormap.index(p, range)];
       draw.beginPath();
       if (plane.round) draw.arc(x, y, half, 0, 2 * Math.PI);
       else draw.rect(x - half, y - half, 2 * half, 2 * half);

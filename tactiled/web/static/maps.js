@@ -1,16 +1,18 @@
 /** The raw and the restored map side by side, on one colour scale and one scale in mm. @module */
 
 import { Colorbar } from "./colorbar.js";
-import { byId, setText } from "./dom.js";
+import { byId } from "./dom.js";
+import { DisplayRange } from "./display_range.js";
 import { Heatmap } from "./heatmap.js";
+import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
 import { ShearArrows } from "./shear_arrows.js";
 
 /** @import { Colormap } from "./colormap.js" */
-/** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
+/** @import { View } from "./view.js" */
 
 const WIDE_WINDOW = matchMedia("(min-width: 900px)"); // where the maps share the window's height
 const LONG_RATIO = 1.5; // times the height, from which width a map on a phone has the page's whole width
@@ -24,6 +26,14 @@ export class Maps {
     this.restoredMarks = new Overlay(byId("restored-marks"));
     this.arrows = new ShearArrows(byId("raw-shear"), byId("shear-key"));
     this.colorbar = new Colorbar(byId("colorbar"));
+    /** Restored less raw, by cell of the restored map. */
+    this.difference = new Heatmap(byId("difference"), byId("difference-frame"));
+    this._maps = [this.raw, this.restored, this.difference];
+    this._axes = this._maps.map((each) => new MapAxes(each.frame));
+    this._differenceRange = new DisplayRange();
+    this._differenceColorbar = new Colorbar(byId("difference-colorbar"));
+    this._differences = new Float32Array(0);
+    this._taxels = new Int32Array(0); // that the cells of the restored map lie on
     this._boxes = byId("boxes");
     /** @type {Plane|null} */
     this._plane = null;
@@ -34,15 +44,21 @@ export class Maps {
     this._plane = plane;
     this.raw.use(plane, plane.raw);
     this.restored.use(plane, plane.restored);
+    this.difference.use(plane, plane.restored);
+    const { x, y, count } = plane.restored;
+    this._taxels = Int32Array.from({ length: count }, (_, i) => plane.find(plane.raw, x[i], y[i]));
+    this._differences = new Float32Array(count);
+    this._differenceRange.reset();
     this.layout();
   }
 
   /** Show nothing. */
   clear() {
     this._plane = null;
-    for (const each of [this.raw, this.restored, this.rawMarks, this.restoredMarks]) each.clear();
+    for (const each of [...this._maps, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
     this.colorbar.clear();
+    this._differenceColorbar.clear();
   }
 
   /**
@@ -51,8 +67,9 @@ export class Maps {
    * @param {Colormap} colormap
    * @param {Marks} marks
    * @param {boolean} shear whether it is shown
+   * @param {View} view
    */
-  paint(frame, range, colormap, marks, shear) {
+  paint(frame, range, colormap, marks, shear, view) {
     this.raw.paint(frame.raw, range, colormap);
     this.restored.paint(frame.restored, range, colormap);
     const flags = frame.saturated ? frame.flags : null;
@@ -60,6 +77,21 @@ export class Maps {
     this.restoredMarks.draw(marks, frame.ofRestored, flags);
     if (shear && frame.sheared) this.arrows.draw(frame.shear, frame.timestamp);
     else this.arrows.clear();
+    if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
+  }
+
+  /** @param {Frame} frame @param {Colormap} colormap */
+  _paintDifference({ raw, restored, noise, timestamp, unit }, colormap) {
+    const { _differences: values, _differenceRange: range } = this;
+    let peak = 0;
+    for (let i = 0; i < values.length; i += 1) {
+      const value = (values[i] = restored[i] - raw[this._taxels[i]]);
+      if (Math.abs(value) > peak) peak = Math.abs(value);
+    }
+    range.follow(peak, noise, timestamp);
+    range.low = -range.high;
+    this.difference.paint(values, range, colormap);
+    this._differenceColorbar.draw(range, colormap, unit);
   }
 
   /**
@@ -68,7 +100,7 @@ export class Maps {
    * @returns {number} height beyond which the maps would fill no more, CSS px
    */
   _maxHeight(plane, box) {
-    const map = (plane.height * box.clientWidth) / plane.width;
+    const map = (plane.height * (box.clientWidth - AXIS_LEFT_PX)) / plane.width + AXIS_BOTTOM_PX;
     const around = this._boxes.clientHeight - box.clientHeight; // the captions, and the other map where it is below
     const other = this._boxes.classList.contains("stacked") ? map - box.clientHeight : 0;
     return Math.ceil(map + other + around);
@@ -84,8 +116,8 @@ export class Maps {
     const caption = box.offsetTop - /** @type {HTMLElement} */ (box.parentElement).offsetTop;
     const width = this._boxes.clientWidth;
     const height = Math.min(this._boxes.clientHeight, window.innerHeight);
-    const beside = Math.min((width - gap) / 2 / plane.width, (height - caption) / plane.height);
-    const above = Math.min(width / plane.width, ((height - gap) / 2 - caption) / plane.height);
+    const beside = Math.min(((width - gap) / 2 - AXIS_LEFT_PX) / plane.width, (height - caption - AXIS_BOTTOM_PX) / plane.height);
+    const above = Math.min((width - AXIS_LEFT_PX) / plane.width, ((height - gap) / 2 - caption - AXIS_BOTTOM_PX) / plane.height);
     return above > beside;
   }
 
@@ -93,24 +125,24 @@ export class Maps {
   layout() {
     const plane = this._plane;
     if (!plane) return;
-    const box = /** @type {HTMLElement} */ (this.raw.frame.parentElement);
+    const box = /** @type {HTMLElement} */ (this.restored.frame.parentElement); // which every view has
     const maps = byId("maps");
+    const single = maps.dataset.view === "slider";
     maps.style.removeProperty("--most"); // to see what room there is
-    this._boxes.classList.toggle("stacked", WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height);
+    const stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;
+    this._boxes.classList.toggle("stacked", stacked && !single);
     maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
-    const height = WIDE_WINDOW.matches ? box.clientHeight : 0.7 * window.innerHeight;
-    const zoom = snapZoom(plane, Math.min(box.clientWidth / plane.width, height / plane.height));
-    this.raw.resize(zoom);
-    this.restored.resize(zoom);
+    const height = WIDE_WINDOW.matches ? box.clientHeight - AXIS_BOTTOM_PX : 0.7 * window.innerHeight;
+    const zoom = snapZoom(plane, Math.min((box.clientWidth - AXIS_LEFT_PX) / plane.width, height / plane.height));
+    for (const each of this._maps) each.resize(zoom);
+    for (const each of this._axes) each.draw(plane, zoom);
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
     this.arrows.resize(plane, zoom);
-    const length = roundDown((0.22 * box.clientWidth) / zoom);
-    byId("ruler-bar").style.width = `${length * zoom}px`;
-    setText(byId("ruler-text"), `${length} mm`);
-    const apart = this.restored.frame.getBoundingClientRect().top - this.raw.frame.getBoundingClientRect().top;
-    byId("legend").style.setProperty("--map-height", `${apart + plane.height * zoom}px`);
+    const tops = this._maps.filter((each) => each.frame.offsetParent).map((each) => each.frame.getBoundingClientRect().top);
+    maps.style.setProperty("--map-height", `${Math.max(...tops) - Math.min(...tops) + plane.height * zoom}px`);
     this.colorbar.forget();
+    this._differenceColorbar.forget();
   }
 }
 
@@ -125,10 +157,4 @@ function snapZoom(plane, zoom) {
   const ratio = window.devicePixelRatio || 1;
   const snapped = Math.floor(zoom * cell * ratio) / ratio / cell;
   return snapped > MIN_SNAP_SHARE * zoom ? snapped : zoom;
-}
-
-/** @param {number} length @returns {number} a round number not above it */
-function roundDown(length) {
-  const power = 10 ** Math.floor(Math.log10(length));
-  return ([5, 2, 1].find((step) => step * power <= length) ?? 1) * power;
 }

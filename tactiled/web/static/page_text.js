@@ -121,8 +121,11 @@ export class PageText {
     setText(byId("banner-title"), health.title);
     setText(byId("banner-text"), health.text);
     byId("banner-action").hidden = health.level !== "disconnected" || !closed;
-    setText(byId("pill-text"), health.level === "live" && paused ? "paused" : PILL_TEXTS[health.level]);
-    const title = name ? `${name}${health.level === "live" ? "" : ` (${PILL_TEXTS[health.level]})`}, tactiled` : "tactiled";
+    const warnings = Number(document.body.dataset.warnings);
+    const live = paused ? "paused" : warnings ? `live, ${warnings} warning${warnings > 1 ? "s" : ""}` : "live";
+    const text = health.level === "live" ? live : PILL_TEXTS[health.level];
+    setText(byId("pill-text"), text);
+    const title = name ? `${name}${health.level === "live" ? "" : ` (${text})`}, tactiled` : "tactiled";
     if (document.title !== title) document.title = title;
   }
 

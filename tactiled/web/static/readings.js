@@ -4,7 +4,7 @@ import { byId, element, setText } from "./dom.js";
 import { fixed, number } from "./format.js";
 import { measures } from "./measures.js";
 import { forceNumber, lengthText, pressureText } from "./units.js";
-import { Warnings } from "./warnings.js";
+import { Alerts } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "./api.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -56,15 +56,13 @@ export class Readings {
     this._errorKinds = element("p", "sub");
     this._errorKinds.title = "Kinds of error frames";
     byId("loss").append(this._errorKinds);
+    this._alerts = new Alerts(byId("alerts"));
     this._raw = measureCells("raw");
     this._restored = measureCells("restored");
     this._at = Object.fromEntries([
       "method-used", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
-      "fps", "latency", "jitter", "skew",
+      "fps", "latency", "jitter", "skew", "losses",
     ].map((id) => [id, byId(id)]));
-    this._warnings = byId("warnings");
-    this._recent = new Warnings();
-    this._warningsKey = "";
     this._offset = byId("details-from");
     /** @type {Status|null} */
     this._status = null;
@@ -101,11 +99,12 @@ export class Readings {
   frame(frame) {
     const at = this._at;
     const unit = frame?.unit ?? 0;
-    showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES, unit);
-    showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES, unit);
+    const idle = frame?.method === "idle";
+    showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES, unit, idle);
+    showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES, unit, idle);
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
-    setText(at.resolution, frame ? lengthText(frame.resolutionMm, 2) : "\u2013");
+    setText(at.resolution, frame && frame.method !== "idle" ? lengthText(frame.resolutionMm, 2) : "\u2013");
     setText(at.noise, frame ? pressureText(frame.noise, unit, 2) : "\u2013");
     setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
@@ -120,11 +119,16 @@ export class Readings {
     setText(at.rate, status && live ? `${fixed(status.rate_hz, 1)} Hz` : "\u2013");
     setText(at.jitter, time((status?.jitter_s ?? NaN) * 1e6));
     setText(at.skew, time((status?.skew_s ?? NaN) * 1e6));
+    let losses = 0;
     for (const [kind, element] of this._loss) {
       const count = status ? status.loss[/** @type {keyof Loss} */ (kind)] : 0;
       setText(element, status ? String(count) : "\u2013");
-      element.classList.toggle("some", count > 0 && !HARMLESS_LOSSES.has(kind));
+      const harmful = count > 0 && !HARMLESS_LOSSES.has(kind);
+      element.classList.toggle("some", harmful);
+      if (harmful) losses += count;
     }
+    setText(at.losses, !status ? "\u2013" : losses ? String(losses) : "none");
+    at.losses.classList.toggle("some", losses > 0);
   }
 
   /**
@@ -138,12 +142,8 @@ export class Readings {
     setText(this._at["method-used"], method ? methodTitle(method) : "\u2013");
     setText(this._at.why, status && status.ran === method ? status.why : "");
     setText(this._offset, offset);
-    if (still || status?.sensor !== this._status?.sensor) this._recent.clear();
-    const warnings = this._recent.hold(status?.warnings ?? [], performance.now());
-    const joined = warnings.join("\n");
-    if (joined === this._warningsKey) return;
-    this._warningsKey = joined;
-    this._warnings.replaceChildren(...warnings.map((each) => element("li", "", each)));
+    if (still || status?.sensor !== this._status?.sensor) this._alerts.clear();
+    this._alerts.show(status?.warnings ?? [], performance.now());
   }
 
   /**
@@ -163,9 +163,14 @@ export class Readings {
 const measureCells = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
-/** @param {ReturnType<typeof measureCells>} at cells to fill @param {Measures} of an image @param {number} unit of its pressure */
-function showMeasures(at, of, unit) {
-  setText(at.force, forceNumber(of.force, unit));
+/**
+ * @param {ReturnType<typeof measureCells>} at cells to fill
+ * @param {Measures} of an image
+ * @param {number} unit of its pressure
+ * @param {boolean} idle nothing but noise: its small digits say nothing
+ */
+function showMeasures(at, of, unit, idle) {
+  setText(at.force, idle ? fixed(of.force, unit ? 0 : 2) : forceNumber(of.force, unit));
   setText(at.peak, fixed(of.peak, 1));
   setText(at.x, fixed(of.x, 1));
   setText(at.y, fixed(of.y, 1));

@@ -13,9 +13,9 @@ import { Probe } from "./probe.js";
 import { Session } from "./session.js";
 import { TrendChart } from "./trend_chart.js";
 import { FORCE_SCALES, FORCE_UNITS, UNITS, unitOf } from "./units.js";
+import { View } from "./view.js";
 
 /** @import { Sensor } from "./api.js" */
-/** @import { Colormap } from "./colormap.js" */
 /** @import { ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
@@ -45,12 +45,11 @@ export class Viewer {
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
-    this.probe = new Probe([this.maps.raw, this.maps.restored], (deliberate) => {
+    this.probe = new Probe([this.maps.raw, this.maps.restored, this.maps.difference], (deliberate) => {
       this.refresh();
       if (deliberate) listener.onProbe();
     });
-    /** @type {Colormap|null} */
-    this.colormap = null;
+    this.view = new View(this.ranges, () => this.restyle());
     /** @type {Session|null} */
     this.session = null;
     /** Name of the sensor that is chosen; "" for none. */
@@ -96,13 +95,13 @@ export class Viewer {
   /** @param {number} now ms */
   _paint(now) {
     this._dirty = false;
-    const { session, colormap } = this;
+    const { session, view: { colormap } } = this;
     if (!session || !colormap) return;
     if (this._fresh && session.holdBack()) this._fresh = false;
     const { frame } = session;
     this.maps.colorbar.draw(this.range, colormap, this.unit);
     if (frame) this._mark(frame, session);
-    if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear);
+    if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
     this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now), this.unit);
     if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
@@ -159,7 +158,7 @@ export class Viewer {
   /** The theme is another. */
   restyle() {
     for (const each of [this.section, this.forces, this.latencies, this.kernel]) each.chart.restyle();
-    this.maps.colorbar.forget();
+    this.maps.layout();
     this.kernel.draw();
     this.refresh();
   }

@@ -155,7 +155,7 @@ export class Wall {
 
   _paint() {
     this._dirty = false;
-    const { colormap, ranges } = this._viewer;
+    const { view: { colormap }, ranges } = this._viewer;
     if (!colormap || !this.open) return;
     for (let unit = 0; unit < ranges.length; unit += 1) this._paintUnit(unit, ranges[unit], colormap);
   }

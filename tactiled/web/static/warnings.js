@@ -1,5 +1,7 @@
 /** Warnings stay on the screen for a while, so that nothing jumps where one comes and goes. @module */
 
+import { element, setText } from "./dom.js";
+
 /** @import { Warning } from "./api.js" */
 
 const STAYS_MS = 3000; // after it was last reported
@@ -23,5 +25,35 @@ export class Warnings {
     for (const { code, text } of warnings) this._recent.set(code, { text, at: now });
     for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
     return [...this._recent.values()].map((each) => each.text);
+  }
+}
+
+/** The line of warnings under the page's head: always there, so that nothing moves when one comes. */
+export class Alerts {
+  /** @param {HTMLElement} root */
+  constructor(root) {
+    this._root = /** @type {HTMLDetailsElement} */ (root);
+    this._line = /** @type {HTMLElement} */ (root.querySelector("summary span"));
+    this._list = /** @type {HTMLElement} */ (root.querySelector("ul"));
+    this._recent = new Warnings();
+    this._key = "";
+  }
+
+  /** Forget what was reported shortly before. */
+  clear() {
+    this._recent.clear();
+  }
+
+  /** @param {Warning[]} warnings of the newest image @param {number} now ms */
+  show(warnings, now) {
+    const texts = this._recent.hold(warnings, now);
+    const key = texts.join("\n");
+    if (key === this._key) return;
+    this._key = key;
+    const count = texts.length;
+    document.body.dataset.warnings = String(count);
+    setText(this._line, !count ? "No warning" : count === 1 ? texts[0] : `${count} warnings: ${texts[0]}`);
+    this._list.replaceChildren(...texts.map((each) => element("li", "", each)));
+    if (!count) this._root.open = false;
   }
 }

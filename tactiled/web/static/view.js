@@ -1,0 +1,90 @@
+/** How the maps are shown: side by side or compared, in which colours, on which range. The page's address keeps it. @module */
+
+import * as api from "./api.js";
+import { Colormap } from "./colormap.js";
+import { byId } from "./dom.js";
+import { messageOf, notice } from "./notice.js";
+import { loadSetting, saveSetting } from "./storage.js";
+
+/** @import { DisplayRange } from "./display_range.js" */
+
+const KEY = "tactiled.colors";
+const DIFFERENCE_COLORS = "RdBu_r"; // blue below zero, red above, told apart by the colour-blind
+
+/** What the address says behind a sensor's name. @returns {URLSearchParams} */
+function inAddress() {
+  return new URLSearchParams(location.hash.split("?")[1] ?? "");
+}
+
+export class View {
+  /**
+   * @param {DisplayRange[]} ranges by unit of pressure
+   * @param {() => void} onChange
+   */
+  constructor(ranges, onChange) {
+    this._ranges = ranges;
+    this._onChange = onChange;
+    this._views = /** @type {HTMLSelectElement} */ (byId("view"));
+    this._colors = /** @type {HTMLSelectElement} */ (byId("colors"));
+    this._split = /** @type {HTMLInputElement} */ (byId("split"));
+    /** @type {Colormap|null} */
+    this.colormap = null;
+    /** @type {Colormap|null} of differences */
+    this.signed = null;
+    this._views.addEventListener("change", () => {
+      this._show();
+      onChange();
+    });
+    this._colors.addEventListener("change", () => this._recolor());
+    this._split.addEventListener("input", () => this._cut());
+    const given = inAddress();
+    pick(this._views, given.get("view"));
+    pick(this._colors, given.get("colors") ?? loadSetting(KEY));
+    const [low, high] = (given.get("range") ?? "").split(":").map(Number);
+    for (const each of ranges) each.fix(low, high); // which refuses what is no range
+    this._cut();
+    this._show();
+  }
+
+  /** @returns {string} both, slider, difference or surface */
+  get name() {
+    return this._views.value;
+  }
+
+  /** @param {number} unit of the sensor that is watched @returns {string} what an address says of the view; "" for nothing */
+  address(unit) {
+    const range = this._ranges[unit];
+    const said = new URLSearchParams();
+    if (this._views.selectedIndex) said.set("view", this.name);
+    if (this._colors.selectedIndex) said.set("colors", this._colors.value);
+    if (!range.auto) said.set("range", `${range.low}:${range.high}`);
+    return said.size ? `?${said}` : "";
+  }
+
+  /** Fetch the colours. */
+  async load() {
+    const [colors, signed] = await Promise.all([api.colormap(this._colors.value), api.colormap(DIFFERENCE_COLORS)]);
+    this.colormap = new Colormap(colors.colors);
+    this.signed = new Colormap(signed.colors, true);
+    this._onChange();
+  }
+
+  async _recolor() {
+    saveSetting(KEY, this._colors.value);
+    await this.load().catch((error) => notice(`Colours not changed: ${messageOf(error)}`, true));
+  }
+
+  _show() {
+    byId("maps").dataset.view = this.name;
+    byId("split-choice").hidden = this.name !== "slider";
+  }
+
+  _cut() {
+    byId("boxes").style.setProperty("--split", `${this._split.value}%`);
+  }
+}
+
+/** Choose an option, if there is one. @param {HTMLSelectElement} select @param {string|null} value */
+function pick(select, value) {
+  if ([...select.options].some((each) => each.value === value)) select.value = value ?? "";
+}

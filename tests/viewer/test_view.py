@@ -1,0 +1,57 @@
+"""Comparing the maps: the difference, the slider, the colours, what is beyond the range, and the address of it all."""
+
+import re
+
+import numpy as np
+
+from tests.conftest import ask, pressed
+from tests.viewer.conftest import DESK, PHONE
+
+ABOVE = (0, 229, 255)
+
+
+def colors_of(url, name):
+    return np.array(ask("GET", f"{url}/api/v1/colormap?name={name}").json()["colors"])
+
+
+def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_view(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(f"{url}/#palm?view=difference&colors=viridis&range=0:5")
+    image = page.show(rig, pressed(5))
+    label = page.locator("#difference-colorbar").get_attribute("aria-label").replace("\u2212", "-")
+    low, high = (float(number) for number in re.findall(r"-?[\d.]+", label))
+    assert low == -high
+    difference = image.restored - image.raw
+    assert np.abs(difference).max() <= high
+    levels = np.clip(np.floor((difference + high) * 128 / high), 0, 255).astype(int)
+    signed = page.pixels("difference")[..., :3]
+    assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
+    assert not page.locator("#raw").is_visible()
+    restored, above = page.pixels("restored")[..., :3], image.restored > 5
+    assert above.any()
+    assert (restored[above] == ABOVE).all()
+    levels = np.clip(np.floor(image.restored * 256 / 5), 0, 255).astype(int)
+    clear = ~above & (image.restored > 0)
+    assert (np.abs(restored - colors_of(url, "viridis")[levels])[clear] <= 4).all()
+    page.get_by_label("View").select_option("slider")
+    page.wait("location.hash.includes('view=slider') && location.hash.includes('range=0%3A5')")
+    page.locator("#range-auto").check()
+    page.get_by_label("View").select_option("both")
+    page.get_by_label("Colours").select_option("magma")
+    page.wait("location.hash === '#palm'")
+
+
+def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(f"{url}/#palm?view=slider", **DESK)
+    for size in (DESK, PHONE):
+        page.resize(**size)
+        raw, restored = page.box("#raw-frame"), page.box("#restored-frame")
+        assert raw == restored
+        assert raw["width"] > 150
+        for share in (25, 75):
+            page.locator("#split").fill(str(share))
+            for x, name in ((share - 10, "raw"), (share + 10, "restored")):
+                at = f"{raw['x'] + raw['width'] * x / 100}, {raw['y'] + raw['height'] / 2}"
+                assert page.evaluate(f"document.elementFromPoint({at}).closest('.frame').id") == f"{name}-frame"
+        assert page.violations() == []
