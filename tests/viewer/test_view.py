@@ -1,4 +1,4 @@
-"""Comparing the maps: the difference, the slider, the colours, what is beyond the range, and the address of it all."""
+"""Comparing the maps: difference, slider, colours, what is beyond the range, and the address of it all."""
 
 import re
 
