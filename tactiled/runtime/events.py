@@ -16,7 +16,7 @@ Kind = Literal[
     "sensor_live", "sensor_stale", "sensor_silent", "sensor_down", "sensor_ended", "bus_up", "bus_down",
     "warning_raised", "warning_cleared", "method_set", "method_kept", "state_ignored",
     "tare_asked", "tare_done", "tare_lapsed", "tare_refused", "tare_undone", "tare_kept", "tare_ignored",
-    "calibration_applied", "calibration_missing", "recording_started", "recording_ended",
+    "calibration_applied", "calibration_missing", "recording_started", "recording_ended", "recording_added",
     "calibration_started", "calibration_ended",
     "taxel_faulty", "taxel_healed", "creep_measured",
     "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",

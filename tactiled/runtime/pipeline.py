@@ -207,7 +207,7 @@ class Pipeline:
             resolution_mm=done.resolution_mm,
             loss=frame.loss,
             warnings=warnings,
-            shear=self._tared_shear(frame.shear, flags),
+            shear=without_zero(frame.shear, self._zero.shear, flags),
             arrived=frame.arrived,
             unit=self._plan.unit,
             calibration=self._plan.calibration_id,
@@ -224,7 +224,7 @@ class Pipeline:
             checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
         checked = self._thickness(checked, raw, doubtful, self.noise.kpa)
         self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
-        of_skin = self._plan.warnings + self.noise.warning + _flag_warnings(flags) + self._map_warning()
+        of_skin = self._plan.warnings + self.noise.warning + flag_warnings(flags) + self._map_warning()
         return of_skin + checked + self.cover.warning
 
     def _map_warning(self) -> tuple[FrameWarning, ...]:
@@ -254,18 +254,19 @@ class Pipeline:
         means = [self.calibrator.pressure(each) for each in blocks(counts)]
         return load_description(means, noise, self._plan.unit)
 
-    def _tared_shear(
-        self, shear: NDArray[np.float32] | None, flags: NDArray[np.uint8]
-    ) -> NDArray[np.float32] | None:
-        """Shear in counts (2, ...), less the tare's; NaN where it is unknown, as in the raw image."""
-        if shear is None:
-            return None
-        tared = shear - np.nan_to_num(self._zero.shear)
-        tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
-        return tared.reshape((2, *flags.shape))
+
+def without_zero(
+    shear: NDArray[np.float32] | None, zero: NDArray[np.float32], flags: NDArray[np.uint8]
+) -> NDArray[np.float32] | None:
+    """Shear in counts (2, ...), less a tare's `zero` (2, N); NaN where it is unknown, as in the raw image."""
+    if shear is None:
+        return None
+    tared = shear - np.nan_to_num(zero)
+    tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
+    return tared.reshape((2, *flags.shape))
 
 
-def _flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
+def flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
     """A warning for each flag that some taxels have."""
     if not flags.any():
         return ()

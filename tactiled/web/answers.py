@@ -1,5 +1,6 @@
 """What the API answers on images, sensors and the service: the schemas, filled in."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from io import BytesIO
 from typing import Any
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 from tactiled.bus.error_frames import KINDS
 from tactiled.calibrate.drift import State as DriftState
 from tactiled.calibrate.health import RULES, Fault
+from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image, RawFrame
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.runtime.service import Service
-from tactiled.units import FORCE_UNITS, if_calibrated
+from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
 
@@ -125,13 +127,16 @@ def contacts(sensor: Sensor) -> schemas.Contacts | None:
     image, contacts = sensor.contacts()
     if image is None:
         return None
-    unit = image.unit
-    listed = [
+    units = {"unit": image.unit, "force_unit": FORCE_UNITS[image.unit]}
+    return schemas.Contacts(**_message(image, sensor.status()), **units, contacts=listed(contacts, image.unit))
+
+
+def listed(contacts: Iterable[Contact], unit: Unit) -> list[dict[str, Any]]:
+    """The fields of contacts in an image whose pressure has this unit."""
+    return [
         asdict(each) | {"force_n": if_calibrated(each.force, unit), "peak_kpa": if_calibrated(each.peak, unit)}
         for each in contacts
     ]
-    units = {"unit": unit, "force_unit": FORCE_UNITS[unit]}
-    return schemas.Contacts(**_message(image, sensor.status()), **units, contacts=listed)
 
 
 def stream_status(sensor: Sensor, image: Image | None, status: Status) -> schemas.StreamStatus:

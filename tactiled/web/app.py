@@ -23,6 +23,7 @@ from tactiled.web.rest import (
     events,
     frames,
     metrics,
+    playback,
     recordings,
     restore,
     sensors,
@@ -63,7 +64,9 @@ def create(service: Service, server: Server) -> FastAPI:
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         buses = {} if service.replayed else service.buses
-        app.include_router(recordings.make(server.recordings, buses, service.events, server.recordings_leave_mb))
+        folder = recordings.Recordings(server.recordings, buses, service.events, server.recordings_leave_mb)
+        app.include_router(playback.make(folder, server.recordings_leave_mb))
+        app.include_router(recordings.make(folder))
     app.include_router(calibration.router)
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))

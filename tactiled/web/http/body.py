@@ -13,6 +13,9 @@ MAX_BODY_BYTES = 64 << 10  # no request but an upload needs as much
 MAX_UPLOAD_BYTES = 64 << 20
 BODY_TIMEOUT_S = 60.0
 UPLOAD_PATH = "/api/v1/restore"
+MAX_RECORDING_BYTES = 1 << 30  # 44 min of 32 x 32 taxels at 100 Hz as .log
+RECORDING_TIMEOUT_S = 600.0  # 1.8 MB/s
+RECORDINGS_PATH = "/api/v1/recordings/"
 FILE_PATH_END = "/calibration/file"  # of a calibration file, which may be longer than other bodies
 
 
@@ -21,11 +24,14 @@ class Body:
 
     def __init__(self, scope: Scope, receive: Receive) -> None:
         headers = Headers(scope=scope)
-        self._receive, self._upload = receive, scope["path"] == UPLOAD_PATH
-        is_file = scope["path"].endswith(FILE_PATH_END)
+        path, self._timeout_s = scope["path"], BODY_TIMEOUT_S
+        self._receive, self._upload = receive, path == UPLOAD_PATH
+        is_file = path.endswith(FILE_PATH_END)
         self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BYTES if is_file else MAX_BODY_BYTES
+        if scope["method"] == "PUT" and path.startswith(RECORDINGS_PATH):
+            self._upload, self._limit, self._timeout_s = True, MAX_RECORDING_BYTES, RECORDING_TIMEOUT_S
         self._length, self._size = headers.get("content-length", "0"), 0
-        self._deadline = asyncio.get_running_loop().time() + BODY_TIMEOUT_S
+        self._deadline = asyncio.get_running_loop().time() + self._timeout_s
         self.complete = self._length == "0" and "transfer-encoding" not in headers
 
     async def receiver(self) -> Receive:
@@ -56,7 +62,7 @@ class Body:
             async with asyncio.timeout_at(self._deadline):
                 message = await self._receive()
         except TimeoutError as error:
-            raise Problem(408, f"the body did not come within {BODY_TIMEOUT_S:g} s") from error
+            raise Problem(408, f"the body did not come within {self._timeout_s:g} s") from error
         self._size += len(message.get("body", b""))
         if self._size > self._limit:
             raise self._too_large()

@@ -115,4 +115,6 @@ def _describe(error: Mapping[str, Any]) -> str:
     value = error.get("input")
     if source == "body" and not path:
         return f"body{'' if value is None else f' = {value!r:.80}'}: give a JSON object"
+    if error["type"] == "missing":  # its input is all that stands beside it, a token as well
+        return f"{'.'.join(map(str, path))}: {error['msg']}"
     return f"{'.'.join(map(str, path)) or source} = {value!r:.80}: {error['msg']}"

@@ -18,7 +18,7 @@ from tactiled.web.rest.negotiation import like
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
 
-Costly = Literal["pictures", "numbers"]  # answers of which one of a kind is made at a time
+Costly = Literal["pictures", "numbers", "playback"]  # answers of which one of a kind is made at a time
 FORMAT = "format of the answer; left out: by the Accept header"
 
 

@@ -1,24 +1,30 @@
 """`/api/v1/recordings`: record the buses into one folder; list, download and delete what is there."""
 
+import os
 import re
 import stat
+from asyncio import to_thread
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from shutil import disk_usage
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
 
-from fastapi import APIRouter, FastAPI, Query
+from fastapi import APIRouter, FastAPI, Query, Request
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import Recorder, record
-from tactiled.errors import TactileError
+from tactiled.bus.recording import Recording as Recorded
+from tactiled.errors import ConfigError, TactileError
+from tactiled.files import atomic_write
 from tactiled.runtime.events import Events
 from tactiled.web import schemas
+from tactiled.web.http.body import MAX_RECORDING_BYTES
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
@@ -29,6 +35,8 @@ FILE = (
     | success("the part of it that Range asks for; of several parts multipart/byteranges", "file", status=206)
     | success("Range begins after the end", status=416)
 )
+CONTENT = {MEDIA["file"]: {"schema": {"type": "string", "format": "binary"}}}
+BODY = {"requestBody": {"required": True, "content": CONTENT}}
 FileName = Annotated[str, PathParameter(pattern=FILE_NAME, description="a recording's file name")]
 
 
@@ -112,7 +120,10 @@ class _Run(Thread):
 
 
 class Recordings:
-    """The recordings of a folder, and those that run: one a bus at most."""
+    """The recordings of a folder, and those that run: one a bus at most.
+
+    Buses are by name, with python-can's settings of each; of none in a replay.
+    """
 
     def __init__(
         self, folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float
@@ -127,7 +138,7 @@ class Recordings:
             running = {name for name, run in self._runs.items() if run.is_alive()}
             names = running | {path.name for path in self._folder.glob("*") if _is_recording(path)}
             after = [name for name in sorted(names) if query.after is None or name > query.after]
-            page = tuple(map(self._recording, after[: query.limit]))
+            page = tuple(map(self.recording, after[: query.limit]))
         return RecordingPage(recordings=page, after=page[-1].name if len(after) > query.limit else None)
 
     def start(self, bus: str, name: str | None) -> Recording:
@@ -153,7 +164,33 @@ class Recordings:
             except OSError as error:
                 raise Problem(503, f"recording {name}: {error.strerror}") from error
             self._events.add("recording_started", name, bus=bus)
-            return self._recording(name)
+            return self.recording(name)
+
+    async def add(self, name: str, chunks: AsyncIterator[bytes], size: int) -> Recording:
+        """Take a new one of at most `size` bytes; Problem where there is one, no place for it, or no recording."""
+        path = self._folder / name
+        with self._lock:
+            self._need_ended(name)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            if disk_usage(self._folder).free < self._leave_mb * 1e6 + size:
+                free = f"{self._leave_mb:g} MB of its disk (recordings_leave_mb)"
+                raise Problem(503, f"recording {name}: would leave less than {free} free")
+            if path.exists() or path.is_symlink():
+                raise FileExistsError
+            with atomic_write(path) as part:
+                with part.open("xb") as file:
+                    async for chunk in chunks:
+                        file.write(chunk)
+                await to_thread(_complete, part)
+        except FileExistsError as error:
+            raise Problem(409, f"recording {name}: is there already") from error
+        except OSError as error:
+            raise Problem(503, f"recording {name}: {error.strerror}") from error
+        except ConfigError as error:
+            raise Problem(422, f"recording {name}: {without_path(error, part)}") from error
+        self._events.add("recording_added", name)
+        return self.recording(name)
 
     def stop(self, name: str) -> Recording:
         """Stop one, whatever became of its file; it is whole on the disk when this returns."""
@@ -162,7 +199,7 @@ class Recordings:
                 self._runs[name].stop()
             else:
                 self._path(name)
-            return self._recording(name)
+            return self.recording(name)
 
     def ended(self, name: str) -> Path:
         """Where one is that does not run; Problem where it runs, whatever became of its file, or there is none."""
@@ -191,11 +228,20 @@ class Recordings:
         if (run := self._runs.get(name)) and run.is_alive():
             raise Problem(409, f"recording {name}: runs: stop it first")
 
-    def _recording(self, name: str) -> Recording:
+    def recording(self, name: str) -> Recording:
+        """One as it is now."""
         path, run = self._folder / name, self._runs.get(name)
         running = run is not None and run.is_alive()  # before its size: it grows until it has ended
         file = {"name": name, "running": running, "bytes": _size(path)}
         return Recording(**Recording.shared(run) | file)  # a thread has a name of its own
+
+
+def _complete(path: Path) -> None:
+    """Have a file on the disk; ConfigError where it is no recording of data frames."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+    if next(iter(Recorded(path)), None) is None:
+        raise ConfigError("it holds no data frame")
 
 
 def _is_recording(path: Path) -> bool:
@@ -212,9 +258,8 @@ def _size(path: Path) -> int | None:
     return status.st_size if stat.S_ISREG(status.st_mode) else None
 
 
-def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, leave_mb: float = 0.0) -> APIRouter:
-    """The routes of a folder and of buses by name, with python-can's settings of each; of none in a replay."""
-    recordings = Recordings(folder, buses, events, leave_mb)
+def make(recordings: Recordings) -> APIRouter:
+    """The routes of a folder."""
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -244,6 +289,12 @@ def make(folder: Path, buses: Mapping[str, Mapping[str, Any]], events: Events, l
     def download(name: FileName) -> FileResponse:
         """The file of a recording that does not run, or a `Range` of it."""
         return FileResponse(recordings.ended(name), media_type=MEDIA["file"], filename=name)
+
+    @router.put("/{name}", status_code=201, responses=problems(408, 409, 413, 503, *CONTROL), openapi_extra=BODY)
+    async def upload(name: FileName, request: Request) -> Recording:
+        """Add a recording, in the format that its name has; nothing is overwritten."""
+        size = int(request.headers.get("content-length", MAX_RECORDING_BYTES))
+        return await recordings.add(name, request.stream(), size)
 
     @router.delete("/{name}", status_code=204, responses=problems(404, 409, *CONTROL))
     def delete(name: FileName) -> None:

@@ -170,7 +170,7 @@ def test_no_answer_has_a_token(rig, tmp_path):
     with running(rig.service, server) as url, httpx.Client(**options, base_url=url) as client:
         for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
             if "get" in operations:
-                address = path.format(name="palm", kind="raw")
+                address = path.format(name="palm", kind="raw", number=0)
                 for query in ("", f"?token={CONTROL}", f"?limit={READ[:4]}"):
                     answer = client.get(address + query)
                     text = answer.text + str(answer.headers)

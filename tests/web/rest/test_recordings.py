@@ -11,6 +11,7 @@ from tactiled.bus import recorder, recording
 from tactiled.config import Server, parse
 from tactiled.runtime.events import Events
 from tactiled.runtime.service import Service
+from tactiled.web.http import body
 from tactiled.web.rest import recordings
 from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, problem, until
@@ -84,7 +85,8 @@ def folder(tmp_path):
 def free_mb(monkeypatch):
     """How much room the disk has."""
     free = [600]
-    monkeypatch.setattr(recorder, "disk_usage", lambda _: SimpleNamespace(free=free[0] * 1e6))
+    for module in (recorder, recordings):
+        monkeypatch.setattr(module, "disk_usage", lambda _: SimpleNamespace(free=free[0] * 1e6))
     return free
 
 
@@ -118,6 +120,27 @@ def test_a_recording_from_its_start_to_its_end(api, folder):
     assert api.all() == []
     for refused in (*api.read_and_delete("a.log"), api.stop("a.log")):
         assert problem(refused, 404) == "recording a.log: no such recording"
+
+
+def test_a_file_that_is_uploaded_is_a_recording_or_refused_and_leaves_nothing(api, folder, free_mb, monkeypatch):
+    put = lambda name, content: api.client.put(f"{ROOT}/{name}", content=content)  # noqa: E731
+    text = b"(1.000000) can0 123#00 R\n"
+    free_mb[0] = 500
+    why = "would leave less than 500 MB of its disk (recordings_leave_mb) free"
+    assert problem(put("a.log", text), 503) == f"recording a.log: {why}"
+    free_mb[0] = 2000
+    added = put("a.log", iter([text[:5], text[5:]]))  # chunked: of unknown length
+    assert (added.status_code, added.json()["bytes"]) == (201, len(text))
+    assert (folder / "a.log").read_bytes() == text
+    assert problem(put("a.log", text), 409) == "recording a.log: is there already"
+    assert "give a recording in a format" in problem(put("b.log", b"nonsense\n"), 422)
+    assert problem(put("b.log", b""), 422) == "recording b.log: it holds no data frame"
+    problem(put("b.toml", text), 422)
+    monkeypatch.setattr(body, "MAX_RECORDING_BYTES", 100)
+    problem(put("b.log", 5 * text), 413)
+    problem(put("b.log", iter([text] * 5)), 413)
+    assert [each.name for each in folder.iterdir()] == ["a.log"]
+    assert [(each.kind, each.text) for each in api.events.after(0)] == [("recording_added", "a.log")]
 
 
 def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):
@@ -240,7 +263,7 @@ def test_the_size_of_an_ended_recording_is_that_of_its_whole_file(folder, reques
     size_of, run = recordings._size, files._runs["a.log.gz"]
     with monkeypatch.context() as patched:
         patched.setattr(recordings, "_size", lambda path: (size_of(path), run.stop())[0])
-        during = files._recording("a.log.gz")
+        during = files.recording("a.log.gz")
     (after,) = files.page(recordings.PageQuery()).recordings
     assert not after.running
     assert during.running or during.bytes == after.bytes

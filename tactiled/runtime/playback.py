@@ -1,0 +1,133 @@
+"""Any frame of a recording restored by itself, in whatever order: what does not depend on the frames before."""
+
+from dataclasses import replace
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.calibrate.calibration import Calibrator
+from tactiled.calibrate.tare import Zero
+from tactiled.contacts.detection import Contact, Finder
+from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, FrameChecks
+from tactiled.diagnostics.warning_codes import WarningCode, warning
+from tactiled.frames import FrameWarning, Image, RawFrame
+from tactiled.geometry import tiling
+from tactiled.restore.methods import Restorer, make
+from tactiled.restore.noise import estimate, noise_ratio
+from tactiled.runtime.pipeline import flag_warnings, without_zero
+from tactiled.runtime.recorded_frames import RecordedFrames
+from tactiled.units import FORCE_SCALES
+
+MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
+
+
+class Overview(NamedTuple):
+    """Force on the raw images over a recording: of each piece of it the frames with the lowest and highest sum."""
+
+    position_s: NDArray[np.float64]  # (P,), ascending
+    force: NDArray[np.float64]  # (P,) N, or counts mm^2
+
+
+class Playback:
+    """Restores the frames of one sensor of a recording, on one thread.
+
+    Pressures are by `plan` and, if it was done before the first frame, the tare of `zero`. Drift is not tracked,
+    and no faulty taxels are looked for. The noise is as configured, else measured from the first frames.
+    """
+
+    def __init__(self, plan: SensorPlan, zero: Zero, recorded: RecordedFrames, noise_frames: int) -> None:
+        """There must be a frame, and `noise_frames` from which noise is measured unless it is configured."""
+        self.plan, self.zero, self._recorded = plan, zero, recorded
+        calibration, size = plan.calibration, plan.array.size
+        self._calibrator = Calibrator(calibration, size)
+        self._shear_zero = np.full((2, size), np.nan, np.float32)
+        self.tared_at: float | None = None
+        if zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]:
+            self.tared_at, self._shear_zero = zero.time, zero.shear
+            self._calibrator.tare(zero.counts.astype(float))
+        self.noise = calibration.noise_kpa or self._measured_noise(noise_frames)
+        noise_counts = calibration.noise_counts
+        noisy = None if noise_counts is None else self._calibrator.noise_kpa(noise_counts)
+        self._noise_ratio = None if noisy is None else noise_ratio(noisy, self.noise)
+        self._restorers: dict[str, Restorer] = {}
+        self._checks = FrameChecks(plan.blur, calibration.floor_kpa)
+        self._finder = Finder(plan.array, plan.cells)
+        self._areas = tiling(plan.array).areas  # (N,) mm^2
+
+    def _measured_noise(self, count: int) -> float:
+        raw = [self._pressure(self._recorded.frame(self.plan.name, n))[0] for n in range(count)]
+        return max(self.plan.calibration.floor_kpa, estimate(np.stack(raw)))
+
+    def _pressure(self, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        pressure, flags = self._calibrator(frame.counts, frame.flags)
+        return pressure.reshape(self.plan.array.frame_shape), flags.reshape(self.plan.array.frame_shape)
+
+    def image(self, number: int, method: str) -> Image:
+        """One frame restored; `arrived` is its position in the recording. ConfigError for an unknown method."""
+        plan, frame = self.plan, self._recorded.frame(self.plan.name, number)
+        if method not in self._restorers:
+            self._restorers[method] = make(method, plan.blur, self.noise, self._noise_ratio)
+        began = perf_counter()
+        raw, flags = self._pressure(frame)
+        done = self._restorers[method](raw, flags)
+        return Image(
+            sensor=plan.name,
+            sequence=frame.sequence,
+            time=frame.time,
+            raw=raw,
+            restored=done.image.copy(),
+            flags=flags,
+            method=done.method,
+            why=done.why,
+            iterations=done.iterations,
+            microseconds=(perf_counter() - began) * 1e6,
+            noise=self.noise,
+            noise_gain=done.noise_gain,
+            resolution_mm=done.resolution_mm,
+            loss=frame.loss,
+            warnings=plan.warnings + flag_warnings(flags),
+            shear=without_zero(frame.shear, self._shear_zero, flags),
+            arrived=frame.arrived,
+            unit=plan.unit,
+            calibration=plan.calibration_id,
+        )
+
+    def warnings(self, number: int, method: str) -> tuple[FrameWarning, ...]:
+        """Warnings of one frame: those of a replay that this frame and the checks before it can show."""
+        newest = number - number % CHECK_EVERY_FRAMES
+        checked = range(newest, newest - CHECKS_IN_A_ROW * CHECK_EVERY_FRAMES, -CHECK_EVERY_FRAMES)
+        codes: list[WarningCode] | None = None
+        for n in checked:
+            shows = self._check(n, method) if n >= 0 and codes != [] else ()
+            codes = [code for code in (shows if codes is None else codes) if code in shows]
+        return self.image(number, method).warnings + tuple(warning(code) for code in codes or ())
+
+    def _check(self, number: int, method: str) -> tuple[WarningCode, ...]:
+        image = self.image(number, method)
+        noisy = None if self._noise_ratio is None else (self._noise_ratio > 1).reshape(image.flags.shape)
+        doubtful = image.flags if noisy is None else image.flags | noisy
+        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method)
+
+    def contacts(self, image: Image) -> tuple[Contact, ...]:
+        """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
+        contacts = self._finder(image.restored, image.noise * max(image.noise_gain, 1.0), image.unit)
+        return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
+
+    def overview(self) -> Overview:
+        """Force over the whole recording, as far as it was read."""
+        heads = self._recorded.heads(self.plan.name)
+        total = heads["total"]
+        first = np.unique(np.linspace(0, len(total), MAX_POINTS // 2, endpoint=False).astype(int))
+        pieces = np.split(np.arange(len(total)), first[1:])
+        numbers = np.unique(
+            [at for each in pieces for at in (each[total[each].argmin()], each[total[each].argmax()])]
+        )
+        force = [self._force(int(n)) for n in numbers]
+        return Overview(heads["position"][numbers], np.array(force))
+
+    def _force(self, number: int) -> float:
+        raw, _ = self._pressure(self._recorded.frame(self.plan.name, number))
+        return float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit]

@@ -1,0 +1,197 @@
+"""The frames of a recording in counts, each at hand at once: another process decodes the file once, to the disk.
+
+Any format is read so, also those that can only be read from their beginning; memory does not grow with the length.
+"""
+
+import os
+import time
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import fields
+from multiprocessing.reduction import DupFd
+from operator import attrgetter
+from pathlib import Path
+from shutil import disk_usage
+from struct import Struct
+from tempfile import TemporaryFile
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bus.codec import Codec
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import frames
+from tactiled.bus.router import Router
+from tactiled.errors import TactileError
+from tactiled.frames import Loss, RawFrame
+from tactiled.runtime.fit_process import Cancelled, FitProcess
+from tactiled.threads import join_started
+
+FLUSH_S = 0.1  # until frames that were decoded can be read
+LOSSES = tuple(each.name for each in fields(Loss))
+HEAD = np.dtype(
+    [
+        ("position", "<f8"),  # s, in the recording
+        ("time", "<f8"),
+        ("skew", "<f8"),
+        ("sequence", "<i8"),
+        ("offset", "<i8"),  # of its arrays among those of all frames, bytes
+        ("total", "<f8"),  # of its counts
+        ("content", "u1"),
+        ("loss", "<i8", (len(LOSSES),)),
+    ]
+)
+PACKED_HEAD = Struct(f"<dddqqdB{len(LOSSES)}q")  # the same
+FLOATS, FLAGS, SHEAR = 1, 2, 4  # in `content`: counts are float32, not uint16; flags are not all 0; shear
+_losses = attrgetter(*LOSSES)
+
+
+class _File:
+    """A file without a name, which nothing survives that ends the service; another process may write it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115, closed by `close`
+        self.close = self._file.close
+
+    def __reduce__(self) -> Any:
+        return _reopened, (DupFd(self._file.fileno()),)
+
+    @property
+    def size(self) -> int:
+        return os.fstat(self._file.fileno()).st_size
+
+    def read(self, size: int, offset: int) -> bytes:
+        return os.pread(self._file.fileno(), size, offset)
+
+
+def _reopened(duplicate: Any) -> Any:
+    return os.fdopen(duplicate.detach(), "wb")
+
+
+class _Writer:
+    """Writes the frames of one sensor: arrays first, so that a head that is there has them."""
+
+    def __init__(self, heads: Any, arrays: Any) -> None:
+        self._heads, self._arrays = heads, arrays
+        self._pending = bytearray()
+        self._offset = 0
+
+    def add(self, frame: RawFrame) -> None:
+        counts = frame.counts
+        parts: list[NDArray[Any]] = [counts]
+        content = FLOATS if counts.dtype == np.float32 else 0
+        if frame.flags.any():
+            content |= FLAGS
+            parts.append(frame.flags)
+        if frame.shear is not None:
+            content |= SHEAR
+            parts.append(np.asarray(frame.shear, np.float32))
+        head = frame.arrived, frame.time, frame.skew, frame.sequence, self._offset, float(counts.sum()), content
+        self._pending += PACKED_HEAD.pack(*head, *_losses(frame.loss))
+        self._offset += sum(self._arrays.write(each.tobytes()) for each in parts)
+
+    def flush(self) -> None:
+        self._arrays.flush()
+        self._heads.write(self._pending)
+        self._heads.flush()
+        self._pending.clear()
+
+
+def write_frames(
+    path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[Any, Any]], leave_mb: float
+) -> str:
+    """Write every frame of a recording; returns a summary of it. TactileError where it or the disk ends early."""
+    recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
+    parent, flushed = os.getppid(), time.monotonic()
+    try:
+        for name, frame in frames(recording, Router(codecs)):
+            writers[name].add(frame)
+            if time.monotonic() - flushed > FLUSH_S:
+                for each in writers.values():
+                    each.flush()
+                flushed = time.monotonic()
+                if disk_usage(path.parent).free < leave_mb * 1e6:
+                    raise TactileError(f"less than {leave_mb:g} MB of its disk are free (recordings_leave_mb)")
+                if os.getppid() != parent:
+                    raise TactileError("the service ended")
+    finally:
+        for each in writers.values():
+            each.flush()
+    return recording.summary()
+
+
+def file_version(path: Path) -> tuple[int, int]:
+    """What differs where a file was written anew: time of change and size."""
+    status = path.stat()
+    return status.st_mtime_ns, status.st_size
+
+
+class RecordedFrames:
+    """The frames of a recording's sensors; more come while `reading`. `codecs` are of one bus."""
+
+    def __init__(self, path: Path, codecs: Mapping[str, Codec], leave_mb: float = 0.0) -> None:
+        """OSError where its folder takes no files."""
+        self.path, self.version, self.used_at = path, file_version(path), 0.0
+        self._sizes = {name: each.size for name, each in codecs.items()}
+        self._files = {name: (_File(path.parent), _File(path.parent)) for name in codecs}
+        self.summary = self.error = ""  # of the recording; why it, or its reading, ended early
+        self._process = FitProcess()
+        self._thread = Thread(target=self._read, args=(codecs, leave_mb), name=f"read {path.name}", daemon=True)
+        self._thread.start()
+
+    @property
+    def reading(self) -> bool:
+        """Whether more frames may come."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Give the disk free."""
+        self._process.cancel()
+        join_started(self._thread)
+        for each in self._files.values():
+            for file in each:
+                file.close()
+
+    def _read(self, codecs: Mapping[str, Codec], leave_mb: float) -> None:
+        try:
+            self.summary = self._process.run(write_frames, self.path, codecs, self._files, leave_mb)
+        except Cancelled:
+            pass
+        except Exception as error:
+            self.error = str(error)
+
+    def count(self, sensor: str) -> int:
+        """Frames of a sensor by now."""
+        return self._files[sensor][0].size // HEAD.itemsize
+
+    def heads(self, sensor: str, first: int = 0, count: int | None = None) -> NDArray[Any]:
+        """What stands beside the counts of some frames, as HEAD."""
+        count = self.count(sensor) if count is None else count
+        return np.frombuffer(self._files[sensor][0].read(count * HEAD.itemsize, first * HEAD.itemsize), HEAD)
+
+    def at(self, sensor: str, position_s: float) -> int:
+        """Number of the last frame that had come at a position; the first's before it. There must be one."""
+        every = range(self.count(sensor))
+        later = bisect_right(every, position_s, key=lambda n: float(self.heads(sensor, n, 1)["position"][0]))
+        return max(0, later - 1)
+
+    def frame(self, sensor: str, number: int) -> RawFrame:
+        """One frame, of those that are there."""
+        (head,) = self.heads(sensor, number, 1)
+        size, content = self._sizes[sensor], int(head["content"])
+        counts_type = np.dtype("<f4" if content & FLOATS else "<u2")
+        flags_at = counts_type.itemsize * size
+        shear_at = flags_at + (size if content & FLAGS else 0)
+        data = self._files[sensor][1].read(shear_at + (8 * size if content & SHEAR else 0), int(head["offset"]))
+        return RawFrame(
+            sequence=int(head["sequence"]),
+            time=float(head["time"]),
+            skew=float(head["skew"]),
+            counts=np.frombuffer(data, counts_type, size),
+            flags=np.frombuffer(data, np.uint8, size, flags_at) if content & FLAGS else np.zeros(size, np.uint8),
+            loss=Loss(*map(int, head["loss"])),
+            shear=np.frombuffer(data, "<f4", 2 * size, shear_at).reshape(2, size) if content & SHEAR else None,
+            arrived=float(head["position"]),
+        )

@@ -1,0 +1,249 @@
+"""`/api/v1/recordings/{name}/playback` and `/frames`: any frame of a recording, raw and restored, in any order."""
+
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, FastAPI, Query, Request, Response
+from fastapi import Path as PathParameter
+from pydantic import BaseModel, Field
+
+from tactiled.errors import TactileError
+from tactiled.frames import Loss
+from tactiled.runtime.pipeline import NOISE_FRAMES
+from tactiled.runtime.playback import Playback
+from tactiled.runtime.recorded_frames import RecordedFrames, file_version
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
+from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
+from tactiled.web import answers, schemas
+from tactiled.web.http.problems import Problem
+from tactiled.web.rest.dependencies import in_turn, without_path
+from tactiled.web.rest.openapi import EVERY_RESOURCE, MEDIA, problems, success
+from tactiled.web.rest.recordings import FileName, Recordings
+from tactiled.wire import KINDS, PRESSURES, pack
+
+MAX_OPEN = 4  # recordings whose frames are on the disk; the one used longest ago makes room
+IDLE_S = 600.0  # after its last request a recording's frames are given up
+MAX_FRAMES = 64  # an answer: a second of a screen's paintings
+ANSWER_S = 0.15  # of restoring, after which an answer has the frames that are done; seeking is to take 0.3 s
+MAX_POSITION_S = 1e9
+IMAGES = success(
+    "messages of the stream's binary form, the kinds of a frame behind one another",
+    "file",
+    headers={
+        "X-Tactiled-Frame": "number of the first frame in the recording, from 0",
+        "X-Tactiled-Positions": "s from the recording's first message to each of the frames",
+    },
+)
+
+Number = Annotated[int, PathParameter(ge=0, le=1 << 53, description="of the frame, from 0", examples=[512])]
+
+
+class Played(schemas.Schema):
+    """A sensor's part of a recording."""
+
+    name: str = Field(examples=["grasp.log"])
+    sensor: schemas.SensorName
+    frames: int = Field(description="frames by now", examples=[1025])
+    reading: bool = Field(description="whether the file is still being read", examples=[False])
+    error: str | None = Field(description="why it was not read to its end", examples=[None])
+    duration_s: float = Field(0.0, description="position of the last frame", examples=[10.24])
+    timestamp: float | None = Field(None, description="Unix time of the first frame, s", examples=[1763712000.25])
+    unit: schemas.Unit
+    noise: float | None = Field(None, description="standard deviation of a raw taxel, in `unit`", examples=[0.2])
+    tared_at: float | None = Field(None, description="Unix time of the tare that is used; null: none")
+    calibration: str = Field(description="id of the calibration file, or configured", examples=["configured"])
+    force_unit: ForceUnit = Field(examples=["N"])
+    positions_s: list[float] = Field([], description="of `force`")
+    force: list[float] = Field([], description="total of the raw image: lowest and highest of each piece in turn")
+
+
+class PlayedFrame(schemas.Restoration, schemas.FrameId):
+    """What is known of one frame of a recording beside its images."""
+
+    number: int = Field(description="in the recording, from 0", examples=[512])
+    position_s: float = Field(description="from the recording's first message", examples=[5.12])
+    skew_s: float = Field(description="from the frame's first message to its last", examples=[0.0031])
+    method: str = Field(description="method used", examples=["nnls"])
+    loss: Loss = Field(description="since the beginning of the recording")
+    warnings: tuple[schemas.FrameWarning, ...]
+    force_unit: ForceUnit = Field(examples=["N"])
+    contacts: tuple[schemas.Contact, ...] = Field(description="strongest first, numbered in each frame anew")
+
+
+class SensorQuery(BaseModel):
+    """Whose frames."""
+
+    sensor: str = Field(description="a sensor, as in the configuration", examples=["palm"])
+
+
+class MethodQuery(SensorQuery):
+    """How they are restored."""
+
+    method: schemas.MethodName | None = Field(None, description="left out: the one that is selected live")
+
+
+class FramesQuery(MethodQuery):
+    """Which frames."""
+
+    first: int | None = Field(None, ge=0, le=1 << 53, description="number of the first frame, from 0")
+    at: float | None = Field(
+        None, ge=0, le=MAX_POSITION_S, description="instead: the last frame that had come at this position, s"
+    )
+    count: int = Field(1, ge=1, le=MAX_FRAMES, description="frames at most; fewer if restoring them takes long")
+    step: int = Field(1, ge=1, le=100_000, description="from one frame to the next")
+    shear: bool = Field(False, description="whether its shear comes behind raw and restored")
+
+
+class Playbacks:
+    """Recordings that are open, and what restores their frames; on one thread, but for `close`."""
+
+    def __init__(self, leave_mb: float) -> None:
+        self._leave_mb = leave_mb
+        self._open: dict[tuple[str, str], RecordedFrames] = {}  # by file and bus, the one used last at the end
+        self._restoring = lru_cache(MAX_OPEN)(Playback)
+
+    def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
+        """The frames of a file, which is read again where it has changed; Problem 503 where it cannot be."""
+        key, now = (path.name, bus), time.monotonic()
+        recorded = self._open.pop(key, None)
+        for name, other in list(self._open.items()):
+            if now - other.used_at > IDLE_S or len(self._open) >= MAX_OPEN:
+                self._open.pop(name).close()
+        codecs = {name: each.codec for name, each in service.sensors.items() if each.plan.bus == bus}
+        try:
+            if recorded and recorded.version != file_version(path):
+                recorded.close()
+                recorded = None
+            self._open[key] = recorded = recorded or RecordedFrames(path, codecs, self._leave_mb)
+        except OSError as error:
+            raise Problem(503, f"recording {path.name}: {error.strerror}") from error
+        recorded.used_at = now
+        return recorded
+
+    def playback(self, sensor: Sensor, recorded: RecordedFrames) -> Playback:
+        """What restores a sensor's frames, by its present calibration; Problem where there is none yet."""
+        need_frame(sensor, recorded, 0)
+        noise_frames = min(NOISE_FRAMES, recorded.count(sensor.name))
+        return self._restoring(sensor.plan, sensor.pipeline.zero, recorded, noise_frames)
+
+    def close(self) -> None:
+        """Close all."""
+        while self._open:
+            self._open.popitem()[1].close()
+
+
+def need_frame(sensor: Sensor, recorded: RecordedFrames, number: int) -> None:
+    """Problem 409 where a frame was not read yet, 404 where there is none."""
+    count, name = recorded.count(sensor.name), recorded.path.name
+    if number < count:
+        return
+    if recorded.reading:
+        raise Problem(409, f"recording {name}: frame {number} is not read yet", {"Retry-After": "1"})
+    why = recorded.error.replace(f" {recorded.path}", "") or f"it has {count} frames of sensor {sensor.name}"
+    raise Problem(404, f"recording {name}: no frame {number}: {why}")
+
+
+def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Response:
+    """A sensor's part of a recording, as far as it was read."""
+    reading, plan = recorded.reading, sensor.plan  # first: more may come meanwhile
+    fields: dict[str, Any] = {
+        "name": recorded.path.name, "sensor": sensor.name, "reading": reading, "unit": plan.unit,
+        "force_unit": FORCE_UNITS[plan.unit], "calibration": plan.calibration_id,
+        "error": without_path(TactileError(recorded.error), recorded.path) or None,
+    }  # fmt: skip
+    if frames := recorded.count(sensor.name):
+        playback = playbacks.playback(sensor, recorded)
+        positions, force = playback.overview()
+        first, last = (recorded.heads(sensor.name, n, 1)[0] for n in (0, frames - 1))
+        fields |= {"duration_s": float(last["position"]), "timestamp": float(first["time"])}
+        fields |= {"noise": playback.noise, "tared_at": playback.tared_at}
+        fields |= {"positions_s": positions.tolist(), "force": force.tolist()}
+    return Response(Played(**fields, frames=frames).model_dump_json(), media_type=MEDIA["json"])
+
+
+def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
+    """Messages of some frames, restored until ANSWER_S have passed."""
+    if query.shear:
+        sensor.need_shear()
+    playback = playbacks.playback(sensor, recorded)
+    first = recorded.at(sensor.name, query.at or 0.0) if query.first is None else query.first
+    need_frame(sensor, recorded, first)
+    last = min(recorded.count(sensor.name), first + query.count * query.step)
+    kinds, end = (KINDS if query.shear else PRESSURES), time.monotonic() + ANSWER_S
+    messages, positions = [], []
+    for number in range(first, last, query.step):
+        image = playback.image(number, query.method or sensor.method)
+        messages += [pack(image, kind, time.time()) for kind in kinds]
+        positions.append(f"{image.arrived:.6f}")
+        if time.monotonic() > end:
+            break
+    headers = {"X-Tactiled-Frame": str(first), "X-Tactiled-Positions": ",".join(positions)}
+    return Response(b"".join(messages), media_type=MEDIA["file"], headers=headers)
+
+
+def _frame(
+    playbacks: Playbacks, number: int, method: str | None, sensor: Sensor, recorded: RecordedFrames
+) -> Response:
+    """What is known of one frame beside its images."""
+    need_frame(sensor, recorded, number)
+    playback, method = playbacks.playback(sensor, recorded), method or sensor.method
+    image = playback.image(number, method)
+    fields = {
+        "number": number,
+        "timestamp": image.time,
+        "position_s": image.arrived,
+        "skew_s": float(recorded.heads(sensor.name, number, 1)[0]["skew"]),
+        "noise_kpa": if_calibrated(image.noise, image.unit),
+        "warnings": playback.warnings(number, method),
+        "force_unit": FORCE_UNITS[image.unit],
+        "contacts": answers.listed(playback.contacts(image), image.unit),
+    }
+    return Response(PlayedFrame(**PlayedFrame.shared(image) | fields).model_dump_json(), media_type=MEDIA["json"])
+
+
+def make(recordings: Recordings, leave_mb: float) -> APIRouter:
+    """The routes of the recordings of a folder."""
+    playbacks = Playbacks(leave_mb)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        playbacks.close()
+
+    router = APIRouter(prefix="/api/v1/recordings/{name}", tags=["recordings"], lifespan=lifespan)
+    faults = problems(*EVERY_RESOURCE, 404, 409, 429, 503)
+
+    async def answer(
+        request: Request, name: str, query: SensorQuery, make: Callable[[Sensor, RecordedFrames], Response]
+    ) -> Response:
+        service: Service = request.app.state.service
+        sensor = service.sensor(query.sensor)
+
+        def made() -> Response:
+            return make(sensor, playbacks.recorded(recordings.ended(name), service, sensor.plan.bus))
+
+        return await in_turn(request, made, "playback")
+
+    @router.get("/playback", response_model=Played, responses=faults)
+    async def state(name: FileName, request: Request, query: Annotated[SensorQuery, Query()]) -> Response:
+        """A sensor's part of a recording that does not run; the first request begins to read the file."""
+        return await answer(request, name, query, partial(_state, playbacks))
+
+    @router.get("/frames", response_class=Response, responses=faults | IMAGES)
+    async def frames(name: FileName, request: Request, query: Annotated[FramesQuery, Query()]) -> Response:
+        """Frames of a recording, raw and restored, each by itself: they do not depend on the order of requests."""
+        return await answer(request, name, query, partial(_images, playbacks, query))
+
+    @router.get("/frames/{number}", response_model=PlayedFrame, responses=faults)
+    async def frame(
+        name: FileName, number: Number, request: Request, query: Annotated[MethodQuery, Query()]
+    ) -> Response:
+        """Reason, warnings, losses and contacts of one frame of a recording."""
+        return await answer(request, name, query, partial(_frame, playbacks, number, query.method))
+
+    return router

@@ -1,0 +1,150 @@
+"""Frames of recordings: any of them at once, as a replay restores them."""
+
+from dataclasses import asdict
+
+import httpx
+import numpy as np
+import pytest
+
+from tactiled.build import sensor_plan
+from tactiled.bus.recording import Recording
+from tactiled.bus.replay import frames
+from tactiled.bus.router import Router
+from tactiled.config import Server, parse
+from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
+from tactiled.runtime.service import Service
+from tactiled.web.rest import playback
+from tactiled.web.server import running
+from tactiled.wire import unpack_all
+from tests.cli.recordings import CODEC, CONFIG, FRAMES, traffic, write
+from tests.conftest import HTTP, problem, until
+
+ROOT = "/api/v1/recordings"
+PALM = {"sensor": "palm"}
+
+
+@pytest.fixture(scope="module")
+def service():
+    return Service(parse(CONFIG))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Recordings: one with losses, the same packed, one with a fault, and one of another sensor."""
+    folder = tmp_path_factory.mktemp("recordings")
+    for name in ("a.log", "a.asc.gz"):
+        write(folder / name, list(traffic(missing={(20, 1), (40, 0), (41, 1)})))
+    lines = (folder / "a.log").read_text().splitlines(keepends=True)
+    (folder / "bad.log").write_text("".join([*lines[:40], "nonsense\n", *lines[40:]]))
+    (folder / "other.log").write_text("(1.0) can0 123#00 R\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client(service, folder):
+    server = Server(port=0, recordings=folder, recordings_leave_mb=0, control_per_minute=0)
+    with running(service, server) as url, httpx.Client(**HTTP, base_url=url + ROOT) as client:
+        yield client
+
+
+def opened(client, name):
+    """The state of a recording once it was read to its end."""
+    until(lambda: not client.get(f"/{name}/playback", params=PALM).json()["reading"])
+    return client.get(f"/{name}/playback", params=PALM).json()
+
+
+def images(client, name, **query):
+    answer = client.get(f"/{name}/frames", params=PALM | query)
+    assert answer.status_code == 200, answer.text
+    positions = [float(each) for each in answer.headers["x-tactiled-positions"].split(",")]
+    return int(answer.headers["x-tactiled-frame"]), positions, unpack_all(answer.content)
+
+
+def replayed(path):
+    """What a replay makes of a recording."""
+    pipeline = Pipeline(sensor_plan("palm", parse(CONFIG).sensor["palm"]))
+    return [pipeline.process(each) for _, each in frames(Recording(path), Router({"palm": CODEC}))]
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.asc.gz"])
+def test_frames_in_any_order_are_those_of_a_replay(client, folder, name):
+    path = folder / name
+    expected = replayed(path)
+    state = opened(client, path.name)
+    assert [state[key] for key in ("frames", "error", "tared_at")] == [FRAMES, None, None]
+    assert state["duration_s"] == pytest.approx(expected[-1].arrived)
+    for number in (*range(FRAMES - 1, NOISE_FRAMES - 1, -1), 40):
+        first, (position,), (raw, restored) = images(client, path.name, first=number)
+        image = expected[number]
+        assert (first, raw.sequence, raw.method) == (number, image.sequence, image.method)
+        assert (position, raw.timestamp) == (pytest.approx(image.arrived, abs=1e-6), image.time)
+        np.testing.assert_array_equal(raw.values, image.raw)
+        np.testing.assert_array_equal(raw.flags, image.flags.ravel())
+        np.testing.assert_array_equal(restored.values, image.restored)
+        details = client.get(f"/{path.name}/frames/{number}", params=PALM).json()
+        assert details["loss"] == asdict(image.loss)
+        assert [each["text"] for each in details["warnings"]] == [each.text for each in image.warnings]
+        assert details["why"] == image.why
+    areas = np.nansum([each.raw for each in expected], axis=(1, 2)) * 1e-3  # N: taxels of 1 mm2
+    assert max(state["force"]) == pytest.approx(areas.max(), rel=1e-5)
+    assert state["positions_s"][int(np.argmax(state["force"]))] == pytest.approx(expected[areas.argmax()].arrived)
+
+
+def test_frames_by_position_and_in_steps(client):
+    opened(client, "a.log")
+    assert images(client, "a.log", at=0.2)[0] == 19  # whose last message came at .191
+    assert images(client, "a.log", at=0.0)[0] == 0
+    assert images(client, "a.log", at=1e9)[0] == FRAMES - 1
+    _, positions, messages = images(client, "a.log", first=10, count=4, step=20)
+    np.testing.assert_allclose(positions, [0.101, 0.301, 0.501], atol=1e-6)
+    assert [each.sequence for each in messages] == [10, 10, 30, 30, 50, 50]
+    contacts = client.get("/a.log/frames/50", params=PALM).json()["contacts"]
+    assert [each["id"] for each in contacts] == [1]
+    (raw, same) = images(client, "a.log", first=50, method="raw")[2]
+    np.testing.assert_array_equal(raw.values, same.values)
+
+
+def test_an_answer_is_short_where_restoring_takes_long(client, monkeypatch):
+    opened(client, "a.log")
+    monkeypatch.setattr(playback, "ANSWER_S", 0.0)
+    assert len(images(client, "a.log", first=0, count=30)[1]) == 1
+
+
+def test_the_tare_from_before_a_recording_is_its_zero_and_a_later_one_is_not(client, service):
+    assert opened(client, "a.log")["tared_at"] is None
+    sensor = service.sensor("palm")
+    ((before, _), pipeline) = images(client, "a.log", first=0)[2], sensor.pipeline
+    zero = pipeline.zero
+    for time, shift in ((1.6e9 - 1, 5.0), (1.6e9 + 1, 0.0)):
+        pipeline.set_zero(type(zero)(zero.counts - 10, zero.shear, time))
+        assert opened(client, "a.log")["tared_at"] == (time if shift else None)
+        np.testing.assert_allclose(images(client, "a.log", first=0)[2][0].values, before.values + shift, atol=1e-4)
+    pipeline.set_zero(zero)
+
+
+def test_what_cannot_be_played_is_refused_in_a_line(client, folder):
+    opened(client, "a.log")
+    get = lambda path, **query: client.get(path, params=PALM | query)  # noqa: E731
+    assert problem(get("/b.log/playback"), 404) == "recording b.log: no such recording"
+    assert problem(get("/a.log/playback", sensor="plam"), 404).startswith("sensor 'plam'")
+    assert problem(get("/a.log/frames", first=60), 404) == (
+        "recording a.log: no frame 60: it has 60 frames of sensor palm"
+    )
+    assert "no shear" in problem(get("/a.log/frames", shear=True), 404)
+    broken = opened(client, "bad.log")
+    assert broken["frames"] == 13
+    assert str(folder) not in broken["error"]
+    assert "nonsense" in broken["error"] or "give a recording in a format" in broken["error"]
+    assert opened(client, "other.log")["frames"] == 0
+    assert "it has 0 frames of sensor palm" in problem(get("/other.log/frames", first=0), 404)
+
+
+def test_a_file_that_was_written_anew_is_read_anew_and_leaves_nothing_beside_it(client, folder, monkeypatch):
+    monkeypatch.setattr(playback, "MAX_OPEN", 1)
+    path = write(folder / "b.log", traffic())
+    assert opened(client, "b.log")["frames"] == FRAMES
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[: len(lines) // 2]))
+    assert opened(client, "b.log")["frames"] == FRAMES // 2
+    path.unlink()
+    assert {each.name for each in folder.iterdir()} == {"a.log", "a.asc.gz", "bad.log", "other.log"}
