@@ -1,6 +1,7 @@
 """The command line's entry point: one line and exit code 2 for every error that a user can fix."""
 
 import gc
+import logging
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -56,7 +57,9 @@ def main() -> None:
     try:
         app()
     except TactileError as error:
-        typer.echo(f"tactiled: {error}", err=True)
+        from tactiled import logs
+
+        logs.announce(str(error), logging.ERROR)
         sys.exit(EXIT_REFUSED)
     except SystemExit as end:
         if end.code == EXIT_INTERRUPTED:

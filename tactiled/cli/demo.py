@@ -44,6 +44,7 @@ def demo(
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
     foxglove: options.Foxglove = None,
+    _: options.LogFormat = "console",
 ) -> None:
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)

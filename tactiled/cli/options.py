@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tactiled import logs
 from tactiled.config import load, schema
 from tactiled.errors import ConfigError, TactileError
 from tactiled.files import atomic_write
@@ -25,6 +26,15 @@ Seconds = Annotated[float | None, typer.Option(help="How long; until interrupted
 Foxglove = Annotated[
     int | None,
     typer.Option(metavar="PORT", help="Serve Foxglove's apps too, on this port of loopback.", min=0, max=65535),
+]
+LogFormat = Annotated[
+    logs.Style,
+    typer.Option(
+        "--log-format",
+        callback=logs.configure,
+        envvar="TACTILED_LOG_FORMAT",
+        help="Log for people or as JSON.",
+    ),
 ]
 
 

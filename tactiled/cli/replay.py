@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
+from tactiled import logs
 from tactiled.bus.replay import Replay
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
@@ -25,6 +26,7 @@ def replay(
     ] = 1.0,
     host: Annotated[str | None, typer.Option(help="Address to serve on instead of the file's.")] = None,
     port: Annotated[int | None, typer.Option(help="Port instead of the file's.", min=0, max=65535)] = None,
+    _: options.LogFormat = "console",
 ) -> None:
     """Restore every frame of a recording and serve it as `run` does; every run gives the same images."""
     settings = one_bus(load(config), bus)
@@ -41,12 +43,12 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
 
     def listen(bus: str, _: object, sensors: dict[str, Sensor]) -> Replay:
         def ended(line: str, failed: bool) -> None:
-            print(f"tactiled: {line}", flush=True)
+            logs.announce(line)
             for each in sensors.values():
                 setattr(each, "down" if failed else "ended", line)
 
         def stepped(line: str) -> None:
-            print(f"tactiled: {line}", flush=True)
+            logs.announce(line)
             service.events.add("replay_stepped", line, bus=bus)
 
         for each in sensors.values():

@@ -1,28 +1,27 @@
 """`tactiled run`: the service on the buses of a configuration."""
 
+import logging
 import os
 import signal
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future
 from contextlib import contextmanager
 
-import typer
 from threadpoolctl import threadpool_limits
 
+from tactiled import logs
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.check import findings_of, prepared
-from tactiled.runtime.reload import Reload
 from tactiled.runtime.service import Service
 from tactiled.web.server import serve
 
 
-def run(config: options.Config, foxglove: options.Foxglove = None) -> None:
+def run(config: options.Config, foxglove: options.Foxglove = None, _: options.LogFormat = "console") -> None:
     """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
     for finding in findings_of(config):
         if not finding.hint:
-            typer.echo(f"tactiled: doubtful: {finding}", err=True)  # it may be true: no reason not to run
+            logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         server = service.config.server.model_copy(update=options.present(foxglove=foxglove))
@@ -39,16 +38,10 @@ def _reloadable(service: Service) -> Iterator[None]:
         if on_terminal and not sys.stdin.isatty():
             os.kill(os.getpid(), signal.SIGTERM)
         else:
-            service.start_reload().add_done_callback(_print_outcome)
+            service.start_reload()  # the log has its outcome
 
     before = signal.signal(signal.SIGHUP, reload)
     try:
         yield
     finally:
         signal.signal(signal.SIGHUP, before)
-
-
-def _print_outcome(future: Future[Reload]) -> None:
-    """Print what a reload changed; why one failed is in the log."""
-    if future.exception() is None:
-        print(f"tactiled: configuration reloaded: {future.result()}", flush=True)

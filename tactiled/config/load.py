@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from tactiled import logs
 from tactiled.bus import skins
 from tactiled.bus.reader import no_interface
-from tactiled.bus.redact import seal, show
+from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
 from tactiled.config.schema import Bus, Config
 from tactiled.errors import ConfigError
@@ -51,7 +52,16 @@ def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     config = validated(Config, data, source, folder)
     if faults := list(_faults_between_sections(config)):
         raise ConfigError("\n".join(f"{source}: {fault}" for fault in faults))
+    logs.hide(_secrets(config))
     return config
+
+
+def _secrets(config: Config) -> dict[str, Any]:
+    tokens = config.server.read_token, config.server.control_token
+    return {
+        "buses": {name: bus.settings() for name, bus in config.bus.items()},
+        "tokens": [Secret(each.get_secret_value()) for each in tokens if each],
+    }
 
 
 def validated(model: type[Model], data: dict[str, Any], source: str, folder: Path = Path()) -> Model:

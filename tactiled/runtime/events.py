@@ -23,7 +23,13 @@ Kind = Literal[
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000
 CLEAR_AFTER_S = 1.0  # without a fault or a warning: one that flickers makes one event
-LOG = logging.getLogger(__name__)
+LOGGED_AS_WARNINGS: frozenset[Kind] = frozenset({
+    "sensor_stale", "sensor_silent", "sensor_down", "bus_down", "warning_raised", "state_ignored", "tare_lapsed",
+    "tare_refused", "tare_ignored", "calibration_missing", "taxel_faulty", "fault_raised",
+    "config_refused",
+})  # fmt: skip
+LOG = logging.getLogger("tactiled.events")
+LOG.addHandler(logging.NullHandler())  # who embeds the service and configures no log gets none
 
 
 def duration(seconds: float) -> str:
@@ -63,12 +69,16 @@ class Events(Publisher[Event]):
         sensor: str | None = None,
         bus: str | None = None,
         warning: FrameWarning | None = None,
+        error: Exception | None = None,
     ) -> None:
-        """Note what happened, and call the listeners."""
+        """Note and log what happened, with the traceback of an error, and call the listeners."""
         with self._lock:
             event = Event(self.newest + 1, self._clock(), kind, sensor, bus, text, warning)
             self._events.append(event)
             self.newest = event.id
+        level = logging.WARNING if kind in LOGGED_AS_WARNINGS else logging.INFO
+        fields = {"event": kind, "sensor": sensor, "bus": bus, "code": warning and warning.code}
+        LOG.log(level, "%s", text, exc_info=error, extra={"fields": fields})
         self.publish(event)
 
     def after(self, last: int) -> tuple[Event, ...]:
@@ -104,9 +114,7 @@ class Faults:
                 is_new = part not in self._now
                 self._now[part] = why, self._clock()
                 if is_new:
-                    self._events.add("fault_raised", f"{part}: {why}")
-            if is_new:
-                LOG.exception("%s failed, and goes on", part)
+                    self._events.add("fault_raised", f"{part}: {why}", error=error)
 
     def clear(self) -> None:
         """Clear every part that has not failed for CLEAR_AFTER_S; it may have no more turns."""

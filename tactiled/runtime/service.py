@@ -1,6 +1,5 @@
 """The running service: every sensor and every bus, started and stopped together."""
 
-import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
@@ -22,8 +21,6 @@ from tactiled.runtime.reload import Reload, compare, new_plans
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.state import KeptTare, StateFile
 from tactiled.runtime.watch import Watch
-
-LOG = logging.getLogger(__name__)
 
 
 class Service:
@@ -217,8 +214,7 @@ class Service:
             except Exception as error:
                 ours = not isinstance(error, TactileError)
                 text = f"{type(error).__name__}: {error}" if ours else "; ".join(str(error).splitlines())
-                self.events.add("config_refused", text)
-                LOG.error("the configuration is not reloaded: %s", text, exc_info=error if ours else None)
+                self.events.add("config_refused", text, error=error if ours else None)
                 raise
             self.events.add("config_reloaded", str(outcome))
             return outcome

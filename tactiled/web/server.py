@@ -15,7 +15,7 @@ from typing import Any, cast
 import uvicorn
 from fastapi import FastAPI
 
-from tactiled import systemd
+from tactiled import logs, systemd
 from tactiled.config import Server, tls
 from tactiled.errors import TactileError
 from tactiled.interop import foxglove
@@ -26,12 +26,11 @@ from tactiled.web.app import create
 from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places, limit
-from tactiled.web.http.log_limit import LogLimit
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
 
 SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
-LOG_LIMIT = LogLimit()
+LOG_LIMIT = logs.LogLimit()
 MAX_START_S = 10.0
 EVERY_TICK = cast(int, -math.inf)  # of 1 s: uvicorn compares this with the wall clock, which may be set back
 WHY_NOT_BOUND = {
@@ -116,6 +115,7 @@ def _server(app: FastAPI, config: Server, watchdog: Watchdog | None = None) -> u
             ws_ping_interval=session.PING_S,
             ws_ping_timeout=session.PING_S,
             ws_per_message_deflate=False,  # pressures hardly compress, and it costs more than it saves
+            log_config=None,  # whoever started the process configures logs
             log_level="warning",
             access_log=False,
             timeout_graceful_shutdown=cast(int, timeouts.SHUTDOWN_S),
@@ -124,9 +124,8 @@ def _server(app: FastAPI, config: Server, watchdog: Watchdog | None = None) -> u
             timeout_notify=EVERY_TICK,
         )
     )
-    for log in (logging.getLogger("uvicorn.error"), logging.lastResort):  # all that clients can write to
-        if log is not None:
-            log.addFilter(LOG_LIMIT)
+    if logging.lastResort is not None:  # which logs where nothing is configured
+        logging.lastResort.addFilter(LOG_LIMIT)
     return server
 
 
@@ -149,7 +148,7 @@ def serve(service: Service, config: Server) -> None:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
             names = ", ".join(service.sensors)
-            print(f"tactiled: {names} live at {_url(listener, config)}/{also} (stop: Ctrl-C)", flush=True)
+            logs.announce(f"{names} live at {_url(listener, config)}/{also} (stop: Ctrl-C)")
             server.run(sockets=[listener])
     finally:
         listener.close()

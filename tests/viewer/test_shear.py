@@ -97,7 +97,7 @@ def test_the_wall_has_arrows_on_the_same_socket_and_a_sensor_without_shear_has_n
         page = open_page(f"{url}/#/wall", ready=f"!!{TILE_KEY}")
         page.keep(lambda: rig.show(REST, REST), f"{TILE_KEY}.innerText === '50 counts'")
         page.keep(lambda: rig.show(X, Y), f"{TILE_KEY}.innerText === '1000 counts'")
-        assert "tactiled_streams 1" in ask("GET", url + "/metrics").text.splitlines()
+        assert "tactiled_streams 1.0" in ask("GET", url + "/metrics").text.splitlines()
         canvases = (
             "[...document.querySelectorAll('.tile')].map(each => each.querySelectorAll('.frame canvas').length)"
         )

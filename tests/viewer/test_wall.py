@@ -15,7 +15,7 @@ FILTERS = "[...document.querySelectorAll('.tile canvas')].map(canvas => getCompu
 READY = f"{TILES}.length === 2"
 BOTH = f"{FORCES}.every(force => force > 0)"
 NOTICE = "document.getElementById('notice').innerText"
-ONE_SOCKET = "tactiled_streams 1"
+ONE_SOCKET = "tactiled_streams 1.0"
 # The brightness of each cell of the first tile.
 BRIGHTNESS = """(() => {
   const { data } = document.querySelector('.tile canvas').getContext('2d').getImageData(0, 0, 8, 8);

@@ -18,13 +18,11 @@ from tactiled.web.http import problems
 from tactiled.web.http.body import Body
 from tactiled.web.http.headers import HEADERS, STRICT_TRANSPORT_SECURITY
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
-from tactiled.web.http.log_limit import LogLimit
 from tactiled.web.http.problems import Problem
 from tactiled.web.http.protocols import ENDS
 
 Right = Literal["read", "control"]
 LOG = logging.getLogger(__name__)
-LOG.addFilter(LogLimit())
 COOKIE = "tactiled"
 COOKIE_ATTRIBUTES = "; HttpOnly; SameSite=Strict; Path=/"
 LOOPBACK_HOST = re.compile(

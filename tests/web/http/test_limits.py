@@ -14,10 +14,10 @@ from starlette.requests import Request
 from websockets.sync.client import connect
 
 from tactiled.config import Server
+from tactiled.logs import MAX_A_MINUTE, LogLimit
 from tactiled.web.http import connection_limit, limits
 from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns, client_of
-from tactiled.web.http.log_limit import MAX_A_MINUTE, LogLimit
 from tactiled.web.http.problems import Problem
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, ask, pressed, problem, until
@@ -227,9 +227,9 @@ def test_streams_are_limited_for_each_client_and_for_all_and_counted(rig, path):
         assert closed(stream("10.0.0.1", path)) == (4429, reason)
         assert closed(stream("10.0.0.2", path)) == (4503, "streams = 3: as many are open: come again later")
         metrics = ask("GET", url + "/metrics").text.splitlines()
-        assert "tactiled_streams 3" in metrics
-        assert 'tactiled_streams_refused_total{bound="streams_per_client"} 1' in metrics
-        assert 'tactiled_streams_refused_total{bound="streams"} 1' in metrics
+        assert "tactiled_streams 3.0" in metrics
+        assert 'tactiled_streams_refused_total{bound="streams_per_client"} 1.0' in metrics
+        assert 'tactiled_streams_refused_total{bound="streams"} 1.0' in metrics
         streams[0].close()
         until(lambda: "tactiled_streams 2" in ask("GET", url + "/metrics").text)
         assert "status" in stream("10.0.0.1").recv(timeout=BUSY_S)
