@@ -8,19 +8,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, TactileError
 
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of file systems without them
 
 
 @contextmanager
-def atomic_write(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def atomic_write(path: Path, *, replace: bool = False, label: str = "") -> Iterator[Path]:
     """A path for a file or folder: it becomes `path` where the block ends well, and is removed where it does not.
 
-    It has the name of `path` in a hidden folder of its own beside it, where other temporary files may lie, too.
+    It has the name of `path` in a hidden folder of its own beside it, whose name begins with .tactiled-`label` and
+    where other temporary files may lie, too.
     OSError where that fails; FileExistsError where `path` exists by then and `replace` is false.
     """
-    with TemporaryDirectory(prefix=".tactiled-", dir=path.parent, ignore_cleanup_errors=True) as folder:
+    with TemporaryDirectory(prefix=f".tactiled-{label}", dir=path.parent, ignore_cleanup_errors=True) as folder:
         part = Path(folder) / path.name
         yield part
         for each in (part, *part.rglob("*")):
@@ -54,10 +55,27 @@ def _rename_new(part: Path, path: Path) -> None:
             raise
 
 
+@contextmanager
+def whole_file(path: Path, *, replace: bool = False, label: str = "") -> Iterator[Path]:
+    """`atomic_write` for a file that a user names, or a link to one; TactileError where that cannot be."""
+    target = Path(os.path.realpath(path)) if replace else path
+    try:
+        if target.is_symlink() or (target.exists() and not (target.is_file() or target.is_dir())):
+            raise ConfigError(f"{path}: no plain file: give a file that can be written")
+        if target.exists() and not replace:
+            raise FileExistsError
+        with atomic_write(target, replace=replace, label=label) as part:
+            yield part
+    except FileExistsError as error:
+        raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
+    except OSError as error:
+        raise TactileError(f"{path}: {error.strerror or error}: nothing is written") from error
+
+
 def sha256(path: Path) -> str:
-    """SHA-256 of a recording, in hex; ConfigError where it cannot be read."""
+    """SHA-256 of a file, in hex; ConfigError where it cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise ConfigError(f"recording {path}: {error.strerror}") from error
+        raise ConfigError(f"{path}: {error.strerror}") from error

@@ -1,16 +1,16 @@
 """One recording into one export: every frame restored, with its units and provenance."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from tactiled import __version__
 from tactiled.archive.arrays import LOSS_KINDS
-from tactiled.archive.writers import Writer
-from tactiled.build import SensorPlan
-from tactiled.bus.codec import Codec
+from tactiled.archive.job import Job
+from tactiled.archive.writers import writer
+from tactiled.build import SensorPlan, make_codec
 from tactiled.bus.recording import Recording
 from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
@@ -31,30 +31,27 @@ UNITS = {
 }
 
 
-def export(
-    recording: Recording,
-    out: Path,
-    writer: type[Writer],
-    plan: SensorPlan,
-    codecs: Mapping[str, Codec],
-    config: Mapping[str, Any],
-) -> int:
-    """Write every frame of one sensor to `out`; returns their number, ConfigError where there is none.
+@dataclass(frozen=True, eq=False)
+class ExportJob(Job):
+    """Restores every frame of a recording into a file of one format."""
 
-    `codecs` are of all sensors on its bus; `config`, which tells no secret, goes into the provenance.
-    """
-    router, pipeline, count = Router(codecs), Pipeline(plan), 0
-    with closing(writer(out, plan)) as target:
-        for name, frame in frames(_tapped(recording, target.add_message), router):
-            if name == plan.name:
-                target.add_image(pipeline.process(frame))
-                count += 1
-        if not count:
-            where = f"recording {recording.path}"
-            raise ConfigError(f"{where}: holds no frame of sensor {plan.name} ({recording.summary()})")
-        loss = asdict(router.assemblers[plan.name].loss)
-        target.finish(_provenance(recording, plan) | {"loss": loss, "config": config})
-    return count
+    to: str | None = None  # the format; None: by the ending of the file's name
+
+    def make(self, source: Path, part: Path) -> str:
+        """Write every frame of one recording; ConfigError where there is none."""
+        recording, plan, count = Recording(source), self.plan(), 0
+        router, pipeline = Router({name: make_codec(each) for name, each in self.sensors.items()}), Pipeline(plan)
+        with closing(writer(part.name, self.to)(part, plan)) as target:
+            for name, frame in frames(_tapped(recording, target.add_message), router):
+                if name == plan.name:
+                    target.add_image(pipeline.process(frame))
+                    count += 1
+            if not count:
+                where = f"recording {source}"
+                raise ConfigError(f"{where}: holds no frame of sensor {plan.name} ({recording.summary()})")
+            loss = asdict(router.assemblers[plan.name].loss)
+            target.finish(_provenance(recording, plan) | {"loss": loss, "config": self.config})
+        return f"{count} frames of {plan.name} from {recording.summary()}"
 
 
 def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Message]:

@@ -61,10 +61,10 @@ def _seal(name: str, value: Any, harmless: Collection[str]) -> Any:
 
 def _address(text: str) -> str | Secret:
     """A harmless text as it is; of an address only scheme, host, port and path are shown."""
-    return text if NO_ADDRESS.fullmatch(text) else Secret(text, _redacted(text))
+    return text if NO_ADDRESS.fullmatch(text) else Secret(text, redacted(text))
 
 
-def _redacted(address: str) -> str:
+def redacted(address: str) -> str:
     """Scheme, host, port and path; less where a login's end is in doubt."""
     try:
         parts = urlsplit(address)

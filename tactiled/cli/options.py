@@ -1,7 +1,6 @@
 """Options that several verbs have, and what is checked of them alike."""
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +8,8 @@ import typer
 
 from tactiled import logs
 from tactiled.config import load, schema
-from tactiled.errors import ConfigError, TactileError
-from tactiled.files import atomic_write
+from tactiled.errors import ConfigError
+from tactiled.files import whole_file
 
 Config = Annotated[Path, typer.Argument(help="Configuration file (TOML).")]
 Recording = Annotated[Path, typer.Argument(help="Recording, in any format that python-can reads.")]
@@ -59,22 +58,8 @@ def present(**options: Any) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-@contextmanager
-def new_file(path: Path) -> Iterator[Path]:
-    """A path to write to, which becomes `path` if the block ends well; TactileError where that cannot be."""
-    try:
-        if path.exists():
-            raise FileExistsError
-        with atomic_write(path) as part:
-            yield part
-    except FileExistsError as error:
-        raise ConfigError(f"{path} is there already: name another file, or remove it first") from error
-    except OSError as error:
-        raise TactileError(f"{path}: {error.strerror or error}: nothing is written") from error
-
-
 def write_configuration(path: Path, text: str) -> None:
     """Write a new configuration and print what to do with it."""
-    with new_file(path) as part:
+    with whole_file(path) as part:
         part.write_text(text, "utf-8")
     typer.echo(f"wrote {path}: edit it, then `tactiled check {path}` and `tactiled run {path}`")

@@ -13,11 +13,11 @@ demo     Simulate a covered array, or play a real recording, and serve it live; 
 check    Check a configuration, and print the effect of each cover on its array.
 cover    Print a cover's gain over spatial frequency, and the resolution that it leaves.
 replay   Restore every frame of a recording and serve it as `run` does; every run gives the same images.
-export   Restore every frame of a recording into a file of arrays, or into one for Foxglove or ROS 2.
+export   Restore every frame of recordings into files of arrays, or into files for Foxglove or ROS 2.
 init     Write a commented configuration.
 paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
 record   Record all messages of a bus to a file, also of other devices, and error frames.
-restore  Restore the frames of a .npy file, however many, with bounded memory.
+restore  Restore the frames of .npy files, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
 sniff    Listen to a bus and list the known skins on it; sends nothing.
 """

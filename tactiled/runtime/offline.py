@@ -1,11 +1,10 @@
 """Restores series of frames of one sensor piece by piece, from .npy file to .npy file, with bounded memory."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from os.path import realpath
 from pathlib import Path
 from time import perf_counter
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
 from tactiled.errors import ConfigError
-from tactiled.files import atomic_write
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.methods import make
 from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate, noise_ratio
@@ -91,7 +89,8 @@ class Offline:
     def __init__(
         self, plan: SensorPlan, frames: Frames, method: str = "auto", noise_kpa: float | None = None
     ) -> None:
-        self._frames, self._shape = frames, plan.blur.surface_shape
+        self._frames = frames
+        self.shape = (len(frames), *plan.blur.surface_shape)  # of the images
         calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
         gain = abs(calibration.kpa_per_count)
         self.noise_kpa = measured_noise(frames, (gain, 1.0)) if noise_kpa is None else noise_kpa
@@ -107,7 +106,7 @@ class Offline:
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.float32], list[FrameInfo]]]:
         """Restore in pieces: images (up to PIECE_FRAMES, *surface), valid until the next."""
-        images = np.empty((min(PIECE_FRAMES, len(self._frames)), *self._shape), np.float32)
+        images = np.empty((min(PIECE_FRAMES, self.shape[0]), *self.shape[1:]), np.float32)
         for start in range(0, len(self._frames), PIECE_FRAMES):
             with np.errstate(over="ignore"):  # beyond float32 is beyond any sensor: it counts as unknown
                 pressures = np.array(_copy(self._frames, start, PIECE_FRAMES), np.float32)
@@ -115,6 +114,21 @@ class Offline:
             pairs = zip(pressures, saturated | self._dead, strict=True)
             infos = [self._restore(pressure, flags, images[n]) for n, (pressure, flags) in enumerate(pairs)]
             yield images[: len(infos)], infos
+
+    def write(self, path: Path, take: Callable[[list[FrameInfo]], object] = len) -> Counter[str]:
+        """Restore into a .npy array (T, *surface) of float32; returns how many frames by each method.
+
+        `take` gets what is known of each piece's frames.
+        """
+        methods = Counter[str]()
+        header = {"descr": "<f4", "fortran_order": False, "shape": self.shape}
+        with path.open("wb") as file:
+            np.lib.format.write_array_header_2_0(file, header)
+            for images, infos in self:
+                take(infos)
+                methods.update(each.method for each in infos)
+                file.write(np.ascontiguousarray(images, "<f4").data)
+        return methods
 
     def _restore(
         self, pressure: NDArray[np.float32], flags: NDArray[np.uint8], out: NDArray[np.float32]
@@ -124,28 +138,3 @@ class Offline:
         microseconds = 1e6 * (perf_counter() - began)
         out[...] = done.image
         return FrameInfo(done.method, done.why, done.iterations, round(microseconds, 1))
-
-
-@contextmanager
-def create(path: Path) -> Iterator[BinaryIO]:
-    """Open a file that gets its name only once it is complete; ConfigError where it cannot be written."""
-    try:
-        target = Path(realpath(path))
-        if target.is_symlink() or (target.exists() and not target.is_file()):  # the former links to itself
-            raise ConfigError(f"{path}: no plain file: give a file that can be written")
-        with atomic_write(target, replace=True) as part, part.open("wb") as file:
-            yield file
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}: give a file that can be written") from error
-
-
-def write(
-    images: Iterator[NDArray[np.float32]], shape: tuple[int, ...], path: Path, done: Callable[[int], None]
-) -> None:
-    """Write images as one .npy array (T, ...) of known shape; ConfigError where that cannot be."""
-    header = {"descr": "<f4", "fortran_order": False, "shape": shape}
-    with create(path) as file:
-        np.lib.format.write_array_header_2_0(file, header)
-        for piece in images:
-            file.write(np.ascontiguousarray(piece, "<f4").data)
-            done(len(piece))

@@ -228,8 +228,8 @@ def test_wrong_options_are_refused(config, npy, tmp_path, earlier):
         ("--noise", "inf", "noise = inf: give"),
         ("--method", "sharpen", "method = 'sharpen': no such method: choose one of auto"),
         ("--sensor", "toe", "--sensor toe: no such sensor: choose one of palm, sole"),
-        ("-o", "/no/out.npy", "/no/out.npy: No such file or directory: give a file"),
-        ("--stats", "/no/s.json", "s.json: No such file or directory: give a file"),
+        ("-o", "/no/out.npy", "/no/out.npy: No such file or directory: nothing is written"),
+        ("--stats", "/no/s.json", "s.json: No such file or directory: nothing is written"),
     ):
         options = {"-o": earlier[0], "--config": settings, "--sensor": "palm", "--stats": earlier[1]}
         options[option] = value

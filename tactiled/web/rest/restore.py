@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from math import prod
@@ -12,13 +11,12 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
-from tactiled.runtime.offline import Offline, open_frames, write
+from tactiled.runtime.offline import Offline, open_frames
 from tactiled.web.http.limits import client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, in_unit, without_path
@@ -135,19 +133,12 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
         frames = open_frames(path, plan)
     except ConfigError as error:
         raise ConfigError(f"body: {without_path(error, path)}") from error
-    shape = (len(frames), *plan.blur.surface_shape)
-    if 4 * prod(shape) > MAX_IMAGE_BYTES:
+    if 4 * len(frames) * prod(plan.blur.surface_shape) > MAX_IMAGE_BYTES:
         bound = f"{MAX_IMAGE_BYTES >> 20} MiB"
         raise Problem(413, f"{len(frames)} frames make images of more than {bound}: send them in parts")
     noise = in_unit(plan, "noise", query.noise, query.noise_kpa)
-    offline, methods = Offline(plan, frames, query.method, noise), Counter[str]()
-
-    def pieces() -> Iterator[NDArray[Any]]:
-        for restored, infos in offline:
-            methods.update(each.method for each in infos)
-            yield restored
-
-    write(pieces(), shape, images, lambda _: None)
+    offline = Offline(plan, frames, query.method, noise)
+    methods = offline.write(images)
     return {
         "X-Tactiled-Noise": f"{offline.noise_kpa:.6g}",
         "X-Tactiled-Methods": json.dumps(methods),

@@ -1,0 +1,144 @@
+"""One job over many inputs, in this process or on Dask's workers; what is complete already is skipped."""
+
+import json
+import logging
+import pickle
+import signal
+import time
+from collections.abc import Generator, Iterator, Mapping
+from contextlib import ExitStack
+from hashlib import sha256
+from importlib.util import find_spec
+from pathlib import Path
+from secrets import token_hex
+from typing import Any, NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from tactiled import __version__, files
+from tactiled.archive.job import Job
+from tactiled.archive.places import Place
+from tactiled.errors import ConfigError, TactileError
+
+SCHEDULER_TIMEOUT_S = 10.0  # to reach one
+LOG = logging.getLogger(__name__)
+
+
+class Task(NamedTuple):
+    """One input and its output."""
+
+    source: Place
+    target: Place
+
+
+class Outcome(NamedTuple):
+    """What became of a task."""
+
+    state: str  # written, complete (already), failed
+    text: str
+
+
+def run(
+    job: Job, tasks: list[Task], workers: int | None = None, scheduler: str | None = None
+) -> Generator[Outcome]:
+    """Do all tasks; outcomes come as they do. Nothing temporary stays beside the outputs, whatever happens."""
+    label = f"{token_hex(8)}-"  # of this run's temporary files
+    try:
+        if workers is None and scheduler is None:
+            with threadpool_limits(1):
+                for task in tasks:
+                    yield process(job, task, label)
+        else:
+            yield from _on_dask(job, tasks, label, workers, scheduler)
+    finally:
+        for folder in {each.target.beside(f".tactiled-{label}*") for each in tasks}:
+            for path in folder.call("glob"):
+                Place(path, folder.files).remove()
+
+
+def process(job: Job, task: Task, label: str, version: str = __version__) -> Outcome:
+    """Do one task, unless a record beside its output says that the output is complete and of the same digest.
+
+    The record is written last. An output without one is somebody else's, and never replaced.
+    """
+    source, target = task
+    began, record = time.perf_counter(), target.beside(f".{target.name}.tactiled")
+    try:
+        if version != __version__:
+            raise ConfigError(f"a worker has tactiled {__version__}, not {version}: install the same")
+        with source.local() as path:
+            digest = _digest(job, path)
+            sizes, before = target.sizes(), _read(record)
+            if sizes and before == {"digest": digest, "sizes": sizes}:
+                return Outcome("complete", f"{target}: complete")
+            if sizes and before is None:
+                raise ConfigError(f"{target} is there already: name another file, or remove it first")
+            target.beside("").call("makedirs", exist_ok=True)
+            with target.written(replace=True, label=label) as part:
+                text = job.make(path, part)
+                _write(record, {})
+            _write(record, {"digest": digest, "sizes": target.sizes()})
+    except TactileError as error:
+        return Outcome("failed", str(error))
+    except Exception as error:  # our own fault, or a codec's: the other inputs are done nevertheless
+        LOG.exception("%s failed", source)
+        return Outcome("failed", f"{source}: {type(error).__name__}: {error}")
+    return Outcome("written", f"{target}: {text} in {time.perf_counter() - began:.1f} s")
+
+
+def _digest(job: Job, path: Path) -> str:
+    """SHA-256 of all that an output is made from."""
+    parts = {"version": __version__, "input": [path.name, files.sha256(path)], "job": job.settings()}
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _read(record: Place) -> dict[str, Any] | None:
+    """What a record says; None where there is none."""
+    if not record.call("exists"):
+        return None
+    try:
+        content = json.loads(record.call("cat_file"))
+    except ValueError:  # cut off
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _write(record: Place, content: Mapping[str, Any]) -> None:
+    record.call("pipe_file", json.dumps(content).encode())
+
+
+def _on_dask(
+    job: Job, tasks: list[Task], label: str, workers: int | None, scheduler: str | None
+) -> Iterator[Outcome]:
+    """Outcomes from a scheduler's workers, or from `workers` processes of this machine."""
+    if not find_spec("distributed"):
+        raise ConfigError("--workers and --scheduler need Dask: pip install 'tactiled[dask]'")
+    from distributed import Client, LocalCluster, as_completed
+
+    with ExitStack() as stack:
+        if scheduler is None:
+            before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the workers inherit
+            stack.callback(signal.signal, signal.SIGINT, before)
+            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+            signal.signal(signal.SIGINT, before)
+            client = stack.enter_context(Client(stack.enter_context(cluster)))
+        else:
+            try:
+                client = stack.enter_context(Client(scheduler, timeout=SCHEDULER_TIMEOUT_S))
+            except (OSError, ValueError) as error:
+                raise ConfigError(f"--scheduler {scheduler}: {error}") from error
+        shared = client.submit(pickle.loads, pickle.dumps(job), pure=False)  # once a worker, not once a task
+        futures = {
+            client.submit(process, shared, task, label, __version__, pure=False): task.source for task in tasks
+        }
+        for future in as_completed(futures):
+            yield _outcome(future, futures[future])
+
+
+def _outcome(future: Any, source: Place) -> Outcome:
+    """What a worker answered; failed where workers died with it, or their scheduler did."""
+    if future.status == "finished":
+        outcome: Outcome = future.result()
+        return outcome
+    error = future.exception() if future.status == "error" else f"{future.status}: the scheduler is gone"
+    return Outcome("failed", f"{source}: {error}")

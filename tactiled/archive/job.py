@@ -1,0 +1,54 @@
+"""What is done with each of many files: one sensor's frames are restored, on whatever machine."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from threading import get_ident
+from typing import Any, Self
+
+from tactiled.build import SensorPlan, configured_file, sensor_plan
+from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.config import schema
+from tactiled.frames import CONFIGURED
+
+
+@dataclass(frozen=True, eq=False)
+class Job(ABC):
+    """One sensor of a configuration; it is pickled for workers, and tells no secret."""
+
+    name: str
+    sensors: Mapping[str, schema.Sensor]  # all that are on its bus
+    calibration: CalibrationFile | None
+    config: Mapping[str, Any]  # the configuration with all defaults, for the provenance
+
+    @classmethod
+    def of(cls, config: Path, settings: schema.Config, name: str, **options: Any) -> Self:
+        """The job of a configuration that stands in a file; `options` are the fields of a kind of job."""
+        one = settings.sensor[name]
+        sensors = {key: each for key, each in settings.sensor.items() if each.bus == one.bus}
+        dump = {"file": config.name} | settings.model_dump(mode="json", exclude={"server"})
+        return cls(name, sensors, configured_file(one), dump, **options)
+
+    def plan(self) -> SensorPlan:
+        """The sensor's plan, whose cover is solved once for a process and thread."""
+        return _plan(self, get_ident())
+
+    def settings(self) -> dict[str, Any]:
+        """All that outputs depend on, but the input and the version (JSON's types)."""
+        own = {each.name: getattr(self, each.name) for each in fields(self)}
+        own.pop("sensors")  # they are in the configuration
+        return own | {
+            "job": type(self).__name__,
+            "calibration": self.calibration.id if self.calibration else CONFIGURED,
+        }
+
+    @abstractmethod
+    def make(self, source: Path, part: Path) -> str:
+        """Write the output of one file; returns a phrase about it."""
+
+
+@lru_cache(maxsize=4)
+def _plan(job: Job, _: int) -> SensorPlan:
+    return sensor_plan(job.name, job.sensors[job.name], job.calibration)
