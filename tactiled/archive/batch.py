@@ -47,7 +47,7 @@ def run(
         if workers is None and scheduler is None:
             with threadpool_limits(1):
                 for task in tasks:
-                    yield process(job, task, label)
+                    yield process(job, task, label, __version__)
         else:
             yield from _on_dask(job, tasks, label, workers, scheduler)
     finally:
@@ -56,7 +56,7 @@ def run(
                 Place(path, folder.files).remove()
 
 
-def process(job: Job, task: Task, label: str, version: str = __version__) -> Outcome:
+def process(job: Job, task: Task, label: str, version: str) -> Outcome:
     """Do one task, unless a record beside its output says that the output is complete and of the same digest.
 
     The record is written last. An output without one is somebody else's, and never replaced.
@@ -113,26 +113,35 @@ def _on_dask(
     """Outcomes from a scheduler's workers, or from `workers` processes of this machine."""
     if not find_spec("distributed"):
         raise ConfigError("--workers and --scheduler need Dask: pip install 'tactiled[dask]'")
-    from distributed import Client, LocalCluster, as_completed
+    from distributed import Client, as_completed
 
     with ExitStack() as stack:
-        if scheduler is None:
-            before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which the workers inherit
-            stack.callback(signal.signal, signal.SIGINT, before)
-            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
-            signal.signal(signal.SIGINT, before)
-            client = stack.enter_context(Client(stack.enter_context(cluster)))
-        else:
-            try:
+        try:
+            if scheduler is None:
+                cluster = stack.enter_context(_cluster(workers))
+                client = stack.enter_context(Client(cluster))
+            else:
                 client = stack.enter_context(Client(scheduler, timeout=SCHEDULER_TIMEOUT_S))
-            except (OSError, ValueError) as error:
-                raise ConfigError(f"--scheduler {scheduler}: {error}") from error
+        except (OSError, RuntimeError, ValueError) as error:
+            option = f"--workers {workers}" if scheduler is None else f"--scheduler {scheduler}"
+            raise TactileError(f"{option}: {error}") from error
         shared = client.submit(pickle.loads, pickle.dumps(job), pure=False)  # once a worker, not once a task
         futures = {
             client.submit(process, shared, task, label, __version__, pure=False): task.source for task in tasks
         }
         for future in as_completed(futures):
             yield _outcome(future, futures[future])
+
+
+def _cluster(workers: int | None) -> Any:
+    """Processes of this machine with a thread each; Ctrl-C, which they get too, is left to their parent."""
+    from distributed import LocalCluster
+
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # they inherit it
+    try:
+        return LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _outcome(future: Any, source: Place) -> Outcome:

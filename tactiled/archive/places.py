@@ -100,26 +100,26 @@ def _protocol(files: Any) -> str:
 
 
 @contextmanager
-def _errors(shown: str, path: str, options: Mapping[str, Any]) -> Iterator[None]:
+def _errors(label: str, path: str, options: Mapping[str, Any]) -> Iterator[None]:
     """Whatever a file system raises, as a TactileError without what is secret in its path and options."""
     try:
         yield
     except Exception as error:
-        hide = redactor(seal(options) | {"path": Secret(path, shown)})
+        hide = redactor(seal(options) | {"path": Secret(path, label)})
         text = " ".join(hide(getattr(error, "strerror", None) or str(error)).split())
-        raise TactileError(f"{shown}: {text or type(error).__name__}") from error
+        raise TactileError(f"{label}: {text or type(error).__name__}") from error
 
 
 def place(text: str, *, plain: bool = True) -> Place:
     """Where a path or URL leads; unless `plain`, with fsspec's file system for paths, too."""
     if plain and "://" not in text:
         return Place(text)
-    shown = redacted(text) if "://" in text else text
+    label = redacted(text) if "://" in text else text
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
-        raise ConfigError(NEEDS_FSSPEC.format(shown)) from error
-    with _errors(shown, text, {}):
+        raise ConfigError(NEEDS_FSSPEC.format(label)) from error
+    with _errors(label, text, {}):
         files, path = url_to_fs(text)
     return Place(path, files)
 
