@@ -52,6 +52,18 @@ def test_loopback_is_served_under_its_own_names_only(rig, url):
         assert send_raw(url, "GET /api/v1/health", f"Host: {host}")[0] == 200
 
 
+def test_with_a_token_loopback_is_served_under_the_name_of_its_proxy(guarded):
+    proxied = {"Host": "robot.example:8443", "X-Forwarded-For": "192.0.2.1", "X-Forwarded-Proto": "https"}
+    origin = {"Origin": "https://robot.example:8443"}
+
+    def put(headers):
+        return ask("PUT", guarded + METHOD, headers=proxied | headers, json=RAW)
+
+    problem(put(origin), 401)  # as a page does that has its name lead here: no cookie is for that name
+    problem(put(bearer(CONTROL) | {"Origin": "https://elsewhere.example"}), 403)
+    assert put(bearer(CONTROL) | origin).status_code == 200
+
+
 FOREIGN_ORIGINS = ("https://elsewhere.example", "null", "", "http://localhost:1", "file://")
 FOREIGN = (
     *({"Origin": origin} for origin in FOREIGN_ORIGINS),
