@@ -9,6 +9,7 @@ from threading import Lock, Thread
 from types import MappingProxyType
 from typing import Any
 
+from tactiled import systemd
 from tactiled.build import SensorPlan, sensor_plan, sensor_plans
 from tactiled.bus.replay import Replay
 from tactiled.calibrate.calibration_file import CalibrationFile, former, save
@@ -208,7 +209,7 @@ class Service:
         """
         if self.path is None:
             raise ReloadError("this service has no configuration file to read again: `tactiled run` has")
-        with self._reload_lock:
+        with self._reload_lock, systemd.reloading():
             try:
                 outcome = self._reload(load(self.path))
             except Exception as error:

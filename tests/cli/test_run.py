@@ -22,7 +22,7 @@ def start(tmp_path, manager, interface="virtual", port=None):
         return subprocess.Popen(command, env=environment, pass_fds=[number], **streams), address
 
 
-def test_a_unit_is_ready_with_its_bus_and_port_and_says_when_it_stops(tmp_path):
+def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_path):
     with Manager(tmp_path) as manager:
         process, (host, port) = start(tmp_path, manager)
         with process:
@@ -31,6 +31,9 @@ def test_a_unit_is_ready_with_its_bus_and_port_and_says_when_it_stops(tmp_path):
                 "STATUS": f"{url}: 0 of 1 sensors live, palm silent", "READY": "1", "WATCHDOG": "1",
             }  # fmt: skip
             assert httpx.get(f"{url}/api/v1/health", **HTTP).json()["sensors"]
+            process.send_signal(signal.SIGHUP)
+            assert manager.receive_until("RELOADING")["RELOADING"] == "1"
+            assert manager.receive_until("READY") == {"READY": "1"}
             assert manager.receive_until("WATCHDOG")
             process.send_signal(signal.SIGTERM)
             assert manager.receive_until("STOPPING")["STOPPING"] == "1"

@@ -56,7 +56,7 @@ def test_a_thread_that_hangs_is_named_and_starves_the_watchdog_until_it_moves(
 
     with monkeypatch.context() as patch:
         owner, name = {
-            "bus can0": (rig.service._sources[0]._router, "flush"),
+            "bus can0": (rig.service._sources["can0"]._router, "flush"),
             "restore palm": (rig.sensor.pipeline, "process"),
             "watch": (rig.sensor, "drain_warnings"),
         }[part]
