@@ -43,6 +43,7 @@ FORMATS = {
     ".npz": Format("tactiled.archive.arrays", "NpzWriter"),
     ".h5": Format("tactiled.archive.arrays", "Hdf5Writer", "hdf5", ("h5py",)),
     ".mcap": Format("tactiled.archive.mcap", "McapWriter", "foxglove", ("mcap", "foxglove")),
+    ".zarr": Format("tactiled.archive.zarr_group", "ZarrWriter", "zarr", ("zarr",)),
     "rosbag2": Format("tactiled.archive.rosbag2", "Rosbag2Writer", "ros", ("rosbags",)),
     "rosbag2-sqlite3": Format("tactiled.archive.rosbag2", "Rosbag2SqliteWriter", "ros", ("rosbags",)),
 }

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter
+from tactiled.archive.zarr_group import ZarrWriter
 from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
 from tactiled.config import load, parse
@@ -21,6 +22,7 @@ from tactiled.frames import MISSING
 from tactiled.restore.methods import METHODS
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG, FRAMES, write
+from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
 from tests.conftest import BUSY_S
 from tests.interop.test_foxglove_live import pressures
@@ -241,7 +243,9 @@ def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, conf
     assert [each.read_text() for each in files] == (["old"] if "old" in fault else [])
 
 
-@pytest.mark.parametrize(("form", "load"), [(NpzWriter, np.load), (Hdf5Writer, h5py.File)])
+@pytest.mark.parametrize(
+    ("form", "load"), [(NpzWriter, np.load), (Hdf5Writer, h5py.File), (ZarrWriter, open_zarr)]
+)
 def test_memory_does_not_grow_with_the_recording(tmp_path, form, load, monkeypatch):
     row = {"raw": np.ones((64, 64), np.float32), "method": np.array("wiener", METHOD_NAME)}
     monkeypatch.setattr("tactiled.archive.arrays.row", lambda _: row)

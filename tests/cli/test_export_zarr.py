@@ -1,0 +1,70 @@
+"""Exports as Zarr, read with zarr alone."""
+
+import json
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zarr
+
+from tactiled.archive import arrays
+from tactiled.frames import MISSING
+from tests.cli.commands import succeed
+from tests.cli.recordings import FRAMES
+
+CHUNK = 16  # frames
+
+
+@contextmanager
+def open_zarr(path):
+    yield zarr.open_group(path, mode="r")
+
+
+@pytest.fixture
+def exports(tmp_path, config, lossy, monkeypatch):
+    """Paths of an export as Zarr, in chunks of 16 frames, and of the same as .npz."""
+    monkeypatch.setattr(arrays, "FRAMES_AT_ONCE", CHUNK)
+    for name in ("a.zarr", "a.npz"):
+        succeed("export", lossy, "--config", config, "-o", tmp_path / name)
+    return tmp_path / "a.zarr", np.load(tmp_path / "a.npz")
+
+
+def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenance(exports):
+    path, npz = exports
+    with open_zarr(path) as got:
+        assert {*got} | {"provenance"} == {*npz}
+        for name in got:
+            values = got[name][:].astype(npz[name].dtype)
+            assert values.tobytes() == npz[name].tobytes()
+            if not name.endswith("_mm"):
+                assert got[name].dtype.kind in ("T", npz[name].dtype.kind)
+                assert got[name].chunks == (CHUNK, *npz[name].shape[1:])
+        about = json.loads(npz["provenance"].item())
+        assert dict(got.attrs) == {"provenance": about}
+        assert {name: got[name].attrs["units"] for name in got if name != "method"} == about["units"]
+        assert got["restored"].metadata.dimension_names == ("time", "cell_row", "cell_column")
+        assert got["loss"].metadata.dimension_names == ("time", "loss_kind")
+
+
+def test_no_gap_is_hidden(exports):
+    path, _ = exports
+    with open_zarr(path) as got:
+        kinds = got.attrs["provenance"]["loss_kinds"]
+        lost = got["loss"][:, kinds.index("lost")]
+        assert (*lost[[6, 7, 19, 20, 39, 40]], lost[-1]) == (0, 1, 1, 2, 2, 3, 3)
+        missing = (got["flags"][:] & MISSING) > 0
+        assert np.count_nonzero(missing[7]) == 41
+        np.testing.assert_array_equal(np.isnan(got["raw"][:]), missing)
+        times = [path / name / "c/1" for name in ("time", "sequence", "method")]
+        for chunk in times + [path / name / "c/1/0/0" for name in ("raw", "restored", "flags")]:
+            chunk.unlink()  # frames 16 to 31
+        gap = slice(CHUNK, 2 * CHUNK)
+        for name in ("raw", "restored", "time"):
+            assert np.isnan(got[name][gap]).all()
+        assert (got["flags"][gap] & MISSING).all()
+        assert {*got["sequence"][gap].tolist(), *got["method"][gap].tolist()} == {-1, ""}
+        assert np.isfinite(got["restored"][2 * CHUNK : FRAMES]).all()
+        chunk = path / "restored/c/2/0/0"
+        chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")  # of the checksum
+        with pytest.raises(RuntimeError, match="Zstd"):
+            got["restored"][40]
