@@ -94,7 +94,8 @@ class FrameWarning:
 class StageTimes(NamedTuple):
     """When a frame had passed each stage on its way to an image, s, on a clock that never steps."""
 
-    arrived: float  # its last message had come; of a recording, it was read
+    first_message: float  # it had come, by the bus's clock before the last one
+    last_message: float  # it had come; of a recording, it was read
     assembled: float  # it had been decoded and was handed to its sensor
     started: float  # it was its turn
     calibrated: float  # it was in `unit`

@@ -176,6 +176,7 @@ class Pipeline:
         `came` is when it arrived and was assembled (s, monotonic); None: now.
         """
         began = monotonic()
+        last_message, assembled = came or (began, began)
         self._apply_tare(frame)
         if self.monitor.push(frame, self.calibrator):
             self._weigh_taxels()
@@ -211,7 +212,9 @@ class Pipeline:
             arrived=frame.arrived,
             unit=self._plan.unit,
             calibration=self._plan.calibration_id,
-            times=StageTimes(*(came or (began, began)), began, calibrated, restored, checked),
+            times=StageTimes(
+                last_message - frame.skew, last_message, assembled, began, calibrated, restored, checked
+            ),
         )
 
     def _check(

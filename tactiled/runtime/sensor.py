@@ -75,6 +75,9 @@ class Sensor:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
         self.pipeline, self.hub, self.timings = Pipeline(plan), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
+        self.sends: Publisher[tuple[Image, float]] = (
+            Publisher()
+        )  # each to a client, and when (s), on the event loop
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
@@ -193,6 +196,12 @@ class Sensor:
         now = self._note_arrival(frame)
         self._loss = frame.loss
         self._publish(frame, inf, (now, now))
+
+    def note_send(self, image: Image) -> None:
+        """A client is sent an image now; on the event loop."""
+        now = time.monotonic()
+        self.timings.add_send(image, now)
+        self.sends.publish((image, now))
 
     def _note_arrival(self, frame: RawFrame) -> float:
         """A frame comes now: the time (s)."""

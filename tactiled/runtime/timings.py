@@ -36,15 +36,15 @@ class Timings:
         """Count an image that was published at `published` (s); for the thread that restores."""
         if image.times is None:
             return
-        times = (*image.times, published)
+        times = (*image.times[1:], published)
         for histogram, before, after in zip(self.stages.values(), times, times[1:], strict=False):
             histogram.add(after - before)
         if image.method not in self.methods:
             self.methods[image.method] = Histogram()
         self.methods[image.method].add(image.times.restored - image.times.calibrated)
-        self.ages["publish"].add(published - image.times.arrived)
+        self.ages["publish"].add(published - image.times.last_message)
 
     def add_send(self, image: Image, time: float) -> None:
         """Count an image that a client was sent at `time` (s); for the event loop."""
         if image.times is not None:
-            self.ages["send"].add(time - image.times.arrived)
+            self.ages["send"].add(time - image.times.last_message)

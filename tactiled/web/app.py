@@ -28,6 +28,7 @@ from tactiled.web.rest import (
     restore,
     sensors,
     shear,
+    trace,
 )
 from tactiled.web.rest.dependencies import Costly, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
@@ -60,7 +61,7 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     install(app)
     _set_state(app, service, server)
-    for resource in (shear, sensors, calibration_file, frames, events, config, restore):
+    for resource in (shear, sensors, calibration_file, frames, trace, events, config, restore):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         buses = {} if service.replayed else service.buses

@@ -19,7 +19,9 @@ def test_a_time_is_counted_below_the_first_bound_that_it_does_not_exceed():
 
 
 def test_each_stage_of_an_image_is_counted_and_restoring_by_its_method(plan):
-    image = replace(Pipeline(plan).process(frame(0)), times=StageTimes(10.0, 10.01, 10.03, 10.06, 10.1, 10.15))
+    image = replace(
+        Pipeline(plan).process(frame(0)), times=StageTimes(9.9, 10.0, 10.01, 10.03, 10.06, 10.1, 10.15)
+    )
     timings = Timings()
     timings.add(image, 10.21)
     timings.add_send(image, 10.3)

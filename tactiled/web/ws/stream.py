@@ -1,7 +1,6 @@
 """WebSocket streams of one sensor or several: newest wins, nothing queues for a client that does not read."""
 
 import asyncio
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -257,7 +256,7 @@ class Stream:
         frames = line.feed.frames(image, line.form)
         line.image, self._credit[name] = image, max(0, self._credit[name] - 1)
         self._protocol.send_frames(frames)
-        line.feed.sensor.timings.add_send(image, time.monotonic())
+        line.feed.sensor.note_send(image)
 
     def _send_status(self, line: _Line) -> None:
         key, now = line.feed.status_key(), self._loop.time()

@@ -1,0 +1,95 @@
+"""`GET /api/v1/sensors/{name}/trace`: the way of the next frame through all stages."""
+
+import asyncio
+import time
+from contextlib import ExitStack, suppress
+
+from fastapi import APIRouter, Request
+from pydantic import Field
+
+from tactiled.frames import Image
+from tactiled.web import schemas
+from tactiled.web.http.limits import ConcurrencyLimit
+from tactiled.web.rest.dependencies import NamedSensor, no_frame
+from tactiled.web.rest.openapi import problems
+
+MAX_WAIT_S = 5.0  # for the next frame of a live sensor
+MAX_SEND_S = 0.5  # that the sends of an image are waited for, unless the next one takes its place before
+router = APIRouter(prefix="/api/v1", tags=["frames"])
+
+
+class Stage(schemas.Schema):
+    """When a frame had passed a stage."""
+
+    stage: str = Field(
+        description="first_message, last_message, assembled (in counts), started (its turn came), calibrated, "
+        "restored, checked (warnings), published, contacts, sent_first, sent_last (to clients)",
+        examples=["restored"],
+    )
+    age_s: float = Field(description="since the frame's last message", examples=[0.00048])
+
+
+class Trace(schemas.Schema):
+    """The way of one frame."""
+
+    sensor: schemas.SensorName
+    sequence: int = Field(examples=[5123])
+    timestamp: float = Field(description="s, Unix, of the first message", examples=[1763712000.25])
+    method: str = Field(description="that ran", examples=["tv"])
+    why: str = Field(description="why it was chosen", examples=["selected by hand"])
+    iterations: int = Field(examples=[6])
+    warnings: tuple[schemas.FrameWarning, ...]
+    contacts: int | None = Field(
+        description="null: a newer frame came before they were searched for", examples=[2]
+    )
+    sends: int = Field(description="to clients of WebSockets", examples=[1])
+    stages: tuple[Stage, ...] = Field(description="in the order of time")
+
+
+@router.get("/sensors/{name}/trace", responses=problems(404, 429, 503))
+async def trace(sensor: NamedSensor, request: Request) -> Trace:
+    """The next frame's times from its first CAN message to the clients that it was sent to.
+
+    The answer comes when the frame after it is published, or after 0.5 s.
+    """
+    loop = asyncio.get_running_loop()
+    traced, overtaken = (loop.create_future() for _ in range(2))
+    sends: list[tuple[Image, float]] = []
+
+    def take(image: Image, published: float) -> None:
+        future = overtaken if traced.done() else traced
+        if not future.done():
+            future.set_result((image, published))
+
+    def publish(image: Image) -> None:  # on the sensor's thread
+        with suppress(RuntimeError):  # a loop that has ended has nobody who waits
+            loop.call_soon_threadsafe(take, image, time.monotonic())
+
+    waiting: ConcurrencyLimit = request.app.state.waiting
+    with waiting.one(request.scope), ExitStack() as stack:
+        stack.callback(sensor.sends.subscribe(sends.append))
+        stack.callback(sensor.hub.subscribe(publish))
+        try:
+            image, published = await asyncio.wait_for(traced, MAX_WAIT_S if sensor.state == "live" else 0.0)
+        except TimeoutError as error:
+            raise no_frame(sensor) from error
+        searched, contacts = await asyncio.to_thread(sensor.contacts)
+        times = {"published": published} | ({"contacts": time.monotonic()} if searched is image else {})
+        with suppress(TimeoutError):
+            await asyncio.wait_for(overtaken, MAX_SEND_S)
+    sent_at = [at for each, at in sends if each is image]
+    times |= {"sent_first": min(sent_at), "sent_last": max(sent_at)} if sent_at else {}
+    return Trace(
+        **Trace.shared(image) | {"contacts": len(contacts) if searched is image else None},
+        timestamp=image.time,
+        sends=len(sent_at),
+        stages=_stages(image, times),
+    )
+
+
+def _stages(image: Image, times: dict[str, float]) -> tuple[Stage, ...]:
+    """Every stage with its age, by the times (s) of those after the image was made."""
+    made = image.times._asdict() if image.times else {}  # none of an image that was made elsewhere
+    origin = made.get("last_message", times["published"])
+    ages = [Stage(stage=stage, age_s=at - origin) for stage, at in (made | times).items()]
+    return tuple(sorted(ages, key=lambda each: each.age_s))
