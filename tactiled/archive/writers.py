@@ -44,6 +44,7 @@ FORMATS = {
     ".h5": Format("tactiled.archive.arrays", "Hdf5Writer", "hdf5", ("h5py",)),
     ".mcap": Format("tactiled.archive.mcap", "McapWriter", "foxglove", ("mcap", "foxglove")),
     ".zarr": Format("tactiled.archive.zarr_group", "ZarrWriter", "zarr", ("zarr",)),
+    ".rrd": Format("tactiled.archive.rrd", "RrdWriter", "rerun", ("rerun",)),
     "rosbag2": Format("tactiled.archive.rosbag2", "Rosbag2Writer", "ros", ("rosbags",)),
     "rosbag2-sqlite3": Format("tactiled.archive.rosbag2", "Rosbag2SqliteWriter", "ros", ("rosbags",)),
 }

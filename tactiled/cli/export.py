@@ -26,7 +26,7 @@ def export(
     workers: batch.Workers = None,
     scheduler: batch.Scheduler = None,
 ) -> None:
-    """Restore every frame of recordings into files of arrays, or into files for Foxglove or ROS 2."""
+    """Restore every frame of recordings into files of arrays, or into files for Foxglove, ROS 2 or Rerun."""
     settings, name, _ = options.one_sensor(config, sensor)
     job = ExportJob.of(config, settings, name, to=to)
     writer(out, to)

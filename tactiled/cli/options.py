@@ -22,6 +22,15 @@ Interface = Annotated[
 Channel = Annotated[str | None, typer.Option(help="Its channel: can0, /dev/ttyUSB0, 239.74.163.2, ...")]
 Bitrate = Annotated[int | None, typer.Option(help="Bits a second, if the interface sets them.", min=1)]
 Seconds = Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)]
+Rerun = Annotated[
+    int | None,
+    typer.Option(
+        metavar="PORT",
+        help="Show images in Rerun's viewer, which listens on this port of loopback (9876).",
+        min=1,
+        max=65535,
+    ),
+]
 Foxglove = Annotated[
     int | None,
     typer.Option(metavar="PORT", help="Serve Foxglove's apps too, on this port of loopback.", min=0, max=65535),

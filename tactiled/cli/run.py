@@ -13,11 +13,17 @@ from tactiled import logs
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.check import findings_of, prepared
+from tactiled.interop.rerun_live import to_viewer
 from tactiled.runtime.service import Service
 from tactiled.web.server import serve
 
 
-def run(config: options.Config, foxglove: options.Foxglove = None, _: options.LogFormat = "console") -> None:
+def run(
+    config: options.Config,
+    foxglove: options.Foxglove = None,
+    rerun: options.Rerun = None,
+    _: options.LogFormat = "console",
+) -> None:
     """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
     for finding in findings_of(config):
         if not finding.hint:
@@ -25,7 +31,7 @@ def run(config: options.Config, foxglove: options.Foxglove = None, _: options.Lo
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         server = service.config.server.model_copy(update=options.present(foxglove=foxglove))
-        with stoppable(), _reloadable(service), service.running():
+        with stoppable(), _reloadable(service), service.running(), to_viewer(service, rerun):
             serve(service, server)
 
 

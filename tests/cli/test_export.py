@@ -226,6 +226,7 @@ REMOVED, FULL = "shutil.rmtree(Path(out).parent)", "resource.setrlimit(resource.
         ("h5", FULL.format(1000), "File too large: nothing is written"),
         ("h5", FULL.format(50_000), "File too large: nothing is written"),
         ("mcap", FULL.format(30_000), "File too large: nothing is written"),
+        ("rrd", FULL.format(10_000), "nothing is written"),
     ],
 )
 def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, config, lossy, ending, fault, message):

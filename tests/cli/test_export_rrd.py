@@ -1,0 +1,92 @@
+import json
+import subprocess
+from collections import defaultdict
+
+import numpy as np
+import pytest
+import rerun_cli
+from rerun.chunk import RrdReader
+
+from tactiled.bus import recording
+from tactiled.config.example import GRASP
+from tests.cli.commands import succeed
+from tests.conftest import BUSY_S
+
+VIEWER = f"{rerun_cli.__path__[0]}/rerun"
+
+
+def exported(log, config, out):
+    succeed("export", log, "--config", config, "-o", out)
+    return out
+
+
+def columns(file):
+    """Each entity's columns in the order of time, and of what holds for all time the last."""
+    rows, static = defaultdict(lambda: defaultdict(list)), {}
+    for chunk in RrdReader(file).stream():
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            key = name.split(":")[-1]
+            if chunk.is_static:
+                static.setdefault((chunk.entity_path, key), []).extend(column.to_pylist())
+            elif key in ("time", "log_time"):
+                rows[chunk.entity_path][key] += column.cast("int64").to_pylist()
+            else:
+                rows[chunk.entity_path][key] += column.to_pylist()
+    return rows, {place: values[-1] for place, values in static.items()}
+
+
+def pictures(entity):
+    form = entity["format"][0][0]
+    data = np.array([each[0] for each in entity["buffer"]], np.uint8)
+    return data.view("<f4").reshape(len(data), form["height"], form["width"])
+
+
+def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lossy):
+    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    got, static = columns(exported(lossy, config, tmp_path / "a.rrd"))
+    times = [round(each * 1e9) for each in npz["time"].tolist()]
+    for name in ("raw", "restored"):
+        np.testing.assert_array_equal(pictures(got[f"/palm/{name}"]), npz[name])
+        assert got[f"/palm/{name}"]["time"] == pytest.approx(times, abs=1000)
+        assert got[f"/palm/{name}"]["frame"] == npz["sequence"].tolist()
+        assert static[f"/palm/{name}", "translation"] == [[-0.5, -0.5, 0.0]]  # mm: the first taxel is at (0, 0)
+        assert static[f"/palm/{name}", "scale"] == [[1.0, 1.0, 1.0]]
+        highest = max(np.nanmax(npz["raw"]), npz["restored"].max())
+        assert static[f"/palm/{name}", "depth_range"] == [pytest.approx([0.0, highest])]
+    assert "log_time" not in got["/palm/raw"]
+    force = [each[0] for each in got["/palm/force"]["scalars"]]
+    np.testing.assert_allclose(force, 1e-3 * npz["restored"].sum((1, 2)), atol=1e-5)
+    assert [each[0] for each in got["/palm/peak"]["scalars"]] == pytest.approx(npz["restored"].max((1, 2)))
+    assert static["/palm/force", "names"] == ["force in N"]
+    assert got["/palm/contacts"]["labels"][-1] == ["1.40 N"]
+    masks = got["/palm/raw/no_data"]
+    unknown = {frame: sum(mask[0]) for frame, mask in zip(masks["frame"], masks["buffer"], strict=True)}
+    assert (unknown[0], unknown[7], unknown[8]) == (0, 41, 0)
+    texts = [each[0] for each in got["/palm/warnings"]["text"]]
+    assert texts[0].startswith("41 taxels did not arrive")
+    assert texts[1] == "over: missing"
+    assert json.loads(static["/__properties/provenance", "json"][0]) == json.loads(npz["provenance"].item())
+
+
+def test_a_layout_is_a_picture_in_counts_with_the_screen_to_show_it_on(tmp_path):
+    log, hand = recording.path("book_1"), tmp_path / "hand.toml"
+    hand.write_text(GRASP)
+    npz = np.load(exported(log, hand, tmp_path / "a.npz"))
+    out = exported(log, hand, tmp_path / "a.rrd")
+    got, static = columns(out)
+    for name, at in (("raw", npz["positions_mm"]), ("restored", npz["cells_mm"])):
+        ((x, y, _),), ((side, _, _),) = (static[f"/hand/{name}", key] for key in ("translation", "scale"))
+        column, row = np.floor((at - (x, y)) / side).astype(int).T
+        np.testing.assert_array_equal(pictures(got[f"/hand/{name}"])[:, row, column], npz[name])
+    assert static["/hand/scale", "labels"] == [
+        f"100 mm; colours 0 to {max(npz['raw'].max(), npz['restored'].max()):.3g} counts"
+    ]
+    reader = RrdReader(out)
+    (screen,) = reader.blueprints()
+    views = [chunk.to_record_batch() for chunk in reader.stream(store=screen) if chunk.entity_path.count("/") == 2]
+    names = {batch.column("ViewBlueprint:display_name")[0].as_py()[0] for batch in views
+             if "ViewBlueprint:display_name" in batch.schema.names}  # fmt: skip
+    assert names == {"raw, counts", "restored, counts", "force, counts mm2", "peak, counts", "warnings"}
+    check = subprocess.run([VIEWER, "rrd", "verify", out], capture_output=True, text=True, timeout=BUSY_S)
+    assert check.returncode == 0, check.stderr
