@@ -1,21 +1,72 @@
 """What a codec and a skin are; pure functions of bytes, without I/O, clock or thread."""
 
+import operator
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
+from tactiled.bus.batch import Batch
 from tactiled.bus.polling import Polling
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 from tactiled.geometry import Array
 
 Key = tuple[int, bool]  # CAN id, whether it has 29 bits
+NO_SEQUENCE = -1
+
+
+class Readings(NamedTuple):
+    """What the messages of a batch (n) carry: `Reading`, a column a field."""
+
+    times: NDArray[np.float64]  # (n,) s
+    segments: NDArray[np.int64]  # (n,)
+    payloads: NDArray[Any]  # (n, width) bytes, 0 past a payload's own; or (n,) objects of `bytes`
+    good: NDArray[np.bool_]  # (n,) False of a malformed message, whose other columns are of no use
+    sequences: NDArray[np.int64] | None = None  # (n,) NO_SEQUENCE where there is none; None: nowhere
+    bad: Mapping[int, tuple[int, ...]] = {}  # taxels that the sensor calls out of range, by row
+
+
+class Rows(Sequence[bytes | None]):
+    """The payloads of a frame as an array; as a sequence, what `Codec.unpack` is given."""
+
+    def __init__(self, data: NDArray[np.uint8], present: NDArray[np.bool_]) -> None:
+        """`data` (segments, width), 0 where not `present` (segments,)."""
+        self.data, self.present = data, present
+
+    def __len__(self) -> int:
+        """Number of segments."""
+        return len(self.data)
+
+    @overload
+    def __getitem__(self, at: int) -> bytes | None: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[bytes | None]: ...
+    def __getitem__(self, at: int | slice) -> bytes | None | list[bytes | None]:
+        """A segment's payload; None where it did not come."""
+        if isinstance(at, slice):
+            return [self[each] for each in range(len(self))[at]]
+        return self.data[at].tobytes() if self.present[at] else None
+
+
+def stacked(payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
+    """The payloads of a frame (segments, length); 0 where one is None, and past a shorter one."""
+    if isinstance(payloads, Rows):
+        return payloads.data
+    joined = b"".join((each or b"").ljust(length, b"\0") for each in payloads)
+    return np.frombuffer(joined, np.uint8).reshape(-1, length)
+
+
+def missing(payloads: Sequence[bytes | None]) -> NDArray[np.bool_]:
+    """Which payloads (segments,) of a frame did not come."""
+    if isinstance(payloads, Rows):
+        return ~payloads.present
+    return np.array([each is None for each in payloads])
 
 
 class Codec(ABC):
@@ -62,6 +113,28 @@ class Codec(ABC):
     def decode(self, message: Message) -> Reading:
         """One message on one of `ids`; CodecError where it is malformed."""
 
+    def readings(self, batch: Batch) -> Readings:
+        """What a batch carries; by default message after message by `decode`, whatever that raises."""
+        count = len(batch)
+        times, segments, good = batch.times.copy(), np.zeros(count, np.int64), np.zeros(count, np.bool_)
+        sequences, payloads = np.full(count, NO_SEQUENCE), np.full(count, None, object)
+        bad: dict[int, tuple[int, ...]] = {}
+        for at, message in enumerate(batch):
+            try:
+                reading = self.decode(message)
+                segment, taxels = operator.index(reading.segment), tuple(reading.bad)
+                if not (0 <= segment < self.segments and all(0 <= each < self.size for each in taxels)):
+                    continue
+                times[at], segments[at], payloads[at] = reading.time, segment, bytes(reading.payload)
+                if self.modulus is not None and reading.sequence is not None:
+                    sequences[at] = reading.sequence % self.modulus
+            except Exception:  # a CodecError of our codecs; another package's may raise anything
+                continue
+            good[at] = True
+            if taxels:
+                bad[at] = taxels
+        return Readings(times, segments, payloads, good, sequences, bad)
+
     @abstractmethod
     def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
         """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
@@ -83,6 +156,24 @@ class Codec(ABC):
                 f"counts {checked.shape} up to {checked.max()}: expected {self.size} up to {self.full_scale}"
             )
         return checked
+
+
+class BatchCodec(Codec):
+    """A codec that reads a whole batch by arrays, and one message as a batch of one."""
+
+    @abstractmethod
+    def readings(self, batch: Batch) -> Readings:
+        """What a batch carries."""
+
+    def decode(self, message: Message) -> Reading:
+        """One message on one of `ids`; CodecError where it is malformed."""
+        readings = self.readings(Batch.of((message,)))
+        if not readings.good[0]:
+            kind = "CAN FD " if message.fd else ""
+            raise CodecError(f"{kind}message {message.id:#x} of {len(message.data)} bytes is not of this layout")
+        sequence = None if readings.sequences is None else int(readings.sequences[0])
+        payload = cast(bytes, readings.payloads[0].tobytes())
+        return Reading(message.time, int(readings.segments[0]), payload, sequence, readings.bad.get(0, ()))
 
 
 class ShearCodec(Codec):
@@ -183,18 +274,13 @@ class ClassicSkin(Skin, Codec):
 
     def stacked(self, payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
         """The payloads of a frame (segments, length); 0 where one is None."""
-        blank = bytes(length)
-        return np.frombuffer(b"".join(each or blank for each in payloads), np.uint8).reshape(-1, length)
+        return stacked(payloads, length)
 
 
-def understands(codec: Codec, messages: Iterable[Message]) -> bool:
+def understands(codec: Codec, messages: Batch | Iterable[Message]) -> bool:
     """Whether a codec decodes every one of some messages."""
-    try:
-        for each in messages:
-            codec.decode(each)
-    except CodecError:
-        return False
-    return True
+    batch = messages if isinstance(messages, Batch) else Batch.of(messages)
+    return bool(codec.readings(batch).good.all())
 
 
 def standard_ids(*ids: int) -> frozenset[Key]:

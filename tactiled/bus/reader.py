@@ -10,10 +10,13 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 from tactiled.bus import driver_errors, error_frames
+from tactiled.bus.batch import EXTENDED, Batch
 from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
-from tactiled.bus.socketcan import ERROR, EXTENDED, REMOTE, Frame, FrameReader
+from tactiled.bus.socketcan import ERROR, GATHER_S, REMOTE, FrameReader
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -96,25 +99,54 @@ class Reader:
             self._waiting.extend(self.batch(timeout))
         return self._waiting.popleft() if self._waiting else None
 
-    def batch(self, timeout: float) -> list[Message]:
-        """The data frames that have come, or come first within `timeout` (s); BusError where the bus is gone."""
+    def batch(self, timeout: float, needed: int = 1) -> Batch:
+        """The data frames that have come, or come first within `timeout` (s); BusError where the bus is gone.
+
+        Behind the first it waits up to GATHER_S until there are `needed`.
+        """
         if self._frames is None:
-            frame = self.frame(timeout)
-            frames = [] if frame is None else [_raw(frame)]
+            batch = self._gathered(timeout, needed)
         else:
             try:
-                frames = self._frames.read(timeout)
+                batch = self._frames.read(timeout, needed)
             except OSError as error:
                 raise _bus_error(error, self.label, self._redact) from error
-        messages = []
-        for stamp, id_, data, fd in frames:
-            if id_ & (ERROR | REMOTE):
-                self._count_special(id_ & EXTENDED_ID, data, error=id_ & ERROR != 0)
-                continue
+        special = batch.ids & (ERROR | REMOTE) > 0
+        if np.logical_or.reduce(special):
+            batch = self._without(batch, np.flatnonzero(special).tolist())
+        elif len(batch):
             self.off = None
-            extended = id_ & EXTENDED != 0
-            messages.append(Message(stamp, id_ & (EXTENDED_ID if extended else STANDARD_ID), data, extended, fd))
-        return messages
+        batch.ids[...] &= np.where(batch.ids & EXTENDED, EXTENDED | EXTENDED_ID, STANDARD_ID).astype(np.uint32)
+        return batch
+
+    def _gathered(self, timeout: float, needed: int) -> Batch:
+        """What python-can's driver gives, frame after frame."""
+        messages: list[Message] = []
+        end = time.monotonic() + timeout
+        while len(messages) < needed:
+            try:
+                frame = self.frame(max(0.0, end - time.monotonic()))
+            except BusError:
+                if messages:  # a bus that is gone says so again
+                    break
+                raise
+            if frame is None:
+                break
+            if not messages:
+                end = min(end, time.monotonic() + GATHER_S)
+            messages.append(_raw(frame))
+        return Batch.of(messages)
+
+    def _without(self, batch: Batch, specials: list[int]) -> Batch:
+        """Count the frames of these numbers, which carry no data, and leave them out."""
+        after = 0  # the last one counted
+        for at in specials:
+            self.off = None if at > after else self.off
+            id_, data = int(batch.ids[at]), batch.data[at].tobytes()[: batch.lengths[at]]
+            self._count_special(id_ & EXTENDED_ID, data, error=id_ & ERROR != 0)
+            after = at + 1
+        self.off = None if len(batch) > after else self.off
+        return batch[np.delete(np.arange(len(batch)), specials)]
 
     def send(self, message: Message) -> None:
         """Put one data frame on the bus; BusError where it does not take it."""
@@ -222,10 +254,11 @@ def _socket(bus: BusABC) -> socket.socket | None:
     return handle
 
 
-def _raw(frame: CanMessage) -> Frame:
-    """A frame of python-can as the kernel has it."""
-    flags = EXTENDED * frame.is_extended_id | REMOTE * frame.is_remote_frame | ERROR * frame.is_error_frame
-    return Frame(frame.timestamp, frame.arbitration_id | flags, bytes(frame.data), frame.is_fd)
+def _raw(frame: CanMessage) -> Message:
+    """A frame of python-can, of any kind, its id with the kernel's flags."""
+    flags = REMOTE * frame.is_remote_frame | ERROR * frame.is_error_frame
+    id_ = frame.arbitration_id | flags
+    return Message(frame.timestamp, id_, bytes(frame.data), frame.is_extended_id, frame.is_fd)
 
 
 def _bus_error(error: Exception, label: str, redact: Callable[[str], str]) -> BusError:

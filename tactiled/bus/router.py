@@ -2,7 +2,11 @@
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled.bus.assembler import Assembler
+from tactiled.bus.batch import EXTENDED, Batch
 from tactiled.bus.codec import Codec
 from tactiled.errors import ConfigError
 from tactiled.frames import Message, RawFrame
@@ -31,26 +35,41 @@ class Router:
                     raise ConfigError(
                         f"sensors {other} and {name} both listen to id {key[0]:#x}: give each its own"
                     )
+        keys = sorted((id_ | EXTENDED * extended, name) for (id_, extended), name in self._owner.items())
+        self._keys = np.array([*(key for key, _ in keys), 0xFFFFFFFF], np.uint32)  # the last is no id
+        names = list(self.assemblers)
+        self._owners = np.array([*(names.index(name) for _, name in keys), -1])
 
     @property
     def ids(self) -> frozenset[tuple[int, bool]]:
         """Every (id, extended) that a sensor listens to."""
         return frozenset(self._owner)
 
-    def push(self, message: Message, now: float | None = None) -> Frames:
-        """Take one message, come at `now` (s; None: its own time); returns each (sensor, frame) that it closes."""
-        name = self._owner.get((message.id, message.extended))
-        if name is None:
-            for assembler in self.assemblers.values():
-                assembler.count("foreign")
+    @property
+    def needed(self) -> int:
+        """How many messages more can make a frame whole at the earliest."""
+        return min((each.needed for each in self.assemblers.values()), default=1)
+
+    def push(self, batch: Batch | Message, now: float | NDArray[np.float64] | None = None) -> Frames:
+        """Take messages, come at `now` (s; None: their own times); returns each (sensor, frame) that they close."""
+        batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
+        if not len(batch):
             return ()
-        assembler = self.assemblers[name]
-        try:
-            frames = assembler.push(assembler.codec.decode(message), now)
-        except Exception:  # a CodecError of our codecs; another package's may raise anything
-            assembler.count("malformed")
-            return ()
-        return tuple((name, frame) for frame in frames) if frames else ()
+        at = np.searchsorted(self._keys, batch.ids)
+        owned = self._keys[at] == batch.ids
+        if len(self.assemblers) == 1 and np.logical_and.reduce(owned):
+            ((name, assembler),) = self.assemblers.items()
+            return tuple([(name, frame) for _, frame in assembler.push(batch, now)])
+        owners = np.where(owned, self._owners[at], -1)
+        strangers = np.flatnonzero(owners < 0)
+        closed: list[tuple[int, str, RawFrame]] = []
+        for number, (name, assembler) in enumerate(self.assemblers.items()):
+            rows = np.flatnonzero(owners == number)
+            own_now = now[rows] if isinstance(now, np.ndarray) else now
+            frames = assembler.push(batch[rows], own_now, np.searchsorted(rows, strangers))
+            closed += ((int(rows[row]), name, frame) for row, frame in frames)
+        closed.sort(key=lambda each: each[0])
+        return tuple((name, frame) for _, name, frame in closed)
 
     def flush(self, before: float) -> Frames:
         """Close, marked, every frame whose newest message came before time `before` (s)."""

@@ -7,25 +7,26 @@ import select
 import socket
 import struct
 import sys
-from typing import NamedTuple
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bus.batch import COLUMNS, MAX_BYTES, Batch
 
 MAX_FRAMES = 256  # a call
-EXTENDED, REMOTE, ERROR = 0x80000000, 0x40000000, 0x20000000  # in a frame's id
+REMOTE, ERROR = 0x40000000, 0x20000000  # in a frame's id, as EXTENDED is
 SO_TIMESTAMPNS = 35  # Linux's
-FRAME = struct.Struct("=IB3x64s")  # id, length, data: of CAN FD; a classic frame fills less of it
+GATHER_S = 5e-3  # that a read takes at the longest to fetch what it is asked for behind the first frame
+MIN_FRAME_S = 40e-6  # of the shortest frame at 1 Mbit/s (44 bits): a bus brings no more within less time
+FRAME = np.dtype({
+    "names": ["id", "length", "data"], "formats": ["=u4", "u1", ("u1", MAX_BYTES)], "offsets": [0, 4, 8],
+    "itemsize": 72,
+})  # of CAN FD; a classic frame fills less of it
 PART = struct.Struct("@PN")  # struct iovec
-STAMP = struct.Struct("@16xqQ")  # an ancillary message's header, then s and ns
+STAMP = np.dtype({"names": ["s", "ns"], "formats": ["=i8", "=i8"], "offsets": [16, 24], "itemsize": 32})
 HEADER = struct.Struct("@PI4xPNPNi4xI4x")  # struct mmsghdr
-SIZE = struct.Struct(f"@{HEADER.size - 8}xI4x")  # bytes received, in one
-
-
-class Frame(NamedTuple):
-    """One frame of any kind."""
-
-    time: float  # s, Unix time, when the kernel received it
-    id: int  # with the flags EXTENDED, REMOTE, ERROR
-    data: bytes
-    fd: bool
+SIZE = np.dtype({"names": ["bytes"], "formats": ["=u4"], "offsets": [56], "itemsize": HEADER.size})
 
 
 class FrameReader:
@@ -36,15 +37,18 @@ class FrameReader:
         self._poll = select.poll()
         self._poll.register(descriptor, select.POLLIN)
         self._recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._frames, self._stamps, self._parts, self._headers = (
-            ctypes.create_string_buffer(MAX_FRAMES * each.size) for each in (FRAME, STAMP, PART, HEADER)
-        )
-        frame, stamp, part = map(ctypes.addressof, (self._frames, self._stamps, self._parts))
+        self._frames, self._stamps = np.zeros(MAX_FRAMES, FRAME), np.zeros(MAX_FRAMES, STAMP)
+        self._parts = ctypes.create_string_buffer(MAX_FRAMES * PART.size)
+        self._headers = ctypes.create_string_buffer(MAX_FRAMES * HEADER.size)
+        self._sizes = np.frombuffer(self._headers, SIZE)
+        frame, stamp = self._frames.ctypes.data, self._stamps.ctypes.data
+        part = ctypes.addressof(self._parts)
         for n in range(MAX_FRAMES):
-            PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.size, FRAME.size)
-            header = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.size, STAMP.size, 0, 0)
+            PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.itemsize, FRAME.itemsize)
+            header = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.itemsize, STAMP.itemsize, 0, 0)
             HEADER.pack_into(self._headers, n * HEADER.size, *header)
         self._blank = self._headers.raw
+        self._error: OSError | None = None  # that came behind frames: a socket reports one only once
 
     @staticmethod
     def supported(candidate: socket.socket) -> bool:
@@ -52,22 +56,44 @@ class FrameReader:
         linux_64 = sys.platform == "linux" and sys.maxsize > 1 << 32
         return linux_64 and candidate.getsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS) == 1
 
-    def read(self, timeout: float) -> list[Frame]:
-        """At most MAX_FRAMES, in order; waits up to `timeout` (s) for the first; OSError."""
-        if not self._poll.poll(1000 * timeout):
-            return []
-        ctypes.memmove(self._headers, self._blank, len(self._blank))  # the kernel has written into them
-        count = self._recvmmsg(self._descriptor, self._headers, MAX_FRAMES, socket.MSG_DONTWAIT, None)
+    def read(self, timeout: float, needed: int = 1) -> Batch:
+        """At most MAX_FRAMES, in order, their ids with the flags REMOTE and ERROR; OSError.
+
+        Waits up to `timeout` (s) for the first, and for up to GATHER_S longer until there are `needed`.
+        """
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        count = self._receive(0) if self._poll.poll(1000 * timeout) else 0
+        if 0 < count < needed:
+            end = time.monotonic() + min(GATHER_S, timeout)
+            while count < min(needed, MAX_FRAMES) and not self._error and (left := end - time.monotonic()) > 0:
+                time.sleep(min(left, MIN_FRAME_S * (needed - count)))
+                count += self._receive(count)
+        return self._batch(count)
+
+    def _receive(self, at: int) -> int:
+        """Take what is there behind the first `at` frames; how many."""
+        start, size = at * HEADER.size, (MAX_FRAMES - at) * HEADER.size
+        headers = ctypes.addressof(self._headers) + start
+        ctypes.memmove(headers, self._blank[start:], size)  # the kernel has written into them
+        count = self._recvmmsg(
+            self._descriptor, ctypes.c_void_p(headers), MAX_FRAMES - at, socket.MSG_DONTWAIT, None
+        )
         if count < 0:
             code = ctypes.get_errno()
             if code == errno.EAGAIN:
-                return []
-            raise OSError(code, os.strerror(code))
-        frames, stamps, sizes = (
-            each.iter_unpack(memoryview(buffer)[: count * each.size])
-            for each, buffer in ((FRAME, self._frames), (STAMP, self._stamps), (SIZE, self._headers))
-        )
-        return [
-            Frame(s + 1e-9 * ns, id_, data[:length], size == FRAME.size)
-            for (id_, length, data), (s, ns), (size,) in zip(frames, stamps, sizes, strict=True)
-        ]
+                return 0
+            error = OSError(code, os.strerror(code))
+            if not at:
+                raise error
+            self._error = error
+            return 0
+        return int(count)
+
+    def _batch(self, count: int) -> Batch:
+        frames, stamps = self._frames[:count], self._stamps[:count]
+        lengths = frames["length"].copy()
+        data: NDArray[np.uint8] = frames["data"] * (COLUMNS < lengths[:, None])  # behind it may be anything
+        fd = self._sizes["bytes"][:count] == FRAME.itemsize
+        return Batch(stamps["s"] + 1e-9 * stamps["ns"], frames["id"].copy(), lengths, data, fd)

@@ -142,11 +142,10 @@ class BusThread:
             self._exchange()
             now = time.monotonic()
             reader.unsent += self._poller.send_due(reader.send, now)
-            messages = reader.batch(min(POLL_S, self._poller.wait_s(now)))
+            batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), self._router.needed)
             now = time.monotonic()
-            for message in messages:
-                self._offer(self._router.push(message, now))
-            self._offer(self._router.flush(now - (BUSY_S if messages else POLL_S)))
+            self._offer(self._router.push(batch, now))
+            self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))
             if reader.off != self._down:
                 self._set_down(reader.off)
 

@@ -14,10 +14,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, require_distinct, standard_ids, understands
+from tactiled.bus.batch import Batch
+from tactiled.bus.codec import (
+    BatchCodec,
+    ClassicSkin,
+    Key,
+    Match,
+    Readings,
+    Traffic,
+    missing,
+    require_distinct,
+    stacked,
+    standard_ids,
+    understands,
+)
 from tactiled.bus.polling import Polling
-from tactiled.errors import CodecError
-from tactiled.frames import Counts, Message, Reading
+from tactiled.frames import Counts, Message
 
 PERIODIC, OLD, POLL = 0x400, 0x300, 0x200  # message classes: skin data, skin data of older boards, set-up
 HEAD, TAIL = 0x40, 0xC0  # first byte: pads 0-6, pads 7-11 and diagnostics
@@ -34,7 +46,7 @@ TRIANGLE_PITCH_MM = 25.0  # between the centres of triangles drawn side by side
 
 
 @dataclass(frozen=True)
-class Icub(ClassicSkin):
+class Icub(BatchCodec, ClassicSkin):
     """iCub MTB board with triangles of 10 or 12 taxels."""
 
     board: Annotated[int, Bounds(0, 15)]
@@ -103,20 +115,24 @@ class Icub(ClassicSkin):
         start, head = place * len(self.pads), sum(pad < HEAD_PADS for pad in self.pads)
         return slice(start + head, start + len(self.pads)) if tail else slice(start, start + head)
 
-    def decode(self, message: Message) -> Reading:
-        """A head, or a tail with or without diagnostics, of a configured triangle."""
-        data, triangle = message.data, message.id & 0xF
-        if message.fd or triangle not in self.triangles:
-            raise CodecError(f"message {message.id:#x} is not a classic message of a configured triangle")
-        place = self.triangles.index(triangle)
-        if len(data) == 8 and data[0] == HEAD:
-            return Reading(message.time, 2 * place, data[1:])
-        if len(data) in (6, 8) and data[0] == TAIL:
-            bad = self._bad(place, data) if any(data[6:]) else ()
-            return Reading(message.time, 2 * place + 1, data[1:6], bad=bad)
-        raise CodecError(
-            f"message {message.id:#x} of {len(data)} bytes is neither the head nor the tail of a triangle"
-        )
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """The place (16,) of every triangle among those of the array; -1 of one that is not configured."""
+        places = np.full(16, -1)
+        places[list(self.triangles)] = np.arange(len(self.triangles))
+        return places
+
+    def readings(self, batch: Batch) -> Readings:
+        """Heads, and tails with or without diagnostics, of the configured triangles."""
+        data, lengths, first = batch.data, batch.lengths, batch.data[:, 0]
+        places, tail = self._places[batch.ids & 0xF], first == TAIL
+        good = ((lengths == 8) & (tail | (first == HEAD))) | ((lengths == 6) & tail)
+        good &= (places >= 0) & ~batch.fd
+        payloads = data[:, 1:8].copy()
+        payloads[tail, PADS - HEAD_PADS :] = 0  # diagnostics are no taxels
+        marked = np.flatnonzero(tail & good & data[:, 6:8].any(axis=1)).tolist()
+        bad = {row: self._bad(int(places[row]), data[row].tobytes()) for row in marked}
+        return Readings(batch.times, 2 * places + tail, payloads, good, bad=bad)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
@@ -127,7 +143,7 @@ class Icub(ClassicSkin):
         if not self.thermal_pads:
             return None
         thermal = _pads(payloads)[:, THERMAL].astype(np.float32).ravel()
-        thermal[[each is None for each in payloads]] = np.nan  # pad 6 is in the head, pad 10 in the tail
+        thermal[missing(payloads)] = np.nan  # pad 6 is in the head, pad 10 in the tail
         return thermal
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
@@ -171,8 +187,7 @@ class Icub(ClassicSkin):
 
 def _pads(payloads: Sequence[bytes | None]) -> NDArray[np.uint8]:
     """All pads (triangles, PADS) of a frame; 0 where a segment is None."""
-    parts = (each or bytes(5 if at % 2 else 7) for at, each in enumerate(payloads))
-    return np.frombuffer(b"".join(parts), np.uint8).reshape(-1, PADS)
+    return stacked(payloads, HEAD_PADS).reshape(-1, 2 * HEAD_PADS)[:, :PADS]
 
 
 SKIN = Icub

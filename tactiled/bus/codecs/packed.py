@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
 from tactiled.bus.assembler import assemble
-from tactiled.bus.codec import Codec, Key, Match, Skin, Traffic, understands
-from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Counts, Message, Reading
+from tactiled.bus.batch import Batch
+from tactiled.bus.codec import BatchCodec, Key, Match, Readings, Skin, Traffic, stacked, understands
+from tactiled.errors import ConfigError
+from tactiled.frames import Counts, Message
 from tactiled.geometry import Array
 
 HEADER = 2  # bytes: sequence number, segment index
@@ -24,7 +25,7 @@ DEFAULT_BITS = 12
 
 
 @dataclass(frozen=True)
-class Packed(Codec):
+class Packed(BatchCodec):
     """Taxels in row-major order, `bits` each, no taxel split between messages."""
 
     size: int = field()
@@ -85,34 +86,54 @@ class Packed(Codec):
         return tuple((length, HEADER + byte, bit) for length, (byte, bit) in zip(lengths, ends, strict=True))
 
     @cached_property
+    def _lengths(self) -> NDArray[np.uint8]:
+        """The length (256,) of a message by the segment that it names; 0 where the frame has none such."""
+        lengths = np.zeros(MAX_SEGMENTS, np.uint8)
+        lengths[: self.segments] = [length for length, _, _ in self._forms]
+        return lengths
+
+    @cached_property
+    def _padding(self) -> tuple[int, NDArray[np.uint8]]:
+        """The first column of the data that any segment pads, and the bits (256, columns) that must be 0."""
+        bits = np.zeros((MAX_SEGMENTS, HEADER + self._width), np.uint8)
+        for segment, (length, byte, bit) in enumerate(self._forms):
+            bits[segment, byte:length] = 0xFF
+            bits[segment, byte : byte + 1] &= 0xFF << bit & 0xFF
+        padded = np.flatnonzero(bits.any(axis=0))
+        first = int(padded[0]) if padded.size else HEADER + self._width
+        return first, bits[:, first:]
+
+    @cached_property
+    def _width(self) -> int:
+        """Bytes of a full segment's payload."""
+        return self._forms[0][0] - HEADER
+
+    @cached_property
     def _offsets(self) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
-        """For each taxel the byte, in the joined payloads, and the bit where it begins."""
+        """For each taxel the byte, in the stacked payloads, and the bit where it begins."""
         segment, place = np.divmod(np.arange(self.size), self.taxels)
         byte, bit = np.divmod(place * self.bits, 8)
-        return segment * (self._forms[0][0] - HEADER) + byte, bit.astype(np.uint32)
+        return segment * self._width + byte, bit.astype(np.uint32)
 
-    def decode(self, message: Message) -> Reading:
-        """One message; CodecError where its kind, index, length or padding is not the layout's."""
-        data = message.data
-        if message.fd != self.fd:
-            raise CodecError(f"{'CAN FD' if message.fd else 'classic'} message where the other kind is configured")
-        if len(data) < HEADER or data[1] >= self.segments:
-            raise CodecError(f"segment {data[1] if len(data) > 1 else 'index missing'} of {self.segments}")
-        length, byte, bit = self._forms[data[1]]
-        if len(data) != length:
-            raise CodecError(f"{len(data)} bytes in segment {data[1]}, expected {length}")
-        if int.from_bytes(data[byte:], "little") >> bit:
-            raise CodecError(f"padding of segment {data[1]} is not 0")
-        return Reading(message.time, data[1], data[HEADER:], data[0])
+    def readings(self, batch: Batch) -> Readings:
+        """A batch; malformed is a message whose kind, index, length or padding is not the layout's."""
+        data, index = batch.data, batch.data[:, 1]
+        good = (self._lengths[index] == batch.lengths) & (batch.fd == self.fd)
+        first, bits = self._padding
+        if bits.size:
+            good &= ~(data[:, first : HEADER + self._width] & bits[index]).any(axis=1)
+        payloads = data[:, HEADER : HEADER + self._width]
+        return Readings(batch.times, index.astype(np.int64), payloads, good, data[:, 0].astype(np.int64))
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        pairs = zip(payloads, self._forms, strict=True)
-        parts = (bytes(form[0] - HEADER) if each is None else each for each, form in pairs)
-        stream = np.frombuffer(b"".join((*parts, bytes(2))), np.uint8).astype(np.uint32)
-        windows = stream[:-2] | stream[1:-1] << 8 | stream[2:] << 16  # 24 bits from every byte on hold any taxel
+        stream = stacked(payloads, self._width).tobytes() + bytes(3)
+        windows = np.ndarray(len(stream) - 3, "<u4", stream, strides=(1,)).copy()  # 32 bits from every byte on
         byte, bit = self._offsets
-        return (windows[byte] >> bit & self.full_scale).astype(np.uint16)
+        counts = windows.take(byte)
+        counts >>= bit
+        counts &= np.uint32(self.full_scale)
+        return counts.astype(np.uint16)
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); CodecError where a count needs more bits."""
@@ -195,13 +216,13 @@ def packed_fits(key: Key, messages: Sequence[Message]) -> list[Fit]:
         return Packed(size, bits, messages[0].fd, 0, *key)
 
     segments = max(each.data[1] for each in messages) + 1
-    full = list({each.data: each for each in messages if each.data[1] < segments - 1}.values())
-    last = list({each.data: each for each in messages if each.data[1] == segments - 1}.values())
+    full = Batch.of({each.data: each for each in messages if each.data[1] < segments - 1}.values())
+    last = Batch.of({each.data: each for each in messages if each.data[1] == segments - 1}.values())
     fits = []
     for bits in range(8, 17):
         taxels = codec(1, bits).taxels
         sizes = range((segments - 1) * taxels + 1, segments * taxels + 1)
-        if full and not understands(codec(sizes[-1], bits), full):
+        if len(full) and not understands(codec(sizes[-1], bits), full):
             continue
         good = [size for size in sizes if understands(codec(size, bits), last)]
         if good:
@@ -209,7 +230,7 @@ def packed_fits(key: Key, messages: Sequence[Message]) -> list[Fit]:
     return fits
 
 
-def _roughness(codec: Codec, messages: Sequence[Message]) -> float:
+def _roughness(codec: Packed, messages: Sequence[Message]) -> float:
     """Mean step from taxel to taxel of the first frames, over full scale."""
     frames = [each for each in assemble(codec, messages[: 100 * codec.segments])[0] if not each.flags.any()]
     if not frames or codec.size < 2:

@@ -15,19 +15,23 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
+from tactiled.bus.batch import Batch
 from tactiled.bus.codec import (
+    BatchCodec,
     ClassicSkin,
     Key,
     Match,
+    Readings,
     ShearCodec,
     Traffic,
+    missing,
     require_distinct,
     standard_ids,
     understands,
 )
 from tactiled.bus.polling import Polling
-from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Counts, Message, Reading
+from tactiled.errors import ConfigError
+from tactiled.frames import Counts, Message
 
 STATUS = 0x83  # first byte of what `encode` makes
 REST = 0x4000  # counts near which X and Y of the modules that were recorded rest
@@ -44,7 +48,7 @@ OLDER_MODELS = {"4x4-old": "XR1944", "4x4-new": "XR1944", "4x6-old": "XR1946"}
 
 
 @dataclass(frozen=True)
-class Xela(ClassicSkin, ShearCodec):
+class Xela(BatchCodec, ClassicSkin, ShearCodec):
     """XELA uSkin, one 3-axis module: the normal axis is the image."""
 
     profile: Profile = "current"
@@ -103,11 +107,18 @@ class Xela(ClassicSkin, ShearCodec):
         """An id a taxel."""
         return standard_ids(*self._segments)
 
-    def decode(self, message: Message) -> Reading:
+    @cached_property
+    def _of_ids(self) -> NDArray[np.int64]:
+        """The segment (2048,) of every id of 11 bits; -1 where it is not the module's."""
+        of_ids = np.full(0x800, -1)
+        of_ids[list(self._segments)] = list(self._segments.values())
+        return of_ids
+
+    def readings(self, batch: Batch) -> Readings:
         """A taxel's status, X, Y, Z and status, eight bytes."""
-        if message.fd or len(message.data) != 8 or message.id not in self._segments:
-            raise CodecError(f"message {message.id:#x}: not a classic message of 8 bytes of a taxel")
-        return Reading(message.time, self._segments[message.id], message.data[1:7])
+        segments = self._of_ids[batch.ids & 0x7FF]
+        good = (segments >= 0) & (batch.ids < 0x800) & (batch.lengths == 8) & ~batch.fd
+        return Readings(batch.times, segments, batch.data[:, 1:7], good)
 
     def axes(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts of X, Y and Z (N, 3) of one frame; 0 where a segment is None."""
@@ -120,7 +131,7 @@ class Xela(ClassicSkin, ShearCodec):
     def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
         """Counts of X and Y (2, N) less `REST`; NaN where a segment is None."""
         shear = self.axes(payloads)[:, :2].T.astype(np.float32) - REST
-        shear[:, [each is None for each in payloads]] = np.nan
+        shear[:, missing(payloads)] = np.nan
         return shear
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:

@@ -1,0 +1,61 @@
+"""CAN data frames as arrays, in order: what one read of a bus, or a piece of a file, gave."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.frames import Message
+
+EXTENDED = 0x80000000  # in an id: it has 29 bits, as SocketCAN marks it
+MAX_BYTES = 64  # of a message
+COLUMNS = np.arange(MAX_BYTES, dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Some messages (n), in the order in which they came."""
+
+    times: NDArray[np.float64]  # (n,) s
+    ids: NDArray[np.uint32]  # (n,) with EXTENDED
+    lengths: NDArray[np.uint8]  # (n,) bytes of the data; 255: that many or more, which no CAN message has
+    data: NDArray[np.uint8]  # (n, MAX_BYTES), 0 past the length
+    fd: NDArray[np.bool_]  # (n,)
+
+    @classmethod
+    def of(cls, messages: Iterable[Message]) -> "Batch":
+        """A batch of single messages."""
+        messages = list(messages)
+        count = len(messages)
+        data = b"".join([each.data[:MAX_BYTES].ljust(MAX_BYTES, b"\0") for each in messages])
+        return cls(
+            np.array([each.time for each in messages], np.float64),
+            np.array([each.id | EXTENDED * each.extended for each in messages], np.uint32),
+            np.array([min(len(each.data), 255) for each in messages], np.uint8),
+            np.frombuffer(data, np.uint8).reshape(count, MAX_BYTES),
+            np.array([each.fd for each in messages], np.bool_),
+        )
+
+    @classmethod
+    def joined(cls, batches: Sequence["Batch"]) -> "Batch":
+        """Several batches, one after the other."""
+        names = ("times", "ids", "lengths", "data", "fd")
+        return cls(*(np.concatenate([getattr(each, name) for each in batches]) for name in names))
+
+    def __len__(self) -> int:
+        """Number of messages."""
+        return len(self.times)
+
+    def __getitem__(self, rows: Any) -> "Batch":
+        """Some of the messages: a slice, their numbers or a mask."""
+        return Batch(self.times[rows], self.ids[rows], self.lengths[rows], self.data[rows], self.fd[rows])
+
+    def __iter__(self) -> Iterator[Message]:
+        """Message after message."""
+        columns = zip(self.times.tolist(), self.ids.tolist(), self.lengths.tolist(), self.fd.tolist(), strict=True)
+        data = self.data.tobytes()
+        for at, (time, id_, length, fd) in enumerate(columns):
+            row = data[at * MAX_BYTES : at * MAX_BYTES + min(length, MAX_BYTES)].ljust(length, b"\0")
+            yield Message(time, id_ & ~EXTENDED, row, id_ >= EXTENDED, fd)
