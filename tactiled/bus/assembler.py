@@ -3,39 +3,18 @@
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bus.arrivals import NOWHERE, Arrivals, decoded, moment
 from tactiled.bus.batch import Batch
-from tactiled.bus.codec import NO_SEQUENCE, Codec, Readings, Rows, ShearCodec
+from tactiled.bus.codec import NO_SEQUENCE, Codec, ShearCodec
+from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
 
-UNLEARN_FRAMES = 16  # in a row that are not whole, after which a learned order is forgotten
-SEAM_FRAMES = 3  # in a row with their longest pause at the same place, after which that place is their beginning
 RESTART_S = 0.25  # of silence, after which a sequence number that looks old is that of a restarted sender
-NOWHERE = np.zeros(0, np.int64)
-DESCENTS_PER_SEGMENT = 8  # segments to a descent at least where each may end a run: `python -m tests.study bus`
-
-
-class _Arrivals(NamedTuple):
-    """The messages (n) of a batch that are not malformed, in order."""
-
-    readings: Readings
-    now: float | NDArray[np.float64]  # s, when all came, or each (n,)
-    newest: float | NDArray[np.float64]  # s, the largest of these, so far (n,)
-    rows: NDArray[np.int64] | None  # (n,) numbers in the batch; None: their own
-    # (n,) the last one before each with which it shares no frame by itself: of another sequence number, or of
-    # the same group of ordered segments and not behind it; -1: none
-    divided: NDArray[np.int64]
-    descents: list[int]  # those of a segment that is not behind the one before
-    times_rise: bool  # the messages' times never step back
-
-    def row(self, at: int) -> int:
-        """The number of a message in its batch."""
-        return at if self.rows is None else int(self.rows[at])
 
 
 @dataclass(slots=True)
@@ -45,118 +24,6 @@ class _Others:
     kind: str
     places: NDArray[np.int64]
     counted: int = 0  # so far
-
-
-def _at(values: float | NDArray[np.float64], at: int) -> float:
-    return values if isinstance(values, float) else float(values[at])
-
-
-class _Open:
-    """A frame of which not every segment has come yet."""
-
-    def __init__(self, codec: Codec, payloads: NDArray[Any], time: float) -> None:
-        """`payloads` are some of the codec's, `time` (s) is of one of the frame's messages."""
-        self.began = self.ended = time
-        self.arrived = 0.0  # s, when its newest message came
-        self.payloads = np.zeros((codec.segments, *payloads.shape[1:]), payloads.dtype)
-        self.present = np.zeros(codec.segments, np.bool_)
-        self.missing = codec.segments
-        self.bad: list[int] = []
-        self.highest = -1
-        self.disputed: set[int] = set()  # segments that came twice and not the same
-        self.segments: list[NDArray[np.int64]] = []  # in the order of arrival
-        self.times: list[NDArray[np.float64]] = []  # s, the same
-
-    def add(self, arrivals: _Arrivals, some: slice, ascending: bool) -> None:
-        """Take messages of segments that are not there yet, in `ascending` order or any."""
-        readings, last = arrivals.readings, some.stop - 1
-        segments, times = readings.segments[some], readings.times[some]
-        places: slice | NDArray[np.int64] = segments
-        first, end = int(segments[0]), int(segments[-1]) + 1
-        if ascending and end - first == len(segments):
-            places = slice(first, end)
-        self.payloads[places] = readings.payloads[some]
-        self.present[places] = True
-        self.missing -= len(segments)
-        self.arrived = _at(arrivals.now, last)
-        self.segments.append(segments)
-        self.times.append(times)
-        if readings.bad:
-            self.bad += [taxel for at in range(some.start, some.stop) for taxel in readings.bad.get(at, ())]
-        began, ended = times[0], times[-1]
-        if not arrivals.times_rise:
-            began, ended = np.minimum.reduce(times), np.maximum.reduce(times)
-        self.began, self.ended = min(self.began, float(began)), max(self.ended, float(ended))
-
-    def late(self, segments: NDArray[np.int64], ascending: bool) -> int:
-        """How many of some segments come behind a later one."""
-        if ascending and segments[0] > self.highest:
-            self.highest = int(segments[-1])
-            return 0
-        highest = np.maximum.accumulate(np.concatenate(([self.highest], segments)))
-        self.highest = int(highest[-1])
-        return int(np.count_nonzero(highest[1:] > segments))
-
-    def same_payload(self, segment: int, payload: Any) -> bool:
-        """Whether a segment has this payload."""
-        return bool(np.all(self.payloads[segment] == payload))
-
-    def taken(self) -> Sequence[bytes | None]:
-        """The payloads that are not disputed."""
-        disputed = list(self.disputed)
-        self.present[disputed] = False
-        if self.payloads.dtype == object:
-            return [each if there else None for each, there in zip(self.payloads, self.present, strict=True)]
-        self.payloads[disputed] = 0
-        return Rows(self.payloads, self.present)
-
-
-class _Cycle:
-    """The order in which a skin without sequence numbers sends its segments, learned from whole frames.
-
-    Without it the first messages of a frame could take the place of the same ones lost from the frame before, and
-    every frame from there on would be put together from two.
-    """
-
-    def __init__(self) -> None:
-        self._rank: NDArray[np.int64] | None = None
-        self._broken = 0  # frames in a row that were not whole
-        self._seam: int | None = None  # a segment within frames behind a long pause
-        self._seams = 0  # frames in a row with that seam
-
-    def wraps(self, segments: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """Which of some segments, from the second on, is so far back in the order that it begins a new frame.
-
-        None: no order is known.
-        """
-        if self._rank is None:
-            return None
-        ranks = self._rank[segments]
-        return 2 * (ranks[:-1] - ranks[1:]) >= len(self._rank)
-
-    def learn(self, frame: _Open, pause: float) -> None:
-        """Look at a closed frame that came after a `pause` (s)."""
-        if frame.missing:
-            self._broken += 1
-            if self._broken >= UNLEARN_FRAMES:
-                self._rank = None
-            return
-        self._broken = 0
-        segments, times = frame.segments[0], frame.times[0]
-        if len(frame.segments) > 1:
-            segments, times = np.concatenate(frame.segments), np.concatenate(frame.times)
-        first = 0
-        if len(times) > 1:
-            pauses = times[1:] - times[:-1]
-            longest = int(pauses.argmax())
-            first = longest + 1 if pauses[longest] > 4 * max(pause, 0.0) else 0
-        seam = int(segments[first]) if first else None
-        self._seams = self._seams + 1 if seam == self._seam else 1
-        self._seam = seam
-        if self._seams < SEAM_FRAMES:
-            first = 0
-        self._rank = np.empty(len(segments), np.int64)
-        self._rank[segments] = (np.arange(len(segments)) - first) % len(segments)
 
 
 class Assembler:
@@ -177,12 +44,12 @@ class Assembler:
         self.codec, self._bus_counts = codec, bus_counts
         self._counts = {each.name: 0 for each in fields(Loss)}  # never grows: other threads read it
         self._loss: Loss | None = None  # of the frame before, while nothing has been counted since
-        self._open: _Open | None = None
+        self._open: OpenFrame | None = None
         self._closed = np.zeros(codec.segments, np.bool_)  # segments that the frame closed last had
         self._wire = NO_SEQUENCE  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
         self._newest = float("-inf")  # s, when the newest message came
-        self._cycle = _Cycle() if codec.modulus is None else None
+        self._cycle = Cycle() if codec.modulus is None else None
         self._others: list[_Others] = []  # of the batch that is taken
         self._ended = float("inf")  # s, when the frame closed last had its last message
 
@@ -214,7 +81,7 @@ class Assembler:
         before which the bus had a message that belongs to no sensor.
         """
         batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
-        arrivals, malformed = self._decoded(batch, now)
+        arrivals, malformed = decoded(self.codec, batch, now)
         self._others = [
             _Others(kind, places)
             for kind, places in (("malformed", malformed), ("foreign", foreign))
@@ -231,33 +98,10 @@ class Assembler:
         """Close, marked, a frame whose newest message came before time `before` (s)."""
         return self._close() if self._open is not None and self._open.arrived < before else ()
 
-    def _decoded(
-        self, batch: Batch, now: float | NDArray[np.float64] | None
-    ) -> tuple[_Arrivals | None, NDArray[np.int64]]:
-        """The messages that are not malformed, None without any, and the numbers of those that are."""
-        try:
-            readings = self.codec.readings(batch)
-        except Exception:  # of another package's codec: none of ours raises here
-            return None, np.arange(len(batch))
-        rows, malformed = None, NOWHERE
-        if not np.logical_and.reduce(readings.good):
-            rows, malformed = np.flatnonzero(readings.good), np.flatnonzero(~readings.good)
-            if not rows.size:
-                return None, malformed
-            readings = _some(readings, rows)
-        came = readings.times if now is None else now
-        newest = came
-        if isinstance(came, np.ndarray):
-            came = came if now is None or rows is None else came[rows]
-            newest = np.maximum.accumulate(came)
-        divided, descents = _divided(readings, self.codec)
-        times_rise = bool(np.logical_and.reduce(readings.times[1:] >= readings.times[:-1]))
-        return _Arrivals(readings, came, newest, rows, divided, descents, times_rise), malformed
-
-    def _take(self, arrivals: _Arrivals, at: int, frames: list[tuple[int, RawFrame]]) -> int:
+    def _take(self, arrivals: Arrivals, at: int, frames: list[tuple[int, RawFrame]]) -> int:
         """Take message `at`, and with it all behind it that go into the same frame; returns the next."""
         readings, frame = arrivals.readings, self._open
-        segment, now = int(readings.segments[at]), _at(arrivals.now, at)
+        segment, now = int(readings.segments[at]), moment(arrivals.now, at)
         sequence = NO_SEQUENCE if readings.sequences is None else int(readings.sequences[at])
         step = self._step(segment, sequence, now)
         self._newest = max(self._newest, now)
@@ -268,7 +112,7 @@ class Assembler:
             frames += self._closed_by(arrivals.row(at))
             self.count("lost", (step - 1) * self.codec.segments)
             self._wire, self._sequence = sequence, self._sequence + step
-            frame = self._open = _Open(self.codec, readings.payloads, float(readings.times[at]))
+            frame = self._open = OpenFrame(self.codec, readings.payloads, float(readings.times[at]))
         if frame.present[segment]:
             self.count("repeated")
             if not frame.same_payload(segment, readings.payloads[at]):
@@ -281,7 +125,7 @@ class Assembler:
         if self._cycle is None:
             self.count("late", frame.late(readings.segments[some], ascending))
         frame.add(arrivals, some, ascending)
-        self._newest = max(self._newest, _at(arrivals.newest, last))
+        self._newest = max(self._newest, moment(arrivals.newest, last))
         if not frame.missing:
             frames += self._closed_by(arrivals.row(last))
         return some.stop
@@ -292,15 +136,15 @@ class Assembler:
             self._count_others(row)
         return [(row, each) for each in self._close()]
 
-    def _end(self, arrivals: _Arrivals, at: int, frame: _Open) -> int:
-        """The end of the messages from `at` on that go into a frame one after the other, each to an empty place."""
+    def _end(self, arrivals: Arrivals, at: int, frame: OpenFrame) -> int:
+        """The end of the messages from `at` on that go into a frame one after the other, each its own segment."""
         end = min(at + frame.missing, len(arrivals.divided))
         if end == at + 1:
             return end
         segments = arrivals.readings.segments[at:end]
         stops = arrivals.divided[at + 1 : end] >= at
         if frame.missing < self.codec.segments:
-            stops |= _blocked(frame.present, self.codec.ordered)[segments[1:]]
+            stops |= frame.blocked(self.codec.ordered)[segments[1:]]
         if self._cycle is not None and (wraps := self._cycle.wraps(segments)) is not None:
             stops |= wraps
         first = int(stops.argmax())
@@ -318,7 +162,7 @@ class Assembler:
         old = step < 0 or (step == 0 and frame is None)
         return 1 if old and now - self._newest > RESTART_S else step
 
-    def _begins(self, frame: _Open, segment: int) -> bool:
+    def _begins(self, frame: OpenFrame, segment: int) -> bool:
         """Whether a segment without a sequence number cannot be of the open frame."""
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
         if frame.present[segment:end].any() or self._cycle is None:
@@ -364,7 +208,7 @@ class Assembler:
         loss = self._loss = self._loss or Loss(**self._counts)
         return loss
 
-    def _flags(self, frame: _Open) -> NDArray[np.uint8]:
+    def _flags(self, frame: OpenFrame) -> NDArray[np.uint8]:
         flags = np.zeros(self.codec.size, np.uint8)
         if frame.missing or frame.disputed:
             for segment in np.flatnonzero(~frame.present).tolist():
@@ -372,42 +216,6 @@ class Assembler:
         if frame.bad:
             flags[frame.bad] |= BAD
         return flags
-
-
-def _some(readings: Readings, rows: NDArray[np.int64]) -> Readings:
-    """Some rows of readings."""
-    bad = {at: readings.bad[row] for at, row in enumerate(rows.tolist()) if row in readings.bad}
-    sequences = None if readings.sequences is None else readings.sequences[rows]
-    columns = (each[rows] for each in readings[:4])
-    return Readings(*columns, sequences, bad)
-
-
-def _divided(readings: Readings, codec: Codec) -> tuple[NDArray[np.int64], list[int]]:
-    """`_Arrivals.divided` and `descents`."""
-    segments, sequences = readings.segments, readings.sequences
-    divided = np.full(len(segments), -1)
-    down = np.flatnonzero(segments[1:] <= segments[:-1])
-    if len(down) * DESCENTS_PER_SEGMENT <= len(segments):
-        divided[down + 1] = down  # ends a run earlier than it must, and costs less to find
-    else:
-        groups = (segments // codec.ordered).astype(np.uint16)
-        order = np.argsort(groups, kind="stable")
-        before, after = order[:-1], order[1:]
-        same = (groups[before] == groups[after]) & (segments[before] >= segments[after])
-        divided[after[same]] = before[same]
-    if codec.modulus is not None and sequences is not None:
-        changes = np.flatnonzero((sequences[1:] != sequences[:-1]) | (sequences[1:] == NO_SEQUENCE))
-        divided[changes + 1] = changes
-    return divided, (down + 1).tolist()
-
-
-def _blocked(present: NDArray[np.bool_], ordered: int) -> NDArray[np.bool_]:
-    """Which segments (S,) no longer go into a frame: it has them, or one behind them in their ordered group."""
-    if ordered == 1:
-        return present
-    groups = np.zeros((-(-len(present) // ordered), ordered), np.bool_)
-    groups.ravel()[: len(present)] = present
-    return np.logical_or.accumulate(groups[:, ::-1], axis=1)[:, ::-1].ravel()[: len(present)]
 
 
 def unpacked(codec: Codec, payloads: Sequence[bytes | None]) -> tuple[Counts, NDArray[np.float32] | None]:

@@ -47,7 +47,7 @@ class Rows(Sequence[bytes | None]):
     def __getitem__(self, at: int) -> bytes | None: ...
     @overload
     def __getitem__(self, at: slice) -> list[bytes | None]: ...
-    def __getitem__(self, at: int | slice) -> bytes | None | list[bytes | None]:
+    def __getitem__(self, at: int | slice) -> bytes | list[bytes | None] | None:
         """A segment's payload; None where it did not come."""
         if isinstance(at, slice):
             return [self[each] for each in range(len(self))[at]]

@@ -2,17 +2,22 @@
 
 import gzip
 import io
+import re
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
 from tactiled.bus.canbus import CanMessage, MessageReader, MessageWriter, blf, formats
+from tactiled.frames import Message
 
 MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
+CANDUMP_LINE = re.compile(
+    r"\(([0-9]+\.[0-9]+)\) [^\s]+ ([0-9A-Fa-f]{3}|[01][0-9A-Fa-f]{7})"
+    r"#(?:(#)[0-9])?((?:[0-9A-Fa-f]{2})*)(?: [RT])?\n"
+)
 TEXT_READERS = {
-    ".log": formats.CanutilsLogReader,
     ".asc": formats.ASCReader,
     ".csv": formats.CSVReader,
     ".trc": formats.TRCReader,
@@ -35,6 +40,30 @@ class Lines(io.TextIOWrapper):
         if self._with_last_end and line and not line.endswith("\n"):
             raise EOFError("its last line is cut off")
         return line
+
+
+class CandumpLog:
+    """The messages of a candump log, with the errors and remote frames that python-can reads in it."""
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+
+    def __enter__(self) -> "CandumpLog":
+        """It is open."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self._lines.close()
+
+    def __iter__(self) -> Iterator[Message | CanMessage]:
+        """Data frames as candump and python-can write them are read here, any other line by python-can."""
+        for line in self._lines:
+            if (match := CANDUMP_LINE.fullmatch(line)) is None:
+                yield from formats.CanutilsLogReader(io.StringIO(line))
+                continue
+            time, id_, fd, data = match.groups()
+            yield Message(float(time), int(id_, 16), bytes.fromhex(data), len(id_) > 3, fd is not None)
 
 
 class Blocks(io.BufferedReader):
@@ -91,19 +120,19 @@ def _unpacked(container: bytes) -> bytes:
     return data
 
 
-def open_log(path: Path) -> MessageReader:
+def open_log(path: Path) -> MessageReader | CandumpLog:
     """Open a recording in any format that python-can reads; errors are its own, those above, and OSError."""
     suffixes = [each.lower() for each in path.suffixes]
     packed = len(suffixes) == 2 and suffixes[1] == ".gz"
     kind = "".join(suffixes[:1] if packed else suffixes[-1:])
-    if kind not in TEXT_READERS and kind != ".blf":
+    if kind not in (*TEXT_READERS, ".blf", ".log"):
         return formats.LogReader(path)  # no stream of bytes, or no recording, which it says
     source = gzip.GzipFile(path) if packed else path.open("rb")
     try:
         if kind == ".blf":
             return BoundedBlf(Blocks(cast(io.RawIOBase, source)))
         lines = Lines(cast(BinaryIO, source), kind in WITH_LAST_END)
-        return cast(MessageReader, TEXT_READERS[kind](lines))
+        return CandumpLog(lines) if kind == ".log" else cast(MessageReader, TEXT_READERS[kind](lines))
     except BaseException:
         source.close()
         raise

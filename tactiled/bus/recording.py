@@ -63,9 +63,12 @@ def read(path: Path) -> Iterator[Message]:
     try:
         with open_log(path) as log:
             for count, each in enumerate(log, 1):
-                if not 0 <= each.timestamp < MAX_TIME_S:
-                    raise ValueError(f"message {count}: time {each.timestamp:g} s is outside 1970 to 2106")
-                if not (each.is_error_frame or each.is_remote_frame):
+                stamp = each.time if isinstance(each, Message) else each.timestamp
+                if not 0 <= stamp < MAX_TIME_S:
+                    raise ValueError(f"message {count}: time {stamp:g} s is outside 1970 to 2106")
+                if isinstance(each, Message):
+                    yield each
+                elif not (each.is_error_frame or each.is_remote_frame):
                     data = bytes(each.data)
                     yield Message(each.timestamp, each.arbitration_id, data, each.is_extended_id, each.is_fd)
     except OSError as error:

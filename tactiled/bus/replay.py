@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from threading import TIMEOUT_MAX, Event, Thread
 
+import numpy as np
+
+from tactiled.bus.batch import Batch
 from tactiled.bus.codec import Codec
 from tactiled.bus.recording import Pace, Recording
 from tactiled.bus.router import Router
@@ -13,18 +16,29 @@ from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message, RawFrame
 from tactiled.threads import join_started
 
+AT_ONCE = 1024  # messages for which nobody waits: more save no time
 GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
 LOG = logging.getLogger(__name__)
 
 
-def frames(messages: Iterable[Message], router: Router) -> Iterator[tuple[str, RawFrame]]:
-    """Every (sensor, frame) of a recording; its own times, not the clock's, close half-received frames."""
-    pace = Pace()
+def frames(messages: Iterable[Message], router: Router, at_once: int = 1) -> Iterator[tuple[str, RawFrame]]:
+    """Every (sensor, frame) of a recording; its own times, not the clock's, close half-received frames.
+
+    A whole frame comes with its last message; with more messages `at_once` up to so many later.
+    """
+    pace, waiting, times = Pace(), list[Message](), list[float]()
     for message in messages:
         last, _ = pace.now, pace.go(message.time)
         if pace.now - last > GAP_S:
+            yield from router.push(Batch.of(waiting), np.array(times))
             yield from router.flush(pace.now - GAP_S)
-        yield from router.push(message, pace.now)
+            waiting, times = [], []
+        waiting.append(message)
+        times.append(pace.now)
+        if len(waiting) >= max(router.needed, at_once):
+            yield from router.push(Batch.of(waiting), np.array(times))
+            waiting, times = [], []
+    yield from router.push(Batch.of(waiting), np.array(times))
     yield from router.flush(float("inf"))
 
 

@@ -51,7 +51,7 @@ class Router:
         return min((each.needed for each in self.assemblers.values()), default=1)
 
     def push(self, batch: Batch | Message, now: float | NDArray[np.float64] | None = None) -> Frames:
-        """Take messages, come at `now` (s; None: their own times); returns each (sensor, frame) that they close."""
+        """Take messages, come at `now` (s; None: their own times); gives each (sensor, frame) that they close."""
         batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
         if not len(batch):
             return ()

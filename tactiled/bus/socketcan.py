@@ -19,10 +19,14 @@ REMOTE, ERROR = 0x40000000, 0x20000000  # in a frame's id, as EXTENDED is
 SO_TIMESTAMPNS = 35  # Linux's
 GATHER_S = 5e-3  # that a read takes at the longest to fetch what it is asked for behind the first frame
 MIN_FRAME_S = 40e-6  # of the shortest frame at 1 Mbit/s (44 bits): a bus brings no more within less time
-FRAME = np.dtype({
-    "names": ["id", "length", "data"], "formats": ["=u4", "u1", ("u1", MAX_BYTES)], "offsets": [0, 4, 8],
-    "itemsize": 72,
-})  # of CAN FD; a classic frame fills less of it
+FRAME = np.dtype(
+    {
+        "names": ["id", "length", "data"],
+        "formats": ["=u4", "u1", ("u1", MAX_BYTES)],
+        "offsets": [0, 4, 8],
+        "itemsize": 72,
+    }
+)  # of CAN FD; a classic frame fills less of it
 PART = struct.Struct("@PN")  # struct iovec
 STAMP = np.dtype({"names": ["s", "ns"], "formats": ["=i8", "=i8"], "offsets": [16, 24], "itemsize": 32})
 HEADER = struct.Struct("@PI4xPNPNi4xI4x")  # struct mmsghdr
@@ -40,7 +44,7 @@ class FrameReader:
         self._frames, self._stamps = np.zeros(MAX_FRAMES, FRAME), np.zeros(MAX_FRAMES, STAMP)
         self._parts = ctypes.create_string_buffer(MAX_FRAMES * PART.size)
         self._headers = ctypes.create_string_buffer(MAX_FRAMES * HEADER.size)
-        self._sizes = np.frombuffer(self._headers, SIZE)
+        self._sizes = np.frombuffer(memoryview(self._headers), SIZE)
         frame, stamp = self._frames.ctypes.data, self._stamps.ctypes.data
         part = ctypes.addressof(self._parts)
         for n in range(MAX_FRAMES):
@@ -94,6 +98,6 @@ class FrameReader:
     def _batch(self, count: int) -> Batch:
         frames, stamps = self._frames[:count], self._stamps[:count]
         lengths = frames["length"].copy()
-        data: NDArray[np.uint8] = frames["data"] * (COLUMNS < lengths[:, None])  # behind it may be anything
+        data: NDArray[np.uint8] = frames["data"] * (lengths[:, None] > COLUMNS)  # behind it may be anything
         fd = self._sizes["bytes"][:count] == FRAME.itemsize
         return Batch(stamps["s"] + 1e-9 * stamps["ns"], frames["id"].copy(), lengths, data, fd)

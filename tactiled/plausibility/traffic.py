@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import configured_file, make_calibration, make_codec
+from tactiled.bus.batch import Batch
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
@@ -34,9 +35,8 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
     sensors = {name: each for name, each in config.sensor.items() if each.bus == bus}
     router = Router({name: make_codec(each) for name, each in sensors.items()})
     frames: defaultdict[str, list[RawFrame]] = defaultdict(list)
-    for message in messages:
-        for name, frame in router.push(message):
-            frames[name].append(frame)
+    for name, frame in router.push(Batch.of(messages)):
+        frames[name].append(frame)
     report = BusReport([], [], survey(each for each in messages if (each.id, each.extended) not in router.ids))
     if not (messages or all(_waits(each.codec) for each in router.assemblers.values())):
         reason = f"no message in {seconds:g} s: nothing sends, or bit rate, channel or wiring are wrong"

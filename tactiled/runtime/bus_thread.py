@@ -144,7 +144,8 @@ class BusThread:
             reader.unsent += self._poller.send_due(reader.send, now)
             batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), self._router.needed)
             now = time.monotonic()
-            self._offer(self._router.push(batch, now))
+            if len(batch):
+                self._offer(self._router.push(batch, now))
             self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))
             if reader.off != self._down:
                 self._set_down(reader.off)

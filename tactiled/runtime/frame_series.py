@@ -6,7 +6,7 @@ import numpy as np
 
 from tactiled.build import make_codec
 from tactiled.bus.recording import Recording
-from tactiled.bus.replay import frames
+from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.config import Config
@@ -23,7 +23,7 @@ def read_frame_series(path: Path, name: str, config: Config) -> FrameSeries:
     bus = config.sensor[name].bus
     router = Router({key: make_codec(each) for key, each in config.sensor.items() if each.bus == bus})
     recording, times, arrived, counts = Recording(path), [], [], []
-    for sensor, frame in frames(recording, router):
+    for sensor, frame in frames(recording, router, AT_ONCE):
         if sensor == name:
             times.append(frame.time)
             arrived.append(frame.arrived)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.codec import Codec
 from tactiled.bus.recording import Recording
-from tactiled.bus.replay import frames
+from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
 from tactiled.errors import TactileError
 from tactiled.frames import Loss, RawFrame
@@ -106,7 +106,7 @@ def write_frames(
     recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
     parent, flushed = os.getppid(), time.monotonic()
     try:
-        for name, frame in frames(recording, Router(codecs)):
+        for name, frame in frames(recording, Router(codecs), AT_ONCE):
             writers[name].add(frame)
             if time.monotonic() - flushed > FLUSH_S:
                 for each in writers.values():

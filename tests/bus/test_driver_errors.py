@@ -111,10 +111,10 @@ def test_a_line_of_slcan_without_an_end_fills_no_memory(serial):
     adapter, reader = serial
     for n in range(1, 4):
         os.write(adapter, b"x" * (MAX_LINE_BYTES + 100))
-        until(lambda n=n: reader.batch(0.05) == [] and reader.unreadable >= n)
+        until(lambda n=n: not len(reader.batch(0.05)) and reader.unreadable >= n)
         assert len(reader._bus._buffer) < MAX_LINE_BYTES
     os.write(adapter, b"\r")
-    until(lambda: not reader.batch(0.05) and not reader._bus._buffer)
+    until(lambda: not len(reader.batch(0.05)) and not reader._bus._buffer)
     os.write(adapter, b"t5001AA\r")
     assert [each.data for each in take(reader, 1)] == [b"\xaa"]
 
@@ -124,7 +124,7 @@ def test_an_adapter_that_is_unplugged_is_gone(serial):
     closed, other = os.openpty()
     os.dup2(other, adapter)  # its end of the terminal is another's now
     with pytest.raises(BusError, match=r"^bus slcan"):
-        until(lambda: reader.batch(0.05))
+        until(lambda: len(reader.batch(0.05)))
     assert reader.unreadable == 0
     for each in (closed, other):
         os.close(each)

@@ -160,7 +160,7 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
         def counts(self):
             return {"unsent": self.unsent}
 
-        def batch(self, timeout):
+        def batch(self, timeout, _):
             time.sleep(min(timeout, 0.01))
             if not present[0]:
                 raise BusError("gone")

@@ -115,6 +115,37 @@ def test_a_pace_goes_as_the_messages_do_never_back_and_over_steps_of_the_clock(t
     assert (pace.now, pace.steps) == (pytest.approx(now), len(steps))
 
 
+CANDUMP = """\
+(1609779922.655421) can0 4D5#40F0F0F0F0F0F0F0
+(1609779922.655421) vcan1 001#
+(1609779922.7) 7 18FF00AB#0102 R
+(1609779922.8) can0 FFF##1{fd} T
+(1609779922.8) can0 00000123##0aB
+ (1609779922.9)  can0   123#11..
+(1609779923.0) can0 123#R
+(1609779923.0) can0 123#R8 T
+(1609779923.1) can0 20000080#
+(1609779923.1) can0 20000004#0001
+(1609779923.1) can0 A8FF00AB#0102
+
+(1609779923) can0 12345#1 r
+(1609779923.5) can0 1#123
+""".replace(" 123#11..", "123#1122").format(fd="5A" * 64)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_candump_log_is_read_as_python_can_reads_it(tmp_path, end):
+    path = tmp_path / "a.log"
+    path.write_bytes(CANDUMP.replace("\n", end).encode())
+    expected = [
+        (each.timestamp, each.arbitration_id, bytes(each.data), each.is_extended_id, each.is_fd)
+        for each in can.CanutilsLogReader(path)
+        if not (each.is_error_frame or each.is_remote_frame)
+    ]
+    assert [tuple(each) for each in recording.read(path)] == expected
+    assert len(expected) == 9
+
+
 def refused(path, reason):
     """A recording is refused in one line with this reason, not as torn, and takes little memory."""
     messages = Recording(path)

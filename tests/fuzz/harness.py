@@ -99,7 +99,7 @@ def check(name, data):
         except CodecError:
             continue
         readings.append(reading)
-        frames += assembler.push(reading)
+        frames += [frame for _, frame in assembler.push(message._replace(time=time))]
     frames += assembler.flush(float("inf"))
     ends = [frame.time + frame.skew for frame in frames]
     for frame, end in zip(frames, ends, strict=True):

@@ -3,6 +3,7 @@ import time
 import numpy as np
 import pytest
 
+from tactiled.bus.batch import Batch
 from tactiled.bus.router import Router
 from tactiled.errors import BusError
 from tactiled.frames import Message
@@ -32,13 +33,13 @@ class Bus:
         self.opened += 1
         return self
 
-    def batch(self, timeout):
+    def batch(self, timeout, needed=1):
         if not self.plugged:
             raise BusError("bus adapter: no such device")
         if not self.messages:
             time.sleep(timeout / 10)
-            return []
-        return [self.messages.pop(0)]
+            return Batch.of(())
+        return Batch.of([self.messages.pop(0) for _ in range(min(needed, len(self.messages)))])
 
     def send(self, message):
         raise AssertionError(f"this skin needs no message: {message}")

@@ -7,6 +7,7 @@ from unittest import mock
 
 import numpy as np
 
+from tactiled.bus.batch import Batch
 from tactiled.bus.router import Router
 from tactiled.cli.bench import print_table
 from tactiled.config import parse
@@ -80,13 +81,14 @@ class Feed:
             Message(due, id_, each, fd=True) for each in frames[(number + SCENE_FRAMES * first) % len(frames)]
         ]
 
-    def batch(self, timeout):
+    def batch(self, timeout, needed):
+        del needed  # a frame at a time
         due, messages = self.next()
         if (wait := due - time.time()) > 0:
             time.sleep(min(wait, timeout))
-            return []
+            return Batch.of(())
         self.position += 1
-        return messages
+        return Batch.of(messages)
 
     def send(self, message):
         raise AssertionError(f"these sensors need no message: {message}")
@@ -110,9 +112,8 @@ def frame_us(sides, rounds=5):
         for _ in range(count):
             due, messages = feed.next()
             feed.position += 1
-            for message in messages:
-                for name, frame in router.push(message, due):
-                    service.sensors[name].restore(frame)
+            for name, frame in router.push(Batch.of(messages), due):
+                service.sensors[name].restore(frame)
         took.append((time.thread_time() - began) / count * 1e6)
     return min(took[1:])
 
