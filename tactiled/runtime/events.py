@@ -18,7 +18,7 @@ Kind = Literal[
     "tare_asked", "tare_done", "tare_lapsed", "tare_refused", "tare_undone", "tare_kept", "tare_ignored",
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended", "recording_added",
     "calibration_started", "calibration_ended",
-    "taxel_faulty", "taxel_healed", "creep_measured",
+    "taxel_faulty", "taxel_healed", "creep_measured", "region_above", "region_below", "region_ignored",
     "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000

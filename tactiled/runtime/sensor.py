@@ -17,6 +17,7 @@ from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
 from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
+from tactiled.runtime.region_monitor import RegionMonitor
 from tactiled.runtime.timings import Timings
 from tactiled.threads import join_started
 
@@ -79,6 +80,7 @@ class Sensor:
             Publisher()
         )  # each to a client, and when (s), on the event loop
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
+        self.regions = RegionMonitor(lambda: self.plan.cells)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
         self.ended: str | None = None  # how the recording that was replayed ended
@@ -249,6 +251,7 @@ class Sensor:
         try:
             with self._between_frames:
                 image = self.pipeline.process(frame, budget_s, came)
+            self.regions.add(image)
             self.hub.publish(image)
             self.timings.add(image, time.monotonic())
             self.history.add(image)

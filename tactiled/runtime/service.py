@@ -18,6 +18,7 @@ from tactiled.errors import BusError, ConfigError, ReloadError, StateError, Tact
 from tactiled.restore.methods import METHODS, require
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults, duration
+from tactiled.runtime.kept_regions import KeptRegions
 from tactiled.runtime.reload import Reload, compare, new_plans
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.state import KeptTare, StateFile
@@ -45,6 +46,7 @@ class Service:
         self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed
         self._apply_lock = Lock()  # one calibration is applied at a time
         self._watch = Watch(self.sensors.values(), self.events, self.faults, self._keep_tare)
+        self.regions = KeptRegions(state, self.events, self.sensor)
         self._take_state()
         self._sources = {name: listen(name, bus, _on(name, self.sensors)) for name, bus in self.buses.items()}
 
@@ -137,6 +139,7 @@ class Service:
         """Take what is kept of these sensors, None: of all; events say what is taken, and what does not apply."""
         self._set_kept_methods(names)
         self._set_kept_tares(names)
+        self.regions.take(names)
         for name in self.sensors if names is None else names:
             self._note_missing_calibration(name)
 

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from tactiled.calibrate.sections import OptionalValues, Table, Values, optional
 from tactiled.calibrate.tare import Zero
+from tactiled.contacts.regions import Region
 from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write
 
 VERSION = 1
+REGIONS = TypeAdapter(dict[str, dict[str, Region]])
 
 
 def default_path(config: Path) -> Path:
@@ -64,7 +66,7 @@ class StateFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = threading.Lock()
-        self.methods, self.tares = _read(path)
+        self.methods, self.tares, self.regions = _read(path)
 
     def keep(self, sensor: str, method: str | None) -> None:
         """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""
@@ -73,7 +75,7 @@ class StateFile:
             if method is not None:
                 methods[sensor] = method
             if methods != self.methods:
-                _write(self.path, methods, self.tares)
+                self._write(methods, self.tares, self.regions)
             self.methods = methods
 
     def keep_tare(self, sensor: str, tare: KeptTare | None) -> None:
@@ -82,23 +84,59 @@ class StateFile:
             tares = {name: each for name, each in self.tares.items() if name != sensor}
             if tare is not None:
                 tares[sensor] = tare
-            _write(self.path, self.methods, tares)
+            self._write(self.methods, tares, self.regions)
             self.tares = tares
 
+    def keep_regions(self, sensor: str, regions: Mapping[str, Region]) -> None:
+        """Keep a sensor's regions; StateError, and nothing kept, where that fails."""
+        with self._lock:
+            others = {name: each for name, each in self.regions.items() if name != sensor}
+            kept = others | ({sensor: dict(regions)} if regions else {})
+            self._write(self.methods, self.tares, kept)
+            self.regions = kept
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, KeptTare | None]]:
-    """Methods and tares by sensor; None: a tare that cannot be read."""
+    def _write(
+        self,
+        methods: Mapping[str, str],
+        tares: Mapping[str, KeptTare | None],
+        regions: Mapping[str, Mapping[str, Region]],
+    ) -> None:
+        content = {
+            "version": VERSION,
+            "methods": methods,
+            "tares": {name: each.model_dump() for name, each in tares.items() if each is not None},
+            "regions": {
+                name: {key: each.model_dump() for key, each in own.items()} for name, own in regions.items()
+            },
+        }
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self.path, replace=True) as part:
+                part.write_text(json.dumps(content, indent=1), "utf-8")
+        except OSError as error:
+            raise StateError(f"state {self.path}: {error.strerror}: nothing was kept") from error
+
+
+Regions = dict[str, dict[str, Region]]  # by sensor and name
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, KeptTare | None], Regions]:
+    """Methods, tares and regions by sensor; None: a tare that cannot be read."""
     try:
         content: Any = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
-        return {}, {}
+        return {}, {}, {}
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"state {path}: {error}: mend it or delete it") from error
     methods = content.get("methods") if isinstance(content, dict) and content.get("version") == VERSION else None
     if not isinstance(methods, dict) or not all(isinstance(each, str) for each in methods.values()):
         raise ConfigError(f"state {path}: no state file of version {VERSION}: delete it")
     tares = content.get("tares")  # absent in files of 0.4.2
-    return methods, {name: _tare(each) for name, each in tares.items()} if isinstance(tares, dict) else {}
+    kept = {name: _tare(each) for name, each in tares.items()} if isinstance(tares, dict) else {}
+    try:
+        return methods, kept, REGIONS.validate_python(content.get("regions", {}))
+    except ValidationError as error:
+        raise ConfigError(f"state {path}: regions: {error.errors()[0]['msg']}: mend it or delete it") from error
 
 
 def _tare(content: object) -> KeptTare | None:
@@ -106,14 +144,3 @@ def _tare(content: object) -> KeptTare | None:
         return KeptTare.model_validate_json(json.dumps(content))
     except ValidationError:
         return None
-
-
-def _write(path: Path, methods: dict[str, str], tares: Mapping[str, KeptTare | None]) -> None:
-    kept = {name: each.model_dump() for name, each in tares.items() if each is not None}
-    content = {"version": VERSION, "methods": methods, "tares": kept}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path, replace=True) as part:
-            part.write_text(json.dumps(content, indent=1), "utf-8")
-    except OSError as error:
-        raise StateError(f"state {path}: {error.strerror}: nothing was kept") from error

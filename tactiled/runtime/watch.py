@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterable
+from dataclasses import astuple
 
 from tactiled.calibrate.health import RULES, Change, Fault
 from tactiled.frames import FrameWarning
@@ -62,6 +63,7 @@ class Watch:
                 self._look_at_warnings(sensor, now)
                 self._look_at_tare(sensor)
                 self._look_at_taxels(sensor)
+                self._look_at_regions(sensor)
             with self._faults.turn(f"search of the cover of {sensor.name}"):
                 sensor.pipeline.cover.search(now)
         self._faults.clear()
@@ -118,6 +120,14 @@ class Watch:
             self._events.add("tare_refused", text, sensor.name)
         if self._changed("lapsed", sensor.name, pipeline.lapsed, 0):
             self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)
+
+    def _look_at_regions(self, sensor: Sensor) -> None:
+        for name, above, value in map(astuple, sensor.regions.drain_crossings()):
+            limit = sensor.regions.regions[name].threshold if name in sensor.regions.regions else None
+            if limit is not None:
+                bound = f"above {limit.above:g}" if above else f"below {limit.below:g}"
+                text = f"region {name}: {limit.quantity} {value:.3g} is {bound}"
+                self._events.add("region_above" if above else "region_below", text, sensor.name)
 
     def _look_at_taxels(self, sensor: Sensor) -> None:
         monitor = sensor.pipeline.monitor

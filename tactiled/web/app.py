@@ -25,6 +25,7 @@ from tactiled.web.rest import (
     metrics,
     playback,
     recordings,
+    regions,
     restore,
     sensors,
     shear,
@@ -61,7 +62,8 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     install(app)
     _set_state(app, service, server)
-    for resource in (shear, sensors, calibration_file, frames, trace, events, config, restore):
+    resources = (shear, sensors, regions, calibration_file, frames, trace, events, config, restore)
+    for resource in resources:
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         buses = {} if service.replayed else service.buses

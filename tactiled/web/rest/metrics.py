@@ -82,7 +82,29 @@ def _health(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
     yield _family(Counter, "error_frames", "error frames of the bus, by kind", ("bus", "kind"), errors)
     images = [image for sensor in sensors.values() if (image := sensor.hub.latest())]
     warnings = [(image.sensor, code, 1.0) for image in images for code in {each.code for each in image.warnings}]
+    yield from _regions(sensors)
     yield _family(Gauge, "warning", "1 for each warning of the newest image", ("sensor", "code"), warnings)
+
+
+def _regions(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+    summaries = [
+        (sensor.name, name, summary)
+        for sensor in sensors.values()
+        for name, each in sensor.regions.series.items()
+        if (summary := each.summary())
+    ]
+    quantities = (
+        ("force", "force in a region, N or counts mm2"),
+        ("peak", "highest pressure in a region, kPa or counts"),
+        ("area", "area in contact in a region, mm2"),
+    )
+    for key, help_text in quantities:
+        values = [(sensor, name, getattr(each.now, key)) for sensor, name, each in summaries]
+        yield _family(Gauge, f"region_{key}", help_text, ("sensor", "region"), values)
+    exceeded = [(sensor, name, float(each.exceeded)) for sensor, name, each in summaries]
+    yield _family(
+        Gauge, "region_exceeded", "1 while a region is over its threshold", ("sensor", "region"), exceeded
+    )
 
 
 def _times(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:

@@ -1,0 +1,92 @@
+"""Regions of an array that somebody watches: which cells lie in one, and what an image holds there."""
+
+from math import inf
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from tactiled.geometry import Cells
+from tactiled.units import FORCE_SCALES, Unit
+
+Quantity = Literal["force", "mean", "peak", "area"]
+CONTACT_SIGMAS = 3.0  # noise standard deviations above which a cell is in contact, as contacts go on down to
+MAX_CORNERS = 64
+Coordinate = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+class Threshold(BaseModel):
+    """A limit with hysteresis: an event comes above `above`, and another once the value is below `below` again."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    quantity: Quantity = Field(examples=["force"])
+    above: Coordinate = Field(description="in the quantity's unit", examples=[5.0])
+    below: Coordinate = Field(description="at most `above`", examples=[4.0])
+
+
+class Region(BaseModel):
+    """A part of an array, in the array's own coordinates."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    shape: Literal["rectangle", "ellipse", "polygon"] = Field(examples=["rectangle"])
+    points_mm: tuple[tuple[Coordinate, Coordinate], ...] = Field(
+        min_length=2,
+        max_length=MAX_CORNERS,
+        description="two opposite corners of a rectangle or of the one round an ellipse; a polygon's corners",
+        examples=[[[2.0, 3.0], [10.0, 8.0]]],
+    )
+    threshold: Threshold | None = None
+
+    def check(self) -> None:
+        """ValueError where its corners make no shape, or its threshold no hysteresis."""
+        corners, limit = len(self.points_mm), self.threshold
+        if self.shape == "polygon" and corners < 3:
+            raise ValueError(f"points_mm: a polygon has three corners at least, not {corners}")
+        if self.shape != "polygon" and corners != 2:
+            raise ValueError(f"points_mm: two corners make the {self.shape}, not {corners}")
+        if limit is not None and limit.below > limit.above:
+            raise ValueError(f"threshold: below = {limit.below:g} is more than above = {limit.above:g}")
+
+    def cells(self, cells: Cells) -> NDArray[np.int64]:
+        """Numbers of the cells whose centres lie in it; ValueError where there are none."""
+        self.check()
+        points = np.array(self.points_mm)
+        if self.shape == "polygon":
+            from skimage.measure import points_in_poly
+
+            inside = points_in_poly(cells.positions, points)
+        else:
+            half = np.abs(points[1] - points[0]) / 2
+            offset = np.abs(cells.positions - points.mean(axis=0)) / np.where(half > 0, half, 1e-9)
+            inside = offset.max(axis=1) <= 1 if self.shape == "rectangle" else (offset**2).sum(axis=1) <= 1
+        if not inside.any():
+            raise ValueError("points_mm: no cell of the image has its centre in it")
+        return np.flatnonzero(inside)
+
+
+class Measures(NamedTuple):
+    """What an image holds in a region; NaN where nothing is known."""
+
+    force: float  # N, or counts mm2
+    mean: float  # pressure in the image's unit
+    peak: float
+    area: float  # mm2 in contact
+
+
+def measure(
+    image: NDArray[np.float32], cells: NDArray[np.int64], areas: NDArray[np.float64], noise: float, unit: Unit
+) -> Measures:
+    """Measure an image, of which these cells with these areas (mm2) lie in a region; `noise` is a cell's."""
+    pressure = image.reshape(-1)[cells]
+    measured = ~np.isnan(pressure)
+    if not measured.all():
+        pressure, areas = pressure[measured], areas[measured]
+    if not len(pressure):
+        return Measures(*4 * (np.nan,))
+    force = float(pressure @ areas)
+    peak = float(pressure.max(initial=-inf))
+    contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
+    return Measures(force * FORCE_SCALES[unit], force / float(areas.sum()), peak, contact)

@@ -1,0 +1,161 @@
+"""What the images of one sensor hold in its regions, image by image, with peaks, integrals and thresholds."""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.contacts.regions import Measures, Region, measure
+from tactiled.frames import Image
+from tactiled.geometry import Cells
+from tactiled.units import Unit
+
+SERIES_S = 600.0
+MAX_RATE_HZ = 100.0  # that a series keeps; of a faster sensor it keeps fewer images,
+MIN_GAP_S = 0.9 / MAX_RATE_HZ  # so far apart at least: frames jitter
+MAX_REGIONS = 16  # of a sensor: each series has 1.4 MB
+MAX_CROSSINGS = 64  # between two looks, ten a second
+MAX_GAP_S = 1.0  # between two images that an integral bridges
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """A value went over its threshold, or came back under it."""
+
+    region: str
+    above: bool
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a region holds now, and has held since `since`."""
+
+    now: Measures
+    highest: Measures  # each on its own
+    impulse: float  # integral of force over time, N s, or counts mm2 s
+    pressure_time: float  # integral of the peak pressure over time, in the image's unit times s
+    since: float  # s, Unix
+    exceeded: bool  # the threshold is
+    unit: Unit
+
+
+class RegionSeries:
+    """One region: its cells, its newest 10 minutes, and what has come together since it was reset."""
+
+    def __init__(self, name: str, region: Region, cells: Cells) -> None:
+        self.name, self.region = name, region
+        self._cells = region.cells(cells)
+        self._areas = cells.areas[self._cells]
+        slots = int(SERIES_S * MAX_RATE_HZ)
+        self._time, self._values = np.zeros(slots), np.zeros((slots, len(Measures._fields)), np.float32)
+        self._count = 0
+        self._lock = Lock()
+        self.exceeded = False
+        self._now = Measures(*4 * (np.nan,))
+        self._last = self._stored = -np.inf  # s, of the newest image, and of the newest in the series
+        self._unit: Unit = "kPa"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget peaks and integrals."""
+        with self._lock:
+            self._highest = np.full(len(Measures._fields), -np.inf)
+            self._impulse = self._pressure_time = 0.0
+            self._since = np.nan
+
+    def add(self, image: Image) -> float | None:
+        """Measure an image; the value that has crossed the threshold, None where none has."""
+        gap = image.time - self._last
+        noise = image.noise * max(image.noise_gain, 1.0)
+        now = measure(image.restored, self._cells, self._areas, noise, image.unit)
+        with self._lock:
+            self._now = now
+            if image.unit != self._unit or gap < 0:
+                self._unit, self._count, self._stored = image.unit, 0, -np.inf
+            if image.time - self._stored >= MIN_GAP_S:
+                slot = self._count % len(self._time)
+                self._time[slot], self._values[slot] = image.time, now
+                self._count, self._stored = self._count + 1, image.time
+            self._since = image.time if np.isnan(self._since) else self._since
+            np.fmax(self._highest, now, out=self._highest)
+            if 0 < gap <= MAX_GAP_S and now.force == now.force:
+                self._impulse += now.force * gap
+                self._pressure_time += max(now.peak, 0.0) * gap
+            self._last = image.time
+        return self._crossed(now)
+
+    def _crossed(self, now: Measures) -> float | None:
+        limit = self.region.threshold
+        if limit is None:
+            return None
+        value: float = getattr(now, limit.quantity)
+        if not (value < limit.below if self.exceeded else value > limit.above):
+            return None
+        self.exceeded = not self.exceeded
+        return value
+
+    def summary(self) -> Summary | None:
+        """What it holds now; None before the first image."""
+        with self._lock:
+            if not self._count:
+                return None
+            highest = Measures(*np.where(np.isfinite(self._highest), self._highest, np.nan).tolist())
+            integrals = self._impulse, self._pressure_time
+            return Summary(self._now, highest, *integrals, self._since, self.exceeded, self._unit)
+
+    def series(self, seconds: float, points: int) -> tuple[NDArray[np.float64], NDArray[np.float32], Unit]:
+        """Times (T,) s and values (T, 4) of the last `seconds`; of more than `points` the ones of highest peak."""
+        with self._lock:
+            length = min(self._count, len(self._time))
+            order = np.arange(self._count - length, self._count) % len(self._time)
+            time, values, unit = self._time[order], self._values[order], self._unit
+        first = int(np.searchsorted(time, time[-1] - seconds)) if length else 0
+        time, values = time[first:], values[first:]
+        if len(time) <= points:
+            return time, values, unit
+        bounds = np.linspace(0, len(time), points + 1).astype(int)
+        peak = np.nan_to_num(values[:, Measures._fields.index("peak")], nan=-np.inf)
+        best = [a + int(peak[a:b].argmax()) for a, b in pairwise(bounds)]
+        return time[best], values[best], unit
+
+
+class RegionMonitor:
+    """The regions of one sensor."""
+
+    def __init__(self, cells: Callable[[], Cells]) -> None:
+        self._cells = cells
+        self.series: Mapping[str, RegionSeries] = {}  # by name of the region; replaced, never changed
+        self._crossings: deque[Crossing] = deque(maxlen=MAX_CROSSINGS)
+
+    @property
+    def regions(self) -> dict[str, Region]:
+        """By name."""
+        return {name: each.region for name, each in self.series.items()}
+
+    def put(self, name: str, region: Region) -> None:
+        """Watch a region; ValueError, and nothing changed, where it holds no cell or there are too many."""
+        if name not in self.series and len(self.series) >= MAX_REGIONS:
+            raise ValueError(f"{MAX_REGIONS} regions a sensor at most")
+        self.series = {**self.series, name: RegionSeries(name, region, self._cells())}
+
+    def remove(self, name: str) -> None:
+        """Watch a region no longer; KeyError where there is none."""
+        series = dict(self.series)
+        del series[name]
+        self.series = series
+
+    def add(self, image: Image) -> None:
+        """Measure every region in an image: on the sensor's thread."""
+        for name, each in self.series.items():
+            value = each.add(image)
+            if value is not None:
+                self._crossings.append(Crossing(name, each.exceeded, value))
+
+    def drain_crossings(self) -> list[Crossing]:
+        """The crossings of thresholds since the last call, oldest first."""
+        return [self._crossings.popleft() for _ in range(len(self._crossings))]

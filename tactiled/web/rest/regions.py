@@ -1,0 +1,167 @@
+"""`/api/v1/sensors/{name}/regions`: parts of an array that somebody watches, and their values over time."""
+
+import csv
+import io
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Path, Query, Response
+from pydantic import Field
+
+from tactiled import units
+from tactiled.contacts.regions import Measures, Region
+from tactiled.errors import StateError
+from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
+from tactiled.web import schemas
+from tactiled.web.http.problems import Problem
+from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
+from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
+
+MAX_POINTS = 60_000
+NAME = r"^[\w][\w .-]{0,39}$"
+RegionName = Annotated[str, Path(pattern=NAME, description="a region of the sensor", examples=["heel"])]
+router = APIRouter(prefix="/api/v1/sensors/{name}/regions", tags=["regions"])
+
+
+class RegionMeasures(schemas.Schema):
+    """What a region holds; null: not known."""
+
+    force: float | None = Field(examples=[4.2], description="N, or counts mm2")
+    mean: float | None = Field(examples=[31.0], description="pressure, in `unit`")
+    peak: float | None = Field(examples=[98.5], description="pressure, in `unit`")
+    area: float | None = Field(examples=[64.0], description="mm2 in contact")
+
+    @classmethod
+    def of(cls, measures: Measures) -> "RegionMeasures":
+        """JSON has no NaN."""
+        return cls(**{key: None if value != value else value for key, value in measures._asdict().items()})
+
+
+class WatchedRegion(Region):
+    """A region and what it holds and has held."""
+
+    name: str = Field(examples=["heel"])
+    unit: units.Unit = Field("kPa", description="of pressures")
+    now: RegionMeasures | None = Field(None, description="in the newest image; null before the first")
+    highest: RegionMeasures | None = Field(None, description="each on its own, since `since`")
+    impulse: float = Field(0.0, description="integral of force over time since `since`, N s or counts mm2 s")
+    pressure_time: float = Field(0.0, description="integral of the peak pressure since `since`, `unit` times s")
+    since: float | None = Field(None, description="Unix time of the first image, or of the first after a reset")
+    exceeded: bool = Field(False, description="the threshold is")
+
+    @classmethod
+    def of(cls, series: RegionSeries) -> "WatchedRegion":
+        """As it is now."""
+        summary, own = series.summary(), dict(series.region)
+        if summary is None:
+            return cls(name=series.name, **own)
+        return cls(
+            name=series.name,
+            unit=summary.unit,
+            now=RegionMeasures.of(summary.now),
+            highest=RegionMeasures.of(summary.highest),
+            impulse=summary.impulse,
+            pressure_time=summary.pressure_time,
+            since=None if np.isnan(summary.since) else summary.since,
+            exceeded=summary.exceeded,
+            **own,
+        )
+
+
+class WatchedRegions(schemas.Schema):
+    """The regions of a sensor."""
+
+    regions: tuple[WatchedRegion, ...]
+    kept: bool = Field(description="they are there after a restart, too")
+
+
+class Series(schemas.Schema):
+    """Values of a region, image by image; null: not known."""
+
+    unit: units.Unit
+    time: list[float] = Field(description="s, Unix", examples=[[1763712000.25]])
+    force: list[float | None] = Field(examples=[[4.2]])
+    mean: list[float | None] = Field(examples=[[31.0]])
+    peak: list[float | None] = Field(examples=[[98.5]])
+    area: list[float | None] = Field(examples=[[64.0]])
+
+
+def _series(sensor: NamedSensor, region: RegionName) -> RegionSeries:
+    try:
+        return sensor.regions.series[region]
+    except KeyError as error:
+        names = ", ".join(sensor.regions.series) or "none"
+        raise Problem(404, f"sensor {sensor.name!r} has no region {region!r}; there are: {names}") from error
+
+
+@router.get("", responses=problems(404))
+def regions(sensor: NamedSensor, service: CurrentService) -> WatchedRegions:
+    """The regions with their values now, their highest values and integrals."""
+    each = tuple(map(WatchedRegion.of, sensor.regions.series.values()))
+    return WatchedRegions(regions=each, kept=service.state is not None)
+
+
+@router.put("/{region}", responses=problems(404, 409, 503, *CONTROL, *JSON_BODY))
+def put_region(sensor: NamedSensor, service: CurrentService, region: RegionName, body: Region) -> WatchedRegion:
+    """Watch a region, or replace one; it is there after a restart, too, if the service keeps a state."""
+    try:
+        service.regions.put(sensor, region, body)
+    except ValueError as error:
+        raise Problem(409, str(error)) from error
+    except StateError as error:
+        raise _not_kept(error, service) from error
+    return WatchedRegion.of(_series(sensor, region))
+
+
+@router.delete("/{region}", status_code=204, responses=problems(404, 503, *CONTROL))
+def remove_region(sensor: NamedSensor, service: CurrentService, region: RegionName) -> None:
+    """Watch a region no longer."""
+    _series(sensor, region)
+    try:
+        service.regions.remove(sensor, region)
+    except StateError as error:
+        raise _not_kept(error, service) from error
+
+
+@router.post("/{region}/reset", status_code=204, responses=problems(404, *CONTROL))
+def reset_region(sensor: NamedSensor, region: RegionName) -> None:
+    """Forget the highest values and the integrals of a region."""
+    _series(sensor, region).reset()
+
+
+@router.get("/{region}/series", response_model=Series, responses=problems(404))
+def series(
+    sensor: NamedSensor,
+    region: RegionName,
+    seconds: Annotated[float, Query(gt=0, le=SERIES_S, description="before the newest image")] = 60.0,
+    points: Annotated[
+        int, Query(ge=2, le=MAX_POINTS, description="at most; of more images the ones of highest peak")
+    ] = MAX_POINTS,
+    form: Annotated[str, Query(alias="format", pattern="^(json|csv)$", description="json or csv")] = "json",
+) -> Response:
+    """Force, mean, peak and contact area of a region, image by image."""
+    time, values, unit = _series(sensor, region).series(seconds, points)
+    if form == "csv":
+        return Response(_csv(time.tolist(), values.tolist(), unit), media_type="text/csv")
+    columns = {
+        key: [None if each != each else each for each in column]
+        for key, column in zip(Measures._fields, values.T.tolist(), strict=True)
+    }
+    content = Series(unit=unit, time=time.tolist(), **columns).model_dump_json()
+    return Response(content, media_type="application/json")
+
+
+def _csv(time: list[float], values: list[list[float]], unit: units.Unit) -> str:
+    """One line an image; empty: not known."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    force = units.FORCE_UNITS[unit].replace(" ", "_")
+    lines.writerow(["time_s", f"force_{force}", f"mean_{unit}", f"peak_{unit}", "area_mm2"])
+    for at, row in zip(time, values, strict=True):
+        lines.writerow([f"{at:.6f}", *("" if each != each else f"{each:.6g}" for each in row)])
+    return text.getvalue()
+
+
+def _not_kept(error: StateError, service: CurrentService) -> Problem:
+    assert service.state is not None
+    return Problem(503, without_path(error, service.state.path))

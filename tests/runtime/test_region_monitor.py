@@ -1,0 +1,110 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tactiled.config import parse
+from tactiled.contacts.regions import Region, Threshold
+from tactiled.errors import StateError
+from tactiled.geometry import grid, tiling
+from tactiled.runtime.region_monitor import MAX_REGIONS, RegionMonitor
+from tactiled.runtime.service import Service
+from tactiled.runtime.state import StateFile
+from tests.conftest import CONFIG
+
+CELLS = tiling(grid(4, 4, 1.0))
+WEST = Region(
+    shape="rectangle",
+    points_mm=[[-0.5, -0.5], [1.5, 3.5]],
+    threshold=Threshold(quantity="peak", above=50.0, below=40.0),
+)
+
+
+def image(kpa, time, unit="kPa"):
+    values = np.zeros((4, 4), np.float32)
+    values[1, 1], values[1, 3] = kpa, 99.0  # the second is no part of it
+    return SimpleNamespace(restored=values, time=time, noise=0.1, noise_gain=1.0, unit=unit)
+
+
+@pytest.fixture
+def monitor():
+    monitor = RegionMonitor(lambda: CELLS)
+    monitor.put("west", WEST)
+    return monitor
+
+
+def test_a_threshold_has_hysteresis(monitor):
+    crossings = []
+    for n, kpa in enumerate([10, 49, 51, 45, 60, 41, 39, 45, 49, 52]):
+        monitor.add(image(kpa, n))
+        crossings += [(n, each.above, each.value) for each in monitor.drain_crossings()]
+    assert crossings == [(2, True, 51), (6, False, 39), (9, True, 52)]
+    assert monitor.series["west"].summary().exceeded
+
+
+def test_peaks_hold_and_integrals_grow_until_a_reset(monitor):
+    for n, kpa in enumerate([20, 80, 40]):
+        monitor.add(image(kpa, 100 + 0.5 * n))
+    monitor.add(image(10, 200.0))  # after a gap, over which nothing is known
+    summary = monitor.series["west"].summary()
+    assert (summary.now.peak, summary.highest.peak, summary.since) == (10, 80, 100)
+    assert summary.now.force == pytest.approx(0.010)
+    assert summary.impulse == pytest.approx(0.5 * (0.080 + 0.040))
+    assert summary.pressure_time == pytest.approx(0.5 * (80 + 40))
+    monitor.series["west"].reset()
+    monitor.add(image(30, 200.5))
+    summary = monitor.series["west"].summary()
+    assert (summary.highest.peak, summary.since, summary.impulse) == (30, 200.5, pytest.approx(0.015))
+
+
+def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(monitor):
+    for n in range(2000):
+        monitor.add(image(90 if n == 1777 else n % 7, n / 100))
+    time, values, unit = monitor.series["west"].series(10, 100_000)
+    assert (len(time), unit) == (1001, "kPa")
+    assert time[0] == pytest.approx(9.99)
+    time, values, _ = monitor.series["west"].series(10, 20)
+    assert len(time) == 20
+    assert (np.diff(time) > 0).all()
+    assert (values[:, 2].max(), time[values[:, 2].argmax()]) == (90, 17.77)
+    monitor.add(image(5, 20.0, "counts"))  # another unit: a series has one
+    time, values, unit = monitor.series["west"].series(10, 20)
+    assert (len(time), unit, values[0, 0]) == (1, "counts", 5)
+
+
+def test_more_regions_than_there_is_memory_for_are_refused(monitor):
+    for n in range(MAX_REGIONS - 1):
+        monitor.put(f"r{n}", WEST)
+    monitor.put("r3", WEST)  # one that is there may be replaced
+    with pytest.raises(ValueError, match="16 regions"):
+        monitor.put("more", WEST)
+
+
+def service(path):
+    return Service(parse(CONFIG.format(channel="none")), state=StateFile(path))
+
+
+def test_regions_outlive_a_restart_and_one_that_cannot_be_kept_changes_nothing(tmp_path):
+    path = tmp_path / "state.json"
+    first = service(path)
+    palm = first.sensor("palm")
+    first.regions.put(palm, "west", WEST)
+    again = service(path)
+    assert again.sensor("palm").regions.regions == {"west": WEST}
+    path.unlink()
+    path.mkdir()  # nothing can be written there
+    other = Region(shape="ellipse", points_mm=[[0, 0], [3, 3]])
+    for change in (lambda: first.regions.put(palm, "west", other), lambda: first.regions.remove(palm, "west")):
+        with pytest.raises(StateError, match="nothing was kept"):
+            change()
+        assert palm.regions.regions == {"west": WEST}
+
+
+def test_a_kept_region_that_no_longer_fits_is_an_event(tmp_path):
+    path = tmp_path / "state.json"
+    distant = WEST.model_copy(update={"points_mm": ((500.0, 500.0), (510.0, 510.0))})
+    StateFile(path).keep_regions("palm", {"away": distant})
+    events = [(each.kind, each.text) for each in service(path).events.after(0)]
+    assert events == [
+        ("region_ignored", "sensor palm, region away: points_mm: no cell of the image has its centre in it")
+    ]

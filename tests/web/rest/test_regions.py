@@ -1,0 +1,62 @@
+import pytest
+
+from tests.conftest import ask, pressed, problem, until
+
+HEEL = {"shape": "rectangle", "points_mm": [[1.5, 1.5], [5.5, 5.5]]}
+
+
+def test_a_region_is_watched_measured_and_removed(rig, client, url):
+    rig.show(pressed())
+    rig.stale_after(600)
+    assert client.get("/sensors/palm/regions").json() == {"regions": [], "kept": False}
+    made = client.put("/sensors/palm/regions/heel", json=HEEL).json()
+    assert (made["name"], made["shape"], made["now"]) == ("heel", "rectangle", None)
+    images = [rig.show(pressed(force=force)) for force in (400, 3000)]
+    (heel,) = client.get("/sensors/palm/regions").json()["regions"]
+    inside = [image.restored[2:6, 2:6] for image in images]
+    area = rig.sensor.plan.cells.areas[0]
+    assert heel["now"]["peak"] == pytest.approx(inside[1].max())
+    assert heel["now"]["force"] == pytest.approx(inside[1].sum() * area * 1e-3, rel=1e-5)
+    assert heel["now"]["mean"] == pytest.approx(inside[1].mean(), rel=1e-5)
+    assert heel["since"] == pytest.approx(images[0].time)
+    series = client.get("/sensors/palm/regions/heel/series").json()
+    assert series["peak"][0] == pytest.approx(inside[0].max())
+    lines = client.get("/sensors/palm/regions/heel/series?format=csv").text.splitlines()
+    assert lines[0] == "time_s,force_N,mean_kPa,peak_kPa,area_mm2"
+    assert len(lines) == 1 + len(series["time"])
+    metrics = ask("GET", f"{url}/metrics").text
+    assert f'tactiled_region_peak{{region="heel",sensor="palm"}} {heel["now"]["peak"]}' in metrics
+    assert client.post("/sensors/palm/regions/heel/reset").status_code == 204
+    assert client.delete("/sensors/palm/regions/heel").status_code == 204
+    refused = client.get("/sensors/palm/regions/heel/series")
+    assert "has no region 'heel'; there are: none" in problem(refused, 404)
+
+
+def test_a_region_over_its_threshold_is_an_event(rig, client):
+    body = HEEL | {"threshold": {"quantity": "force", "above": 0.1, "below": 0.05}}
+    client.put("/sensors/palm/regions/heel", json=body)
+    rig.stale_after(600)
+    rig.show(pressed(force=3000))
+    rig.show(pressed(force=0))
+
+    def kinds():
+        return [each["kind"] for each in client.get("/events").json()["events"] if "region" in each["kind"]]
+
+    until(lambda: kinds() == ["region_above", "region_below"])
+    texts = [each["text"] for each in client.get("/events").json()["events"] if "region" in each["kind"]]
+    assert "is above 0.1" in texts[0]
+    assert texts[1].endswith("is below 0.05")
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "words"),
+    [
+        (HEEL | {"points_mm": [[90, 90], [95, 95]]}, 409, "no cell of the image"),
+        (HEEL | {"points_mm": [[1, 1]]}, 422, "points_mm"),
+        (HEEL | {"shape": "polygon"}, 409, "three corners"),
+        (HEEL | {"colour": "red"}, 422, "colour"),
+    ],
+)
+def test_a_wrong_region_is_refused_and_changes_nothing(client, rig, body, status, words):
+    assert words in problem(client.put("/sensors/palm/regions/heel", json=body), status)
+    assert rig.sensor.regions.regions == {}
