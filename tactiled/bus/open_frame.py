@@ -1,0 +1,129 @@
+"""A frame that is being put together, and the order in which its segments come."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.bus.arrivals import Arrivals, moment
+from tactiled.bus.codec import Codec, Rows
+
+UNLEARN_FRAMES = 16  # in a row that are not whole, after which a learned order is forgotten
+SEAM_FRAMES = 3  # in a row with their longest pause at the same place, after which that place is their beginning
+
+
+class OpenFrame:
+    """A frame of which not every segment has come yet."""
+
+    def __init__(self, codec: Codec, payloads: NDArray[Any], time: float) -> None:
+        """`payloads` are some of the codec's, `time` (s) is of one of the frame's messages."""
+        self.began = self.ended = time
+        self.arrived = 0.0  # s, when its newest message came
+        self.payloads = np.zeros((codec.segments, *payloads.shape[1:]), payloads.dtype)
+        self.present = np.zeros(codec.segments, np.bool_)
+        self.missing = codec.segments
+        self.bad: list[int] = []
+        self.highest = -1
+        self.disputed: set[int] = set()  # segments that came twice and not the same
+        self.segments: list[NDArray[np.int64]] = []  # in the order of arrival
+        self.times: list[NDArray[np.float64]] = []  # s, the same
+
+    def add(self, arrivals: Arrivals, some: slice, ascending: bool) -> None:
+        """Take messages of segments that are not there yet, in `ascending` order or any."""
+        readings, last = arrivals.readings, some.stop - 1
+        segments, times = readings.segments[some], readings.times[some]
+        places: slice | NDArray[np.int64] = segments
+        first, end = int(segments[0]), int(segments[-1]) + 1
+        if ascending and end - first == len(segments):
+            places = slice(first, end)
+        self.payloads[places] = readings.payloads[some]
+        self.present[places] = True
+        self.missing -= len(segments)
+        self.arrived = moment(arrivals.now, last)
+        self.segments.append(segments)
+        self.times.append(times)
+        if readings.bad:
+            self.bad += [taxel for at in range(some.start, some.stop) for taxel in readings.bad.get(at, ())]
+        began, ended = times[0], times[-1]
+        if not arrivals.times_rise:
+            began, ended = np.minimum.reduce(times), np.maximum.reduce(times)
+        self.began, self.ended = min(self.began, float(began)), max(self.ended, float(ended))
+
+    def late(self, segments: NDArray[np.int64], ascending: bool) -> int:
+        """How many of some segments come behind a later one."""
+        if ascending and segments[0] > self.highest:
+            self.highest = int(segments[-1])
+            return 0
+        highest = np.maximum.accumulate(np.concatenate(([self.highest], segments)))
+        self.highest = int(highest[-1])
+        return int(np.count_nonzero(highest[1:] > segments))
+
+    def blocked(self, ordered: int) -> NDArray[np.bool_]:
+        """Which segments no longer go into it: it has them, or one behind them in their group of `ordered`."""
+        if ordered == 1:
+            return self.present
+        groups = np.zeros((-(-len(self.present) // ordered), ordered), np.bool_)
+        groups.ravel()[: len(self.present)] = self.present
+        return np.logical_or.accumulate(groups[:, ::-1], axis=1)[:, ::-1].ravel()[: len(self.present)]
+
+    def same_payload(self, segment: int, payload: Any) -> bool:
+        """Whether a segment has this payload."""
+        return bool(np.all(self.payloads[segment] == payload))
+
+    def taken(self) -> Sequence[bytes | None]:
+        """The payloads that are not disputed."""
+        disputed = list(self.disputed)
+        self.present[disputed] = False
+        if self.payloads.dtype == object:
+            return [each if present else None for each, present in zip(self.payloads, self.present, strict=True)]
+        self.payloads[disputed] = 0
+        return Rows(self.payloads, self.present)
+
+
+class Cycle:
+    """The order in which a skin without sequence numbers sends its segments, learned from whole frames.
+
+    Without it the first messages of a frame could take the place of the same ones lost from the frame before, and
+    every frame from there on would be put together from two.
+    """
+
+    def __init__(self) -> None:
+        self._rank: NDArray[np.int64] | None = None
+        self._broken = 0  # frames in a row that were not whole
+        self._seam: int | None = None  # a segment within frames behind a long pause
+        self._seams = 0  # frames in a row with that seam
+
+    def wraps(self, segments: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+        """Which of some segments, from the second on, is so far back in the order that it begins a new frame.
+
+        None: no order is known.
+        """
+        if self._rank is None:
+            return None
+        ranks = self._rank[segments]
+        return 2 * (ranks[:-1] - ranks[1:]) >= len(self._rank)
+
+    def learn(self, frame: OpenFrame, pause: float) -> None:
+        """Look at a closed frame that came after a `pause` (s)."""
+        if frame.missing:
+            self._broken += 1
+            if self._broken >= UNLEARN_FRAMES:
+                self._rank = None
+            return
+        self._broken = 0
+        segments, times = frame.segments[0], frame.times[0]
+        if len(frame.segments) > 1:
+            segments, times = np.concatenate(frame.segments), np.concatenate(frame.times)
+        first = 0
+        if len(times) > 1:
+            pauses = times[1:] - times[:-1]
+            longest = int(pauses.argmax())
+            first = longest + 1 if pauses[longest] > 4 * max(pause, 0.0) else 0
+        seam = int(segments[first]) if first else None
+        self._seams = self._seams + 1 if seam == self._seam else 1
+        self._seam = seam
+        if self._seams < SEAM_FRAMES:
+            first = 0
+        self._rank = np.empty(len(segments), np.int64)
+        self._rank[segments] = (np.arange(len(segments)) - first) % len(segments)
