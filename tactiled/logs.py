@@ -67,7 +67,7 @@ class _Formatter(logging.Formatter):
             }
             return json.dumps(line | ({"exception": trace} if trace else {}))
         words = moment, record.levelname, *map(str, fields.values())
-        return "\n".join(map(_printable, (f"{' '.join(words)}: {text}", *trace.splitlines())))
+        return "\n".join(map(printable, (f"{' '.join(words)}: {text}", *trace.splitlines())))
 
 
 def _fields(record: logging.LogRecord) -> dict[str, Any]:
@@ -76,7 +76,8 @@ def _fields(record: logging.LogRecord) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
+    """A text without what would begin a new line or control a terminal."""
     return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 

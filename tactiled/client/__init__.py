@@ -121,13 +121,24 @@ class Client:
         """The same as `stream`, for asyncio."""
         return aread(Stream(self._service, sensor, rate_hz, patience_s, shear))
 
+    def metrics(self) -> str:
+        """Health, counts and times, in Prometheus's text format."""
+        return self._answer(Request(f"{self.url}/metrics", headers=self._service.headers)).decode(errors="replace")
+
     def _request(self, verb: str, path: str, body: object = None) -> Any:
         data = None if body is None else json.dumps(body).encode()
         headers = self._service.headers | ({"Content-Type": "application/json"} if data else {})
-        request = Request(f"{self.url}/api/v1{path}", data, headers, method=verb)
+        answer = self._answer(Request(f"{self.url}/api/v1{path}", data, headers, method=verb))
+        try:
+            return json.loads(answer or b"null")
+        except ValueError as error:
+            raise TactileError(f"{self.url}: {describe(error)}") from error
+
+    def _answer(self, request: Request) -> bytes:
         try:
             with urlopen(request, timeout=ANSWER_S, context=self._service.ssl_context) as answer:  # http or https
-                return json.loads(answer.read() or b"null")
+                body: bytes = answer.read()
+                return body
         except HTTPError as error:
             raise _refusal(self.url, error) from error
         except (OSError, HTTPException, ValueError) as error:

@@ -132,7 +132,9 @@ def test_slow_transfers_delay_only_their_own_clients(rig, transfers, caplog):
             until(lambda: len(transfers.clients) == bound - 1)
             assert post(url, ONE_FRAME).status_code == 200
         until(lambda: not transfers.clients)
-    assert not caplog.records  # a client that leaves is no failure of the service
+    assert not [
+        each for each in caplog.records if each.name != "tactiled.events"
+    ]  # a client that leaves is no failure of the service
 
 
 def test_an_answer_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, transfers, tmp_path, monkeypatch):
