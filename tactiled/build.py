@@ -123,6 +123,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
     blur = make_blur(kernel, array, sensor.refine)
     if cover:
         blur.thickness_error = cover.fit.thickness_error
+    place = sensor.array.model_dump(include={"frame_id", "origin_mm", "orientation"}, exclude_none=True)
     return SensorPlan(
         name=name,
         bus=sensor.bus,
@@ -139,7 +140,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
         warnings=_constant_warnings(None if calibrated else sensor.calibration, summarise(kernel, array), array),
         calibrated=calibrated,
         file=file,
-        pose=make_pose(sensor.array),
+        pose=Pose(**place) if place else None,
     )
 
 
@@ -217,12 +218,6 @@ def make_array(sensor: schema.Sensor) -> Array:
     if array.rows is None or array.columns is None or array.pitch_mm is None:
         raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
     return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
-
-
-def make_pose(array: schema.Array) -> Pose | None:
-    """Where an array is; None where that is not configured."""
-    place = array.model_dump(include={"frame_id", "origin_mm", "orientation"}, exclude_none=True)
-    return Pose(**place) if place else None
 
 
 def make_codec(sensor: schema.Sensor) -> Codec:

@@ -105,9 +105,9 @@ class Cells:
 
     @cached_property
     def raster(self) -> NDArray[np.int64]:
-        """(R, C) The cells' map in squares of `side`: the cell of each square, `no_cell` where there is none."""
+        """(R, C) The cells' map in squares of `side`: the cell of each square, -1 where there is none."""
         column, row = np.rint((self.pieces - self.corner) / self.side).astype(np.int64).T
-        owners = np.full((row.max() + 1, column.max() + 1), self.no_cell)
+        owners = np.full((row.max() + 1, column.max() + 1), -1)
         owners[row, column] = self.owner
         return owners
 
@@ -115,11 +115,6 @@ class Cells:
     def corner(self) -> NDArray[np.float64]:
         """(2,) mm, the centre of the raster's first square."""
         return np.asarray(self.pieces.min(axis=0), float)
-
-    @property
-    def no_cell(self) -> int:
-        """What the raster has where there is no cell."""
-        return len(self.areas)
 
     def picture(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
         """Values of the cells, of any shape, on the raster (R, C); NaN where there is no cell."""

@@ -23,3 +23,13 @@ FORCE_SCALES: dict[Unit, float] = {PRESSURE: N_PER_KPA_MM2, COUNTS: 1.0}  # forc
 def if_calibrated(value: float, unit: Unit) -> float | None:
     """A value for a key that ends in kPa or N; None where it is in counts."""
     return None if unit == COUNTS else value
+
+
+def nanoseconds(seconds: float) -> int:
+    """A time as Foxglove and ROS have it."""
+    return round(seconds * 1e9)
+
+
+def force_text(force: float, unit: Unit) -> str:
+    """The force of a contact for people, from an image in `unit`."""
+    return f"{force:.{2 if unit == PRESSURE else 0}f} {FORCE_UNITS[unit]}"

@@ -11,6 +11,7 @@ from tactiled import __version__
 from tactiled.build import SensorPlan
 from tactiled.frames import Image, Message
 from tactiled.interop import foxglove
+from tactiled.units import nanoseconds
 
 
 class McapWriter:
@@ -30,7 +31,7 @@ class McapWriter:
         return int(self._writer.register_channel(topic.name, topic.encoding, schema))
 
     def _add(self, channel: int, time: float, data: bytes) -> None:
-        at = foxglove.nanoseconds(time)
+        at = nanoseconds(time)
         self._writer.add_message(channel, at, data, at)
 
     def add_message(self, message: Message) -> None:

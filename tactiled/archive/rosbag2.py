@@ -14,6 +14,7 @@ from tactiled.build import SensorPlan
 from tactiled.frames import Image, Message
 from tactiled.interop import ros
 from tactiled.runtime.contact_tracking import ImageContacts
+from tactiled.units import nanoseconds
 
 VERSION: Literal[8] = 8  # of metadata.yaml: Iron's, which later ones read, and Humble as far as it knows its keys
 
@@ -29,13 +30,11 @@ class Rosbag2Writer:
         self._empty = True
         with _os_errors():
             self._writer.open()
-            self._connections = {each.name: self._connection(each) for each in self._topics.topics}
-
-    def _connection(self, topic: ros.Topic) -> Any:
-        types = self._topics.types.store
-        return self._writer.add_connection(
-            topic.name, topic.type, typestore=types, offered_qos_profiles=[topic.qos]
-        )
+            store, add = self._topics.types.store, self._writer.add_connection
+            self._connections = {}
+            for each in self._topics.topics:
+                name, (kind, qos) = self._topics.full_name(each), ros.TOPICS[each]
+                self._connections[each] = add(name, kind, typestore=store, offered_qos_profiles=[qos])
 
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
@@ -50,7 +49,7 @@ class Rosbag2Writer:
     def _write(self, messages: Iterator[ros.Message], time_s: float) -> None:
         with _os_errors():
             for topic, data in messages:
-                self._writer.write(self._connections[topic.name], ros.nanoseconds(time_s), data)
+                self._writer.write(self._connections[topic], nanoseconds(time_s), data)
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Complete the bag, with `provenance` in its metadata."""

@@ -56,8 +56,7 @@ class RrdWriter:
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the rest, `provenance` as a property of the recording."""
         self._stream.send_property("provenance", rr.AnyValues(json=json.dumps(provenance)))
-        self._stream.disconnect()
-        self._copying.join()
+        self.close()
         if self._error is not None:
             raise self._error
 

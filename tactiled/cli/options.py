@@ -24,12 +24,7 @@ Bitrate = Annotated[int | None, typer.Option(help="Bits a second, if the interfa
 Seconds = Annotated[float | None, typer.Option(help="How long; until interrupted if left out.", min=0)]
 Rerun = Annotated[
     int | None,
-    typer.Option(
-        metavar="PORT",
-        help="Show images in Rerun's viewer, which listens on this port of loopback (9876).",
-        min=1,
-        max=65535,
-    ),
+    typer.Option(metavar="PORT", help="Show images in Rerun's viewer on this port (9876).", min=1, max=65535),
 ]
 Foxglove = Annotated[
     int | None,

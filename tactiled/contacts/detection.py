@@ -52,11 +52,11 @@ class Finder:
     def __init__(self, array: Array, cells: Cells) -> None:
         self._cells = cells
         self._cell = cells.raster
-        row, column = np.nonzero(self._cell < cells.no_cell)
+        row, column = np.nonzero(self._cell >= 0)
         owner = self._cell[row, column]
         offset = cells.corner + cells.side * np.column_stack([column, row]) - cells.positions[owner]
         order = np.lexsort((np.linalg.norm(offset, axis=1), owner))
-        first = order[np.searchsorted(owner[order], np.arange(cells.no_cell))]
+        first = order[np.searchsorted(owner[order], np.arange(len(cells.areas)))]
         self._middle = row[first], column[first]  # of each cell, the square at its middle
         self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares

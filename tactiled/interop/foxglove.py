@@ -17,7 +17,7 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, PRESSURE, Unit
+from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, PRESSURE, Unit, force_text, nanoseconds
 
 try:
     from foxglove import messages
@@ -62,11 +62,6 @@ def need(what: str) -> None:
     """Raise ConfigError, which says what to install, where Foxglove's SDK is not there."""
     if messages is None:
         raise ConfigError(f"{what} needs Foxglove's SDK: pip install 'tactiled[foxglove]'")
-
-
-def nanoseconds(seconds: float) -> int:
-    """A time as Foxglove has it."""
-    return round(seconds * 1e9)
 
 
 def _timestamp(seconds: float) -> Any:
@@ -238,5 +233,5 @@ def _label(contact: Contact, unit: Unit) -> Any:
         billboard=True,
         font_size=M_PER_MM * LABEL_MM,
         color=messages.Color(r=1, g=1, b=1, a=1),
-        text=f"{contact.force:.{2 if unit == PRESSURE else 0}f} {FORCE_UNITS[unit]}",
+        text=force_text(contact.force, unit),
     )

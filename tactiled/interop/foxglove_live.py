@@ -12,7 +12,7 @@ from tactiled.frames import Image
 from tactiled.interop import foxglove
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.units import Unit
+from tactiled.units import Unit, nanoseconds
 
 with suppress(ImportError):  # `foxglove.need` says so
     import foxglove as sdk
@@ -62,7 +62,7 @@ class _SensorChannels:
             self._image = image
             if images_subscribed:
                 for channel, message in zip(self._images, self._topics.messages(image), strict=True):
-                    channel.log(message, log_time=foxglove.nanoseconds(image.time))
+                    channel.log(message, log_time=nanoseconds(image.time))
             if contacts_subscribed and now - self._contacts_sent_at >= CONTACTS_EVERY_S:
                 self._contacts_sent_at = now
                 self._send_contacts()
@@ -73,7 +73,7 @@ class _SensorChannels:
         image, contacts = self.sensor.contacts()
         if image is not None:
             message = foxglove.contacts_message(self.sensor.name, image.time, image.unit, contacts)
-            self._contacts.log(message, log_time=foxglove.nanoseconds(image.time))
+            self._contacts.log(message, log_time=nanoseconds(image.time))
 
     def _send_state(self, now: float) -> None:
         """Send the state when it has changed, and every STATE_EVERY_S."""

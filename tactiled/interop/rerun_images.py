@@ -15,22 +15,20 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
 from tactiled.geometry import tiling
-from tactiled.units import FORCE_SCALES, FORCE_UNITS, PRESSURE
+from tactiled.units import FORCE_SCALES, FORCE_UNITS, force_text
 
-APPLICATION = "tactiled"
-TIMELINE = "time"
 DISC_SIGMAS = 2.0  # radius of a contact's outline, in standard deviations of its pressure
-CIRCLE = np.linspace(0, 2 * np.pi, 33)  # of an outline's corners
+CIRCLE = np.exp(1j * np.linspace(0, 2 * np.pi, 33))  # an outline's corners, x + i y
 CLASSES = [(0, "data", (0, 0, 0, 0)), (1, "no data", (70, 70, 70, 255))]  # of squares, and their colours (RGBA)
 OUTLINE = 255, 255, 255  # colour
-SCALE_SHARE = 0.1  # of a map's height: room for its scale below it
+SCALE_SHARE = 0.05  # of a map's height: room for its scale below it
 
 
 def new_stream() -> rr.RecordingStream:
     """A stream to be saved or sent, whose errors are exceptions; whoever has it disconnects it."""
     rr.set_strict_mode(True)
     rr.unregister_shutdown()  # which waits at the end of the process for a viewer that hangs
-    stream = rr.RecordingStream(APPLICATION)
+    stream = rr.RecordingStream("tactiled")
     stream.set_log_time_enabled(False)  # images have their frames' times
     return stream
 
@@ -46,18 +44,18 @@ class SensorLog:
         self._unknown: dict[str, NDArray[np.bool_]] = {}  # of each map's last picture
         self._warnings: dict[str, str] = {}  # texts of the last image's, by code
         for name, cells in self._maps.items():
-            corner, side = cells.corner - cells.side / 2, cells.side
-            self._log(name, rr.Transform3D(translation=[*corner, 0.0], scale=[side, side, 1.0]), static=True)
+            place = [*(cells.corner - cells.side / 2), 0.0]
+            self._log(name, rr.Transform3D(translation=place, scale=[cells.side, cells.side, 1.0]), static=True)
         self._log("", rr.AnnotationContext(CLASSES), static=True)
-        for name, unit in (("force", FORCE_UNITS[plan.unit]), ("peak", plan.unit)):
+        for name, unit in _series(plan):
             self._log(name, rr.SeriesLines(names=f"{name} in {unit}"), static=True)
 
-    def _log(self, name: str, *content: rr.AsComponents, static: bool = False) -> None:
-        self._stream.log(f"/{self._plan.name}/{name}", *content, static=static)
+    def _log(self, name: str, content: rr.AsComponents, static: bool = False) -> None:
+        self._stream.log(f"/{self._plan.name}/{name}", content, static=static)
 
     def add(self, image: Image, contacts: Iterable[Contact]) -> None:
         """Log one image and the contacts in it."""
-        self._stream.set_time(TIMELINE, timestamp=image.time)
+        self._stream.set_time("time", timestamp=image.time)
         self._stream.set_time("frame", sequence=image.sequence)
         force, peak = float(self._areas @ image.restored.ravel()), float(image.restored.max(initial=0))
         for name, values in (("raw", image.raw), ("restored", image.restored)):
@@ -66,7 +64,12 @@ class SensorLog:
         self._log("contacts", self._outlines(contacts))
         self._log("force", rr.Scalars(force))
         self._log("peak", rr.Scalars(peak))
-        self._log_warnings({each.code: each.text for each in image.warnings})
+        warnings = {each.code: each.text for each in image.warnings}
+        for code in warnings.keys() - self._warnings.keys():
+            self._log("warnings", rr.TextLog(warnings[code], level=rr.TextLogLevel.WARN))
+        for code in self._warnings.keys() - warnings.keys():
+            self._log("warnings", rr.TextLog(f"over: {code}", level=rr.TextLogLevel.INFO))
+        self._warnings = warnings
 
     def _add_map(self, name: str, picture: NDArray[np.float32]) -> None:
         """Log a picture (R, C) and, where it changes, what of it is unknown."""
@@ -84,68 +87,52 @@ class SensorLog:
         self._peak = peak
         for name in self._maps:
             self._log(name, rr.DepthImage.from_fields(depth_range=[0.0, peak]), static=True)
-        low, high = _corners(self._plan)
-        length_mm = 10.0 ** np.floor(np.log10(high[0] - low[0]))
-        y = high[1] + SCALE_SHARE / 2 * (high[1] - low[1])
+        (low, high), (_, bottom) = _ranges(self._plan)
+        length_mm = 10.0 ** np.floor(np.log10(high - low))
         text = f"{length_mm:g} mm; colours 0 to {peak:.3g} {self._plan.unit}"
-        bar = [(low[0], y), (low[0] + length_mm, y)]
-        self._log(
-            "scale",
-            rr.LineStrips2D([bar], labels=text, colors=OUTLINE, radii=rr.Radius.ui_points(1.5)),
-            static=True,
-        )
+        bar, width = [(low, bottom), (low + length_mm, bottom)], rr.Radius.ui_points(1.5)
+        self._log("scale", rr.LineStrips2D([bar], labels=text, colors=OUTLINE, radii=width), static=True)
 
     def _outlines(self, contacts: Iterable[Contact]) -> rr.LineStrips2D:
         """An ellipse for each contact, with its force."""
         strips, labels = [], []
         for each in contacts:
-            along, across = (
-                DISC_SIGMAS * each.major_mm * np.cos(CIRCLE),
-                DISC_SIGMAS * each.minor_mm * np.sin(CIRCLE),
-            )
-            cos, sin = np.cos(each.angle_rad), np.sin(each.angle_rad)
-            strips.append(
-                np.column_stack([each.x_mm + cos * along - sin * across, each.y_mm + sin * along + cos * across])
-            )
-            labels.append(
-                f"{each.force:.{2 if self._plan.unit == PRESSURE else 0}f} {FORCE_UNITS[self._plan.unit]}"
-            )
+            ellipse = DISC_SIGMAS * (each.major_mm * CIRCLE.real + 1j * each.minor_mm * CIRCLE.imag)
+            points = each.x_mm + 1j * each.y_mm + ellipse * np.exp(1j * each.angle_rad)
+            strips.append(np.column_stack([points.real, points.imag]))
+            labels.append(force_text(each.force, self._plan.unit))
         return rr.LineStrips2D(strips, labels=labels, colors=OUTLINE)
 
-    def _log_warnings(self, warnings: dict[str, str]) -> None:
-        """Log warnings that begin and end."""
-        for code, text in warnings.items():
-            if code not in self._warnings:
-                self._log("warnings", rr.TextLog(text, level=rr.TextLogLevel.WARN))
-        for code in self._warnings.keys() - warnings.keys():
-            self._log("warnings", rr.TextLog(f"over: {code}", level=rr.TextLogLevel.INFO))
-        self._warnings = warnings
+
+def _series(plan: SensorPlan) -> tuple[tuple[str, str], ...]:
+    """Names and units of what is drawn over time."""
+    return ("force", FORCE_UNITS[plan.unit]), ("peak", plan.unit)
+
+
+def _ranges(plan: SensorPlan) -> NDArray[np.float64]:
+    """(2, 2) mm, what of x and of y is in view: the surface, and the line of the scale below it."""
+    low, high = plan.cells.pieces.min(axis=0), plan.cells.pieces.max(axis=0)
+    ranges = np.stack([low, high], axis=1) + plan.cells.side / 2 * np.array([-1, 1])
+    ranges[1, 1] += SCALE_SHARE * np.ptp(ranges[1])
+    return ranges
 
 
 def blueprint(plans: Iterable[SensorPlan]) -> rrb.Blueprint:
     """A tab for each sensor: both maps side by side, force and peak over time, and warnings."""
-    tabs = rrb.Tabs(*(_tab(plan) for plan in plans))
-    return rrb.Blueprint(tabs, rrb.TimePanel(state="collapsed", timeline=TIMELINE), collapse_panels=True)
-
-
-def _corners(plan: SensorPlan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two corners (2,) of the surface, mm."""
-    return plan.cells.corner - plan.cells.side / 2, plan.cells.pieces.max(axis=0) + plan.cells.side / 2
+    time_panel = rrb.TimePanel(state="collapsed", timeline="time")
+    return rrb.Blueprint(rrb.Tabs(*(_tab(plan) for plan in plans)), time_panel, collapse_panels=True)
 
 
 def _tab(plan: SensorPlan) -> rrb.Vertical:
-    root, (low, high) = f"/{plan.name}", _corners(plan)
-    bottom = high[1] + SCALE_SHARE * (high[1] - low[1])
-    bounds = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], bottom])
-
-    def a_map(name: str) -> rrb.Spatial2DView:
-        contents = [f"{root}/{each}" for each in (f"{name}/**", "contacts", "scale")]
-        return rrb.Spatial2DView(origin=root, contents=contents, name=f"{name}, {plan.unit}", visual_bounds=bounds)
-
-    series = (
-        rrb.TimeSeriesView(origin=f"{root}/{name}", name=f"{name}, {unit}")
-        for name, unit in (("force", FORCE_UNITS[plan.unit]), ("peak", plan.unit))
-    )
+    root, (x, y) = f"/{plan.name}", _ranges(plan)
+    maps, bounds = [], rrb.VisualBounds2D(x_range=x, y_range=y)
+    for name in ("raw", "restored"):
+        contents, title = (
+            [f"{root}/{each}" for each in (f"{name}/**", "contacts", "scale")],
+            f"{name}, {plan.unit}",
+        )
+        maps.append(rrb.Spatial2DView(origin=root, contents=contents, name=title, visual_bounds=bounds))
+    series = [rrb.TimeSeriesView(origin=f"{root}/{name}", name=f"{name}, {unit}") for name, unit in _series(plan)]
     log = rrb.TextLogView(origin=f"{root}/warnings", name="warnings")
-    maps = rrb.Horizontal(a_map("raw"), a_map("restored"))
-    return rrb.Vertical(maps, rrb.Horizontal(*series), log, row_shares=[6, 3, 2], name=plan.name)
+    rows = rrb.Horizontal(*maps), rrb.Horizontal(*series), log
+    return rrb.Vertical(*rows, row_shares=[6, 3, 2], name=plan.name)

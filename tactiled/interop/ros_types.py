@@ -11,45 +11,16 @@ from tactiled.frames import FLAG_BITS
 
 DISTRIBUTION = Stores.ROS2_HUMBLE  # the types used here are the same in every later one up to Lyrical
 FOREVER = QosTime(9223372036, 854775807)
-FLAGS = "".join(f"uint8 {name}={bit}\n" for name, bit in FLAG_BITS.items())
-DEFINITIONS = {
-    "tactiled_msgs/msg/TactileContact": """
-uint32 id
-float32 x_mm
-float32 y_mm
-float32 force
-float32 peak
-float32 area_mm2
-float32 major_mm
-float32 minor_mm
-float32 angle_rad
-""",
-    "tactiled_msgs/msg/TactileArray": f"""{FLAGS}
-std_msgs/Header header
-uint64 sequence
-string pressure_unit
-string force_unit
-uint32 rows
-uint32 columns
-float32[] raw
-uint8[] flags
-float32 noise
-float32 force
-float32 peak
-string method
-string[] warnings
-tactiled_msgs/TactileContact[] contacts
-""",
-    "tactiled_msgs/msg/TactileLayout": """
-std_msgs/Header header
-float32[] x_mm
-float32[] y_mm
-float32[] area_mm2
-float32[2] raw_corner_mm
-float32 raw_pixel_mm
-float32[2] restored_corner_mm
-float32 restored_pixel_mm
-""",
+DEFINITIONS = {  # fields, parted by commas
+    "tactiled_msgs/msg/TactileContact": """uint32 id, float32 x_mm, float32 y_mm, float32 force, float32 peak,
+        float32 area_mm2, float32 major_mm, float32 minor_mm, float32 angle_rad""",
+    "tactiled_msgs/msg/TactileArray": ",".join(f"uint8 {name}={bit}" for name, bit in FLAG_BITS.items())
+    + """, std_msgs/Header header, uint64 sequence, string pressure_unit, string force_unit, uint32 rows,
+        uint32 columns, float32[] raw, uint8[] flags, float32 noise, float32 force, float32 peak, string method,
+        string[] warnings, tactiled_msgs/TactileContact[] contacts""",
+    "tactiled_msgs/msg/TactileLayout": """std_msgs/Header header, float32[] x_mm, float32[] y_mm,
+        float32[] area_mm2, float32[2] raw_corner_mm, float32 raw_pixel_mm, float32[2] restored_corner_mm,
+        float32 restored_pixel_mm""",
 }
 
 
@@ -69,7 +40,7 @@ class Types:
     def __init__(self) -> None:
         self.store = get_typestore(DISTRIBUTION)
         for name, text in DEFINITIONS.items():
-            self.store.register(get_types_from_msg(text, name))
+            self.store.register(get_types_from_msg(text.replace(",", "\n"), name))
 
     def cdr(self, kind: str, values: Mapping[str, Any]) -> memoryview:
         """A message: values by field, nested ones by field again; what is left out is zero or empty."""

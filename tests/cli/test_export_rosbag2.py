@@ -13,16 +13,21 @@ from tactiled.bus import recording
 from tactiled.config.example import GRASP
 from tactiled.frames import FLAG_BITS, MISSING
 from tactiled.interop.ros import ros_name
-from tests.cli.commands import refusal, succeed
+from tests.cli.commands import refusal
+from tests.cli.test_export import exported
 
 ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
 PLACE = f'pitch_mm = 1.0, frame_id = "hand", origin_mm = {ORIGIN_MM}, orientation = {ORIENTATION}'
 PALM = {"raw", "restored", "tactile", "markers", "layout", "wrench"}
 
 
-def exported(log, config, out, to):
-    succeed("export", log, "--config", config, "-o", out, *(() if out.suffix else ("--to", to)))
-    return out
+def bag(log, config, out, to="rosbag2"):
+    """The MCAP file of a bag."""
+    return exported(log, config, out, "--to", to) / f"{out.name}.mcap"
+
+
+def values(column):
+    return (column.cast("int64") if str(column.type).startswith("timestamp") else column).to_pylist()
 
 
 def columns(file):
@@ -32,18 +37,18 @@ def columns(file):
         if not chunk.is_static:
             batch = chunk.to_record_batch()
             names = [name.split(":")[-1] for name in batch.schema.names]
-            topics[chunk.entity_path] = dict(zip(names, batch.columns, strict=True))
+            topics[chunk.entity_path] = dict(zip(names, map(values, batch.columns), strict=True))
     return topics
 
 
 def messages(file, topic):
-    (column,) = (values for name, values in columns(file)[topic].items() if name == "message")
-    return [each[0] for each in column.to_pylist()]
+    return [each[0] for each in columns(file)[topic]["message"]]
 
 
 def pictures(topic):
-    form = topic["format"][0].as_py()[0]
-    data = np.array([each[0] for each in topic["buffer"].to_pylist()], np.uint8)
+    """Images (T, R, C) of an entity in Rerun."""
+    form = topic["format"][0][0]
+    data = np.array([each[0] for each in topic["buffer"]], np.uint8)
     return data.view("<f4").reshape(len(data), form["height"], form["width"])
 
 
@@ -53,20 +58,20 @@ def layout(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hand")
     (folder / "hand.toml").write_text(GRASP)
     log = recording.path("book_1")
-    arrays = np.load(exported(log, folder / "hand.toml", folder / "a.npz", None))
-    return arrays, exported(log, folder / "hand.toml", folder / "hand", "rosbag2") / "hand.mcap"
+    arrays = np.load(exported(log, folder / "hand.toml", folder / "a.npz"))
+    return arrays, bag(log, folder / "hand.toml", folder / "hand")
 
 
 def test_a_bag_holds_the_images_of_every_frame_at_its_time(tmp_path, config, lossy):
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz", None))
-    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    file = bag(lossy, config, tmp_path / "grasp")
     got = columns(file)
     assert {*got} == {f"/palm/{name}" for name in PALM} | {"/diagnostics"}
     times = [round(each * 1e9) for each in npz["time"].tolist()]
     for name in ("raw", "restored"):
         np.testing.assert_array_equal(pictures(got[f"/palm/{name}"]), npz[name])
         for clock in ("message_log_time", "ros2_timestamp"):
-            assert got[f"/palm/{name}"][clock].cast("int64").to_pylist() == times
+            assert got[f"/palm/{name}"][clock] == times
     arrays = messages(file, "/palm/tactile")
     np.testing.assert_array_equal([each["raw"] for each in arrays], npz["raw"].reshape(len(arrays), -1))
     np.testing.assert_array_equal([each["flags"] for each in arrays], npz["flags"].reshape(len(arrays), -1))
@@ -77,7 +82,7 @@ def test_a_bag_holds_the_images_of_every_frame_at_its_time(tmp_path, config, los
 
 
 def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, config, lossy):
-    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    file = bag(lossy, config, tmp_path / "grasp")
     contacts = [each for array in messages(file, "/palm/tactile") for each in array["contacts"]]
     wrenches = [each["wrench"] for each in messages(file, "/palm/wrench")]
     assert len(contacts) == len(wrenches) > 20
@@ -93,17 +98,15 @@ def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, 
 
 def test_the_place_of_the_array_is_a_static_transform(tmp_path, config, lossy):
     config.write_text(config.read_text().replace("pitch_mm = 1.0", PLACE))
-    got = columns(exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap")["/tf_static"]
-    (parent,), (shift,), (rotation,) = (
-        got[key].to_pylist() for key in ("parent_frame", "translation", "quaternion")
-    )
+    got = columns(bag(lossy, config, tmp_path / "grasp"))["/tf_static"]
+    (parent,), (shift,), (rotation,) = (got[key] for key in ("parent_frame", "translation", "quaternion"))
     assert parent == ["hand"]
     np.testing.assert_allclose(shift, [np.multiply(1e-3, ORIGIN_MM)], rtol=1e-6)
     np.testing.assert_allclose(rotation, [ORIENTATION], rtol=1e-6)
 
 
 def test_warnings_and_loss_are_diagnostics_when_they_change(tmp_path, config, lossy):
-    file = exported(lossy, config, tmp_path / "grasp", "rosbag2") / "grasp.mcap"
+    file = bag(lossy, config, tmp_path / "grasp")
     states = [each["status"][0] for each in messages(file, "/diagnostics")]
     missing = next(each for each in states if "missing" in {pair["key"] for pair in each["values"]})
     assert (missing["level"], missing["hardware_id"]) == (1, "can0")
@@ -136,9 +139,9 @@ def test_the_file_is_sound_and_defines_its_messages(layout):
         schemas = {each.name: each.data.decode() for each in reader.get_summary().schemas.values()}
     for name, bit in FLAG_BITS.items():
         assert f"uint8 {name}={bit}\n" in schemas["tactiled_msgs/msg/TactileArray"]
-    with AnyReader([file.parent]) as bag:  # by metadata.yaml, and by these definitions
-        qos = {each.topic: each.ext.offered_qos_profiles[0] for each in bag.connections}
-        assert {bag.deserialize(data, each.msgtype).header.frame_id for each, _, data in bag.messages()
+    with AnyReader([file.parent]) as reader:  # by metadata.yaml, and by these definitions
+        qos = {each.topic: each.ext.offered_qos_profiles[0] for each in reader.connections}
+        assert {reader.deserialize(data, each.msgtype).header.frame_id for each, _, data in reader.messages()
                 if each.topic == "/hand/tactile"} == {"hand"}  # fmt: skip
     assert (qos["/hand/raw"].reliability.name, qos["/hand/restored"].reliability.name) == (
         "BEST_EFFORT",
@@ -151,17 +154,14 @@ def test_the_file_is_sound_and_defines_its_messages(layout):
 
 
 def test_the_same_export_is_the_same_bag_and_sqlite3_holds_the_same_messages(tmp_path, config, lossy):
-    mcap_bag = exported(lossy, config, tmp_path / "grasp", "rosbag2")
     (tmp_path / "again").mkdir()
-    again = exported(lossy, config, tmp_path / "again" / "grasp", "rosbag2")
-    assert all(each.read_bytes() == (again / each.name).read_bytes() for each in mcap_bag.iterdir())
-    bag = exported(lossy, config, tmp_path / "old", "rosbag2-sqlite3")
-    with (mcap_bag / "grasp.mcap").open("rb") as file:
-        reader = mcap.reader.make_reader(file)
-        rows = [
-            (each.topic, one.log_time, one.data) for _, each, one in reader.iter_messages(log_time_order=False)
-        ]
-    with sqlite3.connect(bag / "old.db3") as old:
+    one, other = bag(lossy, config, tmp_path / "grasp"), bag(lossy, config, tmp_path / "again" / "grasp")
+    assert one.read_bytes() == other.read_bytes()
+    bag(lossy, config, tmp_path / "old", "rosbag2-sqlite3")
+    with one.open("rb") as file:
+        messages = mcap.reader.make_reader(file).iter_messages(log_time_order=False)
+        rows = [(channel.topic, each.log_time, each.data) for _, channel, each in messages]
+    with sqlite3.connect(tmp_path / "old" / "old.db3") as old:
         join = (
             "select name, timestamp, data from messages join topics on topic_id = topics.id order by messages.id"
         )

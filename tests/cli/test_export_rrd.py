@@ -9,15 +9,11 @@ from rerun.chunk import RrdReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
-from tests.cli.commands import succeed
+from tests.cli.test_export import exported
+from tests.cli.test_export_rosbag2 import pictures, values
 from tests.conftest import BUSY_S
 
 VIEWER = f"{rerun_cli.__path__[0]}/rerun"
-
-
-def exported(log, config, out):
-    succeed("export", log, "--config", config, "-o", out)
-    return out
 
 
 def columns(file):
@@ -25,21 +21,13 @@ def columns(file):
     rows, static = defaultdict(lambda: defaultdict(list)), {}
     for chunk in RrdReader(file).stream():
         batch = chunk.to_record_batch()
-        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+        for name, column in zip(batch.schema.names, map(values, batch.columns), strict=True):
             key = name.split(":")[-1]
             if chunk.is_static:
-                static.setdefault((chunk.entity_path, key), []).extend(column.to_pylist())
-            elif key in ("time", "log_time"):
-                rows[chunk.entity_path][key] += column.cast("int64").to_pylist()
+                static[chunk.entity_path, key] = column[-1]
             else:
-                rows[chunk.entity_path][key] += column.to_pylist()
-    return rows, {place: values[-1] for place, values in static.items()}
-
-
-def pictures(entity):
-    form = entity["format"][0][0]
-    data = np.array([each[0] for each in entity["buffer"]], np.uint8)
-    return data.view("<f4").reshape(len(data), form["height"], form["width"])
+                rows[chunk.entity_path][key] += column
+    return rows, static
 
 
 def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lossy):
