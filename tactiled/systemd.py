@@ -21,7 +21,7 @@ def notify(**states: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return
-    lines = "\n".join(f"{key}={' '.join(value.split())}" for key, value in states.items())
+    lines = "\n".join(f"{key}={value}" for key, value in states.items())
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender, suppress(OSError):  # it may be restarting
         sender.sendto(lines.encode(), "\0" + address[1:] if address[0] == "@" else address)
 

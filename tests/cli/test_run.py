@@ -1,55 +1,58 @@
 import os
 import signal
+import socket
 import subprocess
+from contextlib import contextmanager
 
-import httpx
 import pytest
 
 from tests.cli.commands import TACTILED
-from tests.conftest import BUSY_S, CONFIG, HTTP
-from tests.systemd import Manager, activated
+from tests.conftest import BUSY_S, CONFIG, ask
+from tests.systemd import Manager
 
 
-def start(tmp_path, manager, interface="virtual", port=None):
-    """`tactiled run` as a unit behind a socket runs it."""
-    config = tmp_path / "palm.toml"
-    with activated(*TACTILED, "run", config) as (command, listener):
-        number, address = listener.fileno(), listener.getsockname()
+@contextmanager
+def unit(folder, interface="virtual", port=None, sockets=1):
+    """`tactiled run` as the unit and its socket run it, and where the socket listens."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        (host, own), number = listener.getsockname(), listener.fileno()
         text = CONFIG.format(channel="none").replace('"virtual"', f'"{interface}"\nfd = true')
-        config.write_text(f'[server]\nstate = "state.json"\nport = {port or address[1]}\n{text}')
-        environment = os.environ | {"NOTIFY_SOCKET": manager.address, "LISTEN_FDS": "1"}
-        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-        return subprocess.Popen(command, env=environment, pass_fds=[number], **streams), address
+        (folder / "palm.toml").write_text(f'[server]\nstate = "state.json"\nport = {port or own}\n{text}')
+        shell = ["bash", "-c", f'LISTEN_PID=$$ exec "$@" 3<&{number}', "-"]
+        environment = os.environ | {"NOTIFY_SOCKET": f"{folder}/notify", "LISTEN_FDS": f"{sockets}"}
+        streams = {"pass_fds": [number], "stderr": subprocess.PIPE, "text": True}
+        process = subprocess.Popen([*shell, *TACTILED, "run", folder / "palm.toml"], env=environment, **streams)
+    try:
+        yield process, f"http://{host}:{own}"
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_path):
-    with Manager(tmp_path) as manager:
-        process, (host, port) = start(tmp_path, manager)
-        with process:
-            url = f"http://{host}:{port}"
-            assert manager.receive_until("READY") == {
-                "STATUS": f"{url}: 0 of 1 sensors live, palm silent", "READY": "1", "WATCHDOG": "1",
-            }  # fmt: skip
-            assert httpx.get(f"{url}/api/v1/health", **HTTP).json()["sensors"]
-            process.send_signal(signal.SIGHUP)
-            assert manager.receive_until("RELOADING")["RELOADING"] == "1"
-            assert manager.receive_until("READY") == {"READY": "1"}
-            assert manager.receive_until("WATCHDOG")
-            process.send_signal(signal.SIGTERM)
-            assert manager.receive_until("STOPPING")["STOPPING"] == "1"
-            assert process.wait(BUSY_S) == 0
+    with Manager(f"{tmp_path}/notify") as manager, unit(tmp_path) as (process, url):
+        assert manager.receive("READY")["STATUS"] == f"{url}: 0 of 1 sensors live, palm silent"
+        assert ask("GET", f"{url}/api/v1/health").json()["sensors"]
+        process.send_signal(signal.SIGHUP)
+        assert manager.receive("RELOADING")["RELOADING"] == "1"
+        assert manager.receive("READY") == {"READY": "1"}
+        process.send_signal(signal.SIGTERM)
+        assert manager.receive("STOPPING")
+        assert process.wait(BUSY_S) == 0
 
 
-@pytest.mark.parametrize(
-    ("faults", "line"),
-    [
-        ({"interface": "socketcan"}, "bus socketcan none"),
-        ({"port": 1}, "tactiled.socket: listens at ('127.0.0.1', "),
-    ],
-)
-def test_without_its_bus_or_its_own_address_a_unit_is_never_ready(tmp_path, faults, line):
-    with Manager(tmp_path) as manager:
-        process, _ = start(tmp_path, manager, **faults)
-        output, _ = process.communicate(timeout=BUSY_S)
-        assert (process.returncode, line in output) == (2, True), output
-        assert manager.pending() == []
+FAULTS = {
+    "bus socketcan none": {"interface": "socketcan"},
+    "tactiled.socket: listens at ('127.0.0.1', ": {"port": 1},
+    "LISTEN_FDS = '2': tactiled.socket must hold one socket": {"sockets": 2},
+}
+
+
+@pytest.mark.parametrize("line", FAULTS)
+def test_without_its_bus_or_its_own_socket_a_unit_is_never_ready(tmp_path, line):
+    with Manager(f"{tmp_path}/notify") as manager, unit(tmp_path, **FAULTS[line]) as (process, _):
+        assert line in process.communicate(timeout=BUSY_S)[1]
+        manager.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            manager.receive()
+        assert process.returncode == 2
