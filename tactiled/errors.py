@@ -52,6 +52,10 @@ class StateError(TactileError):
     """The state file, or a calibration file, cannot be written."""
 
 
+class ReaderError(TactileError):
+    """A sensor's reader, on another machine, cannot be reached or fails."""
+
+
 class ReloadError(TactileError):
     """A service that cannot read its configuration again."""
 

@@ -62,6 +62,9 @@ class Loss:
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
     unsent: int = 0  # messages to skins, requests among them, that the bus did not take
     unreadable: int = 0  # what came on the bus and its interface could not decode, whosesoever it was
+    undelivered: int = (
+        0  # images that a reader published and that did not reach the server, or were overtaken there
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

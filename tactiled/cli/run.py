@@ -6,22 +6,29 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Annotated
 
+import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled import logs
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.check import findings_of, prepared
+from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
 from tactiled.runtime.service import Service
-from tactiled.web.server import serve
+from tactiled.web.server import publish, serve
 
 
 def run(
     config: options.Config,
     foxglove: options.Foxglove = None,
     rerun: options.Rerun = None,
+    publishes: Annotated[
+        bool,
+        typer.Option("--publish", help="Publish on the Zenoh network of the configuration, and serve no HTTP."),
+    ] = False,
     _: options.LogFormat = "console",
 ) -> None:
     """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
@@ -31,8 +38,14 @@ def run(
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         server = service.config.server.model_copy(update=options.present(foxglove=foxglove))
+        zenoh = service.config.zenoh
+        if publishes and (zenoh is None or zenoh.robot is None):
+            raise ConfigError(f"{config}: zenoh.robot: missing: --publish needs the table [zenoh] with robot")
         with stoppable(), _reloadable(service), service.running(), to_viewer(service, rerun):
-            serve(service, server)
+            if publishes and zenoh:
+                publish(service, server, zenoh)
+            else:
+                serve(service, server)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ paper    Reproduce the figures of Shimojo's paper, and compare its statements wi
 record   Record all messages of a bus to a file, also of other devices, and error frames.
 restore  Restore the frames of .npy files, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
+serve    Serve the sensors that `run --publish` publishes on a Zenoh network; reads no bus.
 sniff    Listen to a bus and list the known skins on it; sends nothing.
 top      Show rates, ages, losses, warnings and processor time of a running service.
 """

@@ -1,6 +1,6 @@
 """The configuration file: what it may hold, and how it is read."""
 
-from tactiled.config.load import load, parse, validated
-from tactiled.config.schema import Config, Sensor, Server
+from tactiled.config.load import load, load_served, parse, validated
+from tactiled.config.schema import Config, Sensor, Served, Server, Zenoh
 
-__all__ = ["Config", "Sensor", "Server", "load", "parse", "validated"]
+__all__ = ["Config", "Sensor", "Served", "Server", "Zenoh", "load", "load_served", "parse", "validated"]

@@ -12,36 +12,53 @@ from pydantic_core import ErrorDetails
 
 from tactiled import logs
 from tactiled.bus import skins
-from tactiled.bus.reader import no_interface
 from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
-from tactiled.config.schema import Bus, Config
+from tactiled.config.schema import Bus, Config, Served
 from tactiled.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
 MAX_DEPTH = 16  # tables in tables; sensor.NAME.array.positions_mm[0] is the fourth
 TABLES: dict[str, type[BaseModel]] = {
-    "": Config, "server": schema.Server, "bus": schema.Bus, "sensor": schema.Sensor, "array": schema.Array,
-    "cover": schema.Layer, "kernel": schema.Kernel, "calibration": schema.Calibration,
+    "": Config, "server": schema.Server, "zenoh": schema.Zenoh, "bus": schema.Bus, "sensor": schema.Sensor,
+    "array": schema.Array, "cover": schema.Layer, "kernel": schema.Kernel, "calibration": schema.Calibration,
 }  # fmt: skip
 FD_ON_REQUEST = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interfaces that speak CAN FD if fd = true
 
 
 def load(path: Path) -> Config:
     """Read the file at `path`; ConfigError, a line a fault, if it cannot be read or holds what it may not."""
+    return parse(_read(path), str(path), path.parent)
+
+
+def load_served(path: Path) -> Served:
+    """Read the file of `tactiled serve`; ConfigError as of `load`."""
+    served = validated(Served, _parse(_read(path), str(path)), str(path), path.parent)
+    logs.hide(_secrets(served))
+    return served
+
+
+def _read(path: Path) -> str:
     try:
-        text = path.read_text("utf-8")
+        return path.read_text("utf-8")
     except OSError as error:
         raise ConfigError(
             f"{path}: {error.strerror}: give the path of a configuration (`tactiled init` writes one)"
         ) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
-    return parse(text, str(path), path.parent)
 
 
 def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     """Read a configuration from TOML text; `source` names it in the ConfigError, its paths begin in `folder`."""
+    config = validated(Config, _parse(text, source), source, folder)
+    if faults := list(_faults_between_sections(config)):
+        raise ConfigError("\n".join(f"{source}: {fault}" for fault in faults))
+    logs.hide(_secrets(config))
+    return config
+
+
+def _parse(text: str, source: str) -> dict[str, Any]:
     try:
         data = tomllib.loads(text)
         _check_depth(data, MAX_DEPTH)
@@ -49,17 +66,15 @@ def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
         raise ConfigError(f"{source}: not TOML: {error}") from error
     except RecursionError as error:
         raise ConfigError(f"{source}: tables or lists are nested too deep: take some of them out") from error
-    config = validated(Config, data, source, folder)
-    if faults := list(_faults_between_sections(config)):
-        raise ConfigError("\n".join(f"{source}: {fault}" for fault in faults))
-    logs.hide(_secrets(config))
-    return config
+    return data
 
 
-def _secrets(config: Config) -> dict[str, Any]:
-    tokens = config.server.read_token, config.server.control_token
+def _secrets(config: Config | Served) -> dict[str, Any]:
+    password = config.zenoh.password if config.zenoh else None
+    tokens = config.server.read_token, config.server.control_token, password
+    buses = config.bus if isinstance(config, Config) else {}
     return {
-        "buses": {name: bus.settings() for name, bus in config.bus.items()},
+        "buses": {name: bus.settings() for name, bus in buses.items()},
         "tokens": [Secret(each.get_secret_value()) for each in tokens if each],
     }
 
@@ -89,7 +104,9 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: missing"
     if not place:
         return message
-    if fault["type"] == "value_error" or place.endswith("_token"):  # of a table whose values may be secrets
+    if fault["type"] == "value_error" or place.endswith(
+        ("_token", ".password")
+    ):  # of a table whose values may be secrets
         return f"{place}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
         (value,) = show([*seal({"": value}).values()])
@@ -131,6 +148,8 @@ def _cut(value: Any) -> str:
 
 def _faults_between_sections(config: Config) -> Iterator[str]:
     """Faults between sections, and those that other packages know."""
+    from tactiled.bus.reader import no_interface  # which imports python-can: `tactiled serve` needs none
+
     for name, bus in config.bus.items():
         if fault := no_interface(bus.interface):
             yield f"bus.{name}.interface = {_cut(bus.interface)}: {fault}"

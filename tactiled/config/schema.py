@@ -45,6 +45,7 @@ def _check_token(token: SecretStr) -> SecretStr:
     return token
 
 
+Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|udp|ws)/[^/?#\s]+:[0-9]{1,5}$")]
 Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_check_token)]
 
 
@@ -266,9 +267,59 @@ class Sensor(Section):
     """Age of the last frame from which the sensor is stale."""
 
 
+class Zenoh(Section):
+    """A Zenoh network that carries images from readers to servers: give `connect`, `listen` or both."""
+
+    mode: Literal["peer", "client"] = "peer"
+    """`client` of a router, or `peer` that talks to other peers directly."""
+    connect: tuple[Endpoint, ...] = ()
+    """Endpoints to connect to, such as `tcp/192.168.1.2:7447` or `tls/fleet.example:7447`."""
+    listen: tuple[Endpoint, ...] = ()
+    """Endpoints to listen on, of a peer."""
+    prefix: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$", max_length=100)] = "tactiled"
+    """First part of every key."""
+    robot: Name | None = None
+    """Name of the robot whose sensors are published; `tactiled run --publish` needs it."""
+    tls_root_certificate: FileBeside | None = None
+    """PEM file of the authority that signed the other side's certificate; left out: public authorities."""
+    tls_certificate: FileBeside | None = None
+    """PEM file of this side's certificate; belongs with `tls_key`. With both sides' it is mutual TLS."""
+    tls_key: FileBeside | None = None
+    """PEM file of its private key."""
+    user: Annotated[str, Field(min_length=1, max_length=200)] | None = None
+    """User that this side connects as; belongs with `password`."""
+    password: Annotated[SecretStr, Field(min_length=1, max_length=200)] | None = None
+    """Password of that user."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> "Zenoh":
+        if not self.connect and not self.listen:
+            raise ValueError("connect and listen are missing: give endpoints, such as tcp/127.0.0.1:7447")
+        if self.mode == "client" and (not self.connect or self.listen):
+            raise ValueError("mode = 'client': give connect, the router's endpoint, and no listen")
+        for one, other in (("tls_certificate", "tls_key"), ("user", "password")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise ValueError(f"{one} and {other}: give both or neither")
+        return self
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        hosts = [each.split("/", 1)[1].rsplit(":", 1)[0].strip("[]") for each in (*self.connect, *self.listen)]
+        return LOOPBACK.issuperset(hosts)
+
+
 class Config(Section):
     """A complete file."""
 
     server: Server = Server()
+    zenoh: Zenoh | None = None
     bus: dict[Name, Bus] = Field(min_length=1)
     sensor: dict[Name, Sensor] = Field(min_length=1)
+
+
+class Served(Section):
+    """What `tactiled serve` reads: no bus, no sensor."""
+
+    server: Server = Server()
+    zenoh: Zenoh

@@ -6,16 +6,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from tactiled.errors import TactileError
 from tactiled.frames import Image
 from tactiled.interop import foxglove
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
 from tactiled.units import Unit, nanoseconds
 
 with suppress(ImportError):  # `foxglove.need` says so
     import foxglove as sdk
+
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
 
 STATE_EVERY_S = 1.0  # between two messages on a sensor's state, at most
 CONTACTS_EVERY_S = 0.05  # between two messages on contacts, at least
@@ -88,7 +91,7 @@ class _SensorChannels:
 
 
 @contextmanager
-def bridge(service: Service, port: int | None) -> Iterator[int | None]:
+def bridge(service: "Service", port: int | None) -> Iterator[int | None]:
     """Serve Foxglove's apps meanwhile on a port of loopback (0: any free one); gives the port, None without."""
     if port is None:
         yield None

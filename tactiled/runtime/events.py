@@ -19,6 +19,7 @@ Kind = Literal[
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended", "recording_added",
     "calibration_started", "calibration_ended",
     "taxel_faulty", "taxel_healed", "creep_measured", "region_above", "region_below", "region_ignored",
+    "publisher_conflict", "clock_skewed",
     "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000

@@ -1,6 +1,7 @@
 """Guided calibrations: one session a sensor, each by one of five ways."""
 
 from threading import Lock
+from typing import TYPE_CHECKING
 
 from tactiled.build import make_stack
 from tactiled.errors import CalibrationStateError, NoCalibrationError, NotLiveError
@@ -8,7 +9,9 @@ from tactiled.runtime.calibration_session import CalibrationSession, Way
 from tactiled.runtime.cover_procedure import CoverOutcome, CoverProcedure
 from tactiled.runtime.gain_procedure import GainOutcome, GainProcedure
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
 
 Session = CalibrationSession[GainOutcome | CoverOutcome]
 
@@ -16,7 +19,7 @@ Session = CalibrationSession[GainOutcome | CoverOutcome]
 class GuidedCalibrations:
     """The sessions of a service's sensors; any thread may call it."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: "Service") -> None:
         self._service, self._lock = service, Lock()
         self._sessions: dict[str, Session] = {}
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field, replace
 from math import inf, sqrt
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero
 from tactiled.contacts.detection import Contact
@@ -112,6 +115,17 @@ class Sensor:
     def turns(self) -> int | None:
         """Frames that its thread has finished; None while it has none to restore."""
         return self._turns if self._working or self._waiting is not None else None
+
+    @property
+    def references(self) -> list[float | None] | None:
+        """Counts of the newest frame's pads that feel no pressure, None of a missing one; None: it has none."""
+        if self.newest is None or self.newest.references is None:
+            return None
+        return [None if np.isnan(each) else float(each) for each in self.newest.references]
+
+    def deviation(self, image: Image) -> NDArray[np.float32]:
+        """Standard deviation of every cell of the newest restored image, in its unit."""
+        return self.pipeline.deviation(image)
 
     def need_shear(self) -> None:
         """NoShearError where its skin feels none."""

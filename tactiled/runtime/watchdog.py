@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from tactiled import systemd
 from tactiled.runtime.bus_thread import BACK_OFF_S
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import ServiceView
 
 HANGS_AFTER_S = 2 * BACK_OFF_S[1]  # the longest wait of a sound thread is that of a bus that is away
 LOG = logging.getLogger(__name__)
@@ -15,7 +15,7 @@ LOG = logging.getLogger(__name__)
 class Watchdog:
     """Looks at the turns of every thread; call `look` about once a second, from a thread that must move, too."""
 
-    def __init__(self, service: Service, url: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, service: ServiceView, url: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._service, self._url, self._clock = service, url, clock
         self._turns: dict[str, int | None] = {}  # by thread, when all had last moved
         self._moved_at: float | None = None  # s, by `clock`, the same; None before the first look

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import asdict
 from io import BytesIO
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,21 @@ from tactiled.calibrate.drift import State as DriftState
 from tactiled.calibrate.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
-from tactiled.frames import Image, RawFrame
+from tactiled.frames import Image
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
 
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
+
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
 
-def sensor_state(sensor: Sensor) -> schemas.SensorState:
+def sensor_state(sensor: SensorView) -> schemas.SensorState:
     """A sensor as it is now."""
     status, image = sensor.status(), sensor.hub.latest()
     rows, columns = sensor.array.shape or (None, None)
@@ -43,19 +46,12 @@ def sensor_state(sensor: Sensor) -> schemas.SensorState:
         methods=tuple(METHODS),
         clock=sensor.clock,
         sequence=image.sequence if image else None,
-        references=_references(sensor.newest),
+        references=sensor.references,
         error_kinds={kind: status.errors.get(kind, 0) for kind in KINDS},
     )
 
 
-def _references(frame: RawFrame | None) -> list[float | None] | None:
-    """Counts of a frame's reference pads, None where one is missing; None where there are none."""
-    if frame is None or frame.references is None:
-        return None
-    return [None if np.isnan(each) else float(each) for each in frame.references]
-
-
-def health(service: Service) -> schemas.Health:
+def health(service: ServiceView) -> schemas.Health:
     """The service as it is now."""
     sensors = {name: sensor_state(sensor) for name, sensor in service.sensors.items()}
     live = all(each.state == "live" for each in sensors.values())
@@ -78,10 +74,10 @@ def npy(values: NDArray[np.float32]) -> bytes:
     return out.getvalue()
 
 
-def pressures(sensor: Sensor, image: Image, kind: PressureKind) -> NDArray[np.float32]:
+def pressures(sensor: SensorView, image: Image, kind: PressureKind) -> NDArray[np.float32]:
     """An image of this kind, in its unit."""
     if kind == "deviation":
-        return sensor.pipeline.deviation(image)
+        return sensor.deviation(image)
     return image.raw if kind == "raw" else image.restored
 
 
@@ -100,7 +96,7 @@ def _restoration(image: Image) -> dict[str, Any]:
     return schemas.Restoration.shared(image) | {"noise_kpa": if_calibrated(image.noise, image.unit)}
 
 
-def frame(sensor: Sensor, image: Image, kind: PressureKind) -> schemas.Frame:
+def frame(sensor: SensorView, image: Image, kind: PressureKind) -> schemas.Frame:
     """One image, with the sensor's present state."""
     status = sensor.status()
     return schemas.Frame(
@@ -116,13 +112,13 @@ def frame(sensor: Sensor, image: Image, kind: PressureKind) -> schemas.Frame:
     )
 
 
-def shear(sensor: Sensor, image: Image) -> schemas.Shear:
+def shear(sensor: SensorView, image: Image) -> schemas.Shear:
     """Shear of an image that has it, with the sensor's present state."""
     x, y = (numbers(each) for each in np.asarray(image.shear))
     return schemas.Shear(**_message(image, sensor.status()), x=x, y=y)
 
 
-def contacts(sensor: Sensor) -> schemas.Contacts | None:
+def contacts(sensor: SensorView) -> schemas.Contacts | None:
     """Where something touches now; None before the first frame."""
     image, contacts = sensor.contacts()
     if image is None:
@@ -139,7 +135,7 @@ def listed(contacts: Iterable[Contact], unit: Unit) -> list[dict[str, Any]]:
     ]
 
 
-def stream_status(sensor: Sensor, image: Image | None, status: Status) -> schemas.StreamStatus:
+def stream_status(sensor: SensorView, image: Image | None, status: Status) -> schemas.StreamStatus:
     """A sensor's state and how its newest image was made."""
     fields = schemas.Status.shared(status) | {
         "sensor": sensor.name,
@@ -185,7 +181,7 @@ def geometry(sensor: Sensor) -> schemas.Geometry:
     )
 
 
-def method(service: Service, sensor: Sensor) -> schemas.Method:
+def method(service: "Service", sensor: Sensor) -> schemas.Method:
     """How a sensor's frames are restored, and would be after a restart."""
     after_restart = service.state.methods.get(sensor.name) if service.state else None
     return schemas.Method(

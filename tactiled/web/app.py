@@ -1,7 +1,7 @@
 """The ASGI application: REST, streams and the viewer's files."""
 
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, cast, get_args
 
 from fastapi import Depends, FastAPI
 from fastapi.responses import FileResponse
@@ -10,8 +10,10 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 
 from tactiled import __version__
 from tactiled.config import Server
+from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.runtime.guided_calibration import GuidedCalibrations
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import ServiceView
+from tactiled.web import forward
 from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
@@ -23,8 +25,6 @@ from tactiled.web.rest import (
     events,
     frames,
     metrics,
-    playback,
-    recordings,
     regions,
     restore,
     sensors,
@@ -36,6 +36,9 @@ from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
 from tactiled.web.ws.feed import Feeds, ticking
 
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
+
 STATIC = Path(__file__).parent / "static"
 API_PAGE_FILES = ("fastapi_offline", "static")  # package and folder
 MIN_GZIP_BYTES = 2048
@@ -46,8 +49,36 @@ Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, describ
 [asyncapi.json](asyncapi.json)."""
 
 
-def create(service: Service, server: Server) -> FastAPI:
+def create(service: "Service", server: Server) -> FastAPI:
     """Make the application of a service."""
+    app, feeds = _application(service, server)
+    for resource in (shear, sensors, regions, calibration_file, frames, trace, events, config, restore):
+        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
+    if server.recordings is not None:
+        from tactiled.web.rest import playback, recordings  # which import python-can
+
+        buses = {} if service.replayed else service.buses
+        folder = recordings.Recordings(server.recordings, buses, service.events, server.recordings_leave_mb)
+        app.include_router(playback.make(folder, server.recordings_leave_mb))
+        app.include_router(recordings.make(folder))
+    app.include_router(calibration.router)
+    app.include_router(xela.make(feeds))
+    return _complete(app, server)
+
+
+def create_for_fleet(fleet: Fleet, server: Server) -> FastAPI:
+    """Make the application of the sensors of other processes, by names `robot/sensor`."""
+    app, _ = _application(fleet, server)
+    for resource in (shear, sensors, regions, calibration_file, frames, trace, events):
+        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
+    app.include_router(calibration.router)
+    app.include_router(forward.config_of(fleet))
+    app.add_middleware(forward.Forward, fleet=fleet)
+    return _complete(app, server)
+
+
+def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
+    """An application without resources, and the feeds of its streams."""
     feeds = Feeds(service)
     app = FastAPI(
         title="tactiled",
@@ -62,19 +93,14 @@ def create(service: Service, server: Server) -> FastAPI:
     )
     install(app)
     _set_state(app, service, server)
-    resources = (shear, sensors, regions, calibration_file, frames, trace, events, config, restore)
-    for resource in resources:
-        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
-    if server.recordings is not None:
-        buses = {} if service.replayed else service.buses
-        folder = recordings.Recordings(server.recordings, buses, service.events, server.recordings_leave_mb)
-        app.include_router(playback.make(folder, server.recordings_leave_mb))
-        app.include_router(recordings.make(folder))
-    app.include_router(calibration.router)
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.make())
-    app.include_router(xela.make(feeds))
+    return app, feeds
+
+
+def _complete(app: FastAPI, server: Server) -> FastAPI:
+    """Add what comes behind all resources: pages, and what sees a request before them."""
     app.include_router(stream.no_stream())  # behind all other streams
     _add_pages(app)
     uncompressed = (*INCOMPRESSIBLE, *DEFAULT_EXCLUDED_CONTENT_TYPES)
@@ -88,10 +114,10 @@ def create(service: Service, server: Server) -> FastAPI:
     return app
 
 
-def _set_state(app: FastAPI, service: Service, server: Server) -> None:
+def _set_state(app: FastAPI, service: ServiceView, server: Server) -> None:
     """What routes find in `request.app.state`."""
     app.state.service, app.state.server = service, server
-    app.state.calibrations = GuidedCalibrations(service)
+    app.state.calibrations = GuidedCalibrations(cast("Service", service))  # a fleet's are its readers'
     app.state.transfers = restore.Transfers()
     app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.state.waiting = ConcurrencyLimit(events.MAX_WAITING_PER_CLIENT, events.MAX_WAITING, "events_waiting")

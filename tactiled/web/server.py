@@ -10,24 +10,30 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import uvicorn
 from fastapi import FastAPI
 
 from tactiled import logs, systemd
-from tactiled.config import Server, tls
+from tactiled.config import Server, Zenoh, tls
 from tactiled.errors import TactileError
 from tactiled.interop import foxglove
 from tactiled.interop.foxglove_live import bridge
-from tactiled.runtime.service import Service
-from tactiled.runtime.watchdog import Watchdog
-from tactiled.web.app import create
+from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.interop.zenoh_session import need
+from tactiled.runtime.sensor_view import ServiceView
+from tactiled.web.app import create, create_for_fleet
+from tactiled.web.forward import Requests, publisher
 from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places, limit
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
+
+if TYPE_CHECKING:  # which import python-can: `tactiled serve` needs none
+    from tactiled.runtime.service import Service
+    from tactiled.runtime.watchdog import Watchdog
 
 SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
 LOG_LIMIT = logs.LogLimit()
@@ -94,7 +100,7 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _server(app: FastAPI, config: Server, watchdog: Watchdog | None = None) -> uvicorn.Server:
+def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) -> uvicorn.Server:
     """A server whose event loop looks at the watchdog once a second."""
 
     async def look() -> None:
@@ -136,34 +142,61 @@ def _url(listener: socket.socket, config: Server) -> str:
     return f"{'https' if config.tls_certificate else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def serve(service: Service, config: Server) -> None:
+def _application(service: "Service | Fleet", config: Server) -> FastAPI:
+    return create_for_fleet(service, config) if isinstance(service, Fleet) else create(service, config)
+
+
+def _watchdog(service: ServiceView, url: str) -> "Watchdog | None":
+    """What keeps systemd's watchdog quiet, where that started this process."""
+    if not systemd.supervises():
+        return None
+    from tactiled.runtime.watchdog import Watchdog
+
+    return Watchdog(service, url)
+
+
+def serve(service: "Service | Fleet", config: Server) -> None:
     """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
     listener = _socket_of_unit(config) or _listen(config)
     try:
         if config.foxglove is not None:
             foxglove.need("server.foxglove")
-        watchdog = Watchdog(service, _url(listener, config)) if systemd.supervises() else None
-        server = _server(create(service, config), config, watchdog)
-        with bridge(service, config.foxglove) as port, xela_clients(service, config) as address:
+        server = _server(_application(service, config), config, _watchdog(service, _url(listener, config)))
+        with bridge(cast("Service", service), config.foxglove) as port, xela_clients(service, config) as address:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
-            names = ", ".join(service.sensors)
+            names = "sensors of all robots" if isinstance(service, Fleet) else ", ".join(service.sensors)
             logs.announce(f"{names} live at {_url(listener, config)}/{also} (stop: Ctrl-C)")
             server.run(sockets=[listener])
     finally:
         listener.close()
 
 
+def publish(service: "Service", config: Server, settings: Zenoh) -> None:
+    """Publish on a Zenoh network until KeyboardInterrupt; no HTTP, but what a reader has for Foxglove and XELA."""
+    need("zenoh")
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    requests = Requests(create(service, config.model_copy(update={"recordings": None})), config, settings)
+    made, where = publisher(service, settings, requests), f"{settings.prefix}/{settings.robot}"
+    watchdog = _watchdog(service, where)
+    with requests.running(), bridge(service, config.foxglove), xela_clients(service, config), made.running():
+        logs.announce(f"{', '.join(service.sensors)} published as {where} (stop: Ctrl-C)")
+        while True:
+            if watchdog:
+                watchdog.look()
+            time.sleep(1.0)
+
+
 @contextmanager
-def running(service: Service, config: Server | None = None) -> Iterator[str]:
+def running(service: "Service | Fleet", config: Server | None = None) -> Iterator[str]:
     """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
     config = config or Server(port=0)
-    with _on_thread(create(service, config), config) as url:
+    with _on_thread(_application(service, config), config) as url:
         yield url
 
 
 @contextmanager
-def xela_clients(service: Service, config: Server) -> Iterator[str | None]:
+def xela_clients(service: ServiceView, config: Server) -> Iterator[str | None]:
     """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address."""
     if config.xela is None:
         yield None

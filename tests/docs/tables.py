@@ -27,6 +27,7 @@ from tests.docs.markdown import code, codes, is_block, is_table, sentence, table
 KEYS = ("Key", "Value", "Default", "Meaning")
 MODELS = {
     "[server]": config.Server,
+    "[zenoh]": config.Zenoh,
     "[bus.NAME]": config.Bus,
     "[sensor.NAME]": config.Sensor,
     "[sensor.NAME.array]": config.Array,

@@ -57,10 +57,10 @@ class Tokens:
 
     def allowed(self, headers: Headers, query: QueryParams) -> frozenset[Right]:
         """What a request may do."""
-        return self.rights(_token(headers, query)) if self.required else frozenset({"read", "control"})
+        return self.rights(token_of(headers, query)) if self.required else frozenset({"read", "control"})
 
 
-def _token(headers: Headers, query: QueryParams) -> str:
+def token_of(headers: Headers, query: QueryParams) -> str:
     """The token of a request, or ""."""
     scheme, _, token = headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer":

@@ -16,6 +16,7 @@ from tactiled.errors import (
     NoCalibrationError,
     NoShearError,
     NotLiveError,
+    ReaderError,
     ReloadError,
     TactileError,
     TareStateError,
@@ -78,6 +79,8 @@ def install(app: FastAPI) -> None:
         loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
         return response(409, str(error), **loaded)
 
+    app.add_exception_handler(ReaderError, _no_reader)
+
     @app.exception_handler(ConfigError)
     async def _config(_: Request, error: ConfigError) -> Response:
         return response(422, str(error))
@@ -90,6 +93,10 @@ def install(app: FastAPI) -> None:
             return response(415, f"Content-Type: {kind:.80}: give application/json")
         status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
         return response(status, "; ".join(_describe(each) for each in wrong))
+
+
+async def _no_reader(_: Request, error: Exception) -> Response:
+    return response(503, str(error), {"Retry-After": "1"})
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:

@@ -1,6 +1,6 @@
 """`/api/v1/sensors/{name}/calibration/file` and `history`: the calibration file in force, and those before it."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import Field
@@ -9,11 +9,13 @@ from starlette.concurrency import run_in_threadpool
 from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, read
 from tactiled.errors import ConfigError, PhysicsError, StateError
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
 from tactiled.web.rest.openapi import CONTROL, MEDIA, Responses, problems
+
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
 
 router = APIRouter(prefix="/api/v1/sensors/{name}/calibration", tags=["sensors"])
 CONTENT = {MEDIA["calibration"]: {"schema": {"type": "object"}}}
@@ -87,7 +89,7 @@ def apply_again(
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
-def _apply(service: Service, sensor: Sensor, file: CalibrationFile) -> None:
+def _apply(service: "Service", sensor: Sensor, file: CalibrationFile) -> None:
     path = service.config.sensor[sensor.name].calibration.file
     try:
         service.apply_calibration(sensor.name, file)

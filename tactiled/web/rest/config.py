@@ -1,18 +1,20 @@
 """`/api/v1/config`: what the service runs with, without its secrets; and to read the file again."""
 
 import asyncio
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fastapi import APIRouter, Request
 from pydantic import Field
 
 from tactiled.config import Server, schema
 from tactiled.errors import BusError, ConfigError, PhysicsError
-from tactiled.runtime.service import Service
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService
 from tactiled.web.rest.openapi import CONTROL, problems
+
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
 
@@ -46,7 +48,7 @@ class Config(schemas.Schema):
 def config(request: Request, service: CurrentService) -> Config:
     """The configuration with every default, without secrets, and the changes that clients made."""
     return Config(
-        server=_server(request.app.state.server, service),
+        server=server_settings(request.app.state.server, service.state is not None),
         bus=service.config.bus,
         sensor=service.config.sensor,
         overrides=tuple(_overrides(service)),
@@ -85,12 +87,13 @@ async def reload(service: CurrentService) -> Reload:
     return Reload.model_validate(outcome, from_attributes=True)
 
 
-def _named(error: Exception, service: Service) -> str:
+def _named(error: Exception, service: "Service") -> str:
     """An error's text with the file's name in place of its path."""
     return str(error) if service.path is None else str(error).replace(str(service.path), service.path.name)
 
 
-def _server(server: Server, service: Service) -> dict[str, Any]:
+def server_settings(server: Server, keeps_state: bool) -> dict[str, Any]:
+    """The table of the server, of its secrets only whether they are there."""
     guarded = server.control_token is not None  # which a read_token needs, too
     secret = {"read_token", "control_token", "tls_certificate", "tls_key", "recordings", "state"}
     return server.model_dump(exclude=secret) | {
@@ -98,11 +101,11 @@ def _server(server: Server, service: Service) -> dict[str, Any]:
         "control_token": guarded,
         "tls": server.tls_certificate is not None,
         "recordings": server.recordings is not None,
-        "keeps_state": service.state is not None,
+        "keeps_state": keeps_state,
     }
 
 
-def _overrides(service: Service) -> list[Override]:
+def _overrides(service: "Service") -> list[Override]:
     kept_methods = service.state.methods if service.state else {}
     return [
         Override(

@@ -2,21 +2,26 @@
 
 from collections.abc import Callable
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from urllib.parse import unquote
 
 from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
 from starlette.requests import HTTPConnection
 
-from tactiled.build import SensorPlan
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import PlanView, SensorView
 from tactiled.units import PRESSURE
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.negotiation import like
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
+
+if TYPE_CHECKING:
+    from tactiled.runtime.service import Service
+else:
+    Service = Any  # a server of readers elsewhere has none, and imports no python-can
 
 Costly = Literal["pictures", "numbers", "playback"]  # answers of which one of a kind is made at a time
 FORMAT = "format of the answer; left out: by the Accept header"
@@ -34,10 +39,11 @@ async def _sensor(
     name: Annotated[str, Path(description="a sensor, as in the configuration", examples=["palm"])],
     service: CurrentService,
 ) -> Sensor:
-    return service.sensor(name)
+    return service.sensor(unquote(name))
 
 
 NamedSensor = Annotated[Sensor, Depends(_sensor)]
+AnySensor = Annotated[SensorView, Depends(_sensor)]  # here or elsewhere
 
 
 async def check_parameters(request: HTTPConnection) -> None:
@@ -78,7 +84,7 @@ def _accepted(request: Request, offered: tuple[str, ...]) -> str:
     raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
 
 
-def in_unit(plan: SensorPlan, name: str, value: float | None, value_kpa: float | None) -> float | None:
+def in_unit(plan: PlanView, name: str, value: float | None, value_kpa: float | None) -> float | None:
     """A parameter in the unit of the sensor's pressure, sent as `name`, else in kPa as `name`_kpa.
 
     Problem 409 where kPa is sent of a sensor that is uncalibrated.
@@ -88,7 +94,7 @@ def in_unit(plan: SensorPlan, name: str, value: float | None, value_kpa: float |
     return value_kpa if value is None else value
 
 
-def no_frame(sensor: Sensor) -> Problem:
+def no_frame(sensor: SensorView) -> Problem:
     """Why there is no image yet."""
     return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
 

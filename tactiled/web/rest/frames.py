@@ -13,11 +13,12 @@ from starlette.concurrency import run_in_threadpool
 
 from tactiled.frames import Image
 from tactiled.runtime.history import Page
-from tactiled.runtime.sensor import Sensor, Status
+from tactiled.runtime.sensor import Status
+from tactiled.runtime.sensor_view import SensorView
 from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import picture
-from tactiled.web.rest.dependencies import NamedSensor, format_of, in_turn, in_unit, no_frame
+from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.schemas import PressureKind
@@ -105,7 +106,7 @@ class PageQuery(BaseModel):
 
 @router.get("", response_model=Frames, responses=problems(404, 406, 429) | PAGE)
 async def page(
-    sensor: NamedSensor,
+    sensor: AnySensor,
     request: Request,
     query: Annotated[PageQuery, Query()],
     form: Annotated[PageFormat, format_of(PageFormat)],
@@ -133,7 +134,7 @@ async def page(
     return await in_turn(request, answer)
 
 
-def _page(sensor: Sensor, kind: Kind, form: PageFormat, images: Page) -> Response:
+def _page(sensor: SensorView, kind: Kind, form: PageFormat, images: Page) -> Response:
     headers = {
         "X-Tactiled-Unit": _unit(sensor, kind, images),
         "X-Tactiled-Sequence": _ranges(images.sequence),
@@ -157,7 +158,7 @@ def _page(sensor: Sensor, kind: Kind, form: PageFormat, images: Page) -> Respons
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 
-def _unit(sensor: Sensor, kind: Kind, images: Page) -> Unit:
+def _unit(sensor: SensorView, kind: Kind, images: Page) -> Unit:
     return SHEAR if kind == "shear" else images.unit or sensor.plan.unit
 
 
@@ -166,7 +167,7 @@ def _before(images: Page) -> str | None:
     return f"{images.sequence[0]}@{images.since:.6f}" if images.older else None
 
 
-def _json(sensor: Sensor, kind: Kind, images: Page) -> Iterator[bytes]:
+def _json(sensor: SensorView, kind: Kind, images: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
     before, unit = _before(images), _unit(sensor, kind, images)
     head = Frames(sensor=sensor.name, kind=kind, unit=unit, before=before, cut=images.cut, frames=[])
@@ -200,7 +201,7 @@ def _ranges(numbers: NDArray[np.int64]) -> str:
     responses=problems(404, 406, 409, 429, 503) | NEWEST,
 )
 async def newest(
-    sensor: NamedSensor,
+    sensor: AnySensor,
     kind: PressureKind,
     request: Request,
     form: Annotated[NewestFormat, format_of(NewestFormat)],
@@ -240,7 +241,7 @@ def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
 
 
 def _newest(
-    sensor: Sensor, kind: PressureKind, form: NewestFormat, top: float | None
+    sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None
 ) -> tuple[Image, dict[str, str]]:
     """The newest image and its headers."""
     image = sensor.hub.latest()
@@ -251,7 +252,7 @@ def _newest(
     return image, image_headers(image, status, image.unit) | {"ETag": f'W/"{tag}"'}
 
 
-def _newest_image(sensor: Sensor, kind: PressureKind, form: NewestFormat, top: float | None) -> Response:
+def _newest_image(sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None) -> Response:
     image, headers = _newest(sensor, kind, form, top)
     if form == "png":
         content = picture.png(sensor, image, kind, top)

@@ -14,7 +14,7 @@ from prometheus_client.registry import Collector
 
 from tactiled.bus.error_frames import KINDS
 from tactiled.runtime.sensor import Sensor, State
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.runtime.timings import BOUNDS_S, Histogram
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
@@ -49,13 +49,13 @@ def metrics(request: Request, service: CurrentService) -> Response:
     return Response(text(service, state.streams, state.places), media_type=MEDIA_TYPE)
 
 
-def text(service: Service, streams: ConcurrencyLimit, places: Places) -> bytes:
+def text(service: ServiceView, streams: ConcurrencyLimit, places: Places) -> bytes:
     """Every family of a service, its streams, its connections and its process."""
     return generate_latest(_Families(service, streams, places))
 
 
 class _Families(Collector):
-    def __init__(self, service: Service, streams: ConcurrencyLimit, places: Places) -> None:
+    def __init__(self, service: ServiceView, streams: ConcurrencyLimit, places: Places) -> None:
         self._sensors, self._streams, self._places = service.sensors, streams, places
 
     def collect(self) -> Iterable[Metric]:
@@ -64,7 +64,7 @@ class _Families(Collector):
         return chain(_health(self._sensors), _times(self._sensors), _clients(self._streams, self._places), process)
 
 
-def _health(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+def _health(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
     statuses = {name: sensor.status() for name, sensor in sensors.items()}
     states = [
         (name, state, float(state == status.state))
@@ -86,10 +86,11 @@ def _health(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
     yield _family(Gauge, "warning", "1 for each warning of the newest image", ("sensor", "code"), warnings)
 
 
-def _regions(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+def _regions(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
     summaries = [
         (sensor.name, name, summary)
         for sensor in sensors.values()
+        if isinstance(sensor, Sensor)
         for name, each in sensor.regions.series.items()
         if (summary := each.summary())
     ]
@@ -107,7 +108,7 @@ def _regions(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
     )
 
 
-def _times(sensors: Mapping[str, Sensor]) -> Iterator[Metric]:
+def _times(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
     for name, help_text, label, field in HISTOGRAMS:
         family = HistogramMetricFamily(f"tactiled_{name}", help_text, labels=("sensor", label))
         for sensor in sensors.values():

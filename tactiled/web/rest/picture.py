@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
-from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.sensor_view import SensorView
 from tactiled.web import answers
 from tactiled.web.schemas import PressureKind
 
@@ -33,14 +33,14 @@ def colors(name: ColormapName) -> list[list[int]]:
     return table
 
 
-def png(sensor: Sensor, image: Image, kind: PressureKind, top: float | None) -> bytes:
+def png(sensor: SensorView, image: Image, kind: PressureKind, top: float | None) -> bytes:
     """Draw one image, from 0 to `top`, in its unit (default: its own peak, where that stands out of the noise)."""
     out = BytesIO()
     draw(sensor, image, kind, top).savefig(out, format="png")
     return out.getvalue()
 
 
-def draw(sensor: Sensor, image: Image, kind: PressureKind, top: float | None) -> "Figure":
+def draw(sensor: SensorView, image: Image, kind: PressureKind, top: float | None) -> "Figure":
     """Lay the picture out; the map comes first among its axes, the legend second."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -75,7 +75,7 @@ def _peak(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> floa
 
 
 def _map(
-    axes: "Axes", sensor: Sensor, values: NDArray[np.float32], extent: tuple[float, float, float, float]
+    axes: "Axes", sensor: SensorView, values: NDArray[np.float32], extent: tuple[float, float, float, float]
 ) -> "ScalarMappable":
     """Cells of a grid, or the apertures of another layout; extent: left, right, bottom, top, mm."""
     from matplotlib import colormaps

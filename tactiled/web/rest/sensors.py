@@ -9,7 +9,7 @@ from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest import picture
-from tactiled.web.rest.dependencies import CurrentService, NamedSensor, no_frame, without_path
+from tactiled.web.rest.dependencies import AnySensor, CurrentService, NamedSensor, no_frame, without_path
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 router = APIRouter(prefix="/api/v1")
@@ -36,7 +36,7 @@ def sensors(service: CurrentService) -> schemas.Sensors:
 
 
 @router.get("/sensors/{name}", tags=["sensors"], responses=problems(404))
-def sensor_state(sensor: NamedSensor) -> schemas.SensorState:
+def sensor_state(sensor: AnySensor) -> schemas.SensorState:
     """One sensor with its state, age, rate, method and loss counts."""
     return answers.sensor_state(sensor)
 
@@ -109,7 +109,7 @@ def taxel_health(sensor: NamedSensor) -> calibration_schemas.TaxelHealth:
 
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))
-def contacts(sensor: NamedSensor) -> schemas.Contacts:
+def contacts(sensor: AnySensor) -> schemas.Contacts:
     """The contacts: centre, force, area, peak, axes, and an id that stays while the contact lasts."""
     contacts = answers.contacts(sensor)
     if contacts is None:

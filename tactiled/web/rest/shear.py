@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 
 from tactiled.units import SHEAR
 from tactiled.web import answers, schemas
-from tactiled.web.rest.dependencies import NamedSensor, format_of, no_frame
+from tactiled.web.rest.dependencies import AnySensor, format_of, no_frame
 from tactiled.web.rest.frames import IMAGE_HEADERS, image_headers
 from tactiled.web.rest.openapi import MEDIA, problems, success
 
@@ -23,7 +23,7 @@ router = APIRouter(prefix="/api/v1", tags=["frames"])
     response_model=schemas.Shear,
     responses=problems(404, 406, 503) | NEWEST,
 )
-def shear(sensor: NamedSensor, form: Annotated[Format, format_of(Format)]) -> Response:
+def shear(sensor: AnySensor, form: Annotated[Format, format_of(Format)]) -> Response:
     """Shear of the newest frame along the skin's x and y axes, in counts; 404 if the skin has none."""
     sensor.need_shear()
     image = sensor.hub.latest()

@@ -12,7 +12,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 /**
  * What went wrong on the way in, counted since the service started.
  * @typedef {Record<"lost"|"repeated"|"late"|"foreign"|"malformed"|"dropped"|"incomplete"|"skipped"|"errors"|"bus_off"
- *   |"unsent"|"unreadable", number>} Loss
+ *   |"unsent"|"unreadable"|"undelivered", number>} Loss
  */
 
 /**

@@ -37,6 +37,7 @@ const LOSSES = /** @type {const} */ ({
     ["bus_off", "bus-off", "times that the bus interface left the bus because of errors"],
     ["unsent", "unsent", "messages to sensors that the bus did not accept"],
     ["unreadable", "unreadable", "messages that the bus interface could not decode"],
+    ["undelivered", "undelivered", "images that did not come from the sensor's reader, or were overtaken"],
   ],
 });
 

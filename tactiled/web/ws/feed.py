@@ -7,8 +7,7 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import NamedTuple
 
 from tactiled.frames import Image
-from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.web import answers, schemas
 from tactiled.web.http.protocols import frame
 from tactiled.wire import Kind, pack
@@ -35,7 +34,7 @@ class ContactsFrame(NamedTuple):
 class Feed:
     """Wakes the clients of one sensor when there is something new; lives on one event loop."""
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: SensorView) -> None:
         self.sensor = sensor
         self.image: Image | None = None
         self._frames: dict[Format, list[bytes]] = {}
@@ -131,9 +130,9 @@ class Feed:
 class Feeds(Mapping[str, Feed]):
     """The feed of every sensor of a service, also after a reload; lives on one event loop."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: ServiceView) -> None:
         self._service = service
-        self._sensors: dict[str, Sensor] = {}
+        self._sensors: Mapping[str, SensorView] = {}
         self._feeds: dict[str, Feed] = {}
         self._listeners: set[Callable[[], None]] = set()
         self.follow()

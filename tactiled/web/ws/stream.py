@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from typing import NamedTuple
+from urllib.parse import unquote
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
@@ -33,7 +34,7 @@ def make(feeds: Feeds, faults: Faults) -> APIRouter:
 
     @router.websocket("/sensors/{name}/stream")
     async def _one(socket: WebSocket, name: str) -> None:
-        await _serve(socket, lambda: Stream(socket, feeds, _one_sensor(socket, name), faults))
+        await _serve(socket, lambda: Stream(socket, feeds, _one_sensor(socket, unquote(name)), faults))
 
     @router.websocket("/stream")
     async def _several(socket: WebSocket) -> None:

@@ -10,6 +10,7 @@ import asyncio
 import json
 import time
 from contextlib import ExitStack
+from typing import cast
 
 import numpy as np
 from fastapi import APIRouter, FastAPI, WebSocket
@@ -17,7 +18,8 @@ from fastapi import APIRouter, FastAPI, WebSocket
 from tactiled.bus.codecs.xela import REST, Xela
 from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
-from tactiled.runtime.service import Service
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.sensor_view import ServiceView
 from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
@@ -54,14 +56,14 @@ def make(feeds: Feeds) -> APIRouter:
 
 def _modules(feeds: Feeds, before: list["_Module"]) -> list["_Module"]:
     """The modules that there are now: the same objects where nothing has changed."""
-    ours = [(feed, feed.sensor.codec) for feed in feeds.values()]
+    ours = [(feed, getattr(feed.sensor, "codec", None)) for feed in feeds.values()]
     xelas = [(feed, codec.model_name) for feed, codec in ours if isinstance(codec, Xela)]
     if [feed for feed, _ in xelas] == [each.feed for each in before]:
         return before
     return [_Module(str(number), feed, model) for number, (feed, model) in enumerate(xelas, 1)]
 
 
-def alone(service: Service, server: Server) -> FastAPI:
+def alone(service: ServiceView, server: Server) -> FastAPI:
     """An application that has nothing but this WebSocket, for a port of its own."""
     feeds = Feeds(service)
     app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
@@ -78,11 +80,12 @@ class _Module:
 
     def __init__(self, key: str, feed: Feed, model: str) -> None:
         self.key, self.feed, self._model = key, feed, model
+        self._sensor = cast(Sensor, feed.sensor)
         self._cache: tuple[RawFrame, str] | None = None
 
     def newest(self) -> RawFrame | None:
         """The newest frame of a live module; None of one with taxels missing, which the format cannot express."""
-        frame = self.feed.sensor.newest
+        frame = self._sensor.newest
         if frame is None or frame.shear is None or self.feed.status().state != "live":
             return None
         return None if (frame.flags & MISSING).any() else frame
@@ -96,7 +99,7 @@ class _Module:
     def _part(self, frame: RawFrame) -> dict[str, object]:
         """Counts as they came, X, Y and Z of a taxel after another's, and its forces where known."""
         counts = np.vstack([np.asarray(frame.shear) + REST, frame.counts]).T.astype(int)
-        forces = self.feed.sensor.pipeline.forces(frame)
+        forces = self._sensor.pipeline.forces(frame)
         size = len(counts)
         return {
             "sensor": self.key,

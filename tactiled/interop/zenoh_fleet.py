@@ -1,0 +1,321 @@
+"""The sensors of all robots on a Zenoh network, as a service has them; and the way back to their readers."""
+
+import json
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, get_args
+
+from tactiled.config import Server, Zenoh
+from tactiled.errors import ReaderError, UnknownSensorError
+from tactiled.frames import FrameWarning
+from tactiled.interop.zenoh_sensor import MAX_SKEW_S, Line, RemoteSensor
+from tactiled.interop.zenoh_session import (
+    HEARTBEAT_S,
+    REQUEST_S,
+    Answer,
+    Head,
+    Request,
+    connected,
+    open_session,
+    unpack,
+)  # fmt: skip
+from tactiled.runtime.events import Events, Faults, Kind
+from tactiled.runtime.watch import STATE_EVENTS
+from tactiled.threads import join_started
+from tactiled.wire import KINDS
+
+if TYPE_CHECKING:
+    import zenoh
+
+LOG = logging.getLogger(__name__)
+LOOK_S = 0.1  # how often states are looked at when no image comes
+LINK_S = 2 * LOOK_S  # in which the end of our own link is seen, after that of the tokens
+CLOCK_S = 5.0  # between two comparisons with a reader's clock: 100 ppm of drift are 0.5 ms
+MAX_QUESTIONS = 8  # to readers at a time, beside those of clients
+HISTORY_SHARE = 8  # a new sensor's past images have this part of the memory that is left for them
+EVENT_KINDS = frozenset(get_args(Kind))
+
+
+class Fleet:
+    """Every sensor that a reader publishes: what the web has of a service, by names `robot/sensor`."""
+
+    def __init__(self, settings: Zenoh, server: Server) -> None:
+        self._settings, self._server = settings, server
+        self.events = Events()
+        self.faults = Faults(self.events)
+        self.sensors: dict[str, RemoteSensor] = {}  # replaced when one comes, never changed
+        self._lines: dict[str, Line] = {}
+        self._described: dict[str, str] = {}  # by name: the session of which state and geometry came
+        self._due: dict[str, float] = {}  # s, monotonic: when a line's description, then its clock, is asked for
+        self._waiting: dict[str, Any] = {}  # the newest frame of a line that is not described yet
+        self._history: dict[str, tuple[float, int]] = {}  # s and bytes of a sensor's past images
+        self._history_left = server.history_mb * 1e6  # bytes
+        self._states: dict[str, str] = {}  # at the last look
+        self._skewed: set[str] = set()
+        self._inbox: deque[Callable[[], None]] = deque()  # for the thread
+        self._ready: deque[Line] = deque()
+        self._wake, self._stopping = threading.Event(), threading.Event()
+        self._questions = ThreadPoolExecutor(MAX_QUESTIONS, "zenoh question")
+        self._session: zenoh.Session | None = None
+        self._turns = 0
+        self._thread = threading.Thread(target=self._run, name="zenoh", daemon=True)
+
+    def sensor(self, name: str) -> RemoteSensor:
+        """The sensor of that name; UnknownSensorError if no reader has published it."""
+        try:
+            return self.sensors[name]
+        except KeyError as error:
+            raise UnknownSensorError.among(name, self.sensors) from error
+
+    def turns(self) -> dict[str, int | None]:
+        """Turns of the thread so far; None before it has joined the network."""
+        return {"zenoh": self._turns or None}
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Subscribe meanwhile."""
+        self._thread.start()
+        try:
+            yield
+        finally:
+            self._stopping.set()
+            self._wake.set()
+            join_started(self._thread)
+            self._questions.shutdown(cancel_futures=True)
+            for sensor in self.sensors.values():
+                sensor.stop()
+
+    def request(self, name: str, request: Request) -> Answer:
+        """Have a sensor's reader answer a request; ReaderError where none does."""
+        line, session = self.sensor(name).line, self._session
+        if line.down or session is None:
+            raise ReaderError(f"sensor {name!r}: {line.down or 'not connected'}")
+        resource = request.path.removeprefix("/")
+        about = {"method": request.method, "query": request.query, "headers": request.headers}
+        key = f"{self._base(line)}/{line.session}/rest/{resource}"
+        replies = session.get(key, payload=request.body, attachment=json.dumps(about), timeout=REQUEST_S)
+        for reply in replies:
+            if reply.ok and reply.ok.attachment:
+                about = json.loads(reply.ok.attachment.to_bytes())
+                return Answer(about["status"], about["headers"], reply.ok.payload.to_bytes())
+            if reply.err and reply.err.payload.to_bytes() != b"Timeout":
+                raise ReaderError(f"sensor {name!r}: its reader failed: {reply.err.payload.to_string()}")
+        unknown = "" if request.method == "GET" else ": whether it was done is unknown"
+        raise ReaderError(f"sensor {name!r}: its reader did not answer within {REQUEST_S:g} s{unknown}")
+
+    def _base(self, line: Line) -> str:
+        return f"{self._settings.prefix}/{line.name}"
+
+    def _join(self) -> "zenoh.Session | None":
+        sessions: list[zenoh.Session] = []
+        while not sessions and not self._stopping.is_set():
+            with self.faults.turn("zenoh"):
+                sessions.append(open_session(self._settings))
+            if not sessions:
+                self._stopping.wait(HEARTBEAT_S)
+        return sessions[0] if sessions else None
+
+    def _run(self) -> None:
+        session = self._session = self._join()
+        if session is None:
+            return
+        try:
+            self._subscribe(session)
+            while not self._stopping.is_set():
+                self._wake.wait(LOOK_S)
+                self._wake.clear()
+                with self.faults.turn("zenoh"):
+                    self._work(time.monotonic())
+                self._turns += 1
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def _subscribe(self, session: "zenoh.Session") -> None:
+        prefix = self._settings.prefix
+        for kind in KINDS:
+            session.declare_subscriber(f"{prefix}/*/*/{kind}", partial(self._take_image, kind))
+        session.declare_subscriber(f"{prefix}/*/*/state", self._take_state)
+        session.declare_subscriber(f"{prefix}/*/events", self._take_event)
+        session.liveliness().declare_subscriber(f"{prefix}/*/*/alive/*", self._take_token, history=True)
+
+    def _name(self, sample: "zenoh.Sample") -> str:
+        """Robot and sensor of a message."""
+        return "/".join(str(sample.key_expr).removeprefix(f"{self._settings.prefix}/").split("/", 2)[:2])
+
+    def _accept(self, sample: "zenoh.Sample") -> tuple[Line, Head, bytes] | None:
+        """The line of a message, if it is of the session that counts."""
+        line = self._lines.get(self._name(sample))
+        if line is None or sample.attachment is None:
+            return None
+        head, detail = unpack(sample.attachment.to_bytes())
+        if head.session != line.session:
+            return None
+        line.heard_at = time.monotonic()
+        return line, head, detail
+
+    def _take_image(self, kind: str, sample: "zenoh.Sample") -> None:
+        with suppress(ValueError):  # not one of ours
+            message = self._accept(sample)
+            if message and message[0].parts.add(message[1], kind, sample.payload.to_bytes(), message[2]):
+                self._ready.append(message[0])
+                self._wake.set()
+
+    def _take_state(self, sample: "zenoh.Sample") -> None:
+        with suppress(ValueError):
+            message = self._accept(sample)
+            if message:
+                state = json.loads(sample.payload.to_bytes())
+                self._later(partial(self._set_state, message[0], state))
+
+    def _take_token(self, sample: "zenoh.Sample") -> None:
+        import zenoh
+
+        session = str(sample.key_expr).rpartition("/")[2]
+        came = sample.kind == zenoh.SampleKind.PUT
+        self._later(partial(self._set_token, self._name(sample), session, came))
+
+    def _take_event(self, sample: "zenoh.Sample") -> None:
+        with suppress(ValueError):
+            event = json.loads(sample.payload.to_bytes())
+            robot = str(sample.key_expr).split("/")[-2]
+            self._later(partial(self._add_event, robot, event))
+
+    def _later(self, work: Callable[[], None]) -> None:
+        self._inbox.append(work)
+        self._wake.set()
+
+    def _add_event(self, robot: str, event: Mapping[str, Any]) -> None:
+        if event["kind"] in EVENT_KINDS:
+            sensor, bus = (event[each] and f"{robot}/{event[each]}" for each in ("sensor", "bus"))
+            warning = FrameWarning(**event["warning"]) if event["warning"] else None
+            self.events.add(event["kind"], event["text"], sensor, bus, warning)
+
+    def _set_token(self, name: str, session: str, came: bool) -> None:
+        """A publisher came or went."""
+        line = self._lines.setdefault(name, Line(name))
+        if came:
+            changed, others = line.appear(session), [each for each in line.sessions if each != session]
+            if others:
+                text = f"sessions {others[0]} and {session} both publish it: only the first is shown"
+                self.events.add("publisher_conflict", text, name)
+        else:
+            changed = line.vanish(session, time.monotonic())
+        if changed:
+            self._due[name] = 0.0
+            self._waiting.pop(name, None)
+        if came:
+            line.heard_at = time.monotonic()
+
+    def _set_state(self, line: Line, state: dict[str, Any]) -> None:
+        line.close(state["closing"])
+        if sensor := self.sensors.get(line.name):
+            sensor.state_fields = state
+
+    def _work(self, now: float) -> None:
+        while self._inbox:
+            self._inbox.popleft()()
+        while self._ready:
+            line = self._ready.popleft()
+            if (frame := line.parts.pop()) is not None:
+                self._show(line, *frame)
+        linked = self._session is not None and connected(self._session)
+        for name, line in self._lines.items():
+            line.look_at_link(linked)
+            if line.down is None and now >= self._due.get(name, 0.0):
+                self._due[name] = now + CLOCK_S
+                ask = self._compare_clock if self._described.get(name) == line.session else self._describe
+                self._questions.submit(ask, line, str(line.session))
+        self._look()
+
+    def _show(self, line: Line, head: Head, messages: Mapping[str, tuple[bytes, bytes]]) -> None:
+        if self._described.get(line.name) != head.session:
+            self._waiting[line.name] = head, messages
+            return
+        with self.faults.turn(f"images of {line.name}"):
+            self.sensors[line.name].take(messages, time.monotonic(), time.time())
+
+    def _describe(self, line: Line, session: str) -> None:
+        """Ask a new publisher for its sensor's state, geometry and newest frame, on a thread of `questions`."""
+        with self.faults.turn(f"description of {line.name}"):
+            states = self._get(line, "state", session)
+            answer = self._ask(line, f"{session}/rest/geometry")
+            if not states or answer is None:
+                self._due[line.name] = time.monotonic() + HEARTBEAT_S
+                return
+            state, geometry = json.loads(states[0][1]), json.loads(answer)
+            newest: dict[str, Any] = {kind: each[0] for kind in KINDS if (each := self._get(line, kind, session))}
+            self._compare_clock(line, session)
+            self._later(partial(self._set_description, line, session, state, geometry, newest))
+
+    def _get(self, line: Line, kind: str, session: str) -> list[tuple[Head, bytes, bytes]]:
+        """The newest message of a kind, of a publisher, with its head and detail."""
+        assert self._session is not None
+        replies = self._session.get(f"{self._base(line)}/{kind}", timeout=REQUEST_S)
+        newest = []
+        for sample in (each.ok for each in replies if each.ok):
+            if sample.attachment:
+                head, detail = unpack(sample.attachment.to_bytes())
+                newest += [(head, sample.payload.to_bytes(), detail)] if head.session == session else []
+        return newest
+
+    def _ask(self, line: Line, resource: str) -> bytes | None:
+        assert self._session is not None
+        replies = self._session.get(f"{self._base(line)}/{resource}", timeout=REQUEST_S)
+        return next((each.ok.payload.to_bytes() for each in replies if each.ok), None)
+
+    def _compare_clock(self, line: Line, session: str) -> None:
+        start, began = time.time(), time.monotonic()
+        answer = self._ask(line, f"{session}/clock")
+        if answer is not None and session == line.session:
+            line.offset.add(start, float(answer), start + time.monotonic() - began)
+
+    def _set_description(
+        self, line: Line, session: str, state: dict[str, Any], geometry: dict[str, Any], newest: Mapping[str, Any]
+    ) -> None:
+        """Take what a publisher has answered: the same sensor goes on where its geometry is the same."""
+        if session != line.session:
+            return
+        name, sensor = line.name, self.sensors.get(line.name)
+        if sensor is None or sensor.geometry != geometry or sensor.state_fields["shear"] != state["shear"]:
+            if sensor is None:
+                self._history_left -= (share := self._history_left / HISTORY_SHARE)
+                self._history[name] = self._server.history_s, int(share)
+            request = partial(self.request, name)
+            made = RemoteSensor(line, state, geometry, self._history[name], request)
+            self.sensors = self.sensors | {name: made}
+            if sensor:
+                sensor.stop()
+        self.sensors[name].state_fields = state
+        self._described[name] = session
+        waiting = self._waiting.pop(name, None)
+        if waiting is None and newest and len(newest) == newest["raw"][0].kinds:
+            numbers = {head.number for head, _, _ in newest.values()}
+            waiting = (
+                (newest["raw"][0], {kind: each[1:] for kind, each in newest.items()})
+                if len(numbers) == 1
+                else None
+            )
+        if waiting is not None and waiting[0].session == session:
+            self._show(line, *waiting)
+
+    def _look(self) -> None:
+        """Add an event for every change of a state, and for a clock that is wrong."""
+        for name, sensor in self.sensors.items():
+            status = sensor.status()
+            if time.monotonic() - sensor.line.down_at < LINK_S:
+                continue
+            if self._states.get(name, "silent") != status.state:
+                self.events.add(STATE_EVENTS[status.state], status.detail or "frames come", name)
+            self._states[name] = status.state
+            offset = sensor.line.offset
+            skewed = offset.offset_s is not None and abs(offset.offset_s) - offset.error_s > MAX_SKEW_S
+            if skewed and name not in self._skewed:
+                self.events.add("clock_skewed", f"its reader's clock is {offset}", name)
+            (self._skewed.add if skewed else self._skewed.discard)(name)
+        self.faults.clear()

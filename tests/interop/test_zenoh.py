@@ -1,0 +1,143 @@
+"""Readers, routers and servers as they run: processes of their own where one is killed or cut off."""
+
+import json
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from tactiled.config import Server, Zenoh, parse
+from tactiled.interop.zenoh_session import Request
+from tactiled.web.app import create
+from tactiled.web.forward import Requests, publisher
+from tactiled.web.server import running
+from tactiled.wire import unpack
+from tests.conftest import BUSY_S, CONFIG, ask, pressed, problem, until
+from tests.interop.zenoh_kit import NAME, detail, fleet_at, free_port, kinds, pass_on, state
+
+TOKEN = "0123456789abcdef"
+
+
+@contextmanager
+def published(rig, endpoint, server=Server(), **settings):  # noqa: B008, frozen
+    """A rig's sensors on the network, from this process."""
+    settings = Zenoh(connect=[endpoint], robot="r1", **settings)
+    requests = Requests(create(rig.service, server), server, settings)
+    with requests.running(), publisher(rig.service, settings, requests).running():
+        yield
+
+
+@pytest.fixture
+def served(rig):
+    """Publishes the rig from this process and serves it; gives the fleet and the address of its API."""
+    with ExitStack() as stack:
+
+        def start(reader_server=Server(), server=Server(port=0), **settings):  # noqa: B008
+            endpoint = f"tcp/127.0.0.1:{free_port()}"
+            listening = fleet_at("", mode="peer", connect=[], listen=[endpoint], **settings)
+            fleet = stack.enter_context(listening)
+            stack.enter_context(published(rig, endpoint, reader_server, **settings))
+            until(lambda: NAME in fleet.sensors)
+            return fleet, stack.enter_context(running(fleet, server)) + "/api/v1"
+
+        yield start
+
+
+def test_one_who_comes_late_gets_the_newest_frame_and_all_that_is_known(rig, served):
+    image = rig.show(pressed())
+    fleet, url = served(user="hand", password="hunter2hunter2")
+    until(lambda: fleet.sensors[NAME].hub.latest())
+    got = fleet.sensors[NAME].hub.latest()
+    np.testing.assert_array_equal(got.restored, image.restored)
+    np.testing.assert_array_equal(got.raw, image.raw)
+    assert (got.sequence, got.time, got.why, got.method) == (image.sequence, image.time, image.why, image.method)
+    assert (got.warnings, got.noise_gain) == (image.warnings, pytest.approx(image.noise_gain))
+    one = f"{url}/sensors/r1"
+    assert ask("GET", f"{one}/palm/geometry").json()["raw"]["rows"] == 8
+    assert ask("GET", f"{one}%2Fpalm/kernel").json()["model"] == "layered"
+    assert ask("GET", f"{one}/palm/method").json()["method"] == "wiener"
+    config = ask("GET", f"{url}/config")
+    assert config.json()["sensor"][NAME]["bus"] == "r1/can0"
+    assert "hunter2" not in config.text
+    assert ask("GET", f"{url}/sensors").json()["sensors"][0]["name"] == NAME
+    frame = ask("GET", f"{one}/palm/frames/raw").json()
+    assert (frame["sensor"], frame["sequence"]) == (NAME, image.sequence)
+    deviation = ask("GET", f"{one}/palm/frames/deviation").json()["values"]
+    np.testing.assert_allclose(deviation, rig.sensor.pipeline.deviation(image), atol=1e-4)
+    until(
+        lambda: state(fleet) == "stale" and "no frame for" in detail(fleet)
+    )  # a silent skin, not a silent reader
+    assert "no such sensor" in problem(ask("GET", f"{url}/sensors/r1/tip"), 404)
+
+
+def test_images_pass_bit_for_bit_and_the_stream_bears_the_joint_name(rig, served):
+    fleet, url = served()
+    rig.stale_after(BUSY_S)
+    rig.show(pressed())
+    until(lambda: fleet.sensors[NAME].hub.latest())
+    address = f"{url.replace('http', 'ws')}/stream?sensors={NAME}&kinds=restored&flow=credit"
+    with connect(address, open_timeout=BUSY_S) as socket_:
+        for at in range(3):
+            image = pass_on(rig, fleet, pressed(at))
+            socket_.send(json.dumps({"type": "next", "sensor": NAME}))
+            while isinstance(message := socket_.recv(timeout=BUSY_S), str):
+                pass
+            part = unpack(message)
+            assert (part.sensor, part.sequence, part.timestamp) == (NAME, image.sequence, image.time)
+            np.testing.assert_array_equal(part.values, image.restored)
+    with connect(f"{url.replace('http', 'ws')}/sensors/r1%2Fpalm/stream", open_timeout=BUSY_S) as socket_:
+        assert json.loads(socket_.recv(timeout=BUSY_S))["sensor"] == NAME
+    page = ask("GET", f"{url}/sensors/{NAME}/frames?last=60s").json()
+    assert page["frames"][-1]["sequence"] == image.sequence
+
+
+def test_a_change_needs_the_control_token_of_the_server_and_of_the_reader(rig, served):
+    token = {"control_token": TOKEN}
+    fleet, url = served(Server(**token), Server(port=0, **token))
+    path, bearer = f"{url}/sensors/r1/palm/method", {"Authorization": f"Bearer {TOKEN}"}
+    problem(ask("PUT", path, json={"method": "nnls"}), 401)  # by the server
+    assert ask("PUT", path, json={"method": "nnls"}, headers=bearer).json()["method"] == "nnls"
+    assert rig.sensor.method == "nnls"
+    until(lambda: fleet.sensors[NAME].method == "nnls")
+    until(lambda: kinds(fleet, "method_set"))
+    reply = fleet.request(NAME, Request("PUT", "method", body=b'{"method": "raw"}'))
+    assert (reply.status, rig.sensor.method) == (401, "nnls")  # by the reader
+    wrong = {"authorization": "Bearer " + TOKEN[::-1]}
+    assert fleet.request(NAME, Request("POST", "tare", headers=wrong)).status == 401
+    assert not rig.sensor.pipeline._tare_frames.stop()
+    assert fleet.request(NAME, Request("GET", "method")).status == 200  # whoever sees the frames may read
+
+
+def test_a_tare_through_the_server_is_done_and_reported_there(rig, served):
+    fleet, url = served()
+    with rig.playing(50):
+        until(lambda: state(fleet) == "live")
+        answer = ask("POST", f"{url}/sensors/{NAME}/tare?force=true")
+        assert answer.status_code == 202
+        until(lambda: kinds(fleet, "tare_done"))
+    assert rig.sensor.pipeline.tared == 1
+
+
+def test_a_reader_without_a_token_lets_nothing_change_beyond_its_machine(rig):
+    server = Server()
+    for endpoint, status in (("tcp/127.0.0.1:7447", 200), ("tcp/10.0.0.1:7447", 403)):
+        requests = Requests(create(rig.service, server), server, Zenoh(connect=[endpoint], robot="r1"))
+        with requests.running():
+            body, headers = b'{"method": "raw"}', {"content-type": "application/json"}
+            assert requests(Request("PUT", "/sensors/palm/method", "", headers, body)).status == status
+            assert requests(Request("GET", "/sensors/palm/method")).status == 200
+
+
+@pytest.mark.parametrize(
+    ("table", "error"),
+    [
+        ("", "connect and listen are missing"),
+        ('connect = ["127.0.0.1:7447"]', r"zenoh.connect\[0\] = '127.0.0.1:7447'"),
+        ('mode = "client"\nlisten = ["tcp/127.0.0.1:7447"]', "give connect, the router's endpoint"),
+        ('connect = ["tcp/127.0.0.1:7447"]\nuser = "hand"', "user and password: give both or neither"),
+    ],
+)
+def test_a_wrong_table_is_refused_by_its_key(table, error):
+    with pytest.raises(Exception, match=error):
+        parse(CONFIG.format(channel="x") + f"\n[zenoh]\n{table}\n")

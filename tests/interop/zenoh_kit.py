@@ -1,0 +1,44 @@
+import socket
+from contextlib import contextmanager, suppress
+
+from tactiled.config import Server, Zenoh
+from tactiled.interop.zenoh_fleet import Fleet
+from tests.conftest import until
+
+NAME = "r1/palm"
+
+
+def free_port():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+@contextmanager
+def fleet_at(endpoint, **settings):
+    """A server's sensors, and every image of r1/palm that it shows, by session."""
+    fleet = Fleet(Zenoh(**({"mode": "client", "connect": [endpoint]} | settings)), Server())
+    with fleet.running():
+        yield fleet
+
+
+def kinds(fleet, kind):
+    return [event.text for event in fleet.events.after(0) if event.kind == kind]
+
+
+def state(fleet):
+    sensor = fleet.sensors.get(NAME)
+    return sensor.status().state if sensor else None
+
+
+def detail(fleet):
+    return fleet.sensors[NAME].status().detail
+
+
+def pass_on(rig, fleet, counts):
+    """Show frames until one comes through: a busy link may drop some."""
+    while True:
+        image = rig.show(counts)
+        with suppress(AssertionError):
+            until(lambda: fleet.sensors[NAME].hub.latest().sequence == image.sequence, 5.0)  # noqa: B023
+            return image
