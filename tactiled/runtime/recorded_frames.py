@@ -122,7 +122,7 @@ def write_frames(
     return recording.summary()
 
 
-def file_version(path: Path) -> tuple[int, int]:
+def _version(path: Path) -> tuple[int, int]:
     """What differs where a file was written anew: time of change and size."""
     status = path.stat()
     return status.st_mtime_ns, status.st_size
@@ -133,13 +133,17 @@ class RecordedFrames:
 
     def __init__(self, path: Path, codecs: Mapping[str, Codec], leave_mb: float = 0.0) -> None:
         """OSError where its folder takes no files."""
-        self.path, self.version, self.used_at = path, file_version(path), 0.0
+        self.path, self._made_of, self.used_at = path, (_version(path), codecs), 0.0
         self._sizes = {name: each.size for name, each in codecs.items()}
         self._files = {name: (_File(path.parent), _File(path.parent)) for name in codecs}
         self.summary = self.error = ""  # of the recording; why it, or its reading, ended early
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs, leave_mb), name=f"read {path.name}", daemon=True)
         self._thread.start()
+
+    def is_of(self, codecs: Mapping[str, Codec]) -> bool:
+        """Whether these codecs would read the same from the file as it is now; OSError where it is not there."""
+        return self._made_of == (_version(self.path), codecs)
 
     @property
     def reading(self) -> bool:

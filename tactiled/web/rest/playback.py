@@ -15,7 +15,7 @@ from tactiled.errors import TactileError
 from tactiled.frames import Loss
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.runtime.playback import Playback
-from tactiled.runtime.recorded_frames import RecordedFrames, file_version
+from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
@@ -108,7 +108,7 @@ class Playbacks:
         self._restoring = lru_cache(MAX_OPEN)(Playback)
 
     def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
-        """The frames of a file, which is read again where it has changed; Problem 503 where it cannot be."""
+        """The frames of a file, read again where it or the bus has changed; Problem 503 where it cannot be."""
         key, now = (path.name, bus), time.monotonic()
         recorded = self._open.pop(key, None)
         for name, other in list(self._open.items()):
@@ -116,7 +116,7 @@ class Playbacks:
                 self._open.pop(name).close()
         codecs = {name: each.codec for name, each in service.sensors.items() if each.plan.bus == bus}
         try:
-            if recorded and recorded.version != file_version(path):
+            if recorded and not recorded.is_of(codecs):
                 recorded.close()
                 recorded = None
             self._open[key] = recorded = recorded or RecordedFrames(path, codecs, self._leave_mb)

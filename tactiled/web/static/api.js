@@ -4,6 +4,7 @@ import { npy } from "./npy.js";
 
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
+const UPLOAD_TIMEOUT_MS = 600_000; // as the service's
 const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 
 /** @typedef {"live"|"stale"|"silent"|"down"|"ended"} State */
@@ -47,6 +48,23 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   name: string, bytes: number|null, running: boolean, bus: string|null, messages: number|null, error: string|null
  * }} Recording
+ */
+
+/**
+ * A sensor's part of a recording; more comes while `reading`. `force` is of the raw images at `positions_s`.
+ * @typedef {{
+ *   name: string, sensor: string, frames: number, reading: boolean, error: string|null, duration_s: number,
+ *   timestamp: number|null, unit: string, tared_at: number|null, calibration: string, positions_s: number[],
+ *   force: number[]
+ * }} Played
+ */
+
+/**
+ * @typedef {{
+ *   number: number, position_s: number, sequence: number, timestamp: number, skew_s: number, method: string,
+ *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
+ *   resolution_mm: number, loss: Loss, warnings: Warning[], contacts: import("./sensor_stream.js").Contact[]
+ * }} PlayedFrame
  */
 
 /**
@@ -268,6 +286,35 @@ export const deleteRecording = (name) => request(`/recordings/${encodeURICompone
 
 /** @param {string} name @returns {string} where the file is to be had */
 export const recordingUrl = (name) => `${ROOT}/recordings/${encodeURIComponent(name)}`;
+
+/** @param {string} name @returns {string} a recording's path */
+const atRecording = (name) => `/recordings/${encodeURIComponent(name)}`;
+
+/** @param {Record<string, string|number|boolean>} values @returns {string} */
+const asQuery = (values) => `?${new URLSearchParams(Object.entries(values).map(([key, value]) => [key, String(value)]))}`;
+
+/** @param {string} name @param {string} sensor @returns {Promise<Played>} */
+export const played = (name, sensor) => request(`${atRecording(name)}/playback${asQuery({ sensor })}`);
+
+/**
+ * @param {string} name
+ * @param {Record<string, string|number|boolean>} query
+ * @returns {Promise<{first: number, positions: number[], bytes: Uint8Array}>} frames and where they are
+ */
+export async function recordedFrames(name, query) {
+  const response = await succeed(`${atRecording(name)}/frames${asQuery(query)}`);
+  const first = Number(response.headers.get("X-Tactiled-Frame"));
+  const positions = (response.headers.get("X-Tactiled-Positions") ?? "").split(",").map(Number);
+  return { first, positions, bytes: new Uint8Array(await response.arrayBuffer()) };
+}
+
+/** @param {string} name @param {string} sensor @param {number} number @param {string} method "" for the live one @returns {Promise<PlayedFrame>} */
+export const recordedFrame = (name, sensor, number, method) =>
+  request(`${atRecording(name)}/frames/${number}${asQuery(method ? { sensor, method } : { sensor })}`);
+
+/** @param {string} name @param {Blob} file @returns {Promise<Recording>} */
+export const uploadRecording = (name, file) =>
+  request(atRecording(name), { method: "PUT", body: file, signal: AbortSignal.timeout(UPLOAD_TIMEOUT_MS) });
 
 /** Show a token; the service keeps it in a cookie that no script reads. @param {string} token */
 export async function showToken(token) {

@@ -7,6 +7,7 @@ import { byId } from "./dom.js";
 import { EventLog } from "./event_log.js";
 import { notice, messageOf } from "./notice.js";
 import { PageText } from "./page_text.js";
+import { PlaybackPage } from "./playback_page.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
 import { ALL, Tabs } from "./tabs.js";
@@ -26,9 +27,13 @@ const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const screen = new PageText();
 const tabs = new Tabs((name) => choose(name));
 const log = new EventLog();
-const viewer = new Viewer({ onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer) });
+const viewer = new Viewer({
+  onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer), onPlayback: (session) => playback.begin(session),
+});
 const wall = new Wall(viewer, (name) => choose(name));
-const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "");
+const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "", (name) => playback.open(name));
+const playback = new PlaybackPage(viewer, () => recorder.update());
+viewer.drawOverview = (/** @type {number} */ unit) => playback.draw(unit);
 const calibration = new CalibrationPage(viewer);
 /** @type {Sensor[]} */
 let sensors = [];
@@ -41,6 +46,7 @@ function read() {
   writeAddress();
   if (wall.open) document.title = "all sensors, tactiled";
   else screen.read(viewer, reachable);
+  playback.read();
 }
 
 /** @param {Status} status */
@@ -54,6 +60,7 @@ function choose(name) {
   tabs.choose(name);
   document.body.classList.toggle("all", name === ALL);
   if (name === ALL) {
+    playback.close();
     viewer.leave();
     wall.show(sensors);
   } else {
@@ -67,7 +74,9 @@ function choose(name) {
 
 /** Keep in the address what is shown, and how. */
 function writeAddress() {
-  const hash = wall.open ? WALL : viewer.name && `#${encodeURIComponent(viewer.name)}${viewer.view.address(viewer.unit)}`;
+  const query = new URLSearchParams(viewer.view.address(viewer.unit));
+  playback.addTo(query);
+  const hash = wall.open ? WALL : viewer.name && `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
   if (!hash || hash === location.hash) return;
   try {
     window.history.replaceState(null, "", hash);
@@ -142,6 +151,7 @@ controls(viewer, {
   screen,
   recorder,
   calibration,
+  playback,
   sensors: () => tabs.names,
   choose,
   toggleWall: () => {

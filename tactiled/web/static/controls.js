@@ -8,6 +8,7 @@ import { savePng } from "./export_png.js";
 import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
 import { notice } from "./notice.js";
+import { PlaybackSession } from "./playback_session.js";
 import { methodTitle } from "./readings.js";
 import { tare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
@@ -15,6 +16,7 @@ import { withToken } from "./token_dialog.js";
 
 /** @import { CalibrationPage } from "./calibration_page.js" */
 /** @import { PageText } from "./page_text.js" */
+/** @import { PlaybackPage } from "./playback_page.js" */
 /** @import { Recorder } from "./recorder.js" */
 /** @import { Viewer } from "./viewer.js" */
 
@@ -24,6 +26,7 @@ import { withToken } from "./token_dialog.js";
  * @property {PageText} screen
  * @property {Recorder} recorder
  * @property {CalibrationPage} calibration
+ * @property {PlaybackPage} playback
  * @property {() => string[]} sensors names of them
  * @property {(name: string) => void} choose a sensor, or all of them
  * @property {() => void} toggleWall
@@ -107,6 +110,11 @@ function setAuto(auto, viewer, targets) {
 async function chooseMethod(viewer) {
   const { value } = picker;
   picker.blur();
+  if (viewer.session instanceof PlaybackSession) {
+    viewer.session.restoreBy(value);
+    notice(`Method of this playback: ${methodTitle(value)}`);
+    return;
+  }
   if (await withToken(() => api.setMethod(viewer.name, value), "Method not changed")) notice(`Method: ${methodTitle(value)}`);
   else picker.value = viewer.session?.status?.method ?? picker.value;
 }
@@ -163,13 +171,15 @@ function keyboard(viewer, targets) {
     " ": () => viewer.pause(!viewer.session?.paused),
     ArrowLeft: (event) => arrow(viewer, -1, 0, event),
     ArrowRight: (event) => arrow(viewer, 1, 0, event),
-    l: () => viewer.pause(false),
+    l: () => (targets.playback.recording ? targets.playback.close() : viewer.pause(false)),
+    "<": () => targets.playback.changeSpeed(-1),
+    ">": () => targets.playback.changeSpeed(1),
     a: () => setAuto(!viewer.range.auto, viewer, targets),
     o: () => contacts.click(),
     v: () => viewer.session?.hasShear && shear.click(),
-    t: () => tare(viewer.name),
-    k: () => targets.calibration.open(),
-    r: () => targets.recorder.toggle(),
+    t: () => targets.playback.refuses("tare") || tare(viewer.name),
+    k: () => targets.playback.refuses("calibrate") || targets.calibration.open(),
+    r: () => targets.playback.refuses("record") || targets.recorder.toggle(),
     s: () => save("png", viewer, targets),
     c: () => save("csv", viewer, targets),
     w: targets.toggleWall,

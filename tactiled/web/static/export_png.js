@@ -26,7 +26,7 @@ const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
 
 /**
  * Save both maps with their legend and readings.
- * @param {Session} session
+ * @param {Pick<Session, "name"|"plane">} session
  * @param {Frame} frame
  * @param {Maps} maps
  * @param {DisplayRange} range

@@ -5,6 +5,7 @@ import { byId, setText } from "./dom.js";
 import { fixed, positionText } from "./format.js";
 import { ACROSS } from "./geometry.js";
 import { CONNECTING } from "./health.js";
+import { PlaybackSession } from "./playback_session.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
 import { FORCE_UNITS, UNITS, lengthText, readingText, shearText } from "./units.js";
@@ -59,10 +60,10 @@ export class PageText {
     const live = health.level === "live";
     this.readings.frame(frame);
     this._restoration(session, frame);
-    this.readings.status(session?.status ?? null, live);
+    this.readings.status(session?.status ?? null, live || health.level === "playback");
     this.readings.pace(pace.fps(), live && !paused && pace.painted && replayed_s === null ? pace.latency : NaN, pace.skew);
     setText(byId("probe"), probeText(viewer, frame) || "Point at a map to read it; click or tap to pin.");
-    this._playback(session, frame, live ? replayed_s === null ? "live" : "replay" : health.level === "ended" ? "end" : "last");
+    if (!(session instanceof PlaybackSession)) this._playback(session, frame, live ? replayed_s === null ? "live" : "replay" : health.level === "ended" ? "end" : "last");
     this.range(viewer.range);
     this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
@@ -95,7 +96,7 @@ export class PageText {
     byId("section").setAttribute("aria-label", `Pressure along ${along}, ${way}, ${what}`);
   }
 
-  /** @param {Session|null} session @param {Frame|null} frame */
+  /** @param {Session|PlaybackSession|null} session @param {Frame|null} frame */
   _restoration(session, frame) {
     const status = session?.statusOfFrame ?? null;
     if (!session?.paused || !frame) this.readings.restoration(status?.ran ?? "", status, "", false);

@@ -11,9 +11,13 @@ import { withToken } from "./token_dialog.js";
 const CONFIRM_MS = 4000; // that a delete waits for its second click
 
 export class Recorder {
-  /** @param {() => string} bus of the sensor that is watched; "" for none */
-  constructor(bus) {
+  /**
+   * @param {() => string} bus of the sensor that is watched; "" for none
+   * @param {(name: string) => void} play play a recording
+   */
+  constructor(bus, play) {
     this._bus = bus;
+    this._play = play;
     this._button = /** @type {HTMLButtonElement} */ (byId("record"));
     this._list = byId("recordings");
     /** @type {Recording[]} */
@@ -34,6 +38,7 @@ export class Recorder {
     this._records = offered && !replayed;
     this._button.hidden = !this._records;
     byId("recordings-hint").hidden = offered || replayed;
+    byId("recording-add").hidden = !offered;
     byId("recordings-replay").hidden = !replayed;
   }
 
@@ -101,7 +106,8 @@ export class Recorder {
     if (!focused || !row) return;
     const index = this._recordings.findIndex((each) => each.name === name);
     const now = this._list.children[index < 0 ? Math.min(place, this._recordings.length - 1) : index];
-    const heir = now?.querySelector(focused.localName) ?? now?.querySelector("button") ?? this._button;
+    const at = [...row.querySelectorAll(focused.localName)].indexOf(focused);
+    const heir = now?.querySelectorAll(focused.localName)[at] ?? now?.querySelector("button:last-child") ?? this._button;
     /** @type {HTMLElement} */ (heir).focus();
   }
 
@@ -123,7 +129,12 @@ export class Recorder {
       else if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
       await this._refresh();
     });
-    return element("li", "", title, button, element("span", "sub"));
+    const play = element("button", "", "Play");
+    play.type = "button";
+    play.title = `Play ${name}`;
+    play.hidden = running;
+    play.addEventListener("click", () => this._play(name));
+    return element("li", "", title, element("span", "end", play, button), element("span", "sub"));
   }
 }
 

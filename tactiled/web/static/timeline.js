@@ -17,6 +17,11 @@ export class Timeline {
     this._items.length = 0;
   }
 
+  /** @param {number} within_s as of the constructor */
+  setWithin(within_s) {
+    this._within_s = within_s;
+  }
+
   /** @returns {T|undefined} */
   get newest() {
     return this._items[this._items.length - 1];

@@ -9,13 +9,14 @@ import { ACROSS, Plane } from "./geometry.js";
 import { KernelPanel } from "./kernel.js";
 import { Maps } from "./maps.js";
 import { notice, messageOf } from "./notice.js";
+import { PlaybackSession } from "./playback_session.js";
 import { Probe } from "./probe.js";
 import { Session } from "./session.js";
 import { TrendChart } from "./trend_chart.js";
 import { FORCE_SCALES, FORCE_UNITS, UNITS, unitOf } from "./units.js";
 import { View } from "./view.js";
 
-/** @import { Sensor } from "./api.js" */
+/** @import { Played, Sensor } from "./api.js" */
 /** @import { ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
@@ -31,6 +32,7 @@ const TREND_MS = 100; // between two drawings of what changes slowly
  * @property {() => void} onChange something shown as text has changed
  * @property {() => void} onProbe somebody has pinned the probe, moved it by keys, or released it
  * @property {(status: Status) => void} onStatus
+ * @property {(session: PlaybackSession) => void} onPlayback a recording is watched from now on
  */
 
 export class Viewer {
@@ -50,8 +52,12 @@ export class Viewer {
       if (deliberate) listener.onProbe();
     });
     this.view = new View(this.ranges, () => this.restyle());
-    /** @type {Session|null} */
+    /** @type {Session|PlaybackSession|null} */
     this.session = null;
+    /** @type {((name: string) => Promise<Played|null>)|null} gives the recording to watch in the place of a sensor */
+    this.source = null;
+    /** Draws force over a recording. @type {(unit: number) => void} */
+    this.drawOverview = () => {};
     /** Name of the sensor that is chosen; "" for none. */
     this.name = "";
     /** Whether contacts are shown. */
@@ -106,8 +112,11 @@ export class Viewer {
     if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
       this.forces.measure(FORCE_UNITS[this.unit], MIN_FORCES[this.unit]);
-      this.forces.draw(session.history, session.back);
-      this.latencies.draw(session.history, session.back);
+      if (session instanceof PlaybackSession) this.drawOverview(this.unit);
+      else {
+        this.forces.draw(session.history, session.back);
+        this.latencies.draw(session.history, session.back);
+      }
     }
     if (!this._fresh || !frame) return;
     this._fresh = false;
@@ -117,7 +126,7 @@ export class Viewer {
     session.painted();
   }
 
-  /** @param {Frame} frame @param {Session} session */
+  /** @param {Frame} frame @param {Session|PlaybackSession} session */
   _mark(frame, session) {
     const { marks, probe } = this;
     const { ofRestored } = frame;
@@ -137,7 +146,7 @@ export class Viewer {
 
   /**
    * @param {Frame} frame
-   * @param {Session} session
+   * @param {Session|PlaybackSession} session
    * @param {number} now ms
    * @returns {Float32Array|null} of each restored cell
    */
@@ -210,8 +219,8 @@ export class Viewer {
     this._listener.onChange();
     const mine = this._selection;
     try {
-      const [geometry, sensor] = await Promise.all([api.geometry(name), api.sensor(name)]);
-      if (mine === this._selection) this._open(sensor, new Plane(geometry));
+      const [geometry, sensor, recorded] = await Promise.all([api.geometry(name), api.sensor(name), this.source?.(name) ?? null]);
+      if (mine === this._selection) this._open(sensor, new Plane(geometry), recorded);
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
@@ -238,12 +247,30 @@ export class Viewer {
     this.select(name);
   }
 
-  /** @param {Sensor} sensor @param {Plane} plane */
-  _open({ name, shear, unit }, plane) {
+  /** @param {Sensor} sensor @param {Plane} plane @param {Played|null} recorded what is watched in its place */
+  _open(sensor, plane, recorded) {
+    const { name, shear } = sensor;
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
-    this.session = new Session(name, plane, shear, this.contacts, this.shear, {
+    this.session = recorded ? new PlaybackSession(name, plane, shear, this.shear, recorded, {
+      onFrame: (frame) => this._take(frame),
+      onChange: () => {
+        this._listener.onChange();
+        this.refresh();
+      },
+    }) : this._live(sensor, plane);
+    if (this.session instanceof PlaybackSession) this._listener.onPlayback(this.session);
+    const { history } = this.session;
+    this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
+    this.latencies.use(history, [["accent", history.latencies]]);
+    this.refresh();
+    this._listener.onChange();
+  }
+
+  /** @param {Sensor} sensor @param {Plane} plane @returns {Session} */
+  _live({ name, shear, unit }, plane) {
+    const session = new Session(name, plane, shear, this.contacts, this.shear, {
       onFrame: (frame, resumed) => {
         this._take(frame);
         if (resumed) this._listener.onChange();
@@ -258,12 +285,8 @@ export class Viewer {
       onContacts: () => this.refresh(),
       onOtherShape: () => this.reopen(name),
     });
-    this.session.unit = unitOf(unit);
-    const { history } = this.session;
-    this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
-    this.latencies.use(history, [["accent", history.latencies]]);
-    this.refresh();
-    this._listener.onChange();
+    session.unit = unitOf(unit);
+    return session;
   }
 
   /** @param {Frame} frame */
@@ -286,6 +309,7 @@ export class Viewer {
   /** Show another kept frame. @param {number} steps back where negative */
   step(steps) {
     const { session } = this;
+    if (session instanceof PlaybackSession) session.pause(true);
     if (session && (session.paused || steps < 0)) this.show(session.back - steps); // nothing is newer than live
   }
 

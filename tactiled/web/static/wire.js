@@ -59,6 +59,14 @@ export function packet() {
 /** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR or an unknown kind */
 export const kindOf = (bytes) => bytes[5];
 
+/** @param {Uint8Array} bytes that begin with a message @returns {number} bytes of the message */
+export function messageBytes(bytes) {
+  if (bytes.length < HEADER_BYTES) throw new RangeError(`image of ${bytes.length} bytes has no header`);
+  const view = new DataView(bytes.buffer, bytes.byteOffset);
+  const values = view.getUint16(6, true) * view.getUint16(8, true) * (kindOf(bytes) === SHEAR ? 2 : 1);
+  return HEADER_BYTES + 4 * values + view.getUint16(10, true) + view.getUint16(12, true);
+}
+
 /**
  * Take a message apart.
  * @param {Uint8Array} bytes

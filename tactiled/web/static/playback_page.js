@@ -1,0 +1,238 @@
+/** A recording on the page: opened from the list, by the address or as a dropped file; its controls and its force. @module */
+
+import * as api from "./api.js";
+import { Chart, line } from "./chart.js";
+import { roundUp } from "./display_range.js";
+import { byId, setText } from "./dom.js";
+import { positionText } from "./format.js";
+import { messageOf, notice } from "./notice.js";
+import { SPEEDS, recordingName } from "./playback_clock.js";
+import { PlaybackSession } from "./playback_session.js";
+import { withToken } from "./token_dialog.js";
+import { FORCE_UNITS } from "./units.js";
+
+/** @import { Played } from "./api.js" */
+/** @import { Session } from "./session.js" */
+/** @import { Viewer } from "./viewer.js" */
+
+const FIRST_MS = 200; // between two looks whether the first frames were read
+const READ_MS = 1000; // between two looks how far the file was read
+const NO_FRAMES = "no frame of this sensor";
+const [CHART_LEFT_PX, CHART_RIGHT_PX] = [46, 12]; // of chart.js
+
+/** @param {Session|PlaybackSession|null|undefined} session @returns {PlaybackSession|null} */
+const playbackOf = (session) => (session instanceof PlaybackSession ? session : null);
+
+export class PlaybackPage {
+  /** @param {Viewer} viewer @param {() => Promise<void>} listRecordings look at the folder again */
+  constructor(viewer, listRecordings) {
+    this._viewer = viewer;
+    this._listRecordings = listRecordings;
+    const given = new URLSearchParams(location.hash.split("?")[1] ?? "");
+    /** Name of the recording that is open; "" for none. */
+    this.recording = given.get("recording") ?? "";
+    this._position = Number(given.get("at") ?? 0) || 0;
+    this._speed = /** @type {HTMLSelectElement} */ (byId("speed"));
+    this._loop = /** @type {HTMLInputElement} */ (byId("loop"));
+    this._scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
+    this._speed.replaceChildren(...SPEEDS.map((each) => new Option(`${each}×`, String(each), each === 1, each === 1)));
+    this._speed.addEventListener("change", () => this._session?.setSpeed(Number(this._speed.value)));
+    this._loop.addEventListener("change", () => this._setLoop());
+    byId("recorded-close").addEventListener("click", () => this.close());
+    const file = /** @type {HTMLInputElement} */ (byId("recording-file"));
+    file.addEventListener("change", () => {
+      if (file.files?.length) this.add(file.files[0]);
+      file.value = "";
+    });
+    document.addEventListener("dragover", (event) => event.preventDefault());
+    document.addEventListener("drop", (event) => {
+      event.preventDefault();
+      if (event.dataTransfer?.files.length) this.add(event.dataTransfer.files[0]);
+    });
+    document.addEventListener("keydown", (event) => this._jump(event));
+    byId("forces").addEventListener("click", (event) => this._seekInChart(event));
+    viewer.source = this.recording ? (name) => this._load(name) : null;
+  }
+
+  /** @returns {PlaybackSession|null} */
+  get _session() {
+    return playbackOf(this._viewer.session);
+  }
+
+  /** Play a recording as the sensor that is watched. @param {string} name */
+  open(name) {
+    if (!this._viewer.name) {
+      notice("To play a recording, choose one sensor.", true);
+      return;
+    }
+    this.recording = name;
+    this._position = 0;
+    this._viewer.source = (sensor) => this._load(sensor);
+    this._viewer.reopen(this._viewer.name);
+    byId("maps").focus({ preventScroll: true });
+  }
+
+  /** Watch the sensors live again. */
+  close() {
+    if (!this.recording) return;
+    this.recording = "";
+    this._viewer.source = null;
+    if (this._viewer.name) this._viewer.reopen(this._viewer.name);
+  }
+
+  /** @param {string} what cannot be done to a recording @returns {boolean} one is open, and the page says so */
+  refuses(what) {
+    if (this.recording) notice(`A recording plays: go back to live to ${what}.`, true);
+    return this.recording !== "";
+  }
+
+  /** Upload a file and play it. @param {File} file */
+  async add(file) {
+    const name = recordingName(file.name);
+    notice(`Uploading ${name} …`);
+    if (!await withToken(() => api.uploadRecording(name, file), "Not added")) return;
+    notice(`Added: ${name}.`);
+    await this._listRecordings().catch(() => undefined);
+    this.open(name);
+  }
+
+  /** Add what plays, and where, to the address. @param {URLSearchParams} query */
+  addTo(query) {
+    if (!this.recording) return;
+    query.set("recording", this.recording);
+    if (this._session?.paused) this._position = this._session.position;
+    if (this._position) query.set("at", String(+this._position.toFixed(3)));
+  }
+
+  /** @param {number} steps along the speeds */
+  changeSpeed(steps) {
+    if (!this._session) return;
+    this._speed.selectedIndex = Math.max(0, Math.min(SPEEDS.length - 1, this._speed.selectedIndex + steps));
+    this._session.setSpeed(Number(this._speed.value));
+  }
+
+  /** Go to the first frame or the last, unless the key is for a field. @param {KeyboardEvent} event */
+  _jump(event) {
+    const elsewhere = event.target instanceof Element && event.target.closest("input, select, dialog");
+    if (!this._session || elsewhere || (event.key !== "Home" && event.key !== "End")) return;
+    event.preventDefault();
+    this._session.show(event.key === "End" ? 0 : Infinity);
+  }
+
+  /**
+   * Wait for a recording's first frames; what plays from then on is told more as the file is read.
+   * @param {string} sensor
+   * @returns {Promise<Played|null>} null where there is nothing to play: the page says why, and goes on live
+   */
+  async _load(sensor) {
+    const name = this.recording;
+    try {
+      let recorded = await api.played(name, sensor);
+      if (recorded.reading) notice(`Reading ${name} …`);
+      for (; !recorded.frames && recorded.reading; recorded = await api.played(name, sensor)) await sleep(FIRST_MS);
+      if (!recorded.frames) throw new Error(recorded.error ?? NO_FRAMES);
+      this._follow(recorded);
+      return recorded;
+    } catch (error) {
+      notice(`${name}: ${messageOf(error)}`, true);
+      if (this.recording === name) {
+        this.recording = "";
+        this._viewer.source = null;
+      }
+      return null;
+    }
+  }
+
+  /** @param {Played} recorded */
+  async _follow(recorded) {
+    for (let now = recorded; now.reading;) {
+      await sleep(READ_MS);
+      if (this.recording !== recorded.name) return;
+      now = await api.played(recorded.name, recorded.sensor).catch(() => now);
+      if (this._session?.recorded.sensor === now.sensor) this._session.update(now);
+      if (!now.reading && now.error) notice(`${now.name}: ${now.error}`, true);
+    }
+  }
+
+  /** A session has begun. @param {PlaybackSession} session */
+  begin(session) {
+    session.loop = this._loop.checked;
+    session.setSpeed(Number(this._speed.value));
+    session.showAt(this._position);
+    this._chart = new OverviewChart(this._viewer.forces.chart);
+  }
+
+  _setLoop() {
+    if (this._session) this._session.loop = this._loop.checked;
+  }
+
+  /** @param {MouseEvent} event on the chart of the force */
+  _seekInChart(event) {
+    const session = this._session;
+    const width = byId("forces").clientWidth - CHART_LEFT_PX - CHART_RIGHT_PX;
+    if (session) session.showAt(((event.offsetX - CHART_LEFT_PX) / width) * session.recorded.duration_s);
+  }
+
+  /** Bring texts and controls up to date. */
+  read() {
+    const session = this._session;
+    document.body.classList.toggle("playback", session !== null);
+    byId("recorded").hidden = session === null;
+    setText(byId("force-span"), session ? "raw, whole recording" : "last 10 s");
+    setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
+    if (!session) return;
+    const { recorded, position, paused } = session;
+    setText(byId("pause"), paused ? "Play" : "Pause");
+    const where = `${positionText(position)} / ${positionText(recorded.duration_s)}`;
+    setText(byId("when"), where);
+    this._scrub.max = String(recorded.frames - 1);
+    this._scrub.value = String(session.number);
+    this._scrub.disabled = recorded.frames < 2;
+    this._scrub.setAttribute("aria-valuetext", where);
+    setText(byId("recorded-name"), recorded.name);
+    setText(byId("recorded-text"), describe(recorded));
+  }
+
+  /** Draw the force over the whole recording. @param {number} unit of pressure */
+  draw(unit) {
+    if (this._session) this._chart?.draw(this._session, unit);
+  }
+}
+
+/** Force over a whole recording, and where it is. */
+class OverviewChart {
+  /** @param {Chart} chart */
+  constructor(chart) {
+    this._chart = chart;
+    this._line = line(0, "raw");
+    /** @type {Played|null} */
+    this._of = null;
+    this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "position, s", y: "" };
+  }
+
+  /** @param {PlaybackSession} session @param {number} unit of pressure */
+  draw({ recorded, position }, unit) {
+    if (this._of !== recorded) {
+      this._of = recorded;
+      const [x, y] = [Float64Array.from(recorded.positions_s), Float64Array.from(recorded.force)];
+      this._line = { ...this._line, x, y, length: x.length };
+      const top = roundUp(Math.max(1e-3, ...recorded.force));
+      const lowest = Math.min(...recorded.force);
+      const bottom = lowest < -0.05 * top ? -roundUp(-lowest) : -0.06 * top;
+      this._axes = { ...this._axes, right: Math.max(recorded.duration_s, 1e-3), top, bottom, y: FORCE_UNITS[unit] };
+    }
+    this._chart.draw(this._axes, [this._line], position);
+  }
+}
+
+/** @param {Played} recorded @returns {string} */
+function describe({ frames, reading, timestamp, tared_at, calibration, error }) {
+  const when = (/** @type {number} */ s) => new Date(s * 1000).toLocaleString([], { hour12: false });
+  const zero = tared_at === null ? "" : `, tared ${when(tared_at)}`;
+  const file = calibration === "configured" ? "" : `, calibration ${calibration}`;
+  const end = reading ? ", reading …" : error ? `, ends early: ${error}` : "";
+  return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} frames${zero}${file}${end}`;
+}
+
+/** @param {number} ms @returns {Promise<void>} */
+const sleep = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });

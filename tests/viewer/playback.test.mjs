@@ -1,0 +1,54 @@
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { positionText } from "../../tactiled/web/static/format.js";
+import { PlaybackClock, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
+import { messageBytes } from "../../tactiled/web/static/wire.js";
+
+test("a position goes on at the chosen speed while it plays, from where it was", () => {
+  const clock = new PlaybackClock();
+  clock.seek(5, 1000);
+  assert.equal(clock.at(3000), 5);
+  clock.play(true, 3000);
+  assert.equal(clock.at(4000), 6);
+  clock.setSpeed(0.1, 4000);
+  assert.equal(clock.at(14_000), 7);
+  clock.seek(2, 14_000);
+  assert.equal(clock.at(24_000), 3);
+  clock.play(false, 24_000);
+  assert.equal(clock.at(99_000), 3);
+});
+
+test("no more frames are fetched than a screen shows", () => {
+  for (const [frames, duration, speed, step] of [
+    [60_000, 600, 1, 1], [60_000, 600, 0.1, 1], [60_000, 600, 10, 16], [600_000, 600, 1, 16], [1, 0, 10, 166],
+  ]) assert.equal(stepOf(frames, duration, speed), step, `${frames} in ${duration} s at ${speed}`);
+});
+
+test("positions have minutes, and hours where there are any", () => {
+  for (const [seconds, text] of [
+    [0, "0:00.0"], [59.96, "1:00.0"], [600, "10:00.0"], [3725.04, "1:02:05.0"], [NaN, "\u2013"],
+  ]) assert.equal(positionText(seconds), text);
+});
+
+test("a file's name becomes one that the service takes", () => {
+  for (const [file, name] of [
+    ["grasp.log", "grasp.log"], ["left hand (2).LOG", "left-hand-2-.log"], ["a.b.asc.gz", "a-b.asc.gz"],
+    ["../../etc.blf", "etc.blf"], ["grasp", "grasp"], [".log", "recording.log"],
+    [`${"x".repeat(200)}.blf`, `${"x".repeat(100)}.blf`],
+  ]) assert.equal(recordingName(file), name);
+});
+
+test("an answer is taken apart into the messages of each frame", () => {
+  const message = (kind, flags) => {
+    const bytes = new Uint8Array(64 + 4 * 6 * (kind === 2 ? 2 : 1) + flags);
+    const view = new DataView(bytes.buffer);
+    bytes[5] = kind;
+    for (const [at, value] of [[6, 2], [8, 3], [10, flags]]) view.setUint16(at, value, true);
+    return bytes;
+  };
+  const frame = [message(0, 6), message(1, 0), message(2, 0)];
+  const answer = Uint8Array.from([...frame, ...frame].flatMap((each) => [...each]));
+  assert.deepEqual(splitFrames(answer, 3, messageBytes), [frame, frame]);
+  assert.throws(() => splitFrames(answer.subarray(0, answer.length - 100), 3, messageBytes), RangeError);
+});
