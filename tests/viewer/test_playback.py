@@ -8,7 +8,7 @@ from tests.cli.recordings import write
 from tests.conftest import pressed
 
 FRAMES, RATE_HZ = 50, 50.0
-SHOWN = "document.getElementById('when').innerText"
+WHEN = "document.getElementById('when').innerText"
 FRAME = "document.getElementById('sequence').innerText"
 LEVEL = "document.body.dataset.level"
 DROP = """([name, text]) => {
@@ -48,7 +48,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     open_recording(page)
     for name in ("#tare", "#record", "#calibrate-open", "#banner", "#latencies"):
         assert not page.locator(name).is_visible(), name
-    page.wait(f"{SHOWN} === '0:00.0 / 0:01.0'")
+    page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
     assert page.text("pill-text", "recorded-name") == ["recording", "grasp.log"]
     page.press("t")
     page.wait("document.getElementById('notice').innerText === 'A recording plays: go back to live to tare.'")

@@ -109,7 +109,7 @@ def test_the_focus_goes_from_a_deleted_recording_to_its_neighbour(recording, ope
     for name in ("a", "b", "c"):
         (folder / f"{name}.log").touch()
     page = open_page(url)
-    page.locator("#recordings li", has_text="b.log").get_by_role("button").focus()
+    page.locator("#recordings li", has_text="b.log").get_by_role("button", name="Delete").focus()
     delete(page, f"{ROW}?.startsWith('c.log')")
     assert page.locator("#notice").inner_text() == "Deleted: b.log."
     delete(page, f"{ROW}?.startsWith('a.log')")
