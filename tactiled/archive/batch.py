@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from tactiled import __version__, files
-from tactiled.archive.job import Job
+from tactiled.archive.jobs import Job
 from tactiled.archive.places import Place
 from tactiled.errors import ConfigError, TactileError
 
@@ -45,9 +45,8 @@ def run(
     label = f"{token_hex(8)}-"  # of this run's temporary files
     try:
         if workers is None and scheduler is None:
-            with threadpool_limits(1):
-                for task in tasks:
-                    yield process(job, task, label, __version__)
+            for task in tasks:
+                yield process(job, task, label, __version__)
         else:
             yield from _on_dask(job, tasks, label, workers, scheduler)
     finally:
@@ -68,16 +67,16 @@ def process(job: Job, task: Task, label: str, version: str) -> Outcome:
             raise ConfigError(f"a worker has tactiled {__version__}, not {version}: install the same")
         with source.local() as path:
             digest = _digest(job, path)
-            sizes, before = target.sizes(), _read(record)
-            if sizes and before == {"digest": digest, "sizes": sizes}:
-                return Outcome("complete", f"{target}: complete")
-            if sizes and before is None:
-                raise ConfigError(f"{target} is there already: name another file, or remove it first")
+            if sizes := target.sizes():
+                if not record.call("exists"):
+                    raise ConfigError(f"{target} is there already: name another file, or remove it first")
+                if record.call("cat_file") == _record(digest, sizes):
+                    return Outcome("complete", f"{target}: complete")
             target.beside("").call("makedirs", exist_ok=True)
-            with target.written(replace=True, label=label) as part:
+            with target.written(replace=True, label=label) as part, threadpool_limits(1):
                 text = job.make(path, part)
-                _write(record, {})
-            _write(record, {"digest": digest, "sizes": target.sizes()})
+                record.call("pipe_file", b"{}")  # from here on the output is ours, but may be incomplete
+            record.call("pipe_file", _record(digest, target.sizes()))
     except TactileError as error:
         return Outcome("failed", str(error))
     except Exception as error:  # our own fault, or a codec's: the other inputs are done nevertheless
@@ -92,19 +91,9 @@ def _digest(job: Job, path: Path) -> str:
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _read(record: Place) -> dict[str, Any] | None:
-    """What a record says; None where there is none."""
-    if not record.call("exists"):
-        return None
-    try:
-        content = json.loads(record.call("cat_file"))
-    except ValueError:  # cut off
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-def _write(record: Place, content: Mapping[str, Any]) -> None:
-    record.call("pipe_file", json.dumps(content).encode())
+def _record(digest: str, sizes: Mapping[str, int]) -> bytes:
+    """What stands beside a complete output."""
+    return json.dumps({"digest": digest, "sizes": sizes}).encode()
 
 
 def _on_dask(
@@ -115,6 +104,7 @@ def _on_dask(
         raise ConfigError("--workers and --scheduler need Dask: pip install 'tactiled[dask]'")
     from distributed import Client, as_completed
 
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # a lost scheduler is an outcome
     with ExitStack() as stack:
         try:
             if scheduler is None:

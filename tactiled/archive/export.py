@@ -8,7 +8,7 @@ from typing import Any
 
 from tactiled import __version__
 from tactiled.archive.arrays import LOSS_KINDS
-from tactiled.archive.job import Job
+from tactiled.archive.jobs import Job
 from tactiled.archive.writers import writer
 from tactiled.build import SensorPlan, make_codec
 from tactiled.bus.recording import Recording

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from tactiled.archive.batch import Task, run
-from tactiled.archive.job import Job
+from tactiled.archive.jobs import Job
 from tactiled.archive.places import NAME, Place, inputs, place
 from tactiled.cli.app import EXIT_REFUSED
 from tactiled.errors import ConfigError

@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.progress import Progress
 from threadpoolctl import threadpool_limits
 
+from tactiled.archive.jobs import RestoreJob
 from tactiled.archive.places import Place
-from tactiled.archive.restore import RestoreJob
 from tactiled.cli import batch, options
 from tactiled.cli.app import EXIT_INTERRUPTED, interrupted
 from tactiled.errors import ConfigError

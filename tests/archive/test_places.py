@@ -10,7 +10,7 @@ from tactiled.archive.places import Place, inputs, place
 from tactiled.errors import ConfigError, TactileError
 
 MEMORY = MemoryFileSystem()
-PASSWORD = "correct-horse"
+PASSWORD, SECRET = "correct-horse", "battery-staple"
 
 
 @pytest.fixture
@@ -97,10 +97,11 @@ class Locked(MemoryFileSystem):
 
 def test_credentials_are_never_printed():
     url = f"locked://me:{PASSWORD}@host/a.log?token={PASSWORD}-too"
-    one = Place(url, Locked(secret=f"{PASSWORD}-3"))
+    one = Place(url, Locked(secret=SECRET))
     with pytest.raises(TactileError, match="may not read") as failure, one.local():
         pass
-    assert PASSWORD not in f"{failure.value} {one} {one!r} {one.name}"
+    for each in (PASSWORD, SECRET):
+        assert each not in f"{failure.value} {one} {one!r} {one.name}"
     assert str(one) == "locked://host/a.log"
     with pytest.raises(TactileError, match=r"ftp://127\.0\.0\.1:1/a\.log: Connection refused") as failure:
         place(f"ftp://me:{PASSWORD}@127.0.0.1:1/a.log")

@@ -1,6 +1,7 @@
 """What is done with each of many files: one sensor's frames are restored, on whatever machine."""
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -12,6 +13,7 @@ from tactiled.build import SensorPlan, configured_file, sensor_plan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.config import schema
 from tactiled.frames import CONFIGURED
+from tactiled.runtime.offline import Offline, open_frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,3 +54,25 @@ class Job(ABC):
 @lru_cache(maxsize=4)
 def _plan(job: Job, _: int) -> SensorPlan:
     return sensor_plan(job.name, job.sensors[job.name], job.calibration)
+
+
+@dataclass(frozen=True, eq=False)
+class RestoreJob(Job):
+    """Restores the frames of a .npy file into another, by one method."""
+
+    method: str = "auto"
+    noise: float | None = None  # of a taxel, in the frames' unit; None: measured
+
+    def offline(self, source: Path) -> Offline:
+        """The frames of a file, ready to be restored."""
+        return Offline(self.plan(), open_frames(source, self.plan()), self.method, self.noise)
+
+    def make(self, source: Path, part: Path) -> str:
+        """Write all images of a file's frames."""
+        offline = self.offline(source)
+        return self.summary(offline, offline.write(part))
+
+    def summary(self, offline: Offline, methods: Counter[str]) -> str:
+        """One phrase of what was restored: shape, noise, frames by method."""
+        counts = ", ".join(f"{name} {count}" for name, count in methods.most_common()) or "no frames"
+        return f"{' x '.join(map(str, offline.shape))}, noise {offline.noise_kpa:.3g} {self.plan().unit}: {counts}"
