@@ -186,7 +186,7 @@ class Assembler:
             self._cycle.learn(frame, frame.began - self._ended)
         self._ended = frame.ended
         self.count("lost", frame.missing)
-        payloads = frame.taken()
+        payloads = frame.used_payloads()
         try:
             counts, shear = unpacked(self.codec, payloads)
             references = self.codec.references(payloads)

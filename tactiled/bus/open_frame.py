@@ -71,7 +71,7 @@ class OpenFrame:
         """Whether a segment has this payload."""
         return bool(np.all(self.payloads[segment] == payload))
 
-    def taken(self) -> Sequence[bytes | None]:
+    def used_payloads(self) -> Sequence[bytes | None]:
         """The payloads that are not disputed."""
         disputed = list(self.disputed)
         self.present[disputed] = False

@@ -71,8 +71,8 @@ class FrameReader:
         count = self._receive(0) if self._poll.poll(1000 * timeout) else 0
         if 0 < count < needed:
             end = time.monotonic() + min(GATHER_S, timeout)
-            while count < min(needed, MAX_FRAMES) and not self._error and (left := end - time.monotonic()) > 0:
-                time.sleep(min(left, MIN_FRAME_S * (needed - count)))
+            while count < min(needed, MAX_FRAMES) and not self._error and (rest := end - time.monotonic()) > 0:
+                time.sleep(min(rest, MIN_FRAME_S * (needed - count)))
                 count += self._receive(count)
         return self._batch(count)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from tactiled.errors import ConfigError
 from tactiled.study.results import machine, make_folder
 
 if TYPE_CHECKING:
@@ -112,23 +114,23 @@ def report(
         print(write(out, skins, reduced, seed))
 
 
-def latency(
-    seconds: Annotated[float, typer.Option(help="How long to measure.", min=1)] = 20.0,
-    rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=1, max=1000)] = 100.0,
-    clients: Annotated[int, typer.Option(help="WebSocket clients.", min=1, max=500)] = 1,
+def load(
+    sensors: Annotated[list[int], typer.Option(help="Arrays of 32 x 32; several values: one run each.")] = [1, 8],  # noqa: B006
+    clients: Annotated[list[int], typer.Option(help="WebSocket clients, of one array each; the same.")] = [1, 20],  # noqa: B006
+    rate_hz: Annotated[list[float], typer.Option(help="Frames a second of each array; the same.")] = [100.0],  # noqa: B006
+    pull: Annotated[bool, typer.Option("--pull", help="Clients ask for every image, as viewers do.")] = False,
+    seconds: Annotated[float, typer.Option(help="How long each run is measured.", min=1)] = 10.0,
 ) -> None:
-    """Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback."""
-    from tactiled.cli.demo import NOISE_KPA, demo_config
-    from tactiled.cli.simulate import simulated
-    from tactiled.runtime.service import Service
-    from tactiled.study.latency import HEADINGS, lines, measure
+    """Load a service with arrays and clients: processor time, age of images at the clients, and what is lost."""
+    from tactiled.study import load as study
 
-    config = demo_config()
+    rows = []
     with threadpool_limits(1):
-        service = Service(config)
-        source = simulated(config.sensor["palm"], "tour", NOISE_KPA).messages
-        result = measure(service, config, source, rate_hz, seconds, clients)
-    print_table(f"32 x 32 at {rate_hz:g} Hz, WebSocket clients: {clients}", HEADINGS, lines(result))
+        for each, count, hz in product(sensors, clients, rate_hz):
+            if not (1 <= each <= 64 and 1 <= count <= 500 and 1 <= hz <= 1000):
+                raise ConfigError(f"{each} sensors, {count} clients, {hz:g} Hz: give 1 to 64, 1 to 500, 1 to 1000")
+            rows.append(study.line(each, hz, pull, study.measure(each, count, hz, seconds, pull)))
+    print_table("32 x 32 over CAN FD; cores of service + clients, age from the last message", study.HEADINGS, rows)
     print(machine())
 
 

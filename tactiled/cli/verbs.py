@@ -32,7 +32,7 @@ show     Print what a calibration file holds.
 BENCH_VERBS = """\
 calibration Calibrate simulated skins whose gains and covers are known, and hold the results against the truth.
 frontier  Chart error against time for every method of ours and for others', in one run on one thread.
-latency   Time a 32 x 32 array from its last CAN message to WebSocket clients on loopback.
+load      Load a service with arrays and clients: processor time, age of images at the clients, and what is lost.
 picard    Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise.
 report    Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables.
 stability Let one thing after another go wrong, and show where each method becomes worse than the raw image.

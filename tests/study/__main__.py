@@ -7,8 +7,8 @@ from tests.study import bus, contacts, cover, eflesh, frame_times, health, judge
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    bus.bus, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health, judge.judge,
-    restore.restore, sensors.sensors, transitions.transitions,
+    bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health,
+    judge.judge, restore.restore, sensors.sensors, transitions.transitions,
 ):  # fmt: skip
     app.command()(measurement)
 

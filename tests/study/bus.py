@@ -1,8 +1,11 @@
 """How many CAN messages a second become frames: from memory, and over a bus."""
 
 import multiprocessing
+import os
 import socket
 import struct
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -14,10 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tactiled.bus.batch import Batch
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
+from tactiled.bus.socketcan import MAX_FRAMES
 from tactiled.cli.bench import print_table
 from tactiled.errors import BusError
 from tactiled.study.results import machine
@@ -27,6 +33,7 @@ SKINS = {
     LIVE: Packed(1024, 12),
     "packed, 32 x 32 of 12 bits, CAN FD": Packed(1024, 12, fd=True),
     "iCub, 16 triangles": Icub(0, tuple(range(16))),
+    "XELA, 4 x 6": Xela(),
 }
 QUIET_S = 5.0  # a bus that is quiet for so long has lost the rest
 OPEN_S = 30.0  # for the sender to open its end
@@ -40,7 +47,8 @@ def offline(seconds):
     for name, codec in SKINS.items():
         counts, messages = _traffic(codec)
         router = Router({"it": codec})
-        received = _calls_per_s(lambda router=router, messages=messages: [*map(router.push, messages)], seconds)
+        batches = [Batch.of(messages[at : at + MAX_FRAMES]) for at in range(0, len(messages), MAX_FRAMES)]
+        received = _calls_per_s(lambda router=router, batches=batches: [*map(router.push, batches)], seconds)
         encoded = _calls_per_s(partial(codec.encode, counts, 0, 0.0), seconds)
         yield name, codec.segments, received * len(messages), encoded * codec.segments
 
@@ -95,16 +103,15 @@ def live(buses, rate, seconds):
 def _drain(count, reader):
     """Make frames of `count` messages, or until the bus is quiet: received, lost, messages a second, cores."""
     router = Router({"it": SKINS[LIVE]})
-    if not (messages := reader.batch(OPEN_S)):
+    if not len(messages := reader.batch(OPEN_S)):
         raise BusError(f"bus {reader.label}: no message within {OPEN_S:g} s: can its interface send to itself?")
     began, busy = time.perf_counter(), time.thread_time()
     received, last, cores_s = 0, began, 0.0
-    while messages:
-        for message in messages:
-            router.push(message)
+    while len(messages):
+        router.push(messages)
         received += len(messages)
         last, cores_s = time.perf_counter(), time.thread_time() - busy
-        messages = reader.batch(QUIET_S) if received < count else []
+        messages = reader.batch(QUIET_S, router.needed) if received < count else ()
     took = max(last - began, TICK_S)
     return received, router.assemblers["it"].loss.lost, received / took, cores_s / took
 
@@ -143,6 +150,46 @@ def buses_of(interface, channels):
     vcans = [name for name in ("vcan0", "vcan1") if Path("/sys/class/net", name).exists()]
     measured = [[{"interface": "virtual", "channel": "tactiled-bench"}]]
     return measured + ([[{"interface": "socketcan", "channel": name} for name in vcans]] if vcans else [])
+
+
+WORKER = """
+import sys, time
+import numpy as np
+from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.codecs.xela import Xela
+from tactiled.bus.router import Router
+size = int(sys.argv[1])  # messages at once; 0: of a frame
+for codec in (Packed(1024, 12), Packed(1024, 12, fd=True), Icub(0, tuple(range(16))), Xela()):
+    messages = [m._replace(time=n / 100) for n in range(64) for m in codec.encode(
+        np.arange(codec.size, dtype=np.uint16) % 200 + n, n, 0.0)]
+    pieces = messages
+    if size >= 0:
+        from tactiled.bus.batch import Batch
+        step = size or codec.segments
+        pieces = [Batch.of(messages[at:at + step]) for at in range(0, len(messages), step)]
+    took = []
+    for _ in range(5):
+        router, began = Router({"it": codec}), time.thread_time()
+        assert sum(len(router.push(each)) for each in pieces) == 64
+        took.append(time.thread_time() - began)
+    print(min(took) / len(messages) * 1e6)
+"""
+
+
+def against(tree: Path, rounds: int = 3) -> None:
+    """Hold this tree against a checkout of 0.4.2, in turn: processor time to decode and assemble a message."""
+    ways = (("0.4.2", tree, -1), ("a frame at once", Path.cwd(), 0), ("256 at once", Path.cwd(), 256))
+    took = {name: [] for name, *_ in ways}
+    for _ in range(rounds):
+        for name, path, size in ways:
+            command = [sys.executable, "-P", "-c", WORKER, str(size)]
+            text = subprocess.check_output(command, env=os.environ | {"PYTHONPATH": str(path)}, text=True)
+            took[name].append([float(each) for each in text.split()])
+    columns = [np.min(each, axis=0) for each in took.values()]
+    rows = [(skin, *(f"{each:.2f}" for each in us)) for skin, *us in zip(SKINS, *columns, strict=True)]
+    print_table("µs a message", ("skin", *took), rows)
+    print(machine())
 
 
 def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seconds: float = 2.0) -> None:  # noqa: B006

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import permutations
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -118,10 +119,15 @@ def parse(query: QueryParams, form: type[Q]) -> Q:
         raise ValueError(f"{name}={query[name]}: {reason}" if name else reason) from None
 
 
+@lru_cache(maxsize=64)  # of at most MAX_MESSAGE_BYTES each: clients send the same ones over and over
+def _next_sensor(text: str) -> str | None:
+    return Next.model_validate_json(text).sensor
+
+
 def parse_next(text: str | None, names: Sequence[str]) -> Sequence[str]:
     """The sensors of which a client's message asks for the next image; ValueError for any other message."""
     try:
-        sensor = Next.model_validate_json(text or "").sensor
+        sensor = _next_sensor(text or "")
         if sensor is None or sensor in names:
             return names if sensor is None else [sensor]
     except ValidationError:

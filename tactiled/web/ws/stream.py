@@ -198,6 +198,8 @@ class Stream:
 
     def _add(self, line: _Line) -> None:
         """Send what is new of a sensor at once to a client that keeps up: a task's turn costs as much as that."""
+        if self._has_nothing(line):
+            return
         self._due[line] = None
         if self._error is None and self._protocol.keeps_up():
             try:
@@ -206,6 +208,15 @@ class Stream:
                 self._error = error
         if self._due or self._error:
             self._wake.set()
+
+    def _has_nothing(self, line: _Line) -> bool:
+        """Whether `_send_line` would send nothing, which is so at every second turn of a client that pulls."""
+        feed, query = line.feed, self._query
+        waits = query.flow == "credit" and not self._credit[feed.sensor.name]
+        if query.contacts == "1" or not (waits or feed.image is line.image):
+            return False
+        is_known = feed.status_key() == line.status_key
+        return is_known and self._loop.time() - line.status_at < STATUS_S - TICK_S
 
     async def _listen(self) -> None:
         while True:

@@ -1,0 +1,217 @@
+"""How much one service carries: sensors, clients and rates, in CAN FD frames as SocketCAN gives them."""
+
+import asyncio
+import multiprocessing
+import socket
+import time
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from struct import Struct
+from typing import Any, NamedTuple
+
+import numpy as np
+import uvloop
+from websockets.asyncio.client import connect
+
+from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.socketcan import SO_TIMESTAMPNS, FrameReader
+from tactiled.config import Config, Server, parse
+from tactiled.errors import ConfigError
+from tactiled.frames import Message
+from tactiled.runtime.bus_thread import BusThread
+from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.service import Service
+from tactiled.simulate.playback import player
+from tactiled.web.server import running
+from tactiled.wire import unpack
+
+WARM_UP_S = 3.0  # connections, caches and the measured noise settle
+DRAIN_S = 0.5  # after the last frame was sent
+RECORDED_FRAMES = 256  # of a tour's scenes, sent over and over: as many as sequence numbers
+SENSORS_PER_BUS = 4  # more of 32 x 32 at 100 Hz do not fit on one bus of CAN FD
+BUFFER_BYTES = 8 << 20  # of a bus's socket
+CAN_FRAME = Struct("=IB3x64s")  # of Linux, CAN FD
+NEXT = '{"type": "next"}'
+BUS = '[bus.b{bus}]\ninterface = "socketcan"\nchannel = "load{bus}"\nfd = true\n'
+SENSOR = """
+[sensor.s{number}]
+bus = "b{bus}"
+codec = {{ name = "packed", fd = true, base_id = {id} }}
+array = {{ rows = 32, columns = 32, pitch_mm = 1.0 }}
+cover = {{ thickness_mm = 1.0, young_mpa = 0.6, poisson = 0.48 }}
+calibration = {{ kpa_per_count = 0.05, no_load = 100 }}
+"""
+HEADINGS = ("arrays", "clients", "Hz", "flow", "cores", "p50 ms", "p99 ms", "sent", "lost", "unseen")
+Ages = list[tuple[int, float]]  # sequence number, s (Unix) of arrival
+
+
+class Load(NamedTuple):
+    """Result of a run, without its warm-up."""
+
+    frames: int  # sent of each sensor
+    lost: int  # messages, by the sequence numbers and the kernel's count
+    ages_ms: list[np.ndarray[Any, Any]]  # of the frames that each client received, from the last message on
+    cores: float  # that the service kept busy: buses, restoration, server
+    client_cores: float
+
+
+class FrameSocket:
+    """A bus as `BusThread` reads it: SocketCAN's frames, in datagrams of loopback, which any machine has."""
+
+    off, unsent, clock = None, 0, "kernel"
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+        if not FrameReader.supported(self._socket):
+            raise ConfigError("this measurement needs 64-bit Linux: its sockets stamp what they receive")
+        self.port: int = self._socket.getsockname()[1]
+        self.batch = FrameReader(self._socket.fileno()).read
+        self.kinds: dict[str, int] = {}
+
+    def send(self, message: Message) -> None:
+        """Nothing: its skins need no message."""
+
+    def counts(self) -> dict[str, int]:
+        """Nothing goes wrong on it that the sequence numbers do not show."""
+        return {}
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def configuration(sensors: int) -> Config:
+    """The configuration of so many sensors of 32 x 32."""
+    buses = [n // SENSORS_PER_BUS for n in range(sensors)]
+    tables = [SENSOR.format(number=n, bus=bus, id=0x100 + 16 * n) for n, bus in enumerate(buses)]
+    return parse("".join(BUS.format(bus=each) for each in sorted({*buses})) + "".join(tables))
+
+
+def frames_of(sensor: Sensor) -> list[list[bytes]]:
+    """A tour's frames as SocketCAN has them, one list of messages each."""
+    plan = sensor.plan
+    source = player(plan.array, plan.kernel, plan.codec, plan.calibration, noise_kpa=0.2)
+    times = [n * 48.0 / RECORDED_FRAMES for n in range(RECORDED_FRAMES)]
+    return [[each.data for each in source.messages(n, t, 0.0)] for n, t in enumerate(times)]
+
+
+def measure(sensors: int, clients: int, rate_hz: float, seconds: float, pull: bool = False) -> Load:
+    """Run a service whose sensors send at `rate_hz`; client n receives sensor n modulo their number."""
+    sockets: dict[str, FrameSocket] = {}
+
+    def listen(name: str, settings: dict[str, Any], own: dict[str, Sensor]) -> BusThread:
+        thread = BusThread(name, settings, own)
+        sockets[name] = FrameSocket()
+        thread._reader = sockets[name]  # type: ignore[assignment]  # open already, so it opens none
+        return thread
+
+    service = Service(configuration(sensors), listen)
+    names = list(service.sensors)
+    payloads = frames_of(service.sensors[names[0]])
+    plans = [service.sensors[name].plan for name in names]
+    targets = [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
+    context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
+    (received, to_received), (sent, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
+    flow, end = "&flow=credit" if pull else "", context.Event()
+    with service.running(), running(service, Server(port=0, streams_per_client=0, streams=0)) as url:
+        base = f"{url.replace('http', 'ws', 1)}/api/v1/sensors"
+        urls = [f"{base}/{names[n % sensors]}/stream?kinds=restored{flow}" for n in range(clients)]
+        receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
+        receiver.start()
+        received.recv()  # connected
+        sender = context.Process(target=_send, args=(targets, payloads, rate_hz, span_s, to_sent), daemon=True)
+        sender.start()
+        sent.recv()  # it begins
+        time.sleep(WARM_UP_S)
+        busy, began = time.process_time(), time.perf_counter()
+        time.sleep(seconds)
+        cores = (time.process_time() - busy) / (time.perf_counter() - began)
+        send_times = sent.recv()
+        time.sleep(DRAIN_S)
+        end.set()
+        arrivals, client_cores = received.recv()
+        lost = sum(each.status().loss.lost for each in service.sensors.values())
+        for each in (sender, receiver):
+            each.join()
+    first = round(WARM_UP_S * rate_hz)
+    ages_ms = [
+        np.array([1e3 * (at - send_times[n % sensors][k]) for k, at in own if k >= first])
+        for n, own in enumerate(arrivals)
+    ]
+    return Load(len(send_times[0]) - first, lost, ages_ms, cores, client_cores)
+
+
+def line(sensors: int, rate_hz: float, pull: bool, result: Load) -> tuple[str, ...]:
+    """A row of a table by HEADINGS."""
+    ages, clients = np.concatenate(result.ages_ms), len(result.ages_ms)
+    p50, p99 = np.percentile(ages, (50, 99)) if ages.size else (np.nan, np.nan)
+    unseen = 1 - ages.size / (clients * result.frames)
+    return (
+        f"{sensors}", f"{clients}", f"{rate_hz:g}", "pulled" if pull else "newest",
+        f"{result.cores:.2f} + {result.client_cores:.2f}", f"{p50:.2f}", f"{p99:.2f}",
+        f"{result.frames * sensors}", f"{result.lost}", f"{unseen:.2%}",
+    )  # fmt: skip
+
+
+def _send(
+    targets: Sequence[tuple[int, int]],
+    payloads: Sequence[Sequence[bytes]],
+    rate_hz: float,
+    span_s: float,
+    results: Connection,
+) -> None:
+    """Send every sensor's frames, one sensor after another in a period; then the time (s) of each one's end."""
+    frames = [
+        [[CAN_FRAME.pack(id_, len(data), data) for data in frame] for frame in payloads] for _, id_ in targets
+    ]
+    send_times: list[list[float]] = [[] for _ in targets]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        results.send("begun")
+        began = time.monotonic()
+        for n in range(round(span_s * rate_hz)):
+            for place, (port, _) in enumerate(targets):
+                due = began + (n + place / len(targets)) / rate_hz
+                time.sleep(max(0.0, due - time.monotonic()))
+                messages = frames[place][n % RECORDED_FRAMES]
+                for each in messages:
+                    out.sendto(each, ("127.0.0.1", port))
+                send_times[place].append(time.time())
+    results.send(send_times)
+
+
+def _receive_all(urls: Sequence[str], pull: bool, end: Event, results: Connection) -> None:
+    uvloop.run(_receive(urls, pull, end, results))
+
+
+async def _receive(urls: Sequence[str], pull: bool, end: Event, results: Connection) -> None:
+    """Note when each sequence number came to each client, until `end`."""
+    arrivals: list[Ages] = [[] for _ in urls]
+    connected = asyncio.Barrier(len(urls) + 1)
+    tasks = [
+        asyncio.create_task(_client(url, pull, connected, own)) for url, own in zip(urls, arrivals, strict=True)
+    ]
+    await connected.wait()
+    results.send("connected")
+    busy, began = time.process_time(), time.perf_counter()
+    while not end.is_set():
+        await asyncio.sleep(0.1)
+    results.send((arrivals, (time.process_time() - busy) / (time.perf_counter() - began)))
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _client(url: str, pull: bool, connected: asyncio.Barrier, arrivals: Ages) -> None:
+    async with connect(url, compression=None) as stream:
+        await connected.wait()
+        if pull:
+            await stream.send(NEXT)
+        async for data in stream:
+            if isinstance(data, bytes):
+                arrivals.append((unpack(data).sequence, time.time()))
+                if pull:
+                    await stream.send(NEXT)
