@@ -56,23 +56,14 @@ def test_a_line_for_people_cannot_be_forged_nor_control_a_terminal(lines):
 
 @pytest.mark.parametrize("style", ["console", "json"])
 def test_no_secret_of_the_configuration_or_of_an_address_is_logged(lines, style):
-    secrets = [
-        "reads-and-reads-1",
-        "controls-and-more",
-        "buspassword",
-        "asked-by-a-client",
-        "shown-by-a-client",
-        "login:pw",
-    ]
+    secrets = ["reads-and-reads-1", "controls-and-more", "buspassword", "asked-by-one", "shown-by-one", "login:pw"]
     reads, controls, bus, query, bearer, login = secrets
     text = CONFIG.format(channel="x").replace('channel = "x"', f'channel = "ws://user:{bus}@can.local:9/x"')
     parse(f'[server]\nread_token = "{reads}"\ncontrol_token = "{controls}"\n' + text)
     written, log = lines(style), logging.getLogger("tactiled.x")
     log.warning("tokens %s %s, bus %s, GET /x?token=%s&a=1", reads, controls, bus, query)
-    try:
-        raise OSError(f"http://{login}@elsewhere: Authorization: Bearer {bearer}: {bus}")
-    except OSError:
-        log.exception("failed")
+    error = OSError(f"http://{login}@elsewhere: Authorization: Bearer {bearer}: {bus}")
+    log.error("failed", exc_info=error)
     output = "\n".join(written())
     assert [each for each in secrets if each in output] == []
     assert "tokens hidden hidden, bus hidden, GET /x?token=hidden&a=1" in output
@@ -86,19 +77,15 @@ def test_each_kind_of_event_of_each_sensor_is_limited_apart(lines):
     events.add("sensor_stale", "no frame for 1 s", "palm2")
     events.add("sensor_live", "frames come", "palm1")
     kinds = [(line["event"], line["sensor"]) for line in map(json.loads, written())]
-    assert kinds == [("sensor_stale", "palm1")] * logs.MAX_A_MINUTE + [
-        ("sensor_stale", "palm2"), ("sensor_live", "palm1"),
-    ]  # fmt: skip
+    others = [("sensor_stale", "palm2"), ("sensor_live", "palm1")]
+    assert kinds == [("sensor_stale", "palm1")] * logs.MAX_A_MINUTE + others
 
 
 def test_faults_of_requests_of_uvicorn_and_of_threads_are_objects_with_a_traceback(lines, rig, url, monkeypatch):
     written = lines("json")
     monkeypatch.setattr(rig.sensor, "status", lambda: 1 / 0)
     problem(ask("GET", url + "/api/v1/sensors/palm"), 500)
-    try:
-        raise RuntimeError("of uvicorn")
-    except RuntimeError:
-        logging.getLogger("uvicorn.error").exception("Exception in ASGI application\n")
+    logging.getLogger("uvicorn.error").error("Exception\n", exc_info=RuntimeError("of uvicorn"))
     thread = threading.Thread(target=lambda: [][1])
     thread.start()
     thread.join()
@@ -106,13 +93,3 @@ def test_faults_of_requests_of_uvicorn_and_of_threads_are_objects_with_a_traceba
     assert faults["tactiled.web.http.auth"].endswith("ZeroDivisionError: division by zero")
     assert faults["uvicorn.error"].endswith("RuntimeError: of uvicorn")
     assert faults["tactiled"].endswith("IndexError: list index out of range")
-
-
-def test_a_line_for_whoever_started_the_process_is_plain_or_json(lines, capsys):
-    logs.announce("live")
-    assert capsys.readouterr().out == "tactiled: live\n"
-    written = lines("json")
-    logs.announce("refused", logging.ERROR)
-    assert capsys.readouterr().out == ""
-    (line,) = map(json.loads, written())
-    assert (line["level"], line["text"]) == ("error", "refused")

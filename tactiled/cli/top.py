@@ -21,7 +21,7 @@ from tactiled.errors import TactileError
 
 PLAIN_WIDTH = 250  # columns of a table that is no terminal's: no row is broken
 COLUMNS = ("sensor", "state", "Hz", "published ms", "sent ms", "restored ms", "losses", "warnings")
-NONE = "–"
+NONE, AGES = "–", "tactiled_frame_age_seconds"
 Labels = Mapping[str, str]
 
 
@@ -82,18 +82,16 @@ class Interval:
         yield next((each["state"] for each, value in after.of("tactiled_state", sensor=sensor) if value), NONE)
         yield f"{after.value('tactiled_rate_hertz', sensor=sensor):.1f}"
         for at in ("publish", "send"):
-            ages = [
-                self.quantile(share, "tactiled_frame_age_seconds", sensor=sensor, at=at) for share in (0.5, 0.99)
-            ]
-            yield NONE if math.isnan(ages[0]) else " / ".join(f"{1e3 * each:.2f}" for each in ages)
+            median, high = (self.quantile(share, AGES, sensor=sensor, at=at) for share in (0.5, 0.99))
+            yield NONE if math.isnan(median) else f"{1e3 * median:.2f} / {1e3 * high:.2f}"
         yield self._methods(sensor)
-        losses = {each["kind"]: value for each, value in after.of("tactiled_loss_total", sensor=sensor) if value}
-        yield ", ".join(map(self._loss, [sensor] * len(losses), losses, losses.values())) or NONE
+        losses = after.of("tactiled_loss_total", sensor=sensor)
+        yield ", ".join(self._loss(labels, count) for labels, count in losses if count) or NONE
         yield ", ".join(sorted(each["code"] for each, _ in after.of("tactiled_warning", sensor=sensor))) or NONE
 
-    def _loss(self, sensor: str, kind: str, count: float) -> str:
-        more = self.increase("tactiled_loss_total", sensor=sensor, kind=kind)
-        return f"{kind} {count:.0f}" + (f" (+{more:.0f})" if more else "")
+    def _loss(self, labels: Labels, count: float) -> str:
+        more = self.increase("tactiled_loss_total", **labels)
+        return f"{labels['kind']} {count:.0f}" + (f" (+{more:.0f})" if more else "")
 
     def _methods(self, sensor: str) -> str:
         """Mean time of each method that ran."""
@@ -123,12 +121,8 @@ def table(url: str, interval: Interval, plain: bool) -> Table:
 
 def top(
     url: Annotated[str, typer.Argument(help="Address of the service.")] = "http://127.0.0.1:8000",
-    token: Annotated[
-        str | None, typer.Option(envvar="TACTILED_TOKEN", help="Token, if the service needs one.")
-    ] = None,
-    seconds: Annotated[
-        float, typer.Option("--interval", help="Seconds that a table covers.", min=0.1, max=3600)
-    ] = 1.0,
+    token: Annotated[str | None, typer.Option(envvar="TACTILED_TOKEN", help="Token, if it needs one.")] = None,
+    seconds: Annotated[float, typer.Option("--interval", help="Seconds that a table covers.", min=0.1)] = 1.0,
     once: Annotated[bool, typer.Option("--once", help="Print one table and exit.")] = False,
 ) -> None:
     """Show rates, ages, losses, warnings and processor time of a running service.

@@ -3,14 +3,14 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from itertools import accumulate, chain
-from typing import Any, get_args
+from types import SimpleNamespace
+from typing import Any, cast, get_args
 
 from fastapi import APIRouter, Request, Response
 from prometheus_client import ProcessCollector, generate_latest
 from prometheus_client.metrics_core import CounterMetricFamily as Counter
 from prometheus_client.metrics_core import GaugeMetricFamily as Gauge
 from prometheus_client.metrics_core import HistogramMetricFamily, Metric
-from prometheus_client.registry import Collector
 
 from tactiled.bus.error_frames import KINDS
 from tactiled.runtime.sensor import Sensor, State
@@ -30,12 +30,7 @@ GAUGES = (  # name, help text, field of a sensor's status
 HISTOGRAMS = (  # name, help text, second label, field of a sensor's timings
     ("stage_seconds", "time of a frame in each stage", "stage", "stages"),
     ("restore_seconds", "time of restoring a frame, by the method that ran", "method", "methods"),
-    (
-        "frame_age_seconds",
-        "time since a frame's last message when it is published, and when it is sent",
-        "at",
-        "ages",
-    ),
+    ("frame_age_seconds", "age of a frame since its last message when it is published, and sent", "at", "ages"),
 )
 LE = (*map(str, BOUNDS_S), "+Inf")
 
@@ -51,17 +46,9 @@ def metrics(request: Request, service: CurrentService) -> Response:
 
 def text(service: ServiceView, streams: ConcurrencyLimit, places: Places) -> bytes:
     """Every family of a service, its streams, its connections and its process."""
-    return generate_latest(_Families(service, streams, places))
-
-
-class _Families(Collector):
-    def __init__(self, service: ServiceView, streams: ConcurrencyLimit, places: Places) -> None:
-        self._sensors, self._streams, self._places = service.sensors, streams, places
-
-    def collect(self) -> Iterable[Metric]:
-        """Every family, as of now."""
-        process = ProcessCollector(registry=None).collect()
-        return chain(_health(self._sensors), _times(self._sensors), _clients(self._streams, self._places), process)
+    sensors, process = service.sensors, ProcessCollector(registry=None).collect()
+    families = chain(_health(sensors), _times(sensors), _clients(streams, places), process)
+    return generate_latest(cast(Any, SimpleNamespace(collect=lambda: families)))
 
 
 def _health(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
@@ -71,19 +58,19 @@ def _health(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
         for name, status in statuses.items()
         for state in get_args(State)
     ]
-    yield _family(Gauge, "state", "1 for the present state of the sensor, else 0", ("sensor", "state"), states)
+    yield _family(Gauge, "state", "1 for the present state of the sensor, else 0", "sensor state", states)
     for gauge, help_text, field in GAUGES:
         values = [(name, getattr(status, field)) for name, status in statuses.items()]
-        yield _family(Gauge, gauge, help_text, ("sensor",), values)
+        yield _family(Gauge, gauge, help_text, "sensor", values)
     losses = [(name, *loss) for name, status in statuses.items() for loss in asdict(status.loss).items()]
-    yield _family(Counter, "loss", "losses on the way in, by kind", ("sensor", "kind"), losses)
+    yield _family(Counter, "loss", "losses on the way in, by kind", "sensor kind", losses)
     buses = {sensors[name].plan.bus: status.errors for name, status in statuses.items()}
     errors = [(bus, kind, counts.get(kind, 0)) for bus, counts in buses.items() for kind in KINDS]
-    yield _family(Counter, "error_frames", "error frames of the bus, by kind", ("bus", "kind"), errors)
+    yield _family(Counter, "error_frames", "error frames of the bus, by kind", "bus kind", errors)
     images = [image for sensor in sensors.values() if (image := sensor.hub.latest())]
     warnings = [(image.sensor, code, 1.0) for image in images for code in {each.code for each in image.warnings}]
     yield from _regions(sensors)
-    yield _family(Gauge, "warning", "1 for each warning of the newest image", ("sensor", "code"), warnings)
+    yield _family(Gauge, "warning", "1 for each warning of the newest image", "sensor code", warnings)
 
 
 def _regions(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
@@ -101,11 +88,9 @@ def _regions(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
     )
     for key, help_text in quantities:
         values = [(sensor, name, getattr(each.now, key)) for sensor, name, each in summaries]
-        yield _family(Gauge, f"region_{key}", help_text, ("sensor", "region"), values)
+        yield _family(Gauge, f"region_{key}", help_text, "sensor region", values)
     exceeded = [(sensor, name, float(each.exceeded)) for sensor, name, each in summaries]
-    yield _family(
-        Gauge, "region_exceeded", "1 while a region is over its threshold", ("sensor", "region"), exceeded
-    )
+    yield _family(Gauge, "region_exceeded", "1 while a region is over its threshold", "sensor region", exceeded)
 
 
 def _times(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
@@ -122,24 +107,14 @@ def _times(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
 def _clients(streams: ConcurrencyLimit, places: Places) -> Iterator[Metric]:
     refused, dropped = streams.refused.items(), places.dropped.items()
     yield Gauge("tactiled_streams", "open WebSockets", streams.open)
-    yield _family(
-        Counter, "streams_refused", "refused WebSockets, by the bound that was reached", ("bound",), refused
-    )
+    yield _family(Counter, "streams_refused", "refused WebSockets, by the bound reached", "bound", refused)
     yield Gauge("tactiled_connections", "open connections, with WebSockets", places.open)
-    yield _family(
-        Counter, "connections_dropped", "connections above the bound, by what was done", ("how",), dropped
-    )
+    yield _family(Counter, "connections_dropped", "connections above the bound, by what was done", "how", dropped)
 
 
-def _family(
-    kind: type[Gauge | Counter],
-    name: str,
-    help_text: str,
-    labels: tuple[str, ...],
-    samples: Iterable[tuple[Any, ...]],
-) -> Metric:
+def _family(kind: type[Gauge | Counter], name: str, text: str, labels: str, samples: Iterable[Any]) -> Metric:
     """A family of (label values, ..., value), those without a value left out."""
-    family = kind(f"tactiled_{name}", help_text, labels=labels)
+    family = kind(f"tactiled_{name}", text, labels=labels.split())
     for *label_values, value in samples:
         if value is not None:
             family.add_metric(label_values, value)

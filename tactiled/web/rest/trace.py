@@ -18,17 +18,6 @@ MAX_SEND_S = 0.5  # that the sends of an image are waited for, unless the next o
 router = APIRouter(prefix="/api/v1", tags=["frames"])
 
 
-class Stage(schemas.Schema):
-    """When a frame had passed a stage."""
-
-    stage: str = Field(
-        description="first_message, last_message, assembled (in counts), started (its turn came), calibrated, "
-        "restored, checked (warnings), published, contacts, sent_first, sent_last (to clients)",
-        examples=["restored"],
-    )
-    age_s: float = Field(description="since the frame's last message", examples=[0.00048])
-
-
 class Trace(schemas.Schema):
     """The way of one frame."""
 
@@ -43,7 +32,12 @@ class Trace(schemas.Schema):
         description="null: a newer frame came before they were searched for", examples=[2]
     )
     sends: int = Field(description="to clients of WebSockets", examples=[1])
-    stages: tuple[Stage, ...] = Field(description="in the order of time")
+    age_s: dict[str, float] = Field(
+        description="since the frame's last message, when it had passed each stage: first_message, last_message, "
+        "assembled (in counts), started (its turn came), calibrated, restored, checked (warnings), published, "
+        "contacts, sent_first, sent_last (to clients)",
+        examples=[{"last_message": 0.0, "restored": 0.00048}],
+    )
 
 
 @router.get("/sensors/{name}/trace", responses=problems(404, 429, 503))
@@ -79,17 +73,11 @@ async def trace(sensor: NamedSensor, request: Request) -> Trace:
             await asyncio.wait_for(overtaken, MAX_SEND_S)
     sent_at = [at for each, at in sends if each is image]
     times |= {"sent_first": min(sent_at), "sent_last": max(sent_at)} if sent_at else {}
+    made = image.times._asdict() if image.times else {}  # none of an image that was made elsewhere
+    origin = made.get("last_message", published)
     return Trace(
         **Trace.shared(image) | {"contacts": len(contacts) if searched is image else None},
         timestamp=image.time,
         sends=len(sent_at),
-        stages=_stages(image, times),
+        age_s={stage: at - origin for stage, at in (made | times).items()},
     )
-
-
-def _stages(image: Image, times: dict[str, float]) -> tuple[Stage, ...]:
-    """Every stage with its age, by the times (s) of those after the image was made."""
-    made = image.times._asdict() if image.times else {}  # none of an image that was made elsewhere
-    origin = made.get("last_message", times["published"])
-    ages = [Stage(stage=stage, age_s=at - origin) for stage, at in (made | times).items()]
-    return tuple(sorted(ages, key=lambda each: each.age_s))
