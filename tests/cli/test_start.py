@@ -80,7 +80,7 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
         output = python(program, "run", str(config), XDG_CACHE_HOME=str(tmp_path), XDG_STATE_HOME=str(tmp_path))
     collects, *names = output.split()
     assert collects == "True"
-    assert not of(names, "skfem", "skimage", "matplotlib", "scipy.ndimage", "tactiled.study")
+    assert not of(names, "skfem", "skimage", "matplotlib", "scipy.ndimage", "tactiled.study", "rerun", "rosbags")
 
 
 @pytest.mark.parametrize(("table", "group"), [(0, []), (1, ["bench"]), (2, ["calibrate"])])
