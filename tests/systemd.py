@@ -1,6 +1,7 @@
 """systemd's end of the notifications, imitated."""
 
 import socket
+import time
 
 from tests.conftest import BUSY_S
 
@@ -15,6 +16,7 @@ class Manager(socket.socket):
 
     def receive(self, key=""):
         """The states of the next datagram, or of the next that has this one."""
+        end = time.monotonic() + BUSY_S
         while key not in (text := self.recv(4096).decode()):
-            pass
+            assert time.monotonic() < end, f"{key} was not sent"
         return dict(line.split("=", 1) for line in text.split("\n"))
