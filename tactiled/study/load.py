@@ -115,25 +115,27 @@ def measure(sensors: int, clients: int, rate_hz: float, seconds: float, pull: bo
     plans = [service.sensors[name].plan for name in names]
     targets = [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
     context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
-    (received, to_received), (sent, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
+    (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
     flow, end = "&flow=credit" if pull else "", context.Event()
     with service.running(), running(service, Server(port=0, streams_per_client=0, streams=0)) as url:
         base = f"{url.replace('http', 'ws', 1)}/api/v1/sensors"
         urls = [f"{base}/{names[n % sensors]}/stream?kinds=restored{flow}" for n in range(clients)]
         receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
         receiver.start()
-        received.recv()  # connected
+        to_received.close()  # so that the end of a process ends the wait for it
+        from_clients.recv()  # connected
         sender = context.Process(target=_send, args=(targets, payloads, rate_hz, span_s, to_sent), daemon=True)
         sender.start()
-        sent.recv()  # it begins
+        to_sent.close()
+        from_sender.recv()  # it begins
         time.sleep(WARM_UP_S)
         busy, began = time.process_time(), time.perf_counter()
         time.sleep(seconds)
         cores = (time.process_time() - busy) / (time.perf_counter() - began)
-        send_times = sent.recv()
+        send_times = from_sender.recv()
         time.sleep(DRAIN_S)
         end.set()
-        arrivals, client_cores = received.recv()
+        arrivals, client_cores = from_clients.recv()
         lost = sum(each.status().loss.lost for each in service.sensors.values())
         for each in (sender, receiver):
             each.join()
@@ -176,7 +178,7 @@ def _send(
             for place, (port, _) in enumerate(targets):
                 due = began + (n + place / len(targets)) / rate_hz
                 time.sleep(max(0.0, due - time.monotonic()))
-                messages = frames[place][n % RECORDED_FRAMES]
+                messages = frames[place][n % len(payloads)]
                 for each in messages:
                     out.sendto(each, ("127.0.0.1", port))
                 send_times[place].append(time.time())

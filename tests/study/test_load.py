@@ -7,7 +7,6 @@ from tactiled.study import load
 @pytest.mark.parametrize(("sensors", "clients", "pull"), [(1, 1, False), (2, 3, True)])
 def test_every_clients_images_are_aged_and_every_message_is_counted(monkeypatch, sensors, clients, pull):
     monkeypatch.setattr(load, "WARM_UP_S", 0.5)
-    monkeypatch.setattr(load, "RECORDED_FRAMES", 8)
     result = load.measure(sensors, clients, 20.0, 1.0, pull)
     assert (result.frames, len(result.ages_ms)) == (20, clients)
     assert all(0 < len(each) <= 20 and each.min() > 0 for each in result.ages_ms)
