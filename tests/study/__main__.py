@@ -3,12 +3,24 @@
 import typer
 from threadpoolctl import threadpool_limits
 
-from tests.study import bus, contacts, cover, eflesh, frame_times, health, judge, restore, sensors, transitions
+from tests.study import (
+    bus,
+    contacts,
+    cover,
+    eflesh,
+    frame_times,
+    health,
+    judge,
+    restore,
+    sensors,
+    transitions,
+    zenoh,
+)
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health,
-    judge.judge, restore.restore, sensors.sensors, transitions.transitions,
+    judge.judge, restore.restore, sensors.sensors, transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

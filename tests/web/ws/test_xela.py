@@ -282,7 +282,7 @@ def test_the_extra_port_may_be_open_to_other_machines(rig):
 
 def test_the_service_prints_the_extra_port_and_ends_with_it(rig, capsys, monkeypatch):
     servers, make = [], server._server
-    monkeypatch.setattr(server, "_server", lambda app, at: servers.append(make(app, at)) or servers[-1])
+    monkeypatch.setattr(server, "_server", lambda *each: servers.append(make(*each)) or servers[-1])
     thread = threading.Thread(target=serve, args=(rig.service, GUARDED), daemon=True)
     thread.start()
     until(lambda: len(servers) == 2 and all(each.started for each in servers))
