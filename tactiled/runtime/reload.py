@@ -12,7 +12,7 @@ from tactiled.frames import CONFIGURED
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """Sensors, or buses, by what a reload does with them."""
+    """Names of sensors, or of buses, by what a reload does with them."""
 
     added: tuple[str, ...]
     removed: tuple[str, ...]

@@ -14,6 +14,7 @@ from tactiled.frames import Loss
 from tactiled.restore import auto, points
 from tactiled.restore import methods as method_table
 from tactiled.runtime.events import Kind
+from tests.attack.attacks import ATTACKS
 from tests.docs.blocks import BLOCK, GUIDE, ROOT, pages, printed
 from tests.docs.markdown import BLOCKS, code
 
@@ -99,6 +100,17 @@ def test_links_lead_to_files_and_headings_that_exist(path):
         assert target.is_file(), link
         assert target.is_relative_to(ROOT), link
         assert not anchor or anchor in anchors(target.read_text("utf-8")), link
+
+
+def test_every_test_that_the_guide_names_exists():
+    names = re.findall(
+        r"`tests/(\S+\.py)::(\w+)(?:\[([\w-]+)\])?`", "".join(map(read, ("faults.md", "deployment.md")))
+    )
+    assert len(names) > 20
+    for path, test, parameter in names:
+        text = (ROOT / "tests" / path).read_text("utf-8")
+        assert re.search(rf"^(async )?def {test}\(", text, re.MULTILINE), f"{path}::{test}"
+        assert not parameter or parameter in ATTACKS, f"{path}::{test}[{parameter}]"
 
 
 def test_the_index_and_the_readme_name_every_page():

@@ -11,8 +11,10 @@ from tests.study import (
     frame_times,
     health,
     judge,
+    restart,
     restore,
     sensors,
+    soak,
     transitions,
     zenoh,
 )
@@ -20,7 +22,8 @@ from tests.study import (
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health,
-    judge.judge, restore.restore, sensors.sensors, transitions.transitions, zenoh.zenoh,
+    judge.judge, restart.restart, restore.restore, sensors.sensors, soak.soak, transitions.transitions,
+    zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

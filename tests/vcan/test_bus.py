@@ -9,8 +9,11 @@ import pytest
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.reader import BUFFER_BYTES, only, open_bus
 from tactiled.bus.router import Router
+from tactiled.config import load
 from tactiled.errors import BusError
 from tactiled.frames import Message
+from tactiled.runtime.service import Service
+from tests.skin import PALM
 
 CODEC = Packed(10, 12)  # three messages a frame
 
@@ -119,3 +122,33 @@ def test_a_batch_of_messages_is_what_python_can_reads_one_by_one(bus, fd):
         Message(each.timestamp, each.arbitration_id, bytes(each.data), each.is_extended_id, each.is_fd)
         for each in single
     ]
+
+
+def test_the_kernels_filters_follow_a_reload(bus, until, tmp_path):
+    def write(*ids):
+        sensors = [PALM.replace("palm", f"s{each}").replace("fd = true", f"array_id = {each}") for each in ids]
+        path.write_text('[bus.can0]\ninterface = "socketcan"\nchannel = "vcan0"\n' + "".join(sensors))
+
+    path = tmp_path / "palm.toml"
+    write(0)
+    service, sender = Service(load(path), path=path), bus()
+
+    def show(number):
+        sensor = service.sensor(f"s{number}")
+        before = sensor.hub.latest()
+        send(sender, sensor.codec, [before.sequence + 1 if before else 0])
+        until(lambda: sensor.hub.latest() is not before)
+
+    with service.running():
+        show(0)
+        write(0, 1)
+        service.reload()
+        until(lambda: service.sensor("s1").clock == "kernel")  # the bus's thread has taken it
+        show(1)
+        write(0)
+        service.reload()
+        until(lambda: len(service._sources["can0"]._router.ids) == 1)
+        send(sender, Packed(16, array_id=1), range(3))
+        show(0)
+        loss = service.sensor("s0").status().loss
+        assert (loss.foreign, loss.lost, loss.unsent) == (0, 0, 0)

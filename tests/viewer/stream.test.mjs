@@ -151,8 +151,8 @@ test("a still image keeps its own method, and details of the status nearest in t
 test("frames of another run or another shape are not mixed with those before", () => {
   const { session, socket, events } = watch();
   socket.deliver(...frame(10), ...frame(11), ...frame(9));
-  assert.equal(session.history.length, 1);
-  socket.deliver(...frame(9 + 601));
+  assert.deepEqual([events.at(-1), session.history.length], ["other shape", 2]); // it was restarted
+  socket.deliver(...frame(11 + 601));
   assert.equal(session.history.length, 1);
   const other = { columns: 1, values: [1] };
   socket.deliver(message(RAW, 800, { ...other, flags: [0] }), message(RESTORED, 800, other));

@@ -5,7 +5,7 @@ from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import ask, meanwhile, until
+from tests.conftest import CONFIG, ask, meanwhile, pressed, until
 from tests.viewer.conftest import LEVELS, PAINTINGS, THUMB, Pair
 
 READ, CONTROL = "r" * 16, "c" * 16
@@ -14,6 +14,7 @@ INKED = """(id => {
   const canvas = document.getElementById(id);
   return canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(each => each);
 })"""
+TABS = "[...document.querySelectorAll('[role=tab] span:not(.dot, .sub)')].map(each => each.innerText).join()"
 CHARTS = ("section", "forces", "latencies", "kernel")
 
 
@@ -47,6 +48,32 @@ def test_a_page_without_its_service_says_so_and_finds_it_again(request, open_pag
         with running(rig.service, server):
             page.keep(rig.both, f"{LEVELS} === 'live,live'")
             page.finish()
+
+
+def test_a_page_follows_sensors_that_a_reload_adds_restarts_and_removes(serve, open_page, tmp_path):
+    rig, url = serve(THUMB)
+    rig.stale_after(600)
+    for _ in range(3):
+        rig.both()
+    page, rig.service.path = open_page(url), tmp_path / "rig.toml"
+    bus, palm = CONFIG.format(channel=rig.config.bus["can0"].channel).split("[sensor.palm]")
+    wide = "[sensor.palm]" + palm.replace("pitch_mm = 1.0", "pitch_mm = 3.0").replace("0.3\n", "600\n")
+    tip = THUMB.replace("thumb", "tip")
+
+    def reload(*sensors):
+        rig.service.path.write_text(bus + "".join(sensors))
+        rig.service.reload()
+
+    assert page.evaluate(TABS) == "All,palm,thumb"
+    reload(wide, tip)
+    page.wait(f"{TABS} === 'All,palm,tip'")
+    rig.sensor, rig.sequence = rig.service.sensor("palm"), -1
+    with page.page.expect_request("**/palm/geometry"):  # its places may be others now
+        rig.show(pressed())
+    page.show(rig, pressed())
+    reload(tip)
+    page.wait(f"{TABS} === 'tip'")
+    page.finish("404", "503")  # of the sensor that is gone, and of one without a frame
 
 
 @pytest.fixture

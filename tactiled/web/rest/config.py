@@ -8,6 +8,7 @@ from pydantic import Field
 
 from tactiled.config import Server, schema
 from tactiled.errors import BusError, ConfigError, PhysicsError
+from tactiled.runtime.reload import Reload
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService
@@ -55,22 +56,6 @@ def config(request: Request, service: CurrentService) -> Config:
     )
 
 
-class Changes(schemas.Schema):
-    """Sensors, or buses, by name."""
-
-    added: tuple[str, ...] = Field(examples=[["tip"]])
-    removed: tuple[str, ...] = Field(examples=[[]])
-    restarted: tuple[str, ...] = Field(examples=[["palm"]])
-    unchanged: tuple[str, ...] = Field(examples=[["thumb"]])
-
-
-class Reload(schemas.Schema):
-    """What a reload changed."""
-
-    sensors: Changes
-    buses: Changes
-
-
 @router.post("/config/reload", responses=problems(409, 503, *CONTROL))
 async def reload(service: CurrentService) -> Reload:
     """Read the configuration file again: only what changed restarts, and a wrong file changes nothing.
@@ -79,17 +64,12 @@ async def reload(service: CurrentService) -> Reload:
     restarts if its bus changed, or a file that its table names. A change of `[server]` is refused.
     """
     try:
-        outcome = await asyncio.wrap_future(service.start_reload())
-    except (ConfigError, PhysicsError) as error:
-        raise Problem(422, _named(error, service)) from error
+        return await asyncio.wrap_future(service.start_reload())
+    except (ConfigError, PhysicsError) as error:  # the client sees the file's name, and not its path
+        text = str(error) if service.path is None else str(error).replace(str(service.path), service.path.name)
+        raise Problem(422, text) from error
     except BusError as error:
         raise Problem(503, str(error)) from error
-    return Reload.model_validate(outcome, from_attributes=True)
-
-
-def _named(error: Exception, service: "Service") -> str:
-    """An error's text with the file's name in place of its path."""
-    return str(error) if service.path is None else str(error).replace(str(service.path), service.path.name)
 
 
 def server_settings(server: Server, keeps_state: bool) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
  * @property {(status: Status, changed: boolean) => void} onStatus
  * @property {() => void} onLink
  * @property {() => void} onContacts contacts of a frame came
- * @property {() => void} onOtherShape the sensor has another shape than before
+ * @property {() => void} onOtherShape the sensor has another shape than before, or was restarted
  */
 
 const PRESSURE_KINDS = [RAW, RESTORED];
@@ -157,11 +157,12 @@ export class Session {
     const raw = images[RAW];
     const restored = images[RESTORED];
     const shear = this._shear ? images[SHEAR] : null;
-    if (!this.history.fits(raw, restored, shear)) {
+    const newest = this.history.at(0);
+    const restarted = newest !== null && restored.sequence < newest.sequence; // places and cover may be others, too
+    if (restarted || !this.history.fits(raw, restored, shear)) {
       this._listener.onOtherShape();
       return;
     }
-    const newest = this.history.at(0);
     const other = restored.unit !== this.unit; // a calibration was applied
     this.unit = restored.unit;
     if (newest && (other || restored.timestamp < newest.timestamp || restored.timestamp > newest.timestamp + MAX_GAP_S)) {

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Coroutine
+from contextlib import suppress
 from typing import Any
 
 from fastapi import WebSocket, WebSocketDisconnect
@@ -68,7 +69,8 @@ async def serve(socket: WebSocket, listen: Coroutine[Any, Any, None], send: Coro
     for task in done:
         error = task.exception()
         if isinstance(error, StreamEndError):
-            await socket.close(error.code, close_reason(error.reason))
+            with suppress(WebSocketDisconnect):  # it has left already
+                await socket.close(error.code, close_reason(error.reason))
         elif isinstance(error, NoShearError) or (task is listening and isinstance(error, ValueError)):
             await refuse(socket, error)
         elif error is not None and not isinstance(error, WebSocketDisconnect | ClientDisconnected):
