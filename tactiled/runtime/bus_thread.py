@@ -31,6 +31,7 @@ class BusThread:
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
         self.name, self._sensors, self._bus_settings = name, sensors, settings
         self._next_sensors: dict[str, Sensor] | None = None  # that another thread has asked for
+        self._exchanged = threading.Event()  # it has them
         self._route()
         self._counts: Counter[str] = Counter()  # of readers before this one
         self._kinds: Counter[str] = Counter()  # of their error frames
@@ -69,10 +70,16 @@ class BusThread:
         self._close_reader()
 
     def exchange(self, sensors: dict[str, Sensor]) -> None:
-        """Go on with these sensors within POLL_S; those that it has already lose nothing. Any thread."""
+        """Go on with these sensors; those that it has already lose nothing. Any other thread.
+
+        Its thread has taken them at the return, unless the bus is down or the thread hangs.
+        """
         for sensor in sensors.values():
             sensor.down = self._down
+        self._exchanged.clear()
         self._next_sensors = sensors
+        if self._reader is not None and self._thread.is_alive():
+            self._exchanged.wait(BACK_OFF_S[1])
 
     def _new_thread(self) -> threading.Thread:
         return threading.Thread(target=self._run, name=f"bus {self.name}", daemon=True)
@@ -99,12 +106,14 @@ class BusThread:
         self._set_down(self._down)
         if self._reader is None:
             self._poller = Poller(polling)
+            self._exchanged.set()
             return
         self._poller = self._poller.exchanged(polling, self._reader.send, time.monotonic())
         if self._settings.get("can_filters") != filters:
             self._reader.set_filters(self._settings["can_filters"])
         for sensor in sensors.values():
             sensor.clock = self._reader.clock
+        self._exchanged.set()
 
     def _run(self) -> None:
         wait, last_reason = BACK_OFF_S[0], ""

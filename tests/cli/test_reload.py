@@ -40,11 +40,11 @@ def test_it_reloads_at_sighup_and_closes_streams_at_sigterm(config, tmp_path):
         right = config.read_text()
         config.write_text(right.replace('"wiener"', '"sharpen"'))
         service.signal(signal.SIGHUP)
-        line = service.line("is not reloaded")
+        line = service.line("config_refused: ")
         assert "sensor.palm: method = 'sharpen'" in line
         config.write_text(right + TIP)
         service.signal(signal.SIGHUP)
-        assert "reloaded: sensors: added tip; 1 unchanged; buses: 1 unchanged" in service.line(" reloaded: ")
+        assert "sensors: added tip; 1 unchanged; buses: 1 unchanged" in service.line("config_reloaded: ")
         health = ask("GET", service.url + "/api/v1/health").json()
         assert health["sensors"].keys() == {"palm", "tip"}
         assert text(client)["state"] == "silent"
@@ -75,6 +75,6 @@ def test_after_kill_9_it_goes_on_with_the_method_tare_and_kernel_that_it_had(con
         status = ask("GET", service.url + api).json()
         assert (status["method"], status["tared_at"]) == ("raw", tared_at)
         assert {"method_kept", "tare_kept"} <= events(service).keys()
-        assert len(service.lines) == 1  # no word of a file that is damaged
+        assert not any("computed again" in line for line in service.lines)
     for path, changed_at in cache.items():
         assert path.stat().st_mtime_ns == changed_at
