@@ -208,6 +208,7 @@ def soak(
         tables = [SENSOR.format(number=n, bus=0, id=0x100 + 4 * n, side=SIDE) for n in range(sensors)]
         config.write_text(SERVER.format(folder=folder) + BUS.format(group=GROUP, port=port) + "".join(tables))
         service = Running(config)
+        threading.Thread(target=service.process.stdout.read, daemon=True).start()  # a full pipe would stop its log
         sender = threading.Thread(target=send, args=(port, sensors, rate_hz, stop), daemon=True)
         sender.start()
         try:
