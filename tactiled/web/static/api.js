@@ -209,6 +209,46 @@ export const tare = (name, force) => request(`${at(name)}/tare${force ? "?force=
 /** @param {string} name @returns {Promise<unknown>} */
 export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE" });
 
+/** @typedef {"rectangle"|"ellipse"|"polygon"} Shape */
+
+/** @typedef {{force: number|null, mean: number|null, peak: number|null, area: number|null}} RegionMeasures */
+
+/**
+ * @typedef {{
+ *   name: string, shape: Shape, points_mm: [number, number][],
+ *   threshold: {quantity: string, above: number, below: number}|null, unit: string, now: RegionMeasures|null,
+ *   highest: RegionMeasures|null, impulse: number, pressure_time: number, exceeded: boolean
+ * }} Region
+ */
+
+/** @param {string} name @returns {Promise<Region[]>} */
+export const regions = async (name) => (await request(`${at(name)}/regions`)).regions;
+
+/** @param {string} name @param {string} region @returns {string} */
+const atRegion = (name, region) => `${at(name)}/regions/${encodeURIComponent(region)}`;
+
+/** @param {string} name @param {string} region @param {Pick<Region, "shape"|"points_mm"|"threshold">} body @returns {Promise<Region>} */
+export const putRegion = (name, region, body) => request(atRegion(name, region), sending("PUT", body));
+
+/** @param {string} name @param {string} region @returns {Promise<null>} */
+export const removeRegion = (name, region) => request(atRegion(name, region), { method: "DELETE" });
+
+/** @param {string} name @param {string} region @returns {Promise<null>} */
+export const resetRegion = (name, region) => request(`${atRegion(name, region)}/reset`, { method: "POST" });
+
+/**
+ * @param {string} name
+ * @param {string} region
+ * @param {number} seconds
+ * @param {number} points at most
+ * @returns {Promise<{time: number[], force: (number|null)[]}>}
+ */
+export const regionSeries = (name, region, seconds, points) =>
+  request(`${atRegion(name, region)}/series?seconds=${seconds}&points=${points}`);
+
+/** @param {string} name @param {string} region @param {number} seconds @returns {string} where the series is to be had */
+export const regionCsv = (name, region, seconds) => `${ROOT}${atRegion(name, region)}/series?format=csv&seconds=${seconds}`;
+
 /** @param {string} name @returns {Promise<Calibration>} */
 export const calibration = (name) => request(`${at(name)}/calibration`);
 

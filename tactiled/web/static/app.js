@@ -10,6 +10,7 @@ import { PageText } from "./page_text.js";
 import { PlaybackPage } from "./playback_page.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
+import { Regions } from "./regions.js";
 import { ALL, Tabs } from "./tabs.js";
 import { theme } from "./theme.js";
 import { Viewer } from "./viewer.js";
@@ -30,6 +31,7 @@ const log = new EventLog();
 const viewer = new Viewer({
   onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer), onPlayback: (session) => playback.begin(session),
 });
+viewer.regions = new Regions(viewer);
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "", (name) => playback.open(name));
 const playback = new PlaybackPage(viewer, () => recorder.update());

@@ -35,6 +35,8 @@ export class Maps {
     this._differences = new Float32Array(0);
     this._taxels = new Int32Array(0); // that the cells of the restored map lie on
     this._boxes = byId("boxes");
+    /** CSS px per mm. */
+    this.zoom = 1;
     /** @type {Plane|null} */
     this._plane = null;
   }
@@ -134,6 +136,7 @@ export class Maps {
     maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
     const height = WIDE_WINDOW.matches ? box.clientHeight - AXIS_BOTTOM_PX : 0.7 * window.innerHeight;
     const zoom = snapZoom(plane, Math.min((box.clientWidth - AXIS_LEFT_PX) / plane.width, height / plane.height));
+    this.zoom = zoom;
     for (const each of this._maps) each.resize(zoom);
     for (const each of this._axes) each.draw(plane, zoom);
     this.rawMarks.resize(plane, zoom);

@@ -52,6 +52,8 @@ export class Viewer {
       if (deliberate) listener.onProbe();
     });
     this.view = new View(this.ranges, () => this.restyle());
+    /** @type {import("./regions.js").Regions|null} */
+    this.regions = null;
     /** @type {Session|PlaybackSession|null} */
     this.session = null;
     /** @type {((name: string) => Promise<Played|null>)|null} gives the recording to watch in the place of a sensor */
@@ -160,6 +162,7 @@ export class Viewer {
   /** The window has another size. */
   layout() {
     this.maps.layout();
+    this.regions?.layout(this.maps.zoom);
     this.kernel.draw();
     this._paint(performance.now()); // at once: a canvas of another size is empty
   }
@@ -264,6 +267,7 @@ export class Viewer {
     const { history } = this.session;
     this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
     this.latencies.use(history, [["accent", history.latencies]]);
+    this.regions?.layout(this.maps.zoom);
     this.refresh();
     this._listener.onChange();
   }

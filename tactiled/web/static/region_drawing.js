@@ -1,0 +1,99 @@
+/** Drawing a region on a map: drag a rectangle or an ellipse, click the corners of a polygon. @module */
+
+import { notice } from "./notice.js";
+
+/** @import { Shape } from "./api.js" */
+/** @import { Heatmap } from "./heatmap.js" */
+
+const HINTS = {
+  rectangle: "Drag on a map. Esc ends.", ellipse: "Drag on a map. Esc ends.",
+  polygon: "Click the corners on a map; Enter closes the polygon, Esc ends.",
+};
+const MIN_SIDE_MM = 0.05; // of what a drag has made: less was a click
+
+export class RegionDrawing {
+  /**
+   * @param {Heatmap[]} maps
+   * @param {() => void} onChange what is being drawn is another
+   * @param {(shape: Shape, points: [number, number][]) => void} onDone it is drawn
+   */
+  constructor(maps, onChange, onDone) {
+    /** @type {Shape|null} what is being drawn; null for nothing */
+    this.shape = null;
+    /** @type {[number, number][]} mm */
+    this.points = [];
+    this._onChange = onChange;
+    this._onDone = onDone;
+    for (const map of maps) this._listen(map);
+    document.addEventListener("keydown", (event) => this._key(event), true);
+  }
+
+  /** @param {Shape} shape */
+  start(shape) {
+    this.shape = shape;
+    this.points = [];
+    document.body.classList.add("drawing");
+    notice(HINTS[shape]);
+  }
+
+  /** Draw nothing any more. */
+  stop() {
+    this.shape = null;
+    this.points = [];
+    document.body.classList.remove("drawing");
+    this._onChange();
+  }
+
+  /** @param {Heatmap} map */
+  _listen(map) {
+    const at = (/** @type {PointerEvent} */ event) => {
+      const place = { x: 0, y: 0 };
+      map.locate(event, place);
+      return /** @type {[number, number]} */ ([place.x, place.y]);
+    };
+    const take = (/** @type {PointerEvent} */ event) => {
+      event.stopImmediatePropagation();
+      event.preventDefault();
+    };
+    // In the capturing phase of the map's parent: the probe does not see what draws.
+    const root = /** @type {HTMLElement} */ (map.frame.parentElement);
+    root.addEventListener("pointerdown", (event) => {
+      if (!this.shape || event.button !== 0) return;
+      take(event);
+      if (this.shape === "polygon") this.points.push(at(event));
+      else {
+        this.points = [at(event), at(event)];
+        root.setPointerCapture(event.pointerId);
+      }
+      this._onChange();
+    }, true);
+    root.addEventListener("pointermove", (event) => {
+      if (!this.shape) return;
+      take(event);
+      if (this.shape === "polygon" || !this.points.length || !event.buttons) return;
+      this.points[1] = at(event);
+      this._onChange();
+    }, true);
+    root.addEventListener("pointerup", (event) => {
+      if (!this.shape) return;
+      take(event);
+      if (this.shape !== "polygon" && this.points.length) this._finish();
+    }, true);
+  }
+
+  /** @param {KeyboardEvent} event */
+  _key(event) {
+    if (!this.shape || (event.key !== "Escape" && event.key !== "Enter")) return;
+    event.stopPropagation();
+    event.preventDefault();
+    if (event.key === "Enter" && this.shape === "polygon" && this.points.length > 2) this._finish();
+    else this.stop();
+  }
+
+  _finish() {
+    const { shape, points } = this;
+    const sides = [0, 1].map((axis) => Math.max(...points.map((each) => each[axis])) - Math.min(...points.map((each) => each[axis])));
+    this.stop();
+    if (shape && Math.min(...sides) > MIN_SIDE_MM) this._onDone(shape, points);
+  }
+}

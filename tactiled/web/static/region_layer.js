@@ -1,0 +1,81 @@
+/** The regions' outlines on a map, and the one that is being drawn. @module */
+
+import { context2d, fitCanvas } from "./dom.js";
+
+/** @import { Plane } from "./geometry.js" */
+/** @import { Shape } from "./api.js" */
+
+const TEXT_PX = 12; // CSS px
+
+/** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean}} Outline */
+
+export class RegionLayer {
+  /** @param {HTMLElement} frame of the map */
+  constructor(frame) {
+    this._canvas = document.createElement("canvas");
+    this._canvas.className = "marks";
+    this._canvas.setAttribute("aria-hidden", "true");
+    frame.append(this._canvas);
+    /** @type {Plane|null} */
+    this._plane = null;
+    this._zoom = 1;
+  }
+
+  /** @param {Plane} plane @param {number} zoom CSS px per mm */
+  resize(plane, zoom) {
+    this._plane = plane;
+    this._zoom = zoom;
+  }
+
+  /** @param {Outline[]} outlines */
+  draw(outlines) {
+    const plane = this._plane;
+    if (!plane) return;
+    const zoom = this._zoom;
+    const ratio = fitCanvas(this._canvas, plane.width * zoom, plane.height * zoom);
+    const draw = context2d(this._canvas);
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+    draw.clearRect(0, 0, plane.width * zoom, plane.height * zoom);
+    draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
+    draw.lineJoin = "round";
+    for (const { name, shape, points_mm, exceeded } of outlines) {
+      const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
+      const xs = points.map((each) => each[0]);
+      const ys = points.map((each) => each[1]);
+      const [left, top] = [Math.min(...xs), Math.min(...ys)];
+      draw.beginPath();
+      outline(draw, shape, points, left, top, Math.max(...xs) - left, Math.max(...ys) - top);
+      for (const [width, color] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, exceeded ? "#ffb454" : "#fff"]])) {
+        draw.setLineDash(width > 2 ? [] : [6, 3]);
+        draw.lineWidth = width;
+        draw.strokeStyle = color;
+        draw.stroke();
+      }
+      draw.setLineDash([]);
+      draw.lineWidth = 3;
+      draw.strokeStyle = "rgb(0 0 0 / 80%)";
+      draw.fillStyle = exceeded ? "#ffb454" : "#fff";
+      const y = Math.max(TEXT_PX, top - 4);
+      draw.strokeText(name, Math.max(2, left), y);
+      draw.fillText(name, Math.max(2, left), y);
+    }
+  }
+}
+
+/**
+ * @param {CanvasRenderingContext2D} draw
+ * @param {Shape} shape
+ * @param {number[][]} points px
+ * @param {number} left px, of the box round it
+ * @param {number} top
+ * @param {number} width
+ * @param {number} height
+ */
+function outline(draw, shape, points, left, top, width, height) {
+  if (shape === "rectangle") draw.rect(left, top, width, height);
+  else if (shape === "ellipse") draw.ellipse(left + width / 2, top + height / 2, width / 2, height / 2, 0, 0, 2 * Math.PI);
+  else {
+    for (const [x, y] of points) draw.lineTo(x, y);
+    draw.closePath();
+  }
+}
