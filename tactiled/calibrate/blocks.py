@@ -14,6 +14,8 @@ KNOWN_BLOCKS = 20  # before which noise is not judged
 MEDIAN_VARIANCE = (
     0.855  # median over mean of a block's variance: 2e5 blocks of white noise, as in `Block.variance`
 )
+MAX_UNEVENNESS = 1.5  # longest over shortest period, above which a load that moves changes readings like noise
+REST_SIGMAS = 2.0  # of the noise, which the mean of a block strays from no load by if anything lies there
 MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that
 MIN_NOISE = 0.05  # steps: the running noise stays above it, so that it comes up again in seconds
 
@@ -23,8 +25,12 @@ Floats = NDArray[np.float32]
 class Block:
     """Successive frames (K, N) in counts, of an array whose counts differ by multiples of `step`."""
 
-    def __init__(self, time_s: float, counts: Floats, readable: NDArray[np.bool_], step: float) -> None:
-        self.time_s = time_s  # of the last frame
+    def __init__(
+        self, times_s: NDArray[np.float64], counts: Floats, readable: NDArray[np.bool_], step: float
+    ) -> None:
+        self.time_s = float(times_s[-1])  # of the last frame
+        periods = np.diff(times_s)
+        self.even = bool(periods.max() <= MAX_UNEVENNESS * periods.min())  # its frames come evenly
         self.counts = counts  # the collector's own: valid until its next frame
         self.readable = readable  # (N,) neither missing nor bad in any of the frames
         self.step = step  # counts
@@ -44,6 +50,7 @@ class Blocks:
     def __init__(self, taxels: int) -> None:
         self._counts = np.zeros((BLOCK_FRAMES, taxels), np.float32)
         self._flags = np.zeros(taxels, np.uint8)
+        self._times_s = np.zeros(BLOCK_FRAMES)
         self._frames = 0  # of the block under way
         self._began_s = -np.inf
         self._step = np.inf
@@ -55,7 +62,7 @@ class Blocks:
                 return None
             self._began_s = time_s
             self._flags[:] = 0
-        self._counts[self._frames] = counts
+        self._counts[self._frames], self._times_s[self._frames] = counts, time_s
         self._flags |= flags
         self._frames += 1
         if self._frames < BLOCK_FRAMES:
@@ -63,7 +70,7 @@ class Blocks:
         self._frames = 0
         self._look_for_step()
         step = self._step if np.isfinite(self._step) else 1.0
-        return Block(time_s, self._counts, self._flags & (MISSING | BAD) == 0, step)
+        return Block(self._times_s, self._counts, self._flags & (MISSING | BAD) == 0, step)
 
     def restart(self) -> None:
         """Drop the block under way."""
@@ -77,7 +84,10 @@ class Blocks:
 
 
 class TaxelNoise:
-    """Running median over blocks of each taxel's noise; what moves on a taxel now and then does not change it."""
+    """Running median over blocks of each taxel's noise; what moves on a taxel now and then does not change it.
+
+    What lies on a taxel may move between frames that come unevenly: such blocks count where nothing lies.
+    """
 
     def __init__(self, taxels: int) -> None:
         self._variance = np.zeros(taxels, np.float32)
@@ -94,14 +104,17 @@ class TaxelNoise:
         """(N,) taxels that were seen in enough blocks."""
         return self._blocks >= KNOWN_BLOCKS
 
-    def update(self, block: Block) -> None:
-        """Take a block; a taxel's variance goes a part of itself towards the block's."""
+    def update(self, block: Block, load: Floats) -> None:
+        """Take a block with its mean load (N,), counts; a variance goes a part of itself towards the block's."""
+        readable = block.readable
+        if not block.even:
+            readable = readable & (np.abs(load) < REST_SIGMAS * self.sigma)
         self._step = block.step
         variance = block.variance / MEDIAN_VARIANCE
-        first = block.readable & (self._blocks == 0)
+        first = readable & (self._blocks == 0)
         self._variance[first] = variance[first]
         learning = np.maximum(1 / (self._blocks + 1), MIN_LEARNING)
         factor = np.exp(learning * np.sign(variance - self._variance))
-        np.multiply(self._variance, factor, out=self._variance, where=block.readable)
+        np.multiply(self._variance, factor, out=self._variance, where=readable)
         np.maximum(self._variance, (MIN_NOISE * block.step) ** 2, out=self._variance)
-        self._blocks += block.readable
+        self._blocks += readable

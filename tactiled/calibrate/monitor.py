@@ -64,8 +64,9 @@ class SkinMonitor:
         block = self._blocks.push(frame.time, frame.counts, frame.flags)
         if block is None:
             return False
-        self._noise.update(block)
-        sigma, load = self._noise.sigma, calibrator.pressure(block.mean) / np.float32(self._per_count)
+        load = calibrator.pressure(block.mean) / np.float32(self._per_count)
+        self._noise.update(block, load)
+        sigma = self._noise.sigma
         configured = ~calibrator.dead
         self._changes.extend(self._health.update(block, sigma, load, configured, self.map.swapped))
         healthy = configured & (self._health.faults == Fault.HEALTHY)

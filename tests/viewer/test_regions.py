@@ -31,8 +31,8 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     assert (region["name"], region["shape"]) == ("heel", "ellipse")
     pitch, side = rig.sensor.array.pitch, rig.sensor.array.shape[0]
     corners = np.array(region["points_mm"])
-    low = (0.25 * side - 0.5) * pitch
-    assert corners == pytest.approx(np.array([[low, low], [low, low]]) + [[0], [0.5 * side * pitch]], abs=0.1)
+    expected = (np.array([0.25, 0.75]) * side - 0.5) * pitch
+    assert corners == pytest.approx(np.column_stack([expected, expected]), abs=0.1)
     page.get_by_role("button", name="Polygon").click()
     for x, y in ((0.1, 0.1), (0.5, 0.1), (0.1, 0.5)):
         page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
