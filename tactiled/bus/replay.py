@@ -24,10 +24,11 @@ LOG = logging.getLogger(__name__)
 def frames(messages: Iterable[Message], router: Router, at_once: int = 1) -> Iterator[tuple[str, RawFrame]]:
     """Every (sensor, frame) of a recording; its own times, not the clock's, close half-received frames.
 
-    A whole frame comes with its last message; with more messages `at_once` up to so many later.
+    A whole frame comes with its last message; with more messages `at_once` up to so many later. A fault in the
+    recording is raised behind the frames before it.
     """
-    pace, waiting, times = Pace(), list[Message](), list[float]()
-    for message in messages:
+    pace, waiting, times, faults = Pace(), list[Message](), list[float](), list[TactileError]()
+    for message in _before_fault(messages, faults):
         last, _ = pace.now, pace.go(message.time)
         if pace.now - last > GAP_S:
             yield from router.push(Batch.of(waiting), np.array(times))
@@ -40,6 +41,16 @@ def frames(messages: Iterable[Message], router: Router, at_once: int = 1) -> Ite
             waiting, times = [], []
     yield from router.push(Batch.of(waiting), np.array(times))
     yield from router.flush(float("inf"))
+    if faults:
+        raise faults[0]
+
+
+def _before_fault(messages: Iterable[Message], faults: list[TactileError]) -> Iterator[Message]:
+    """The messages before a fault in their recording, which is added to `faults`."""
+    try:
+        yield from messages
+    except TactileError as error:
+        faults.append(error)
 
 
 class Replay:

@@ -6,7 +6,7 @@ Any format is read so, also those that can only be read from their beginning; me
 import os
 import time
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from multiprocessing.reduction import DupFd
 from operator import attrgetter
@@ -25,7 +25,7 @@ from tactiled.bus.recording import Recording
 from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
 from tactiled.errors import TactileError
-from tactiled.frames import Loss, Message, RawFrame
+from tactiled.frames import Loss, RawFrame
 from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tactiled.threads import join_started
 
@@ -99,23 +99,14 @@ class _Writer:
         self._pending.clear()
 
 
-def _until_fault(recording: Recording, faults: list[TactileError]) -> Iterator[Message]:
-    """The messages before a fault, which becomes one of `faults`: frames that wait for more are not lost by it."""
-    try:
-        yield from recording
-    except TactileError as error:
-        faults.append(error)
-
-
 def write_frames(
     path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[Any, Any]], leave_mb: float
 ) -> str:
     """Write every frame of a recording; returns a summary of it. TactileError where it or the disk ends early."""
     recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
     parent, flushed = os.getppid(), time.monotonic()
-    faults: list[TactileError] = []
     try:
-        for name, frame in frames(_until_fault(recording, faults), Router(codecs), AT_ONCE):
+        for name, frame in frames(recording, Router(codecs), AT_ONCE):
             writers[name].add(frame)
             if time.monotonic() - flushed > FLUSH_S:
                 for each in writers.values():
@@ -128,8 +119,6 @@ def write_frames(
     finally:
         for each in writers.values():
             each.flush()
-    if faults:
-        raise faults[0]
     return recording.summary()
 
 

@@ -2,6 +2,7 @@
 
 import json
 import random
+from functools import partial
 
 import numpy as np
 
@@ -67,13 +68,18 @@ FOREIGN = {
 
 
 def strangers(_):
-    """300 requests and handshakes of pages of another site, or to another name than loopback's."""
+    """300 requests and handshakes of pages of another site, or of one that has its own name lead to loopback.
+
+    The latter has no token: no cookie is for its name.
+    """
     for name, headers in list(FOREIGN.items()) * 10:
+        token, code = ("", 4401) if name.startswith("rebinding") else (CONTROL, 4403)
         for line in ("GET /api/v1/health", *CHANGES[:3]):
-            data = request(line, *headers, JSON, "Content-Length: 2", LAST, token=CONTROL, body=b"{}")
-            yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (400, 403))
-        stream = upgrade(*headers, token=CONTROL)
-        yield Try(f"{name}, stream", [stream], late_s("refused"), expect=lambda ending: closed_with(4403, ending))
+            data = request(line, *headers, JSON, "Content-Length: 2", LAST, token=token, body=b"{}")
+            yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (400, 401, 403))
+        stream = upgrade(*headers, token=token)
+        refused = partial(closed_with, code)
+        yield Try(f"{name}, stream", [stream], late_s("refused"), expect=refused)
 
 
 def _mutated(data, rng):

@@ -123,7 +123,7 @@ def test_a_bug_ends_the_replay_with_a_reason(lossy, monkeypatch):
     _, sensor = images(lossy)
     status = sensor.status()
     assert (status.state, status.position_s) == ("down", 0.0)
-    assert status.detail == "a.log: the replay failed at message 1: KeyError: 'byte 7'"
+    assert status.detail == "a.log: the replay failed at message 2: KeyError: 'byte 7'"
 
 
 @pytest.mark.parametrize("ending", [".log", ".asc", ".blf", ".log.gz", ".asc.gz"])

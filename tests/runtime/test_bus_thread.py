@@ -112,9 +112,11 @@ def test_the_same_fault_is_logged_again_after_a_healthy_stretch(plan, monkeypatc
     monkeypatch.setattr("tactiled.runtime.bus_thread.BACK_OFF_S", (0.0, longest_s))
     monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
     line.send(0)
-    line.bus.messages = line.bus.messages[:1] * 3
+    messages, line.bus.messages = line.bus.messages[:1], []
     line.listener.start()
-    until(lambda: line.bus.closed == 3)
+    for closed in (1, 2, 3):
+        line.bus.messages += messages
+        until(lambda closed=closed: line.bus.closed == closed)
     line.listener.stop()
     faults = [each for each in caplog.records if each.name == "tactiled.runtime.bus_thread"]
     assert [each.exc_info[0] for each in faults] == [KeyError] * logged

@@ -82,8 +82,8 @@ def _regions(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
         if (summary := each.summary())
     ]
     quantities = (
-        ("force", "force in a region, N or counts mm2"),
-        ("peak", "highest pressure in a region, kPa or counts"),
+        ("force", "force in a region, in the sensor's unit of force"),
+        ("peak", "highest pressure in a region, in the sensor's unit"),
         ("area", "area in contact in a region, mm2"),
     )
     for key, help_text in quantities:

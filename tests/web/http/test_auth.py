@@ -79,7 +79,10 @@ def test_a_page_of_another_site_is_refused(rig, tmp_path):
         verbs = [(verb, path) for path, operations in paths for verb in set(operations) - {"get"}]
         assert len(verbs) >= 6
         for headers, (verb, path) in product(FOREIGN, [*verbs, ("get", "/api/v1/health")]):
-            problem(client.request(verb, path.format(name="palm", number=1), headers=headers, json=RAW), 403)
+            problem(
+                client.request(verb, path.format(name="palm", number=1, region="heel"), headers=headers, json=RAW),
+                403,
+            )
         for headers, path in product(FOREIGN, ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
             with connect(websocket_url(url, path), additional_headers=headers) as stream:
                 assert closed(stream)[0] == 4403
@@ -182,7 +185,7 @@ def test_no_answer_has_a_token(rig, tmp_path):
     with running(rig.service, server) as url, httpx.Client(**options, base_url=url) as client:
         for path, operations in client.get("/api/v1/openapi.json").json()["paths"].items():
             if "get" in operations:
-                address = path.format(name="palm", kind="raw", number=0)
+                address = path.format(name="palm", kind="raw", number=0, region="heel")
                 for query in ("", f"?token={CONTROL}", f"?limit={READ[:4]}"):
                     answer = client.get(address + query)
                     text = answer.text + str(answer.headers)

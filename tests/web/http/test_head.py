@@ -31,7 +31,9 @@ def test_head_is_answered_as_get_without_a_body(client, tmp_path):
     paths = [path for path, verbs in client.get("/api/v1/openapi.json").json()["paths"].items() if "get" in verbs]
     assert len(paths) > 10
     for path in ("/", "/metrics", "/static/app.js", "/api/v1/openapi.json", "/nothing", "/api/v1/restore", *paths):
-        url = path.format(name="grasp.log" if "recordings" in path else "palm", kind="raw")
+        url = path.format(
+            name="grasp.log" if "recordings" in path else "palm", kind="raw", number=0, region="heel"
+        )
         get, head = (client.request(verb, url) for verb in ("GET", "HEAD"))
         assert head.content == b""
         assert head_of(head, *VARIABLE) == head_of(get, *VARIABLE), path

@@ -79,14 +79,14 @@ def test_frames_or_images_of_too_many_bytes_are_refused(url, frames, monkeypatch
 
 
 def test_frames_are_refused_until_others_are_restored(url, frames, monkeypatch):
-    began, go_on, write = threading.Event(), threading.Event(), restore.write
+    began, go_on, write = threading.Event(), threading.Event(), Offline.write
 
-    def slow(images, *options):
+    def slow(*arguments):
         began.set()
         assert go_on.wait(60)
-        write(images, *options)
+        return write(*arguments)
 
-    monkeypatch.setattr(restore, "write", slow)
+    monkeypatch.setattr(Offline, "write", slow)
     monkeypatch.setattr(offline, "PIECE_FRAMES", 1)
     with ThreadPoolExecutor(1) as other:
         first = other.submit(post, url, npy(frames))
