@@ -8,7 +8,7 @@ import { labelledTicks } from "./ticks.js";
 
 export const AXIS_LEFT_PX = 30; // CSS px beside a map; style.css has the same,
 export const AXIS_BOTTOM_PX = 20; // and below it
-const TICK_PX = 4;
+const [TICK_PX, HALF_TEXT_PX] = [4, 6];
 const [X_GAP_PX, Y_GAP_PX] = [48, 36]; // between two ticks, at least
 
 /**
@@ -41,7 +41,7 @@ export function drawAxes(draw, plane, zoom, left, top, ink) {
     const y = Math.round(top + (value - plane.top) * zoom) + 0.5;
     draw.moveTo(left - TICK_PX, y);
     draw.lineTo(left, y);
-    draw.fillText(text, left - TICK_PX - 2, y);
+    draw.fillText(text, left - TICK_PX - 2, Math.max(y, top + HALF_TEXT_PX));
   }
   draw.textBaseline = "top";
   draw.fillText("mm", left - TICK_PX - 2, bottom + TICK_PX + 2);
