@@ -1,3 +1,4 @@
+import logging
 import re
 import signal
 import socket
@@ -16,6 +17,7 @@ import pytest
 
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
+from tactiled.logs import HANDLER
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
 
@@ -47,6 +49,13 @@ cover = {{ thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }}
 kernel = {{ model = "layered" }}
 calibration = {{ kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5, saturation = 4000 }}
 """
+
+
+@pytest.fixture(autouse=True)
+def no_log_of_a_command():
+    """A command that ran in this process logs no more: what it wrote to is another test's, or closed."""
+    yield
+    logging.getLogger().removeHandler(HANDLER)
 
 
 class Rig:
