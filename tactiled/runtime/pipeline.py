@@ -5,7 +5,7 @@ from functools import cached_property
 from math import inf
 from threading import Lock
 from time import monotonic, thread_time
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,29 +192,20 @@ class Pipeline:
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
-        return Image(
-            sensor=self._plan.name,
-            sequence=frame.sequence,
-            time=frame.time,
+        times = StageTimes(
+            last_message - frame.skew, last_message, assembled, began, calibrated, restored, checked
+        )
+        return make_image(
+            self._plan,
+            frame,
+            done,
             raw=raw,
-            restored=done.image.copy(),
             flags=flags,
-            method=done.method,
-            why=done.why,
-            iterations=done.iterations,
             microseconds=(checked - began) * 1e6,
             noise=self.noise.kpa,
-            noise_gain=done.noise_gain,
-            resolution_mm=done.resolution_mm,
-            loss=frame.loss,
             warnings=warnings,
             shear=without_zero(frame.shear, self._zero.shear, flags),
-            arrived=frame.arrived,
-            unit=self._plan.unit,
-            calibration=self._plan.calibration_id,
-            times=StageTimes(
-                last_message - frame.skew, last_message, assembled, began, calibrated, restored, checked
-            ),
+            times=times,
         )
 
     def _check(
@@ -256,6 +247,26 @@ class Pipeline:
             noise = max(noise, estimate(self.calibrator.pressure(counts)))
         means = [self.calibrator.pressure(each) for each in blocks(counts)]
         return load_description(means, noise, self._plan.unit)
+
+
+def make_image(plan: SensorPlan, frame: RawFrame, done: Restored, **others: Any) -> Image:
+    """The image of a frame as it was restored; `others` are the fields that neither of them has."""
+    return Image(
+        sensor=plan.name,
+        sequence=frame.sequence,
+        time=frame.time,
+        restored=done.image.copy(),
+        method=done.method,
+        why=done.why,
+        iterations=done.iterations,
+        noise_gain=done.noise_gain,
+        resolution_mm=done.resolution_mm,
+        loss=frame.loss,
+        arrived=frame.arrived,
+        unit=plan.unit,
+        calibration=plan.calibration_id,
+        **others,
+    )
 
 
 def without_zero(

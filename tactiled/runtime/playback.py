@@ -17,7 +17,7 @@ from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make
 from tactiled.restore.noise import estimate, noise_ratio
-from tactiled.runtime.pipeline import flag_warnings, without_zero
+from tactiled.runtime.pipeline import flag_warnings, make_image, without_zero
 from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.units import FORCE_SCALES
 
@@ -73,26 +73,16 @@ class Playback:
         began = perf_counter()
         raw, flags = self._pressure(frame)
         done = self._restorers[method](raw, flags)
-        return Image(
-            sensor=plan.name,
-            sequence=frame.sequence,
-            time=frame.time,
+        return make_image(
+            plan,
+            frame,
+            done,
             raw=raw,
-            restored=done.image.copy(),
             flags=flags,
-            method=done.method,
-            why=done.why,
-            iterations=done.iterations,
             microseconds=(perf_counter() - began) * 1e6,
             noise=self.noise,
-            noise_gain=done.noise_gain,
-            resolution_mm=done.resolution_mm,
-            loss=frame.loss,
             warnings=plan.warnings + flag_warnings(flags),
             shear=without_zero(frame.shear, self._shear_zero, flags),
-            arrived=frame.arrived,
-            unit=plan.unit,
-            calibration=plan.calibration_id,
         )
 
     def warnings(self, number: int, method: str) -> tuple[FrameWarning, ...]:
