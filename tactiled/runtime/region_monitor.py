@@ -59,14 +59,17 @@ class RegionSeries:
         self._now = Measures(*4 * (np.nan,))
         self._last = self._stored = -np.inf  # s, of the newest image, and of the newest in the series
         self._unit: Unit = "kPa"
-        self.reset()
+        self._forget()
 
     def reset(self) -> None:
         """Forget peaks and integrals."""
         with self._lock:
-            self._highest = np.full(len(Measures._fields), -np.inf)
-            self._impulse = self._pressure_time = 0.0
-            self._since = np.nan
+            self._forget()
+
+    def _forget(self) -> None:
+        self._highest = np.full(len(Measures._fields), -np.inf)
+        self._impulse = self._pressure_time = 0.0
+        self._since = np.nan
 
     def add(self, image: Image) -> float | None:
         """Measure an image; the value that has crossed the threshold, None where none has."""
@@ -75,8 +78,11 @@ class RegionSeries:
         now = measure(image.restored, self._cells, self._areas, noise, image.unit)
         with self._lock:
             self._now = now
-            if image.unit != self._unit or gap < 0:
-                self._unit, self._count, self._stored = image.unit, 0, -np.inf
+            if image.unit != self._unit:
+                self._unit, gap = image.unit, -np.inf  # nothing goes on from another unit
+                self._forget()
+            if gap < 0:
+                self._count, self._stored = 0, -np.inf
             if image.time - self._stored >= MIN_GAP_S:
                 slot = self._count % len(self._time)
                 self._time[slot], self._values[slot] = image.time, now

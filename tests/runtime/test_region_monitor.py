@@ -70,6 +70,8 @@ def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(mon
     monitor.add(image(5, 20.0, "counts"))  # another unit: a series has one
     time, values, unit = monitor.series["west"].series(10, 20)
     assert (len(time), unit, values[0, 0]) == (1, "counts", 5)
+    summary = monitor.series["west"].summary()
+    assert (summary.highest.peak, summary.impulse, summary.since) == (5, 0, 20.0)
 
 
 def test_more_regions_than_there_is_memory_for_are_refused(monitor):
