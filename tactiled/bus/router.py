@@ -11,6 +11,7 @@ from tactiled.bus.codec import Codec
 from tactiled.errors import ConfigError
 from tactiled.frames import Message, RawFrame
 
+STRANGER = -1  # the owner of a message that belongs to no sensor
 Frames = tuple[tuple[str, RawFrame], ...]
 
 
@@ -37,8 +38,8 @@ class Router:
                     )
         keys = sorted((id_ | EXTENDED * extended, name) for (id_, extended), name in self._owner.items())
         self._keys = np.array([*(key for key, _ in keys), 0xFFFFFFFF], np.uint32)  # the last is no id
-        names = list(self.assemblers)
-        self._owners = np.array([*(names.index(name) for _, name in keys), -1])
+        self._names = list(self.assemblers)
+        self._owners = np.array([*(self._names.index(name) for _, name in keys), STRANGER])
 
     @property
     def ids(self) -> frozenset[tuple[int, bool]]:
@@ -57,14 +58,16 @@ class Router:
             return ()
         at = np.searchsorted(self._keys, batch.ids)
         owned = self._keys[at] == batch.ids
-        if len(self.assemblers) == 1 and np.logical_and.reduce(owned):
-            ((name, assembler),) = self.assemblers.items()
-            return tuple([(name, frame) for _, frame in assembler.push(batch, now)])
-        owners = np.where(owned, self._owners[at], -1)
-        strangers = np.flatnonzero(owners < 0)
+        owners = np.where(owned, self._owners[at], STRANGER)
+        if (number := int(owners[0])) != STRANGER and np.logical_and.reduce(owners == number):
+            name = self._names[number]
+            return tuple([(name, frame) for _, frame in self.assemblers[name].push(batch, now)])
+        strangers = np.flatnonzero(owners == STRANGER)
         closed: list[tuple[int, str, RawFrame]] = []
         for number, (name, assembler) in enumerate(self.assemblers.items()):
             rows = np.flatnonzero(owners == number)
+            if not (rows.size or strangers.size):
+                continue
             own_now = now[rows] if isinstance(now, np.ndarray) else now
             frames = assembler.push(batch[rows], own_now, np.searchsorted(rows, strangers))
             closed += ((int(rows[row]), name, frame) for row, frame in frames)

@@ -10,7 +10,6 @@ import sys
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactiled.bus.batch import COLUMNS, MAX_BYTES, Batch
 
@@ -40,12 +39,14 @@ class FrameReader:
         self._descriptor = descriptor
         self._poll = select.poll()
         self._poll.register(descriptor, select.POLLIN)
-        self._recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._frames, self._stamps = np.zeros(MAX_FRAMES, FRAME), np.zeros(MAX_FRAMES, STAMP)
+        self._recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg  # never waits, so it keeps the interpreter
+        self._buffer = bytearray(MAX_FRAMES * FRAME.itemsize)
+        self._stamps = np.zeros(MAX_FRAMES, STAMP)
         self._parts = ctypes.create_string_buffer(MAX_FRAMES * PART.size)
         self._headers = ctypes.create_string_buffer(MAX_FRAMES * HEADER.size)
-        self._sizes = np.frombuffer(memoryview(self._headers), SIZE)
-        frame, stamp = self._frames.ctypes.data, self._stamps.ctypes.data
+        self._header_bytes = memoryview(self._headers).cast("B")
+        self._sizes = np.frombuffer(self._header_bytes, SIZE)
+        frame, stamp = np.frombuffer(self._buffer).ctypes.data, self._stamps.ctypes.data
         part = ctypes.addressof(self._parts)
         for n in range(MAX_FRAMES):
             PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.itemsize, FRAME.itemsize)
@@ -78,12 +79,10 @@ class FrameReader:
 
     def _receive(self, at: int) -> int:
         """Take what is there behind the first `at` frames; how many."""
-        start, size = at * HEADER.size, (MAX_FRAMES - at) * HEADER.size
-        headers = ctypes.addressof(self._headers) + start
-        ctypes.memmove(headers, self._blank[start:], size)  # the kernel has written into them
-        count = self._recvmmsg(
-            self._descriptor, ctypes.c_void_p(headers), MAX_FRAMES - at, socket.MSG_DONTWAIT, None
-        )
+        start = at * HEADER.size
+        self._header_bytes[start:] = self._blank[start:]  # the kernel has written into them
+        headers = ctypes.c_void_p(ctypes.addressof(self._headers) + start)
+        count = self._recvmmsg(self._descriptor, headers, MAX_FRAMES - at, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             if code == errno.EAGAIN:
@@ -96,8 +95,9 @@ class FrameReader:
         return int(count)
 
     def _batch(self, count: int) -> Batch:
-        frames, stamps = self._frames[:count], self._stamps[:count]
-        lengths = frames["length"].copy()
-        data: NDArray[np.uint8] = frames["data"] * (lengths[:, None] > COLUMNS)  # behind it may be anything
+        frames, stamps = np.frombuffer(self._buffer[: count * FRAME.itemsize], FRAME), self._stamps[:count]
+        lengths, data = frames["length"], frames["data"]
+        if (short := np.flatnonzero(lengths < MAX_BYTES)).size:  # behind their data may be anything
+            data[short] *= lengths[short, None] > COLUMNS
         fd = self._sizes["bytes"][:count] == FRAME.itemsize
-        return Batch(stamps["s"] + 1e-9 * stamps["ns"], frames["id"].copy(), lengths, data, fd)
+        return Batch(stamps["s"] + 1e-9 * stamps["ns"], frames["id"], lengths, data, fd)

@@ -4,11 +4,13 @@ import asyncio
 import multiprocessing
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from struct import Struct
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 import uvloop
@@ -16,7 +18,7 @@ from websockets.asyncio.client import connect
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.socketcan import SO_TIMESTAMPNS, FrameReader
-from tactiled.config import Config, Server, parse
+from tactiled.config import Config, Server, Zenoh, parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.runtime.bus_thread import BusThread
@@ -28,6 +30,8 @@ from tactiled.wire import unpack
 
 WARM_UP_S = 3.0  # connections, caches and the measured noise settle
 DRAIN_S = 0.5  # after the last frame was sent
+WAIT_S = 60.0  # for sensors of other processes
+SERVER = Server(port=0, streams_per_client=0, streams=0)
 RECORDED_FRAMES = 256  # of a tour's scenes, sent over and over: as many as sequence numbers
 SENSORS_PER_BUS = 4  # more of 32 x 32 at 100 Hz do not fit on one bus of CAN FD
 BUFFER_BYTES = 8 << 20  # of a bus's socket
@@ -99,8 +103,63 @@ def frames_of(sensor: Sensor) -> list[list[bytes]]:
     return [[each.data for each in source.messages(n, t, 0.0)] for n, t in enumerate(times)]
 
 
-def measure(sensors: int, clients: int, rate_hz: float, seconds: float, pull: bool = False) -> Load:
-    """Run a service whose sensors send at `rate_hz`; client n receives sensor n modulo their number."""
+class Sensors(NamedTuple):
+    """Sensors that run, in this process or in readers'."""
+
+    url: str
+    names: list[str]
+    targets: list[tuple[int, int]]  # port and id of each one's messages
+    begin: Callable[[], object]  # measuring what readers cost
+    end: Callable[[], tuple[int, float]]  # gives the messages lost, and the cores of readers
+
+
+def measure(
+    sensors: int, clients: int, rate_hz: float, seconds: float, pull: bool = False, readers: int = 0
+) -> Load:
+    """Run a service whose sensors send at `rate_hz`; client n receives sensor n modulo their number.
+
+    With `readers` so many processes read, restore and publish by Zenoh, each a part of the sensors, and this one
+    serves; else this one does it all.
+    """
+    payloads = frames_of(Service(configuration(1)).sensor("s0"))
+    context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
+    (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
+    flow, end = "&flow=credit" if pull else "", context.Event()
+    with _by_readers(sensors, readers) if readers else _alone(sensors) as running_ones:
+        base = f"{running_ones.url.replace('http', 'ws', 1)}/api/v1/sensors"
+        names = [quote(running_ones.names[n % sensors], safe="") for n in range(clients)]
+        urls = [f"{base}/{name}/stream?kinds=restored{flow}" for name in names]
+        receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
+        receiver.start()
+        to_received.close()  # so that the end of a process ends the wait for it
+        from_clients.recv()  # connected
+        sending = running_ones.targets, payloads, rate_hz, span_s, to_sent
+        sender = context.Process(target=_send, args=sending, daemon=True)
+        sender.start()
+        to_sent.close()
+        from_sender.recv()  # it begins
+        time.sleep(WARM_UP_S)
+        running_ones.begin()
+        busy, began = time.process_time(), time.perf_counter()
+        time.sleep(seconds)
+        cores = (time.process_time() - busy) / (time.perf_counter() - began)
+        send_times = from_sender.recv()
+        time.sleep(DRAIN_S)
+        end.set()
+        arrivals, client_cores = from_clients.recv()
+        lost, reader_cores = running_ones.end()
+        for each in (sender, receiver):
+            each.join()
+    first = round(WARM_UP_S * rate_hz)
+    ages_ms = [
+        np.array([1e3 * (at - send_times[n % sensors][k]) for k, at in own if k >= first])
+        for n, own in enumerate(arrivals)
+    ]
+    return Load(len(send_times[0]) - first, lost, ages_ms, cores + reader_cores, client_cores)
+
+
+def _listening(sensors: int) -> tuple[Service, list[tuple[int, int]]]:
+    """A service of so many sensors, and the port and id of each one's messages."""
     sockets: dict[str, FrameSocket] = {}
 
     def listen(name: str, settings: dict[str, Any], own: dict[str, Sensor]) -> BusThread:
@@ -110,41 +169,69 @@ def measure(sensors: int, clients: int, rate_hz: float, seconds: float, pull: bo
         return thread
 
     service = Service(configuration(sensors), listen)
-    names = list(service.sensors)
-    payloads = frames_of(service.sensors[names[0]])
-    plans = [service.sensors[name].plan for name in names]
-    targets = [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
-    context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
-    (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
-    flow, end = "&flow=credit" if pull else "", context.Event()
-    with service.running(), running(service, Server(port=0, streams_per_client=0, streams=0)) as url:
-        base = f"{url.replace('http', 'ws', 1)}/api/v1/sensors"
-        urls = [f"{base}/{names[n % sensors]}/stream?kinds=restored{flow}" for n in range(clients)]
-        receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
-        receiver.start()
-        to_received.close()  # so that the end of a process ends the wait for it
-        from_clients.recv()  # connected
-        sender = context.Process(target=_send, args=(targets, payloads, rate_hz, span_s, to_sent), daemon=True)
-        sender.start()
-        to_sent.close()
-        from_sender.recv()  # it begins
-        time.sleep(WARM_UP_S)
+    plans = [each.plan for each in service.sensors.values()]
+    return service, [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
+
+
+def _lost(service: Service) -> int:
+    return sum(each.status().loss.lost for each in service.sensors.values())
+
+
+@contextmanager
+def _alone(sensors: int) -> Iterator[Sensors]:
+    """Read, restore and serve in one process."""
+    service, targets = _listening(sensors)
+    with service.running(), running(service, SERVER) as url:
+        yield Sensors(url, list(service.sensors), targets, lambda: None, lambda: (_lost(service), 0.0))
+
+
+@contextmanager
+def _by_readers(sensors: int, readers: int) -> Iterator[Sensors]:
+    """Serve what other processes read and restore."""
+    from tactiled.interop.zenoh_fleet import Fleet
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    fleet, context = Fleet(Zenoh(listen=(endpoint,)), SERVER), multiprocessing.get_context("spawn")
+    pipes, targets = [], []
+    with fleet.running(), running(fleet, SERVER) as url:
+        for number in range(readers):
+            ours, theirs = context.Pipe()
+            count = sensors // readers + (number < sensors % readers)
+            context.Process(target=_read, args=(endpoint, f"r{number}", count, theirs), daemon=True).start()
+            theirs.close()
+            pipes.append(ours)
+        for each in pipes:
+            targets += each.recv()
+        end = time.monotonic() + WAIT_S
+        while len(fleet.sensors) < sensors and time.monotonic() < end:
+            time.sleep(0.01)
+        names = sorted(fleet.sensors, key=lambda name: tuple(int(part[1:]) for part in name.split("/")))
+
+        def say(word: str) -> None:
+            for each in pipes:
+                each.send(word)
+
+        def finish() -> tuple[int, float]:
+            say("end")
+            results = [each.recv() for each in pipes]
+            return sum(lost for lost, _ in results), sum(cores for _, cores in results)
+
+        yield Sensors(url, names, targets, lambda: say("begin"), finish)
+
+
+def _read(endpoint: str, robot: str, sensors: int, pipe: Connection) -> None:
+    """Read, restore and publish; then the messages lost, and the cores that it kept busy."""
+    from tactiled.web.server import publishing
+
+    service, targets = _listening(sensors)
+    with service.running(), publishing(service, SERVER, Zenoh(connect=(endpoint,), robot=robot)):
+        pipe.send(targets)
+        pipe.recv()  # begin
         busy, began = time.process_time(), time.perf_counter()
-        time.sleep(seconds)
-        cores = (time.process_time() - busy) / (time.perf_counter() - began)
-        send_times = from_sender.recv()
-        time.sleep(DRAIN_S)
-        end.set()
-        arrivals, client_cores = from_clients.recv()
-        lost = sum(each.status().loss.lost for each in service.sensors.values())
-        for each in (sender, receiver):
-            each.join()
-    first = round(WARM_UP_S * rate_hz)
-    ages_ms = [
-        np.array([1e3 * (at - send_times[n % sensors][k]) for k, at in own if k >= first])
-        for n, own in enumerate(arrivals)
-    ]
-    return Load(len(send_times[0]) - first, lost, ages_ms, cores, client_cores)
+        pipe.recv()  # end
+        pipe.send((_lost(service), (time.process_time() - busy) / (time.perf_counter() - began)))
 
 
 def line(sensors: int, rate_hz: float, pull: bool, result: Load) -> tuple[str, ...]:

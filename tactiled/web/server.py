@@ -175,16 +175,23 @@ def serve(service: "Service | Fleet", config: Server) -> None:
 def publish(service: "Service", config: Server, settings: Zenoh) -> None:
     """Publish on a Zenoh network until KeyboardInterrupt; no HTTP, but what a reader has for Foxglove and XELA."""
     need("zenoh")
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-    requests = Requests(create(service, config.model_copy(update={"recordings": None})), config, settings)
-    made, where = publisher(service, settings, requests), f"{settings.prefix}/{settings.robot}"
+    where = f"{settings.prefix}/{settings.robot}"
     watchdog = _watchdog(service, where)
-    with requests.running(), bridge(service, config.foxglove), xela_clients(service, config), made.running():
+    with bridge(service, config.foxglove), xela_clients(service, config), publishing(service, config, settings):
         logs.announce(f"{', '.join(service.sensors)} published as {where} (stop: Ctrl-C)")
         while True:
             if watchdog:
                 watchdog.look()
             time.sleep(1.0)
+
+
+@contextmanager
+def publishing(service: "Service", config: Server, settings: Zenoh) -> Iterator[None]:
+    """Publish on a Zenoh network meanwhile, and answer the requests that come over it."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    requests = Requests(create(service, config.model_copy(update={"recordings": None})), config, settings)
+    with requests.running(), publisher(service, settings, requests).running():
+        yield
 
 
 @contextmanager
