@@ -1,10 +1,10 @@
-"""Threads that a service starts once and ends once, and their turns at the interpreter."""
+"""Threads that a service starts once and ends once, and a lock that gives each of them its turn."""
 
 from collections import deque
 from threading import Lock, Thread, get_ident
 from types import TracebackType
 
-LONGEST_TURN_S = 5e-3  # after which the next thread begins beside the one that has the turn
+MAX_HOLD_S = 5e-3  # after which the next thread begins beside the one that has the lock
 
 
 def join_started(thread: Thread) -> None:
@@ -13,19 +13,19 @@ def join_started(thread: Thread) -> None:
         thread.join()
 
 
-class Turns:
-    """Lets one thread work at a time, in the order in which they asked; a slow one delays no other for long.
+class FairLock:
+    """A lock that threads get in the order in which they asked; one that keeps it for long loses it to the next.
 
     numpy releases the interpreter's lock at every array of more than 500 numbers, some hundred times a frame.
     Threads that take it from each other there spend more time on that than on their frames: `tactiled bench load`.
     """
 
-    def __init__(self, longest_s: float = LONGEST_TURN_S) -> None:
-        self._longest_s = longest_s
+    def __init__(self, max_hold_s: float = MAX_HOLD_S) -> None:
+        self._max_hold_s = max_hold_s
         self._lock = Lock()
-        self._waiting: deque[tuple[int, Lock]] = deque()  # thread, and what is released when its turn comes
-        self._thread: int | None = None  # that has the turn
-        self._count = 0  # of turns so far
+        self._waiting: deque[tuple[int, Lock]] = deque()  # thread, and what is released when it gets the lock
+        self._thread: int | None = None  # that has it
+        self._passed_on = 0  # times
 
     def __enter__(self) -> None:
         thread = get_ident()
@@ -33,29 +33,29 @@ class Turns:
             if self._thread is None:
                 self._thread = thread
                 return
-            turn, count = Lock(), self._count
+            turn, seen = Lock(), self._passed_on
             turn.acquire()
             self._waiting.append((thread, turn))
-        while not turn.acquire(timeout=self._longest_s):
+        while not turn.acquire(timeout=self._max_hold_s):
             with self._lock:
-                if count == self._count:
+                if seen == self._passed_on:
                     self._pass_on()
-                count = self._count
+                seen = self._passed_on
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._lock:
-            if self._thread == get_ident():  # else another one has begun meanwhile
+            if self._thread == get_ident():  # else it has lost it
                 self._pass_on()
 
     def _pass_on(self) -> None:
-        """Give the turn to the thread that has waited longest."""
-        self._count += 1
+        """Give the lock to the thread that has waited longest."""
+        self._passed_on += 1
         self._thread = None
         if self._waiting:
             self._thread, turn = self._waiting.popleft()
             turn.release()
 
 
-FRAME_TURNS = Turns()  # of all threads that assemble or restore frames
+FRAME_LOCK = FairLock()  # of all threads that assemble or restore frames

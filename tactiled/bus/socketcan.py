@@ -52,7 +52,7 @@ class FrameReader:
             PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.itemsize, FRAME.itemsize)
             header = (0, 0, part + n * PART.size, 1, stamp + n * STAMP.itemsize, STAMP.itemsize, 0, 0)
             HEADER.pack_into(self._headers, n * HEADER.size, *header)
-        self._blank = self._headers.raw
+        self._blank = memoryview(self._headers.raw)
         self._error: OSError | None = None  # that came behind frames: a socket reports one only once
 
     @staticmethod

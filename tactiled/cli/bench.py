@@ -134,7 +134,10 @@ def load(
                 raise ConfigError(f"{each} sensors, {count} clients, {hz:g} Hz: give 1 to 64, 1 to 500, 1 to 1000")
             result = study.measure(each, count, hz, seconds, pull, min(readers, each))
             rows.append(study.line(each, hz, pull, result))
-    print_table("32 x 32 over CAN FD; cores of service + clients, age from the last message", study.HEADINGS, rows)
+    title = (
+        f"32 x 32 over CAN FD, {readers} reader processes; cores of service + clients, age from the last message"
+    )
+    print_table(title, study.HEADINGS, rows)
     print(machine())
 
 

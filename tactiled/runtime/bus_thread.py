@@ -17,7 +17,7 @@ from tactiled.bus.router import Frames, Router
 from tactiled.errors import BusError
 from tactiled.frames import Loss
 from tactiled.runtime.sensor import Sensor
-from tactiled.threads import FRAME_TURNS, join_started
+from tactiled.threads import FRAME_LOCK, join_started
 
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
 BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
@@ -154,7 +154,7 @@ class BusThread:
             batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), self._router.needed)
             now = time.monotonic()
             if len(batch):
-                with FRAME_TURNS:
+                with FRAME_LOCK:
                     frames = self._router.push(batch, now)
                 self._offer(frames)
             self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))

@@ -22,7 +22,7 @@ from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.runtime.region_monitor import RegionMonitor
 from tactiled.runtime.timings import Timings
-from tactiled.threads import FRAME_TURNS, join_started
+from tactiled.threads import FRAME_LOCK, join_started
 
 State = Literal["live", "stale", "silent", "down", "ended"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
@@ -263,7 +263,7 @@ class Sensor:
         `came` is when it arrived and was assembled (s).
         """
         try:
-            with self._between_frames, FRAME_TURNS:
+            with self._between_frames, FRAME_LOCK:
                 image = self.pipeline.process(frame, budget_s, came)
             self.regions.add(image)
             self.hub.publish(image)

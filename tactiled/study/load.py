@@ -19,8 +19,9 @@ from websockets.asyncio.client import connect
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.socketcan import SO_TIMESTAMPNS, FrameReader
 from tactiled.config import Config, Server, Zenoh, parse
-from tactiled.errors import ConfigError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
+from tactiled.interop.zenoh_session import need
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
@@ -103,13 +104,13 @@ def frames_of(sensor: Sensor) -> list[list[bytes]]:
     return [[each.data for each in source.messages(n, t, 0.0)] for n, t in enumerate(times)]
 
 
-class Sensors(NamedTuple):
-    """Sensors that run, in this process or in readers'."""
+class System(NamedTuple):
+    """What is loaded: a server, and sensors in its process or in readers'."""
 
     url: str
     names: list[str]
     targets: list[tuple[int, int]]  # port and id of each one's messages
-    begin: Callable[[], object]  # measuring what readers cost
+    begin: Callable[[], None]  # has readers measure their cores
     end: Callable[[], tuple[int, float]]  # gives the messages lost, and the cores of readers
 
 
@@ -125,29 +126,29 @@ def measure(
     context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
     (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
     flow, end = "&flow=credit" if pull else "", context.Event()
-    with _by_readers(sensors, readers) if readers else _alone(sensors) as running_ones:
-        base = f"{running_ones.url.replace('http', 'ws', 1)}/api/v1/sensors"
-        names = [quote(running_ones.names[n % sensors], safe="") for n in range(clients)]
+    with _by_readers(sensors, readers) if readers else _alone(sensors) as system:
+        base = f"{system.url.replace('http', 'ws', 1)}/api/v1/sensors"
+        names = [quote(system.names[n % sensors], safe="") for n in range(clients)]
         urls = [f"{base}/{name}/stream?kinds=restored{flow}" for name in names]
         receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
         receiver.start()
         to_received.close()  # so that the end of a process ends the wait for it
         from_clients.recv()  # connected
-        sending = running_ones.targets, payloads, rate_hz, span_s, to_sent
+        sending = system.targets, payloads, rate_hz, span_s, to_sent
         sender = context.Process(target=_send, args=sending, daemon=True)
         sender.start()
         to_sent.close()
         from_sender.recv()  # it begins
         time.sleep(WARM_UP_S)
-        running_ones.begin()
-        busy, began = time.process_time(), time.perf_counter()
+        system.begin()
+        busy_cores = _core_meter()
         time.sleep(seconds)
-        cores = (time.process_time() - busy) / (time.perf_counter() - began)
+        cores = busy_cores()
         send_times = from_sender.recv()
         time.sleep(DRAIN_S)
         end.set()
         arrivals, client_cores = from_clients.recv()
-        lost, reader_cores = running_ones.end()
+        lost, reader_cores = system.end()
         for each in (sender, receiver):
             each.join()
     first = round(WARM_UP_S * rate_hz)
@@ -173,39 +174,50 @@ def _listening(sensors: int) -> tuple[Service, list[tuple[int, int]]]:
     return service, [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
 
 
+def _core_meter() -> Callable[[], float]:
+    """How to get the cores that this process has kept busy from now on."""
+    busy, began = time.process_time(), time.perf_counter()
+    return lambda: (time.process_time() - busy) / (time.perf_counter() - began)
+
+
 def _lost(service: Service) -> int:
     return sum(each.status().loss.lost for each in service.sensors.values())
 
 
 @contextmanager
-def _alone(sensors: int) -> Iterator[Sensors]:
+def _alone(sensors: int) -> Iterator[System]:
     """Read, restore and serve in one process."""
     service, targets = _listening(sensors)
     with service.running(), running(service, SERVER) as url:
-        yield Sensors(url, list(service.sensors), targets, lambda: None, lambda: (_lost(service), 0.0))
+        yield System(url, list(service.sensors), targets, lambda: None, lambda: (_lost(service), 0.0))
 
 
 @contextmanager
-def _by_readers(sensors: int, readers: int) -> Iterator[Sensors]:
+def _by_readers(sensors: int, readers: int) -> Iterator[System]:
     """Serve what other processes read and restore."""
+    need("--readers")
     from tactiled.interop.zenoh_fleet import Fleet
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     fleet, context = Fleet(Zenoh(listen=(endpoint,)), SERVER), multiprocessing.get_context("spawn")
-    pipes, targets = [], []
+    pipes, targets, processes = [], [], []
     with fleet.running(), running(fleet, SERVER) as url:
         for number in range(readers):
             ours, theirs = context.Pipe()
             count = sensors // readers + (number < sensors % readers)
-            context.Process(target=_read, args=(endpoint, f"r{number}", count, theirs), daemon=True).start()
+            process = context.Process(target=_read, args=(endpoint, f"r{number}", count, theirs), daemon=True)
+            process.start()
+            processes.append(process)
             theirs.close()
             pipes.append(ours)
         for each in pipes:
             targets += each.recv()
         end = time.monotonic() + WAIT_S
-        while len(fleet.sensors) < sensors and time.monotonic() < end:
+        while len(fleet.sensors) < sensors:
+            if time.monotonic() > end:
+                raise TactileError(f"{len(fleet.sensors)} of {sensors} sensors reached the server in {WAIT_S:g} s")
             time.sleep(0.01)
         names = sorted(fleet.sensors, key=lambda name: tuple(int(part[1:]) for part in name.split("/")))
 
@@ -216,9 +228,11 @@ def _by_readers(sensors: int, readers: int) -> Iterator[Sensors]:
         def finish() -> tuple[int, float]:
             say("end")
             results = [each.recv() for each in pipes]
+            for each in processes:
+                each.join()
             return sum(lost for lost, _ in results), sum(cores for _, cores in results)
 
-        yield Sensors(url, names, targets, lambda: say("begin"), finish)
+        yield System(url, names, targets, lambda: say("begin"), finish)
 
 
 def _read(endpoint: str, robot: str, sensors: int, pipe: Connection) -> None:
@@ -229,9 +243,9 @@ def _read(endpoint: str, robot: str, sensors: int, pipe: Connection) -> None:
     with service.running(), publishing(service, SERVER, Zenoh(connect=(endpoint,), robot=robot)):
         pipe.send(targets)
         pipe.recv()  # begin
-        busy, began = time.process_time(), time.perf_counter()
+        busy_cores = _core_meter()
         pipe.recv()  # end
-        pipe.send((_lost(service), (time.process_time() - busy) / (time.perf_counter() - began)))
+        pipe.send((_lost(service), busy_cores()))
 
 
 def line(sensors: int, rate_hz: float, pull: bool, result: Load) -> tuple[str, ...]:
@@ -285,10 +299,10 @@ async def _receive(urls: Sequence[str], pull: bool, end: Event, results: Connect
     ]
     await connected.wait()
     results.send("connected")
-    busy, began = time.process_time(), time.perf_counter()
+    busy_cores = _core_meter()
     while not end.is_set():
         await asyncio.sleep(0.1)
-    results.send((arrivals, (time.process_time() - busy) / (time.perf_counter() - began)))
+    results.send((arrivals, busy_cores()))
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
