@@ -13,8 +13,8 @@ from pathlib import Path
 class Running:
     """A service that runs by a configuration file; it is there when this is made."""
 
-    def __init__(self, config, **environment):
-        command = [sys.executable, "-m", "tactiled", "run", str(config)]
+    def __init__(self, config, module="tactiled", **environment):
+        command = [sys.executable, "-m", module, "run", str(config)]
         settings = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"} | environment
         self.process = subprocess.Popen(
             command,

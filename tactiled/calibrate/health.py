@@ -214,14 +214,16 @@ class _Presses:
 def _neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Neighbours (8, N) of every taxel and pairs (2, 4, N) of opposite ones; N where there are no more."""
     tree = cKDTree(array.positions)
-    near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # lists of int
+    near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # sorted lists of int
     neighbours = np.full((array.size, 8), array.size)
-    pairs = np.full((array.size, 4, 2), array.size)
     for taxel, indices in enumerate(near):
-        others = sorted(set(indices) - {taxel})[:8]
+        others = [each for each in indices if each != taxel][:8]
         neighbours[taxel, : len(others)] = others
-        middles = ((pair, array.positions[list(pair)].mean(axis=0)) for pair in combinations(others, 2))
-        reach = OPPOSITE_PITCHES * array.pitch
-        opposite = [pair for pair, middle in middles if np.hypot(*(middle - array.positions[taxel])) < reach][:4]
-        pairs[taxel, : len(opposite)] = np.reshape(opposite, (-1, 2))
+    around = np.vstack([array.positions, (np.nan, np.nan)])[neighbours] - array.positions[:, None]
+    couples = np.array([*combinations(range(8), 2)])
+    middles = (around[:, couples[:, 0]] + around[:, couples[:, 1]]) / 2
+    opposite = np.hypot(middles[..., 0], middles[..., 1]) < OPPOSITE_PITCHES * array.pitch
+    first = np.argsort(~opposite, axis=1, kind="stable")[:, :4]
+    taxels = np.arange(array.size)[:, None]
+    pairs = np.where(opposite[taxels, first][..., None], neighbours[taxels[..., None], couples[first]], array.size)
     return np.ascontiguousarray(neighbours.T), np.ascontiguousarray(pairs.T)

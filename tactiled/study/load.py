@@ -66,9 +66,9 @@ class FrameSocket:
 
     off, unsent, clock = None, 0, "kernel"
 
-    def __init__(self) -> None:
+    def __init__(self, port: int = 0) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", 0))
+        self._socket.bind(("127.0.0.1", port))
         self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         if not FrameReader.supported(self._socket):
@@ -76,6 +76,9 @@ class FrameSocket:
         self.port: int = self._socket.getsockname()[1]
         self.batch = FrameReader(self._socket.fileno()).read
         self.kinds: dict[str, int] = {}
+
+    def set_filters(self, filters: object) -> None:
+        """Nothing: only its sensors' messages come."""
 
     def send(self, message: Message) -> None:
         """Nothing: its skins need no message."""

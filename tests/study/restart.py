@@ -1,22 +1,15 @@
 """How long after kill -9 and a new start the first restored frames come, kernels in the cache."""
 
 import asyncio
-import socket
-import tempfile
-import threading
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
 from websockets.asyncio.client import connect
 
-from tactiled.study.results import machine
 from tactiled.wire import unpack
 from tests.attack.bystander import queued_s
-from tests.process import Running
-from tests.study.sensors import SENSOR
-from tests.study.soak import BUS, GROUP, SERVER, SIDE, send
+from tests.study import loopback
 
 RATE_HZ = 100.0
 
@@ -39,27 +32,18 @@ def restart(
     rate_hz: Annotated[float, typer.Option(help="Frames a second of each.", min=1)] = RATE_HZ,
 ) -> None:
     """Kill a service and start it again, and print when the first restored image reaches a client."""
-    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("", 0))
-        port, config, stop = one.getsockname()[1], Path(folder) / "restart.toml", threading.Event()
-        one.close()
-        tables = [SENSOR.format(number=n, bus=0, id=0x100 + 4 * n, side=SIDE) for n in range(sensors)]
-        tables = [each.replace('kernel = { model = "layered" }\n', "") for each in tables]  # finite elements
-        config.write_text(SERVER.format(folder=folder) + BUS.format(group=GROUP, port=port) + "".join(tables))
-        sender = threading.Thread(target=send, args=(port, sensors, rate_hz, stop), daemon=True)
-        sender.start()
+    with loopback.sending(sensors, rate_hz) as config:
+        config.write_text(config.read_text().replace('kernel = { model = "layered" }\n', ""))  # finite elements
         waits = []
         for _ in range(times + 1):  # the first fills the cache
             began = time.monotonic()
-            service = Running(config)
+            service = loopback.run(config)
             listening = time.monotonic()
             first, last = asyncio.run(first_images(service.url, sensors))
             queued = queued_s(service.process.pid).get(str(service.process.pid), 0.0)
             service.kill()
             waits.append([*(at - began for at in (listening, first, last)), last - began - queued])
-        stop.set()
-        sender.join()
-    typer.echo(f"{machine()}; {sensors} of {SIDE} x {SIDE} at {rate_hz:g} Hz, s after the start:")
+    typer.echo(f"{loopback.heading(sensors, rate_hz)}, s after the start:")
     titles = "it listens", "first image", "an image of every sensor", "the same, less its wait for a busy core"
     for number, title in enumerate(titles):
         typer.echo(f"  {title}: {', '.join(f'{each[number]:.2f}' for each in waits[1:])}")

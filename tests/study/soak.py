@@ -3,32 +3,23 @@
 import asyncio
 import json
 import random
-import socket
-import tempfile
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Annotated, NamedTuple
 
-import can
 import httpx
 import numpy as np
 import typer
-from can.interfaces.udp_multicast.utils import pack_message
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
 from tactiled.cli.bench import print_table
-from tactiled.study.results import machine
 from tactiled.wire import unpack
-from tests.process import Running
-from tests.study.sensors import SENSOR, recorded
+from tests.study import loopback
+from tests.study.sensors import SENSOR
 
-GROUP, SIDE = "239.74.163.79", 32
-BUS = '[bus.b0]\ninterface = "udp_multicast"\nchannel = "{group}"\nport = {port}\nhop_limit = 0\n'
-SERVER = '[server]\nport = 0\ncontrol_per_minute = 0\nstate = "{folder}/state.json"\n'
-WARM_UP_PART, MAX_WARM_UP_S = 0.25, 300.0  # of the time: caches, pools and the noise of every taxel settle
+WARM_UP_PART, MAX_WARM_UP_S = 0.25, 900.0  # of the time: caches, pools, windows of the health monitors fill
 WATCH_HZ = 5.0  # images of each sensor to the client that stays, whose ages are judged
 RELOAD_S = 30.0  # between two reloads, which add a sensor or remove it
 RELOAD = "/api/v1/config/reload"
@@ -43,26 +34,6 @@ class Sample(NamedTuple):
     memory_mb: float  # anonymous, resident
     threads: int
     descriptors: int
-
-
-def send(port, sensors, rate_hz, stop):
-    """Send every sensor's frames, encoded once: 256 frames, and their sequence numbers begin again."""
-    datagrams = [
-        [
-            bytes(pack_message(can.Message(0.0, 0x100 + 4 * number, False, data=data, is_fd=True)))
-            for data in messages
-        ]
-        for number in range(sensors)
-        for messages in recorded(SIDE)[:256]
-    ]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-        began, n = time.monotonic(), 0
-        while not stop.wait(max(0.0, began + n / rate_hz / sensors - time.monotonic())):
-            number, at = n % sensors, n // sensors % 256
-            for each in datagrams[256 * number + at]:
-                out.sendto(each, (GROUP, port))
-            n += 1
 
 
 async def watch(url, ages):
@@ -201,23 +172,14 @@ def soak(
     rate_hz: Annotated[float, typer.Option(help="Frames a second of each.", min=1)] = 100.0,
 ) -> None:
     """Run a service while clients come and go and its configuration is reloaded, and print what grows."""
-    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("", 0))
-        port, config, stop = one.getsockname()[1], Path(folder) / "soak.toml", threading.Event()
-        one.close()
-        tables = [SENSOR.format(number=n, bus=0, id=0x100 + 4 * n, side=SIDE) for n in range(sensors)]
-        config.write_text(SERVER.format(folder=folder) + BUS.format(group=GROUP, port=port) + "".join(tables))
-        service = Running(config)
+    with loopback.sending(sensors, rate_hz) as config:
+        service = loopback.run(config)
         threading.Thread(target=service.process.stdout.read, daemon=True).start()  # a full pipe would stop its log
-        sender = threading.Thread(target=send, args=(port, sensors, rate_hz, stop), daemon=True)
-        sender.start()
         try:
             samples, ages, outcomes = asyncio.run(run(service, config, hours * 3600))
         finally:
-            stop.set()
-            sender.join()
             with suppress(ProcessLookupError):
                 code = service.end()
-    typer.echo(f"{machine()}; {sensors} sensors of {SIDE} x {SIDE} at {rate_hz:g} Hz for {hours:g} h")
+    typer.echo(f"{loopback.heading(sensors, rate_hz)} for {hours:g} h")
     report(samples, ages, outcomes, min(WARM_UP_PART * hours * 3600, MAX_WARM_UP_S))
     typer.echo(f"exit code {code}")
