@@ -13,7 +13,8 @@ from tactiled.calibrate.calibration import Calibrator
 from tactiled.config import parse
 from tactiled.interop import foxglove
 from tactiled.runtime.pipeline import NOISE_FRAMES
-from tactiled.web.rest import picture
+from tactiled.web.rest.drawing import draw
+from tactiled.web.rest.picture import picture
 from tactiled.web.server import running
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG as RECORDED
@@ -59,7 +60,7 @@ def requested(rig, url):
     with stream(url, "?format=json&contacts=1") as client:
         seen |= {kind: json.dumps(text_of(client, kind)) for kind in ("status", "frame", "contacts")}
     for kind in ("raw", "deviation"):
-        figure = picture.draw(rig.sensor, rig.sensor.hub.latest(), kind, None)
+        figure = draw(picture(rig.sensor, rig.sensor.hub.latest(), kind, None))
         seen[f"PNG, {kind}"] = " ".join(each.get_ylabel() for each in figure.axes)
     seen["metrics"] = ask("GET", url + "/metrics").text
     return seen

@@ -11,7 +11,7 @@ from typing import ParamSpec, TypeVar, cast
 from threadpoolctl import threadpool_limits
 
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the service's threads' locks as they are
-NICENESS = 10  # a fit waits for frames, not frames for a fit
+NICENESS = 10
 Arguments = ParamSpec("Arguments")
 Outcome = TypeVar("Outcome")
 
@@ -74,10 +74,15 @@ def _work(
     sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
 ) -> None:
     """Send what a function gives, or the error that it raises."""
+    with be_patient():
+        try:
+            sender.send((function(*arguments, **named), None))
+        except Exception as error:
+            sender.send((None, error))
+
+
+def be_patient() -> threadpool_limits:
+    """Have this process wait for frames, and not frames for it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service, which ends its daemons
     os.nice(NICENESS)
-    try:
-        with threadpool_limits(1):
-            sender.send((function(*arguments, **named), None))
-    except Exception as error:
-        sender.send((None, error))
+    return threadpool_limits(1)

@@ -13,6 +13,7 @@ from tactiled.config import Server
 from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.runtime.guided_calibration import GuidedCalibrations
 from tactiled.runtime.sensor_view import ServiceView
+from tactiled.runtime.side_process import SideProcess
 from tactiled.web import forward
 from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
@@ -121,6 +122,7 @@ def _set_state(app: FastAPI, service: ServiceView, server: Server) -> None:
     app.state.transfers = restore.Transfers()
     app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.state.waiting = ConcurrencyLimit(events.MAX_WAITING_PER_CLIENT, events.MAX_WAITING, "events_waiting")
+    app.state.drawing = SideProcess()  # matplotlib would hold up every frame
     costly_rates = RateLimit(server.control_per_minute)  # apart from changes: a client that looks may still change
     app.state.turns = {kind: Turns(costly_rates) for kind in get_args(Costly)}
 

@@ -83,10 +83,7 @@ class ConcurrencyLimit:
 
 
 class Turns:
-    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop.
-
-    They are all made on one thread: for each thread that ever draws, matplotlib keeps its fonts open.
-    """
+    """Costly answers of one kind, counted by `rates`, made one at a time while a few wait; on one event loop."""
 
     def __init__(self, rates: RateLimit) -> None:
         self._rates, self._lock = rates, asyncio.Lock()

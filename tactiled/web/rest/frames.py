@@ -1,6 +1,6 @@
 """`/api/v1/sensors/{name}/frames`: the newest image, and the images of the last seconds."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from io import BytesIO
 from typing import Annotated, Any, Literal
@@ -17,10 +17,11 @@ from tactiled.runtime.sensor import Status
 from tactiled.runtime.sensor_view import SensorView
 from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
-from tactiled.web.rest import picture
+from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
+from tactiled.web.rest.picture import picture
 from tactiled.web.schemas import PressureKind
 from tactiled.wire import Kind
 
@@ -220,7 +221,8 @@ async def newest(
     _, headers = _newest(sensor, kind, form, top)
     if named(headers["ETag"], request.headers.get("if-none-match", "")):
         return Response(status_code=304, headers=headers)  # polling an unchanged image costs nothing
-    answer = partial(_newest_image, sensor, kind, form, top)
+    png = partial(request.app.state.drawing.run, drawing.png)
+    answer = partial(_newest_image, sensor, kind, form, top, png)
     if form == "png" or kind == "deviation":
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
@@ -252,10 +254,16 @@ def _newest(
     return image, image_headers(image, status, image.unit) | {"ETag": f'W/"{tag}"'}
 
 
-def _newest_image(sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None) -> Response:
+def _newest_image(
+    sensor: SensorView,
+    kind: PressureKind,
+    form: NewestFormat,
+    top: float | None,
+    png: Callable[[drawing.Picture], bytes],
+) -> Response:
     image, headers = _newest(sensor, kind, form, top)
     if form == "png":
-        content = picture.png(sensor, image, kind, top)
+        content = png(picture(sensor, image, kind, top))
     elif form == "npy":
         content = answers.npy(answers.pressures(sensor, image, kind))
     else:

@@ -8,7 +8,7 @@ from tactiled.errors import StateError
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
-from tactiled.web.rest import picture
+from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, CurrentService, NamedSensor, no_frame, without_path
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
@@ -23,10 +23,10 @@ def health(service: CurrentService) -> schemas.Health:
 
 @router.get("/colormap", tags=["service"])
 def colormap(
-    name: Annotated[picture.ColormapName, Query(description="Matplotlib's name of the colours")] = picture.COLORS,
+    name: Annotated[drawing.ColormapName, Query(description="Matplotlib's name of the colours")] = drawing.COLORS,
 ) -> schemas.Colormap:
     """256 colours of the viewer; those of PNG images unless another `name` is given."""
-    return schemas.Colormap(name=name, colors=picture.colors(name))
+    return schemas.Colormap(name=name, colors=drawing.colors(name))
 
 
 @router.get("/sensors", tags=["sensors"])

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tactiled.config import Server
+from tactiled.runtime.side_process import SideProcess
 from tactiled.web.http import limits
-from tactiled.web.rest import frames, picture
+from tactiled.web.rest import frames
 from tactiled.web.server import running
 from tests.conftest import GAIN, NO_LOAD, Rig, ask, meanwhile, pressed, problem, until
 
@@ -222,7 +223,7 @@ def drawing(monkeypatch):
             busy.release()
         return b"a picture"
 
-    monkeypatch.setattr(picture, "png", png)
+    monkeypatch.setattr(SideProcess, "run", png)
     yield go_on, began
     go_on.set()
 
@@ -243,7 +244,7 @@ def test_pictures_are_made_one_at_a_time_and_other_answers_do_not_wait(rig, url,
             assert client.get(f"/sensors/palm{path}").status_code == 200
         go_on.set()
         assert [each.result().status_code for each in answers] == [200] * 50
-    ((_, alone),) = {*began}  # for each thread that draws, matplotlib keeps its fonts open
+    ((_, alone),) = {*began}
     assert (len(began), alone) == (50, True)
 
 
@@ -272,7 +273,7 @@ def test_waiting_pictures_are_bounded(rig, url, client, drawing, monkeypatch, bo
 
 def test_a_known_image_or_a_full_queue_uses_up_no_turn(rig, monkeypatch):
     """Six costly answers a minute are one at a time."""
-    monkeypatch.setattr(picture, "png", lambda *_: b"a picture")
+    monkeypatch.setattr(SideProcess, "run", lambda *_: b"a picture")
     rig.show(pressed())
     until(lambda: rig.sensor.status().state == "stale")  # and stays so: its tag does not change
     with running(rig.service, Server(port=0, control_per_minute=6)) as url:
