@@ -2,9 +2,10 @@
 
 import difflib
 import logging
+import sys
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import asdict, is_dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
@@ -28,17 +29,16 @@ LOG = logging.getLogger(__name__)
 
 def skins() -> Iterator[tuple[str, type[Skin]]]:
     """Every skin by its name; one that cannot be imported is logged and left out."""
-    offers = entry_points(group=GROUP)
-    for name in (*BUILT_IN, *offers.names):
+    for name in (*BUILT_IN, *_offers().names):
         try:
-            yield name, load(name, offers)
+            yield name, load(name)
         except ConfigError as error:
             LOG.warning("%s", error)
 
 
-def load(name: str, offers: EntryPoints | None = None) -> type[Skin]:
+def load(name: str) -> type[Skin]:
     """Import a skin; ConfigError where its name is unknown or not unique, or its package fails."""
-    everything = entry_points(group=GROUP) if offers is None else offers  # takes 20 ms
+    everything = _offers()
     offers, packages = everything.select(name=name), _packages(everything, name)
     if name in BUILT_IN and offers:
         raise ConfigError(
@@ -57,6 +57,18 @@ def load(name: str, offers: EntryPoints | None = None) -> type[Skin]:
     if not (is_dataclass(skin) and isinstance(skin, type) and issubclass(skin, Skin)):
         raise ConfigError(f"{name!r} of {packages}: is no dataclass of tactiled.bus.codec.Skin")
     return skin
+
+
+def _offers() -> EntryPoints:
+    """What other packages offer."""
+    return _offers_on(tuple(sys.path))
+
+
+@lru_cache(maxsize=1)
+def _offers_on(path: tuple[str, ...]) -> EntryPoints:
+    """What packages on a path offer; to look takes 20 ms, for every sensor."""
+    del path  # it is sys.path
+    return entry_points(group=GROUP)
 
 
 @cache
@@ -95,7 +107,7 @@ def make(name: str, skin: Skin, array: Array) -> Codec:
         _try_out(codec)
     except Exception as error:
         reason = _redactor(name, asdict(cast(Any, skin)))(_line(error))
-        package = "" if name in BUILT_IN else f"{name!r} of {_packages(entry_points(group=GROUP), name)}: "
+        package = "" if name in BUILT_IN else f"{name!r} of {_packages(_offers(), name)}: "
         raise ConfigError(f"{package}{reason}") from error
     return codec
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from tactiled.errors import ConfigError
-from tactiled.study.results import machine, make_folder
+from tactiled.study.results import host_meter, machine, make_folder
 
 if TYPE_CHECKING:
     from tactiled.study.skin import Skin
@@ -127,7 +127,7 @@ def load(
     """Load a service with arrays and clients: processor time, age of images at the clients, and what is lost."""
     from tactiled.study import load as study
 
-    rows = []
+    rows, host = [], host_meter()
     with threadpool_limits(1):
         for each, count, hz in product(sensors, clients, rate_hz):
             if not (1 <= each <= 64 and 1 <= count <= 500 and 1 <= hz <= 1000):
@@ -138,7 +138,7 @@ def load(
         f"32 x 32 over CAN FD, {readers} reader processes; cores of service + clients, age from the last message"
     )
     print_table(title, study.HEADINGS, rows)
-    print(machine())
+    print(f"{machine()}{host()}")
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

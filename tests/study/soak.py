@@ -15,6 +15,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
 from tactiled.cli.bench import print_table
+from tactiled.study.results import host_meter
 from tactiled.wire import unpack
 from tests.study import loopback
 from tests.study.sensors import SENSOR
@@ -172,6 +173,7 @@ def soak(
     rate_hz: Annotated[float, typer.Option(help="Frames a second of each.", min=1)] = 100.0,
 ) -> None:
     """Run a service while clients come and go and its configuration is reloaded, and print what grows."""
+    host = host_meter()
     with loopback.sending(sensors, rate_hz) as config:
         service = loopback.run(config)
         threading.Thread(target=service.process.stdout.read, daemon=True).start()  # a full pipe would stop its log
@@ -180,6 +182,6 @@ def soak(
         finally:
             with suppress(ProcessLookupError):
                 code = service.end()
-    typer.echo(f"{loopback.heading(sensors, rate_hz)} for {hours:g} h")
+    typer.echo(f"{loopback.heading(sensors, rate_hz)} for {hours:g} h{host()}")
     report(samples, ages, outcomes, min(WARM_UP_PART * hours * 3600, MAX_WARM_UP_S))
     typer.echo(f"exit code {code}")
