@@ -39,9 +39,9 @@ class NpzWriter:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image) -> None:
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
         """Append one frame."""
-        self._row, self._count = row(image), self._count + 1
+        self._row, self._count = row(image, regions), self._count + 1
         for name, array in self._row.items():
             if name not in self._columns:
                 self._columns[name] = self._files.enter_context(self._column(name).open("wb"))
@@ -121,13 +121,15 @@ class _DeferredErrors(io.FileIO):
         return 0
 
 
-def row(image: Image) -> Arrays:
+def row(image: Image, regions: NDArray[np.float32]) -> Arrays:
     """What an export has of one frame."""
+    measures = {"regions": regions.astype("<f4", copy=False)} if len(regions) else {}
     shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
     noise = {"noise_kpa": np.array(image.noise, "<f8")} if image.unit == PRESSURE else {}
     return (
         shear
         | noise
+        | measures
         | {
             "raw": image.raw.astype("<f4", copy=False),
             "restored": image.restored.astype("<f4", copy=False),

@@ -1,10 +1,12 @@
 """One recording into one export: every frame restored, with its units and provenance."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tactiled import __version__
 from tactiled.archive.arrays import LOSS_KINDS
@@ -14,6 +16,7 @@ from tactiled.build import SensorPlan, make_codec
 from tactiled.bus.recording import Recording
 from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
+from tactiled.contacts.regions import Measures, Region, RegionMeter, measure_units
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
@@ -36,22 +39,45 @@ class ExportJob(Job):
     """Restores every frame of a recording into a file of one format."""
 
     to: str | None = None  # the format; None: by the ending of the file's name
+    regions: Mapping[str, Region] = field(
+        default_factory=dict
+    )  # by name: those that the sensor has in the service
+
+    def settings(self) -> dict[str, Any]:
+        """All that outputs depend on, but the input and the version (JSON's types)."""
+        return super().settings() | {"regions": self._regions()}
+
+    def _regions(self) -> dict[str, Any]:
+        return {name: each.model_dump(mode="json") for name, each in self.regions.items()}
 
     def make(self, source: Path, part: Path) -> str:
-        """Write every frame of one recording; ConfigError where there is none."""
+        """Write every frame of one recording; ConfigError where there is none, or a region has no cell."""
         recording, plan, count = Recording(source), self.plan(), 0
         router, pipeline = Router({name: make_codec(each) for name, each in self.sensors.items()}), Pipeline(plan)
+        meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:
             for name, frame in frames(_tapped(recording, target.add_message), router):
                 if name == plan.name:
-                    target.add_image(pipeline.process(frame))
+                    image = pipeline.process(frame)
+                    measures = np.array([each(image) for each in meters], np.float32)
+                    target.add_image(image, measures)
                     count += 1
             if not count:
                 where = f"recording {source}"
                 raise ConfigError(f"{where}: holds no frame of sensor {plan.name} ({recording.summary()})")
             loss = asdict(router.assemblers[plan.name].loss)
-            target.finish(_provenance(recording, plan) | {"loss": loss, "config": self.config})
+            about = _provenance(recording, plan) | {"loss": loss, "config": self.config}
+            if meters:
+                about |= {"regions": self._regions(), "region_measures": Measures._fields}
+                about["units"] |= {"regions": ", ".join(measure_units(plan.unit))}
+            target.finish(about)
         return f"{count} frames of {plan.name} from {recording.summary()}"
+
+    def _meters(self, plan: SensorPlan) -> list[RegionMeter]:
+        try:
+            return [RegionMeter(each, plan.cells) for each in self.regions.values()]
+        except ValueError as error:
+            raise ConfigError(f"regions of sensor {plan.name}: {error}") from error
 
 
 def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Message]:

@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.writer import Writer
+from numpy.typing import NDArray
 
 from tactiled import __version__
 from tactiled.build import SensorPlan
@@ -38,8 +40,9 @@ class McapWriter:
         """Write one message of the bus."""
         self._add(self._bus, message.time, foxglove.bus_message(message))
 
-    def add_image(self, image: Image) -> None:
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
         """Write one image and its status."""
+        del regions  # they are in exports as arrays
         for channel, data in zip(self._channels, self._topics.messages(image), strict=True):
             self._add(channel, image.time, data)
 

@@ -8,6 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tactiled.build import SensorPlan
@@ -39,8 +41,9 @@ class Rosbag2Writer:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image) -> None:
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
         """Write one image, its contacts and status, at the time of its frame."""
+        del regions  # they are in exports as arrays
         if self._empty:
             self._write(self._topics.first(image.time), image.time)
             self._empty = False

@@ -8,7 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.frames import Image, Message
@@ -49,8 +51,9 @@ class RrdWriter:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image) -> None:
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
         """Write one image, its contacts and warnings."""
+        del regions  # they are in exports as arrays
         self._log.add(image, self._contacts(image, image.time))
 
     def finish(self, provenance: Mapping[str, Any]) -> None:

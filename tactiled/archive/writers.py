@@ -6,6 +6,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
@@ -20,8 +23,11 @@ class Writer(Protocol):
     def add_message(self, message: Message) -> None:
         """Take one data frame of the sensor's bus, before the image that it completes."""
 
-    def add_image(self, image: Image) -> None:
-        """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded."""
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
+        """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded.
+
+        `regions` (R, 4) has the measures of every region.
+        """
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Complete what is at `path`, with `provenance` (JSON's types) in it."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import zarr
+from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from tactiled.archive import arrays
@@ -27,15 +28,16 @@ class ZarrWriter:
         taxels = ("row", "column") if len(plan.array.frame_shape) == 2 else ("taxel",)
         cells = ("cell_row", "cell_column") if len(plan.blur.surface_shape) == 2 else ("cell",)
         self._dimensions: dict[str, tuple[str, ...]] = {
-            "raw": taxels, "flags": taxels, "restored": cells, "shear": ("axis", *taxels), "loss": ("loss_kind",)
+            "raw": taxels, "flags": taxels, "restored": cells, "shear": ("axis", *taxels), "loss": ("loss_kind",),
+            "regions": ("region", "measure"),
         }  # fmt: skip
 
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image) -> None:
+    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
         """Append one frame, which is written with the others of its chunk."""
-        row = arrays.row(image)
+        row = arrays.row(image, regions)
         largest = max(each.nbytes for each in row.values())
         self._chunk = self._chunk or max(1, min(arrays.FRAMES_AT_ONCE, CHUNK_BYTES // largest))
         self._rows.append(row)

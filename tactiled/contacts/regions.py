@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactiled.frames import Image
 from tactiled.geometry import Cells
-from tactiled.units import FORCE_SCALES, Unit
+from tactiled.units import FORCE_SCALES, FORCE_UNITS, Unit
 
 Quantity = Literal["force", "mean", "peak", "area"]
 CONTACT_SIGMAS = 3.0  # noise standard deviations above which a cell is in contact, as contacts go on down to
@@ -76,17 +77,28 @@ class Measures(NamedTuple):
     area: float  # mm2 in contact
 
 
-def measure(
-    image: NDArray[np.float32], cells: NDArray[np.int64], areas: NDArray[np.float64], noise: float, unit: Unit
-) -> Measures:
-    """Measure an image, of which these cells with these areas (mm2) lie in a region; `noise` is a cell's."""
-    pressure = image.reshape(-1)[cells]
-    measured = ~np.isnan(pressure)
-    if not measured.all():
-        pressure, areas = pressure[measured], areas[measured]
-    if not len(pressure):
-        return Measures(*4 * (np.nan,))
-    force = float(pressure @ areas)
-    peak = float(pressure.max(initial=-inf))
-    contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
-    return Measures(force * FORCE_SCALES[unit], force / float(areas.sum()), peak, contact)
+def measure_units(unit: Unit) -> tuple[str, ...]:
+    """Units of the fields of Measures of images in a unit."""
+    return FORCE_UNITS[unit], unit, unit, "mm2"
+
+
+class RegionMeter:
+    """Measures a region in restored images; ValueError where no cell lies in it."""
+
+    def __init__(self, region: Region, cells: Cells) -> None:
+        self._cells = region.cells(cells)
+        self._areas = cells.areas[self._cells]
+
+    def __call__(self, image: Image) -> Measures:
+        """What an image holds in the region."""
+        noise, areas = image.noise * max(image.noise_gain, 1.0), self._areas
+        pressure = image.restored.reshape(-1)[self._cells]
+        measured = ~np.isnan(pressure)
+        if not measured.all():
+            pressure, areas = pressure[measured], areas[measured]
+        if not len(pressure):
+            return Measures(*4 * (np.nan,))
+        force = float(pressure @ areas)
+        peak = float(pressure.max(initial=-inf))
+        contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
+        return Measures(force * FORCE_SCALES[image.unit], force / float(areas.sum()), peak, contact)

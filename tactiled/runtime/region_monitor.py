@@ -9,7 +9,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.contacts.regions import Measures, Region, measure
+from tactiled.contacts.regions import Measures, Region, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import Cells
 from tactiled.units import Unit
@@ -49,8 +49,7 @@ class RegionSeries:
 
     def __init__(self, name: str, region: Region, cells: Cells) -> None:
         self.name, self.region = name, region
-        self._cells = region.cells(cells)
-        self._areas = cells.areas[self._cells]
+        self._measure = RegionMeter(region, cells)
         slots = int(SERIES_S * MAX_RATE_HZ)
         self._time, self._values = np.zeros(slots), np.zeros((slots, len(Measures._fields)), np.float32)
         self._count = 0
@@ -74,8 +73,7 @@ class RegionSeries:
     def add(self, image: Image) -> float | None:
         """Measure an image; the value that has crossed the threshold, None where none has."""
         gap = image.time - self._last
-        noise = image.noise * max(image.noise_gain, 1.0)
-        now = measure(image.restored, self._cells, self._areas, noise, image.unit)
+        now = self._measure(image)
         with self._lock:
             self._now = now
             if image.unit != self._unit:

@@ -18,8 +18,10 @@ from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
 from tactiled.config import load, parse
 from tactiled.config.example import GRASP
+from tactiled.contacts.regions import Region
 from tactiled.frames import MISSING
 from tactiled.restore.methods import METHODS
+from tactiled.runtime.state import StateFile
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG, FRAMES, write
 from tests.cli.test_export_zarr import open_zarr
@@ -69,6 +71,33 @@ def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, c
     assert about["config"]["sensor"]["palm"] == load(config).sensor["palm"].model_dump(mode="json")
     bus = {"interface": "socketcan", "channel": "gone0", "fd": True, "password": "hidden"}
     assert about["config"]["bus"] == {"can0": bus}
+
+
+def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, config, lossy):
+    state = tmp_path / "state.json"
+    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
+    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])  # four of eight columns, pitch 1 mm
+    everything = Region(shape="ellipse", points_mm=[[-9, -9], [16, 16]])
+    StateFile(state).keep_regions("palm", {"all": everything, "heel": heel})
+    with np.load(exported(lossy, config, tmp_path / "a.npz")) as got:
+        heels = got["restored"][:, :, :4].astype(float)
+        assert got["regions"].shape == (FRAMES, 2, 4)
+        np.testing.assert_allclose(got["regions"][:, 1, 0], heels.sum((1, 2)) * 1e-3, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(got["regions"][:, 1, 2], heels.max((1, 2)), rtol=1e-6)
+        about = json.loads(got["provenance"].item())
+    assert ([*about["regions"]], about["regions"]["heel"]["points_mm"]) == (
+        ["all", "heel"],
+        [[-0.5, -0.5], [3.5, 7.5]],
+    )
+    assert (about["region_measures"], about["units"]["regions"]) == (
+        ["force", "mean", "peak", "area"],
+        "N, kPa, kPa, mm2",
+    )
+    with open_zarr(exported(lossy, config, tmp_path / "a.zarr")) as group:
+        assert group["regions"].metadata.dimension_names == ("time", "region", "measure")
+    StateFile(state).keep_regions("palm", {"far": Region(shape="rectangle", points_mm=[[90, 90], [91, 91]])})
+    text = refusal("export", lossy, "--config", config, "-o", tmp_path / "b.npz")
+    assert "regions of sensor palm: points_mm: no cell of the image has its centre in it" in text
 
 
 def test_the_same_export_is_the_same_file(tmp_path, config, lossy):
@@ -249,11 +278,11 @@ def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, conf
 )
 def test_memory_does_not_grow_with_the_recording(tmp_path, form, load, monkeypatch):
     row = {"raw": np.ones((64, 64), np.float32), "method": np.array("wiener", METHOD_NAME)}
-    monkeypatch.setattr("tactiled.archive.arrays.row", lambda _: row)
+    monkeypatch.setattr("tactiled.archive.arrays.row", lambda *_: row)
     export = form(tmp_path / "out", sensor_plan("palm", parse(CONFIG).sensor["palm"]))
     tracemalloc.start()
     for _ in range(4000):
-        export.add_image(None)
+        export.add_image(None, None)
     export.finish({"units": {"raw": "kPa"}})
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

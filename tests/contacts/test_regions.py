@@ -1,9 +1,10 @@
 from math import pi
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tactiled.contacts.regions import Region, measure
+from tactiled.contacts.regions import Region, RegionMeter
 from tactiled.geometry import grid, tiling
 
 CELLS = tiling(grid(40, 60, 0.5))  # 30 x 20 mm; the first taxel's centre is at 0, 0
@@ -14,6 +15,10 @@ SHAPES = [
 ]
 
 
+def restored(values, unit="kPa"):
+    return SimpleNamespace(restored=values, noise=0.05, noise_gain=2.0, unit=unit)
+
+
 @pytest.mark.parametrize(("shape", "points", "area", "centre"), SHAPES)
 def test_a_region_has_the_cells_inside_its_outline(shape, points, area, centre):
     inside = Region(shape=shape, points_mm=points).cells(CELLS)
@@ -22,16 +27,16 @@ def test_a_region_has_the_cells_inside_its_outline(shape, points, area, centre):
 
 
 def test_force_mean_peak_and_contact_area_are_of_the_cells_that_are_known():
-    inside = Region(shape="rectangle", points_mm=[[-0.25, -0.25], [4.75, 4.75]]).cells(CELLS)
+    measure = RegionMeter(Region(shape="rectangle", points_mm=[[-0.25, -0.25], [4.75, 4.75]]), CELLS)
     image = np.full((40, 60), 7.0, np.float32)
     image[:10, :10] = 0.2
     image[2, 3], image[4, 4], image[5, 5] = 30.0, 10.0, np.nan
-    values = measure(image, inside, CELLS.areas[inside], 0.1, "kPa")
+    values = measure(restored(image))
     total = (97 * 0.2 + 30 + 10) * 0.25
     assert values == pytest.approx((total * 1e-3, total / (99 * 0.25), 30.0, 0.5))
-    assert measure(image, inside, CELLS.areas[inside], 0.1, "counts").force == pytest.approx(total)
+    assert measure(restored(image, "counts")).force == pytest.approx(total)
     image[:] = np.nan
-    assert np.isnan(measure(image, inside, CELLS.areas[inside], 0.1, "kPa")).all()
+    assert np.isnan(measure(restored(image))).all()
 
 
 @pytest.mark.parametrize(
