@@ -48,6 +48,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
     assert {"kPa", "N"} <= set(CLAIM.findall(seen(page)))
     page.press("w")
+    page.locator("#wall-scale").select_option("same")
     page.keep(rig.both, f"{TILES}.every(each => /\\d (N|counts·mm²)/.test(each))")
     assert page.evaluate(LEGENDS) == ["kPa", "counts"]
     page.press("2")

@@ -71,6 +71,33 @@ def test_the_range_holds_a_peak_while_the_list_of_sensors_is_polled(pair, open_p
     assert brightness(page).max() < 0.5 * before
 
 
+SCALES = "[...document.querySelectorAll('.tile .scale')].map(each => each.textContent)"
+TOPS = f"{SCALES}.map(text => Number(text.match(/^restored0(\\d+) kPa$/)?.[1]))"
+LIT = (
+    "[...document.querySelectorAll('.tile canvas')].map(each => each.getContext('2d').getImageData(0, 0, each.width, "
+    "each.height).data.reduce((most, value, i) => (i % 4 || value < most ? most : value), 0))"
+)
+
+
+def test_a_weak_sensor_shows_beside_a_strong_one_and_the_choice_of_scales_is_kept(pair, open_page):
+    rig, url = pair
+
+    def press():
+        rig.both(pressed(force=3800), (120, 100, 100, 100))
+
+    page = open_page(f"{url}/#/wall", ready=READY)
+    page.keep(press, f"{TOPS}[0] > 10 * {TOPS}[1] && {LIT}[1] > 150")
+    assert not page.locator("#wall-legend canvas").first.is_visible()
+    page.locator("#wall-scale").select_option("same")
+    page.keep(press, f"{TOPS}[0] > 100 && {TOPS}[0] === {TOPS}[1] && {LIT}[1] < 80")
+    page.wait("location.hash === '#/wall?scale=same'")
+    for address, same in (("#/wall", "true"), ("#/wall?scale=own", "false")):
+        page.goto("about:blank")
+        page.goto(f"{url}/{address}")
+        page.wait(READY)
+        page.keep(press, f"{TOPS}[0] > 100 && {TOPS}[0] === {TOPS}[1] === {same}")
+
+
 def test_a_silent_or_faulty_sensor_or_one_with_warnings_shows_at_its_own_tile_only(
     pair, open_page, monkeypatch, caplog
 ):

@@ -78,7 +78,7 @@ function choose(name) {
 function writeAddress() {
   const query = new URLSearchParams(viewer.view.address(viewer.unit));
   playback.addTo(query);
-  const hash = wall.open ? WALL : viewer.name && `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
+  const hash = wall.open ? WALL + viewer.view.wallAddress : viewer.name && `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
   if (!hash || hash === location.hash) return;
   try {
     window.history.replaceState(null, "", hash);
@@ -120,7 +120,7 @@ function sensorInAddress() {
 
 /** Take the sensor that the address names, or the first, where none is shown. */
 function chooseSensor() {
-  const all = sensors.length > 1 && (wall.open || (!viewer.name && location.hash === WALL));
+  const all = sensors.length > 1 && (wall.open || (!viewer.name && location.hash.split("?")[0] === WALL));
   const requested = sensorInAddress();
   const known = sensors.find((each) => each.name === (viewer.name || requested)) ?? sensors[0];
   if (all && wall.open) wall.show(sensors);

@@ -1,6 +1,7 @@
 /** One sensor on the wall. @module */
 
 import * as api from "./api.js";
+import { DisplayRange } from "./display_range.js";
 import { element, setText } from "./dom.js";
 import { fixed } from "./format.js";
 import { Freshness } from "./freshness.js";
@@ -10,12 +11,12 @@ import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
 import { messageOf } from "./notice.js";
 import { ShearArrows } from "./shear_arrows.js";
-import { forceText } from "./units.js";
+import { tickText } from "./ticks.js";
+import { UNITS, forceText } from "./units.js";
 import { Warnings } from "./warnings.js";
 import { SHEAR } from "./wire.js";
 
 /** @import { Colormap } from "./colormap.js" */
-/** @import { DisplayRange } from "./display_range.js" */
 /** @import { Status } from "./sensor_stream.js" */
 /** @import { WallStream } from "./wall_stream.js" */
 /** @import { Packet } from "./wire.js" */
@@ -49,6 +50,10 @@ export class Tile {
     const canvas = layer();
     this._frame = element("span", "frame", canvas);
     this._box = element("span", "box", this._frame);
+    this._low = element("span", "");
+    this._ramp = element("i", "");
+    this._high = element("span", "");
+    const scale = element("span", "scale", "restored", this._low, this._ramp, this._high);
     this._state = element("span", "sub");
     this._force = element("span", "force");
     this._warningText = element("span", "warning");
@@ -58,10 +63,13 @@ export class Tile {
     this._title.title = name;
     for (const part of name.split(/(?<=_)/)) this._title.append(part, element("wbr", ""));
     const head = element("span", "head", element("span", "dot"), this._title);
-    this.element = element("button", "tile", head, this._box, element("span", "foot", this._force, this._state), under);
+    this.element = element("button", "tile", head, this._box, scale, element("span", "foot", this._force, this._state), under);
     this.element.setAttribute("type", "button");
     this.element.dataset.level = "connecting";
     this.element.addEventListener("click", onChoose);
+    this._range = new DisplayRange();
+    /** What the scale was last drawn for. */
+    this._scale = { low: NaN, high: NaN, unit: 0, colormap: /** @type {Colormap|null} */ (null) };
     this._map = new Heatmap(canvas, this._frame);
     this._of = measures();
     this._freshness = new Freshness();
@@ -175,6 +183,7 @@ export class Tile {
     this._sent = image.sent;
     this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
+    if (image.unit !== this.unit) this._range.reset(); // a calibration was applied
     this.unit = image.unit;
     this.noise = (image.noise || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._values, plane.restored, this.noise, this._of, image.unit);
@@ -196,14 +205,36 @@ export class Tile {
     return true;
   }
 
+  /** @returns {DisplayRange} of this sensor alone, after its newest image */
+  follow() {
+    this._range.follow(this.peak, this.noise, performance.now() / 1000);
+    return this._range;
+  }
+
+  /**
+   * Show the scale where it is another than the last time.
+   * @param {DisplayRange} range
+   * @param {Colormap} colormap
+   * @returns {boolean} it is
+   */
+  _rescale({ low, high }, colormap) {
+    const { unit, _scale: last } = this;
+    if (low === last.low && high === last.high && unit === last.unit && colormap === last.colormap) return false;
+    this._scale = { low, high, unit, colormap };
+    setText(this._low, tickText(low, high - low));
+    setText(this._high, `${tickText(high, high - low)} ${UNITS[unit]}`);
+    this._ramp.style.background = `linear-gradient(90deg, ${colormap.css.filter((_, i) => i % 15 === 0 && i < 256).join()})`;
+    return true;
+  }
+
   /**
    * Show what is new.
    * @param {DisplayRange} range
    * @param {Colormap} colormap
-   * @param {boolean} rescaled the scale is another than the last time
    */
-  paint(range, colormap, rescaled) {
+  paint(range, colormap) {
     if (this._freshness.heldBack || this._holdBack()) return;
+    const rescaled = this._rescale(range, colormap);
     if (!this._fresh && !(rescaled && this._imageAt)) return;
     this._map.paint(this._values, range, colormap);
     this._arrows?.draw(this._shear, this._timestamp);

@@ -9,6 +9,7 @@ import { loadSetting, saveSetting } from "./storage.js";
 /** @import { DisplayRange } from "./display_range.js" */
 
 const KEY = "tactiled.colors";
+const SCALE_KEY = "tactiled.scale";
 const DIFFERENCE_COLORS = "RdBu_r"; // blue below zero, red above, told apart by the colour-blind
 
 /** What the address says behind a sensor's name. @returns {URLSearchParams} */
@@ -26,6 +27,7 @@ export class View {
     this._onChange = onChange;
     this._views = /** @type {HTMLSelectElement} */ (byId("view"));
     this._colors = /** @type {HTMLSelectElement} */ (byId("colors"));
+    this._scales = /** @type {HTMLSelectElement} */ (byId("wall-scale"));
     this._split = /** @type {HTMLInputElement} */ (byId("split"));
     /** @type {Colormap|null} */
     this.colormap = null;
@@ -40,6 +42,8 @@ export class View {
     const given = inAddress();
     pick(this._views, given.get("view"));
     pick(this._colors, given.get("colors") ?? loadSetting(KEY));
+    pick(this._scales, given.get("scale") ?? loadSetting(SCALE_KEY));
+    this._scales.addEventListener("change", () => saveSetting(SCALE_KEY, this._scales.value));
     const [low, high] = (given.get("range") ?? "").split(":").map(Number);
     for (const each of ranges) each.fix(low, high); // which refuses what is no range
     this._cut();
@@ -49,6 +53,16 @@ export class View {
   /** @returns {string} both, slider, difference or surface */
   get name() {
     return this._views.value;
+  }
+
+  /** @returns {boolean} each map of the wall has a scale of its own */
+  get ownScales() {
+    return this._scales.value === "own";
+  }
+
+  /** @returns {string} what the wall's address says of its scales; "" for nothing */
+  get wallAddress() {
+    return this._scales.selectedIndex ? `?scale=${this._scales.value}` : "";
   }
 
   /** @param {number} unit of the sensor that is watched @returns {string} what an address says of the view; "" for nothing */

@@ -16,7 +16,7 @@ const READ_MS = 200; // between two updates of the texts
 const RATE_HZ = 15;
 const GAP_PX = 12; // between tiles
 const PADDING_PX = 26; // of a tile's width beside its map: what the style pads
-const TEXT_HEIGHT_PX = 104; // of its height above and below: name, force and warnings
+const TEXT_HEIGHT_PX = 126; // of its height above and below: name, scale, force and warnings
 const SECOND_LINE_PX = 20; // that a long name takes more
 const MIN_MAP_PX = 100; // side of a map, below which the wall is scrolled instead
 
@@ -56,10 +56,9 @@ export class Wall {
     this._streams = null;
     this._url = "";
     this._dirty = false;
-    /** Ranges of the maps as they were last painted, by unit of pressure. */
-    this._painted = this._colorbars.map(() => ({ low: NaN, high: NaN }));
     this._paint = this._paint.bind(this);
     this._timer = 0;
+    byId("wall-scale").addEventListener("change", () => this.restyle());
   }
 
   /** @returns {boolean} */
@@ -155,9 +154,14 @@ export class Wall {
 
   _paint() {
     this._dirty = false;
-    const { view: { colormap }, ranges } = this._viewer;
+    const { view: { colormap, ownScales }, ranges } = this._viewer;
     if (!colormap || !this.open) return;
-    for (let unit = 0; unit < ranges.length; unit += 1) this._paintUnit(unit, ranges[unit], colormap);
+    if (!ownScales) {
+      for (let unit = 0; unit < ranges.length; unit += 1) this._paintUnit(unit, ranges[unit], colormap);
+      return;
+    }
+    for (const each of this._colorbars) /** @type {HTMLElement} */ (each.canvas.parentElement).hidden = true;
+    for (let i = 0; i < this._tiles.length; i += 1) this._tiles[i].paint(this._tiles[i].follow(), colormap);
   }
 
   /**
@@ -181,12 +185,8 @@ export class Wall {
     if (!count) return;
     range.follow(peak, noise, performance.now() / 1000);
     colorbar.draw(range, colormap, unit);
-    const painted = this._painted[unit];
-    const rescaled = range.low !== painted.low || range.high !== painted.high;
-    painted.low = range.low;
-    painted.high = range.high;
     for (let i = 0; i < this._tiles.length; i += 1) {
-      if (this._tiles[i].unit === unit) this._tiles[i].paint(range, colormap, rescaled);
+      if (this._tiles[i].unit === unit) this._tiles[i].paint(range, colormap);
     }
   }
 
