@@ -1,6 +1,7 @@
 """Both maps: their colours, the frames kept, contacts, forces, and what is said of a still image."""
 
 import re
+from datetime import UTC, datetime
 
 import can
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from tactiled.restore.methods import METHODS
 from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import CONTACTS, PAINTINGS, PAUSED
+from tests.viewer.conftest import CONTACTS, PAINTINGS, PAUSED, WATCH_TEXTS
 
 BELOW_ZERO = (122, 140, 255)
 OFFSET = re.compile(r"from \d+ ms (earlier|later)$")
@@ -68,10 +69,38 @@ def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, o
     page.press("l")
     image = page.show(rig, pressed(0))
     page.wait(f"document.getElementById('sequence').innerText === '{image.sequence}'")
-    rows = [line.split(",") for line in page.download("c").read_text().splitlines()[3:]]
+    rows = [line.split(",") for line in page.download("c").read_text().splitlines() if line[0] != "#"][1:]
     for kind, values in (("raw", image.raw), ("restored", image.restored)):
         np.testing.assert_allclose([float(row[5]) for row in rows if row[0] == kind], values.ravel(), atol=1e-4)
     assert [float(row[3]) for row in rows[:8]] == list(range(8))
+
+
+def test_a_saved_picture_and_table_say_where_they_are_from(rig, page):
+    rig.send(pressed(), drop=[0])
+    page.wait("document.body.dataset.warnings === '1'")
+    page.press("Space")
+    page.evaluate(WATCH_TEXTS)
+    page.download("s")
+    drawn = [each["text"] for each in page.evaluate("window.drawn") if not each["id"]]
+    assert drawn.count("mm") == 2
+    assert [drawn.count(str(tick)) for tick in (0, 2, 4, 6)] == [5, 4, 4, 4]  # the legend has a 0, too
+    comments, rows = [], []
+    for line in page.download("c").read_text().splitlines():
+        (comments if line.startswith("#") else rows).append(line)
+    values = dict(line[2:].split(": ", 1) for line in comments)
+    image = rig.sensor.hub.latest()
+    time = datetime.fromtimestamp(image.time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    assert values["sensor"] == "palm"
+    assert values["frame"] == str(image.sequence)
+    assert values["time"][:22] == time[:22]
+    assert (values["state"], values["method"], values["unit"]) == ("paused", "wiener", "kPa")
+    assert (values["calibration"], values["pitch_mm"]) == ("configured", "1")
+    assert values["raw"] == "8 x 8 cells, x_mm 0 to 7, y_mm 0 to 7"
+    assert "did not arrive" in next(text for name, text in values.items() if name.startswith("warnings"))
+    assert rows[0].startswith("image,row,column,x_mm,y_mm,kpa,flags")
+    text = " ".join(drawn)
+    for each in (values["time"], "paused", "method wiener", "unit kPa", "calibration configured", "arrive"):
+        assert each in text
 
 
 def marks_at(page, marks, contact):

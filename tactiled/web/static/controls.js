@@ -9,6 +9,7 @@ import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
 import { notice } from "./notice.js";
 import { PlaybackSession } from "./playback_session.js";
+import { provenance } from "./provenance.js";
 import { methodTitle } from "./readings.js";
 import { tare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
@@ -126,17 +127,18 @@ function save(kind, viewer, targets) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
     return;
   }
+  const { name, plane, frame, statusOfFrame } = session;
+  const { level } = targets.screen;
+  const still = level === "live" ? "paused" : `paused, ${level}`;
+  const state = session.paused ? still : level;
   if (kind === "csv") {
-    const { name, plane, frame } = session;
-    download(name, frame, "csv", new Blob([csvText(name, plane, frame)], { type: "text/csv" }));
-  }
-  else {
+    const text = csvText(plane, frame, provenance(name, frame, statusOfFrame, state));
+    download(name, frame, "csv", new Blob([text], { type: "text/csv" }));
+  } else {
     const { contactsOfFrame } = viewer;
-    const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, session.frame) : "";
-    const { level } = targets.screen;
-    const still = level === "live" ? "paused" : `paused, ${level}`;
-    const state = (session.paused ? still : level) + (offset && `, contacts from ${offset}`);
-    savePng(session, session.frame, viewer.maps, viewer.range, colormap, state, viewer.shear && session.frame.sheared);
+    const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
+    const origin = provenance(name, frame, statusOfFrame, state + (offset && `, contacts from ${offset}`));
+    savePng(session, frame, viewer.maps, viewer.range, colormap, origin, viewer.shear && frame.sheared);
   }
 }
 

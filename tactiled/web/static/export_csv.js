@@ -1,17 +1,24 @@
-/** A frame as CSV, one line per cell. @module */
+/** A frame as CSV: comments that begin with #, then one line per cell. @module */
 
-import { isoTime } from "./download.js";
 import { UNITS } from "./units.js";
 
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
 
-/** @param {string} name of the sensor @param {Plane} plane @param {Frame} frame @returns {string} */
-export function csvText(name, plane, frame) {
+/**
+ * @param {Plane} plane
+ * @param {Frame} frame
+ * @param {[string, string][]} origin name and value of what else is to be said of the frame
+ * @returns {string}
+ */
+export function csvText(plane, frame, origin) {
   const { sheared, shear } = frame;
   const pressure = UNITS[frame.unit].toLowerCase();
   const lines = [
-    `# sensor ${name}, frame ${frame.sequence}, ${isoTime(frame.timestamp)}, method ${frame.method}`,
+    ...origin.map(([name, value]) => `# ${name}: ${value}`),
+    `# pitch_mm: ${plane.pitch}`,
+    ...[["raw", plane.raw], ["restored", plane.restored]].map(([name, cells]) =>
+      `# ${name}: ${extentText(/** @type {Cells} */ (cells), plane.isGrid)}`),
     `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty`,
     `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
@@ -23,6 +30,13 @@ export function csvText(name, plane, frame) {
     lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
   }
   return `${lines.join("\n")}\n`;
+}
+
+/** @param {Cells} cells @param {boolean} isGrid @returns {string} how many, and between which centres */
+function extentText({ rows, columns, count, x, y }, isGrid) {
+  const number = isGrid ? `${rows} x ${columns} cells` : `${count} taxels`;
+  const span = (/** @type {Float64Array} */ of) => `${decimal(Math.min(...of))} to ${decimal(Math.max(...of))}`;
+  return `${number}, x_mm ${span(x)}, y_mm ${span(y)}`;
 }
 
 /** @param {Cells} cells @param {number} i */

@@ -1,8 +1,9 @@
 /** Both maps with their legend and readings as a PNG file. @module */
 
 import { context2d, themeColors } from "./dom.js";
-import { download, isoTime } from "./download.js";
+import { download } from "./download.js";
 import { fixed } from "./format.js";
+import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, drawAxes } from "./map_axes.js";
 import { endsAndTicks, tickText } from "./ticks.js";
 import { UNITS, forceText, lengthText, pressureText, shearText } from "./units.js";
 
@@ -10,16 +11,18 @@ import { UNITS, forceText, lengthText, pressureText, shearText } from "./units.j
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Maps } from "./maps.js" */
+/** @import { Plane } from "./geometry.js" */
 /** @import { Measures } from "./measures.js" */
 /** @import { Session } from "./session.js" */
 /** @import { ShearArrows } from "./shear_arrows.js" */
 
 const MAP_PX = 640; // px, a map's longer side
 const MARGIN_PX = 32;
-const TOP_PX = 108;
-const BOTTOM_PX = 108;
-const SHEAR_KEY_PX = 28; // more where shear has its key
+const TOP_PX = 84;
+const BOTTOM_PX = 92;
+const LINE_PX = 24; // of the text below
 const LEGEND_PX = 96;
+const MIN_TEXT_PX = 480; // px, width that the text below has at least
 const MIN_LEGEND_PX = 220; // px, that the legend is tall at least
 const TICK_GAP_PX = 44; // px between two of its ticks
 const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
@@ -31,32 +34,35 @@ const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
  * @param {Maps} maps
  * @param {DisplayRange} range
  * @param {Colormap} colormap
- * @param {string} state what the page says of the frame: live, stale, ...
+ * @param {[string, string][]} origin name and value of what is said of the frame; the first two are its title
  * @param {boolean} shear whether it is shown
  */
-export function savePng({ name, plane }, frame, maps, range, colormap, state, shear) {
+export function savePng({ name, plane }, frame, maps, range, colormap, origin, shear) {
   const zoom = MAP_PX / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
-  const when = `${isoTime(frame.timestamp)}, ${state}`;
   const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
   const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map((each) => summaryLines(each, frame.unit));
   const column = Math.max(w, widest([...ofRaw, ...ofRestored], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const canvas = document.createElement("canvas");
-  const text = Math.max(widest([title], TITLE_PX), widest([when, size], TEXT_PX));
-  canvas.width = 2 * MARGIN_PX + Math.max(MARGIN_PX + 2 * column + LEGEND_PX, text);
-  canvas.height = TOP_PX + bodyHeight + BOTTOM_PX + (shear ? SHEAR_KEY_PX : 0);
+  const step = AXIS_LEFT_PX + column + MARGIN_PX; // from one map to the next
+  const width = Math.max(2 * step + LEGEND_PX, widest([title], TITLE_PX), MIN_TEXT_PX);
+  const said = origin.slice(2).map(([what, value]) => (what === "time" || what === "state" ? value : `${what} ${value}`));
+  const lines = wrap([...said, size].join(", "), width, TEXT_PX);
+  canvas.width = 2 * MARGIN_PX + width;
+  canvas.height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (shear ? 1 : 0));
   const sheet = new Sheet(canvas, bodyHeight);
   sheet.write(title, MARGIN_PX, 32, TITLE_PX);
-  sheet.write(when, MARGIN_PX, 58, TEXT_PX, sheet.ink.muted);
   const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
-  sheet.map("Raw", MARGIN_PX, w, h, maps.raw.canvas, raw, plane.isGrid, ofRaw);
-  sheet.map("Restored", column + 2 * MARGIN_PX, w, h, maps.restored.canvas, restored, plane.isGrid, ofRestored);
-  if (shear) sheet.arrow(maps.arrows, MARGIN_PX, TOP_PX + bodyHeight + 84 + SHEAR_KEY_PX, w);
-  sheet.write(size, MARGIN_PX, TOP_PX + bodyHeight + 84, TEXT_PX, sheet.ink.muted);
-  sheet.legend(2 * column + 3 * MARGIN_PX, range, colormap, frame.unit);
+  const left = MARGIN_PX + AXIS_LEFT_PX;
+  sheet.map("Raw", left, w, h, maps.raw.canvas, raw, plane, ofRaw);
+  sheet.map("Restored", left + step, w, h, maps.restored.canvas, restored, plane, ofRestored);
+  const below = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + 84;
+  lines.forEach((each, at) => sheet.write(each, MARGIN_PX, below + LINE_PX * at, TEXT_PX, sheet.ink.muted));
+  if (shear) sheet.arrow(maps.arrows, MARGIN_PX, below + LINE_PX * lines.length, w);
+  sheet.legend(left + 2 * step - AXIS_LEFT_PX, range, colormap, frame.unit);
   canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
 }
 
@@ -71,6 +77,17 @@ function widest(texts, size) {
   const draw = context2d(document.createElement("canvas"));
   draw.font = `${size}px ${themeColors().font}`;
   return Math.ceil(Math.max(...texts.map((each) => draw.measureText(each).width)));
+}
+
+/** @param {string} text @param {number} width px @param {number} size px, of its letters @returns {string[]} lines */
+function wrap(text, width, size) {
+  const lines = [""];
+  for (const word of text.split(" ")) {
+    const longer = `${lines[lines.length - 1]} ${word}`.trimStart();
+    if (widest([longer], size) <= width) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines;
 }
 
 /** The picture while it is made. */
@@ -104,11 +121,12 @@ class Sheet {
    * @param {number} h
    * @param {HTMLCanvasElement} cells
    * @param {HTMLCanvasElement[]} marks
-   * @param {boolean} grid
+   * @param {Plane} plane
    * @param {string[]} below lines
    */
-  map(title, x, w, h, cells, marks, grid, below) {
+  map(title, x, w, h, cells, marks, plane, below) {
     const draw = this._pen;
+    const grid = plane.isGrid;
     this.write(title, x, TOP_PX - 14, 16);
     draw.fillStyle = grid ? "#8d949c" : "#333c46";
     draw.fillRect(x, TOP_PX, w, h);
@@ -116,7 +134,8 @@ class Sheet {
     draw.drawImage(cells, x, TOP_PX, w, h);
     draw.imageSmoothingEnabled = true;
     for (const each of marks) draw.drawImage(each, x, TOP_PX, w, h);
-    below.forEach((each, at) => this.write(each, x, TOP_PX + h + 28 + 24 * at));
+    drawAxes(draw, plane, w / plane.width, x, TOP_PX, this.ink);
+    below.forEach((each, at) => this.write(each, x, TOP_PX + h + AXIS_BOTTOM_PX + 28 + LINE_PX * at));
   }
 
   /**

@@ -287,7 +287,7 @@ export class PlaybackSession {
     const rate_hz = duration_s > 0 ? (frames - 1) / duration_s : NaN;
     this.status = {
       ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz, jitter_s: null, detail: "",
-      method, ran: details.method,
+      method, ran: details.method, calibration: this.recorded.calibration,
     };
     this._statuses.push(this.status);
     this._listener.onChange();

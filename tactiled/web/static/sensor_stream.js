@@ -12,7 +12,7 @@ import { kindOf, packet, parse } from "./wire.js";
  *   type: "status", sensor: string, state: State, age_s: number|null, rate_hz: number, jitter_s: number|null,
  *   skew_s: number|null, position_s: number|null, detail: string, loss: Loss, method: string, sequence: number, timestamp: number, ran: string,
  *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
- *   resolution_mm: number, warnings: Warning[]
+ *   resolution_mm: number, calibration: string, warnings: Warning[]
  * }} Status
  */
 
