@@ -74,8 +74,8 @@ def test_the_range_holds_a_peak_while_the_list_of_sensors_is_polled(pair, open_p
 SCALES = "[...document.querySelectorAll('.tile .scale')].map(each => each.textContent)"
 TOPS = f"{SCALES}.map(text => Number(text.match(/^restored0(\\d+) kPa$/)?.[1]))"
 LIT = (
-    "[...document.querySelectorAll('.tile canvas')].map(each => each.getContext('2d').getImageData(0, 0, each.width, "
-    "each.height).data.reduce((most, value, i) => (i % 4 || value < most ? most : value), 0))"
+    "[...document.querySelectorAll('.tile canvas')].map(each => each.getContext('2d')"
+    ".getImageData(0, 0, each.width, each.height).data.reduce((most, value, i) => (i % 4 || value < most ? most : value), 0))"
 )
 
 
