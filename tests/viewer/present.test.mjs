@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
+import { addEvent } from "../../tactiled/web/static/event_rows.js";
 import { FrameRate } from "../../tactiled/web/static/frame_rate.js";
 import { Freshness } from "../../tactiled/web/static/freshness.js";
 import { healthOf } from "../../tactiled/web/static/health.js";
@@ -97,4 +98,25 @@ test("only what is the present is called live", () => {
     assert.equal(got, expected, what);
     assert.match(words, text, what);
   }
+});
+
+test("what repeats in the log of events is one row with its count", () => {
+  const rows = [];
+  const add = (time, kind, text, code, sensor = "palm") =>
+    addEvent(rows, { time, kind, text, sensor, bus: null, warning: code ? { code } : null });
+  for (let i = 0; i < 12; i += 1) {
+    add(2 * i, "warning_raised", `${i} taxels did not arrive`, "missing");
+    add(2 * i + 0.5, "warning_raised", "restoring took longer than 1 ms", "cut_short");
+    add(2 * i + 1, "warning_cleared", `${i} taxels did not arrive`, "missing");
+  }
+  const of = () => rows.map(({ event, count, since }) => [event.kind, event.text, count, since]);
+  assert.deepEqual(of(), [
+    ["warning_cleared", "11 taxels did not arrive", 12, 0],
+    ["warning_raised", "restoring took longer than 1 ms", 12, 0.5],
+  ]);
+  add(30, "warning_raised", "1 taxel did not arrive", "missing", "thumb");
+  add(700, "warning_raised", "1 taxel did not arrive", "missing");
+  for (const [time, text] of [[701, "by hand: nnls"], [702, "by hand: tv"], [703, "by hand: tv"]]) add(time, "method_set", text);
+  assert.deepEqual(of().slice(0, 4).map(([, , count]) => count), [2, 1, 1, 1]);
+  assert.equal(rows.length, 6);
 });

@@ -75,7 +75,8 @@ SCALES = "[...document.querySelectorAll('.tile .scale')].map(each => each.textCo
 TOPS = f"{SCALES}.map(text => Number(text.match(/^restored0(\\d+) kPa$/)?.[1]))"
 LIT = (
     "[...document.querySelectorAll('.tile canvas')].map(each => each.getContext('2d')"
-    ".getImageData(0, 0, each.width, each.height).data.reduce((most, value, i) => (i % 4 || value < most ? most : value), 0))"
+    ".getImageData(0, 0, each.width, each.height)"
+    ".data.reduce((most, value, i) => (i % 4 || value < most ? most : value), 0))"
 )
 
 
