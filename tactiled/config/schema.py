@@ -280,6 +280,8 @@ class Zenoh(Section):
     """First part of every key."""
     robot: Name | None = None
     """Name of the robot whose sensors are published; `tactiled run --publish` needs it."""
+    ros_domain: Annotated[int, Field(ge=0, le=232)] | None = None
+    """Domain of ROS 2 (`ROS_DOMAIN_ID`) that `--publish` sends images in, too, for nodes with `rmw_zenoh`."""
     tls_root_certificate: FileBeside | None = None
     """PEM file of the authority that signed the other side's certificate; left out: public authorities."""
     tls_certificate: FileBeside | None = None

@@ -4,7 +4,7 @@ Lengths are in m, in a frame of reference with the sensor's name: x along a row,
 Only messages of `tactiled_msgs` have mm and kPa, and their fields say so.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Container, Iterator
 from dataclasses import asdict
 from math import cos, inf, sin
 from typing import Any
@@ -76,25 +76,24 @@ class Topics:
             placed["transform"] = {"translation": translation, "rotation": rotation}
             yield self._message("/tf_static", {"transforms": [placed]})
 
-    def messages(self, image: Image, contacts: tuple[Contact, ...]) -> Iterator[Message]:
-        """One image and the contacts in it."""
+    def messages(
+        self, image: Image, contacts: tuple[Contact, ...], selection: Container[str] = TOPICS
+    ) -> Iterator[Message]:
+        """One image and the contacts in it, on the topics of `selection`."""
         stamped = {"header": self._header(image.time)}
-        yield self._message("raw", stamped | _pixels(self._taxels.picture(image.raw)))
-        yield self._message("restored", stamped | _pixels(self._plan.cells.picture(image.restored)))
-        if image.shear is not None:
-            both = np.stack([self._taxels.picture(each) for each in image.shear], axis=-1)
-            yield self._message("shear", stamped | _pixels(both))
-        yield self._message("tactile", stamped | self._tactile_fields(image, contacts))
-        if "wrench" in self.topics:
-            for each in contacts:
-                yield self._message("wrench", stamped | {"wrench": _wrench(each)})
-        markers = [{"action": DELETE_ALL, "pose": {"orientation": {"w": 1.0}}}]
-        markers += [marker for each in contacts for marker in self._contact_markers(each)]
-        yield self._message("markers", {"markers": [stamped | each for each in markers]})
-        codes = tuple(each.code for each in image.warnings)
-        if codes != self._diagnosed[0] or image.time - self._diagnosed[1] >= DIAGNOSTICS_EVERY_S:
-            self._diagnosed = codes, image.time
-            yield self._message("/diagnostics", stamped | {"status": [self._status(image)]})
+        makers: dict[str, Callable[[], list[Fields]]] = {
+            "raw": lambda: [stamped | _pixels(self._taxels.picture(image.raw))],
+            "restored": lambda: [stamped | _pixels(self._plan.cells.picture(image.restored))],
+            "shear": lambda: [stamped | self._shear_pixels(each) for each in (image.shear,) if each is not None],
+            "tactile": lambda: [stamped | self._tactile_fields(image, contacts)],
+            "wrench": lambda: [stamped | {"wrench": _wrench(each)} for each in contacts],
+            "markers": lambda: [{"markers": [stamped | each for each in self._markers(contacts)]}],
+            "/diagnostics": lambda: [stamped | each for each in self._diagnostics(image)],
+        }
+        for topic in self.topics:
+            if topic in makers and topic in selection:
+                for fields in makers[topic]():
+                    yield self._message(topic, fields)
 
     def _message(self, topic: str, fields: Fields) -> Message:
         return topic, self.types.cdr(TOPICS[topic][0], fields)
@@ -113,6 +112,14 @@ class Topics:
         about["warnings"] = [each.code for each in image.warnings]
         return sums | units | arrays | about | {"contacts": [asdict(each) for each in contacts]}
 
+    def _shear_pixels(self, shear: NDArray[np.float32]) -> Fields:
+        return _pixels(np.stack([self._taxels.picture(each) for each in shear], axis=-1))
+
+    def _markers(self, contacts: tuple[Contact, ...]) -> Iterator[Fields]:
+        yield {"action": DELETE_ALL, "pose": {"orientation": {"w": 1.0}}}
+        for each in contacts:
+            yield from self._contact_markers(each)
+
     def _contact_markers(self, contact: Contact) -> Iterator[Fields]:
         """An ellipse, and the force beside it."""
         half, across = contact.angle_rad / 2, 2 * DISC_SIGMAS * M_PER_MM
@@ -122,6 +129,13 @@ class Topics:
         yield both | {"ns": "contacts", "type": CYLINDER, "scale": scale, "color": WHITE | {"a": 0.4}}
         label = {"ns": "labels", "type": TEXT_VIEW_FACING, "scale": {"z": LABEL_M}, "color": WHITE}
         yield both | label | {"text": force_text(contact.force, self._plan.unit)}
+
+    def _diagnostics(self, image: Image) -> Iterator[Fields]:
+        """The status if it has changed, and every DIAGNOSTICS_EVERY_S."""
+        codes = tuple(each.code for each in image.warnings)
+        if codes != self._diagnosed[0] or image.time - self._diagnosed[1] >= DIAGNOSTICS_EVERY_S:
+            self._diagnosed = codes, image.time
+            yield {"status": [self._status(image)]}
 
     def _status(self, image: Image) -> Fields:
         values = {"method": image.method, "why": image.why, "noise": f"{image.noise:.4g} {image.unit}"}

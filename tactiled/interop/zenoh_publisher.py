@@ -28,6 +28,7 @@ from tactiled.wire import KINDS, PRESSURES, Kind, pack
 if TYPE_CHECKING:
     import zenoh
 
+    from tactiled.interop.ros_live import Node
     from tactiled.runtime.service import Service
 
 LOG = logging.getLogger(__name__)
@@ -66,6 +67,14 @@ class Publisher:
             join_started(self._thread)
             unsubscribe()
             self.requests.shutdown(cancel_futures=True)
+
+    def ros_node(self, session: "zenoh.Session", sensor: Sensor) -> "Node | None":
+        """A sensor's node for ROS 2; None where none is configured."""
+        if self._settings.ros_domain is None:
+            return None
+        from tactiled.interop.ros_live import Node  # an extra
+
+        return Node(session, self._settings.ros_domain, sensor, self.handle, self.requests)
 
     def conflict(self, sensor: str, text: str) -> None:
         """Add the event that another publisher has a sensor's name."""
@@ -133,6 +142,7 @@ class _Publication:
         self._detail: tuple[tuple[object, ...], bytes] = ((), b"")
         self._declared: list[Any] = []
         self._publishers: dict[str, Any] = {}
+        self._ros: Node | None = None
         self._since = time.monotonic()
         self._state_at, self._look_at = -HEARTBEAT_S, 0.0
         self._state_key: tuple[object, ...] = ()
@@ -155,7 +165,10 @@ class _Publication:
                 self._claim(now)
             return
         with suppress(IndexError):
-            self._send(*self._waiting.popleft())
+            image, number = self._waiting.popleft()
+            self._send(image, number)
+            if self._ros:
+                self._ros.publish(image)
         key = self.sensor.state, self.sensor.method
         if key != self._state_key or now - self._state_at >= HEARTBEAT_S:
             self._state_key, self._state_at = key, now
@@ -183,6 +196,7 @@ class _Publication:
             self._session.liveliness().declare_token(f"{self._base}/alive/{self.id}"),
             *self._publishers.values(),
         ]
+        self._ros = self._publisher.ros_node(self._session, self.sensor)
 
     def _notice(self, sample: "zenoh.Sample") -> None:
         """Another publisher came: a partition kept the two from seeing each other."""
@@ -272,5 +286,7 @@ class _Publication:
         self._unsubscribe()
         if self._publishers:
             self._send_state(closing=True)
+        if self._ros:
+            self._ros.close()
         for each in self._declared:
             each.undeclare()

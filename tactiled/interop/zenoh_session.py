@@ -45,10 +45,12 @@ def unpack(attachment: bytes) -> tuple[Head, bytes]:
     return Head(session.hex(), number, kinds), attachment[HEAD.size :]
 
 
-def need(setting: str) -> None:
-    """ConfigError where the package is not installed."""
+def need(setting: str, ros: bool = False) -> None:
+    """ConfigError where the package is not installed, or with `ros` the one for ROS 2."""
     if importlib.util.find_spec("zenoh") is None:
         raise ConfigError(f'{setting}: eclipse-zenoh is not installed: pip install "tactiled[zenoh]"')
+    if ros and importlib.util.find_spec("rosbags") is None:
+        raise ConfigError(f'{setting}.ros_domain: rosbags is not installed: pip install "tactiled[ros]"')
 
 
 def configuration(settings: Zenoh, users: Path) -> "zenoh.Config":

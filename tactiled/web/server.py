@@ -174,7 +174,7 @@ def serve(service: "Service | Fleet", config: Server) -> None:
 
 def publish(service: "Service", config: Server, settings: Zenoh) -> None:
     """Publish on a Zenoh network until KeyboardInterrupt; no HTTP, but what a reader has for Foxglove and XELA."""
-    need("zenoh")
+    need("zenoh", ros=settings.ros_domain is not None)
     where = f"{settings.prefix}/{settings.robot}"
     watchdog = _watchdog(service, where)
     with bridge(service, config.foxglove), xela_clients(service, config), publishing(service, config, settings):
