@@ -18,12 +18,12 @@ const plane = new Plane({
   raw: { rows: 1, columns: 3 }, restored: { rows: 1, columns: 3, cell_mm: 10 }, areas_mm2: null,
 });
 
-/** Draws arrows at 5 CSS px per mm: middle and vector of each, CSS px, and what the key says. */
-function drawer() {
+/** Draws arrows at a zoom, CSS px per mm: middle and vector of each, CSS px, and what the key says. */
+function drawer(zoom = 5) {
   const canvas = fakeCanvas();
   const key = { canvas: fakeCanvas(), span: {}, querySelector: (name) => key[name] };
   const arrows = new ShearArrows(canvas, key);
-  arrows.resize(plane, 5);
+  arrows.resize(plane, zoom);
   return (x, y, time = 0) => {
     canvas.calls.length = 0;
     arrows.draw(Float32Array.from([...x, ...y]), time);
@@ -54,4 +54,30 @@ test("the scale holds still while the shear fills it well", () => {
       "500 counts", [[25, 25, Math.round(24 * counts / 500), 0]],
     ]);
   }
+});
+
+/** Numbers of a normal distribution, the same every time. */
+function* normal() {
+  for (let seed = 1; ;) {
+    const uniform = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
+    yield Math.sqrt(-2 * Math.log(uniform())) * Math.cos(2 * Math.PI * uniform());
+  }
+}
+
+test("what is within three deviations of the noise has no arrow, and the scale stays above it", () => {
+  const noise = normal();
+  const deviation = 300; // counts, x and y together
+  const some = () => (noise.next().value * deviation) / Math.SQRT2;
+  const draw = drawer(15);
+  let arrows = 0;
+  let key = "";
+  for (let i = 0; i < 400; i += 1) {
+    const [text, drawn] = draw([some(), some(), some()], [some(), some(), some()], i / 50);
+    if (i >= 100) arrows += drawn.length;
+    key = text;
+  }
+  assert.ok(arrows < 10, `${arrows} of 900`);
+  assert.ok(parseFloat(key) >= 10 * deviation, key);
+  const [, drawn] = draw([2000 + some(), some(), some()], [some(), some(), some()], 8);
+  assert.equal(drawn.length, 1);
 });

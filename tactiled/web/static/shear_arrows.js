@@ -6,6 +6,7 @@
 
 import { DisplayRange } from "./display_range.js";
 import { fitCanvas, context2d, setText } from "./dom.js";
+import { ShearNoise } from "./shear_noise.js";
 import { shearText } from "./units.js";
 
 /** @import { Plane } from "./geometry.js" */
@@ -15,6 +16,7 @@ const PITCH_SHARE = 0.9; // of the pitch, the longest arrow's length
 const MAX_WIDTH_SHARE = 0.16; // of the map's width, at most: the key stands above it
 const LENGTH_BOUNDS_PX = /** @type {const} */ ([14, 56]); // CSS px, within which it is; where taxels are near, arrows overlap
 const MIN_LENGTH_PX = 5; // CSS px, what is drawn at all
+const MIN_DEVIATIONS = 3; // standard deviations of the noise, likewise
 const HEAD_SHARE = 0.45; // of an arrow's length
 const MAX_HEAD_PX = 8; // CSS px, the longest side of a head
 const HEAD_SLOPE = 0.5; // half of a head's width over its length
@@ -70,6 +72,7 @@ export class ShearArrows {
   constructor(canvas, key) {
     this.canvas = canvas;
     this.range = new DisplayRange(MIN_SCALE_COUNTS);
+    this._noise = new ShearNoise();
     this._pen = context2d(canvas);
     this._key = key;
     this._keyCanvas = /** @type {HTMLCanvasElement} */ (key.querySelector("canvas"));
@@ -116,6 +119,7 @@ export class ShearArrows {
   /** Show nothing, and forget what was seen. */
   reset() {
     this.range.reset();
+    this._noise.reset();
     this.clear();
   }
 
@@ -143,7 +147,7 @@ export class ShearArrows {
     const { count, x, y } = plane.raw;
     const slope = (SUBPIXELS * this._long) / this.range.high;
     const px = SUBPIXELS * this._px;
-    const minLength = (MIN_LENGTH_PX * SUBPIXELS * this._ratio) ** 2;
+    const minLength = Math.max(MIN_LENGTH_PX * SUBPIXELS * this._ratio, slope * MIN_DEVIATIONS * this._noise.deviation) ** 2;
     const barb = (MAX_HEAD_PX * SUBPIXELS * this._ratio) | 0;
     draw.clearRect(0, 0, this.canvas.width, this.canvas.height);
     draw.save();
@@ -173,7 +177,8 @@ export class ShearArrows {
       const square = shear[i] * shear[i] + shear[count + i] * shear[count + i];
       if (square > largest) largest = square;
     }
-    this.range.follow(Math.sqrt(largest), 0, timestamp);
+    this._noise.follow(shear, timestamp);
+    this.range.follow(Math.sqrt(largest), this._noise.deviation, timestamp);
   }
 
   /** Bring the key up to date. */
