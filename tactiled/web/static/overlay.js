@@ -8,6 +8,7 @@ import { fitCanvas, context2d } from "./dom.js";
 import { ACROSS } from "./geometry.js";
 import { SATURATED } from "./wire.js";
 
+/** @import { ContactOutline } from "./contact_outline.js" */
 /** @import { Contact } from "./sensor_stream.js" */
 /** @import { Axis, Plane } from "./geometry.js" */
 /** @import { Measures } from "./measures.js" */
@@ -21,9 +22,11 @@ import { SATURATED } from "./wire.js";
  * @property {number} probeY mm
  * @property {boolean} pinned
  * @property {Contact[]|null} contacts null where they are not to be shown
+ * @property {ContactOutline} outline of the contacts
+ * @property {number} outlined number of the frame that the outlines are of
  */
 
-const OUTLINE_DEVIATIONS = 2; // standard deviations from a contact's centre to its outline: the rim of an even disc
+const OUTLINE_DEVIATIONS = 2; // standard deviations from the centre of a contact whose cells are not outlined to its rim
 const CROSS_PX = 4; // CSS px, half of a centre's cross
 const MIN_AXIS_PX = 6; // CSS px, the least half axis of an outline
 const TEXT_PX = 12; // CSS px
@@ -45,7 +48,7 @@ export class Overlay {
     /** What is drawn, but for crosses on saturated taxels; `known` is false where it must be redrawn. */
     this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
-      contacts: /** @type {Contact[]|null} */ (null),
+      contacts: /** @type {Contact[]|null} */ (null), outlined: -1,
     };
   }
 
@@ -76,7 +79,7 @@ export class Overlay {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
-    if (marks.contacts) this._contacts(marks.contacts, plane);
+    if (marks.contacts) this._contacts(marks.contacts, marks.outline, plane);
     else if (measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
     if (!Number.isFinite(marks.probeX)) return;
     const x = (marks.probeX - plane.left) * this._px;
@@ -98,11 +101,12 @@ export class Overlay {
     const ringed = !marks.contacts && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
-    if (last.known && !crossed && last.contacts === marks.contacts && last.pinned === marks.pinned
+    if (last.known && !crossed && last.contacts === marks.contacts && last.outlined === marks.outlined && last.pinned === marks.pinned
       && last.along === marks.along && Object.is(last.lineAt, marks.lineAt) && Object.is(last.ringX, ringX) && Object.is(last.ringY, ringY)
       && Object.is(last.probeX, marks.probeX) && Object.is(last.probeY, marks.probeY)) return true;
     last.known = !crossed;
     last.contacts = marks.contacts;
+    last.outlined = marks.outlined;
     last.pinned = marks.pinned;
     last.along = marks.along;
     last.lineAt = marks.lineAt;
@@ -113,11 +117,18 @@ export class Overlay {
     return false;
   }
 
-  /** @param {Contact[]} contacts @param {Plane} plane */
-  _contacts(contacts, plane) {
+  /** @param {Contact[]} contacts @param {ContactOutline} outline @param {Plane} plane */
+  _contacts(contacts, outline, plane) {
     const draw = this._pen;
     const minAxis = MIN_AXIS_PX * this._ratio;
+    const { edges } = outline;
+    const cell = outline.side * this._px;
+    draw.lineCap = "round";
     draw.beginPath();
+    for (let i = 0; i < 4 * outline.count; i += 4) {
+      draw.moveTo(Math.round(edges[i] * cell), Math.round(edges[i + 1] * cell));
+      draw.lineTo(Math.round(edges[i + 2] * cell), Math.round(edges[i + 3] * cell));
+    }
     for (let i = 0; i < contacts.length; i += 1) {
       const each = contacts[i];
       // Whole pixels: any other number that is handed to the browser is an object for the collector.
@@ -125,8 +136,10 @@ export class Overlay {
       const y = Math.round((each.y_mm - plane.top) * this._px);
       const major = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.major_mm * this._px));
       const minor = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.minor_mm * this._px));
-      draw.moveTo(Math.round(x + major * Math.cos(each.angle_rad)), Math.round(y + major * Math.sin(each.angle_rad)));
-      draw.ellipse(x, y, major, minor, each.angle_rad, 0, 2 * Math.PI);
+      if (!outline.outlined[i]) {
+        draw.moveTo(Math.round(x + major * Math.cos(each.angle_rad)), Math.round(y + major * Math.sin(each.angle_rad)));
+        draw.ellipse(x, y, major, minor, each.angle_rad, 0, 2 * Math.PI);
+      }
       this._cross(x, y, CROSS_PX * this._ratio);
     }
     this._twoTone(1.5);

@@ -1,6 +1,7 @@
 /** The sensor that is watched, on the screen: maps, charts and the cover. @module */
 
 import * as api from "./api.js";
+import { ContactOutline } from "./contact_outline.js";
 import { CrossSection, highestAlong } from "./cross_section.js";
 import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
@@ -69,7 +70,7 @@ export class Viewer {
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {Marks} */
-    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null };
+    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, outline: new ContactOutline(), outlined: -1 };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
@@ -144,6 +145,8 @@ export class Viewer {
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
     marks.contacts = this.contactsOfFrame?.contacts ?? null;
+    marks.outline.update(frame, plane, marks.contacts, session.paused);
+    marks.outlined = session.paused ? frame.sequence : -1;
   }
 
   /**
