@@ -4,6 +4,7 @@ import test, { beforeEach } from "node:test";
 import { csvText } from "../../tactiled/web/static/export_csv.js";
 import { Plane } from "../../tactiled/web/static/geometry.js";
 import { npy } from "../../tactiled/web/static/npy.js";
+import { provenance } from "../../tactiled/web/static/provenance.js";
 import { Session } from "../../tactiled/web/static/session.js";
 import { HEADER_BYTES, RAW, RESTORED, SHEAR, packet, parse } from "../../tactiled/web/static/wire.js";
 
@@ -170,9 +171,9 @@ test("a live frame that waited is held back and replaced, and shown where the se
 test("shear comes with its frame and into the CSV", () => {
   const { session, socket } = watch(true);
   socket.deliver(...frame(3), message(SHEAR, 3, { values: [5, NaN, -6, NaN] }));
-  const lines = csvText("palm", plane, session.frame).split("\n");
-  assert.match(lines[0], /^# sensor palm, frame 3, 1970-01-01T00:00:00.300Z, method wiener$/);
-  assert.deepEqual(lines.slice(2, -1), [
+  const lines = csvText(plane, session.frame, provenance("palm", session.frame, null, "live")).split("\n");
+  assert.deepEqual(lines.slice(0, 3), ["# sensor: palm", "# frame: 3", "# time: 1970-01-01T00:00:00.300Z"]);
+  assert.deepEqual(lines.filter((each) => each[0] !== "#").slice(0, -1), [
     "image,row,column,x_mm,y_mm,kpa,flags,shear_x_counts,shear_y_counts", "raw,0,0,0,0,1,0,5,-6",
       "raw,0,1,1,0,,1,,",
     "restored,0,0,0,0,1,,,", "restored,0,1,1,0,,,,",
