@@ -1,9 +1,9 @@
 /** The pressure range that both maps share: fixed by hand, or following the data without flicker. @module */
 
-const STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
-const DECAY_S = 6; // the range forgets a peak over about this long
+const STEPS = [1, 2, 5, 10];
+const FALL_S = 10; // the range rises at once and falls by a tenth of the distance a second
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
-const KEEP_ABOVE = 0.71; // of a range, above which no smaller one is taken: HYSTERESIS times 5 over 6, the nearest two of STEPS
+const KEEP_ABOVE = 0.425; // of a range, above which no smaller one is taken: HYSTERESIS times 1 over 2, the nearest two of STEPS
 const MIN_TOP = 1; // kPa, or counts
 const BELOW_ZERO = { deviations: 5, share: 0.02 }; // of the noise, and of the range's top: what is further below zero is marked
 const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours must differ
@@ -57,7 +57,8 @@ export class DisplayRange {
   follow(peak, noise, time) {
     const elapsed = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
-    this._peak = Math.max(peak, this._minTop, 15 * noise, this._peak * Math.exp(-elapsed / DECAY_S));
+    const needed = Math.max(peak, this._minTop, 15 * noise);
+    this._peak = Math.max(needed, needed + (this._peak - needed) * Math.exp(-elapsed / FALL_S));
     if (this.auto) this.high = steadyTop(this.high, this._peak);
     this.floor = -Math.max(BELOW_ZERO.deviations * noise, BELOW_ZERO.share * this.high);
   }
