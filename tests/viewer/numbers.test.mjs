@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
+import { inkOn } from "../../tactiled/web/static/cell_values.js";
 import { DisplayRange } from "../../tactiled/web/static/display_range.js";
 import { byteText, duration, fixed, newtons, number } from "../../tactiled/web/static/format.js";
 import { decadeTicks, endsAndTicks, tickText, ticks } from "../../tactiled/web/static/ticks.js";
@@ -20,7 +21,7 @@ test("a force has two decimals, a small one three digits", () => {
 
 test("numbers have a true minus sign, no minus zero, and a dash without a value", () => {
   check((value) => fixed(value, 1), [[-0.04, "0.0"], [-0.06, "−0.1"], [Infinity, "–"], [3, "3.0"]]);
-  check(number, [[0, "0.00"], [123.4, "123"], [-1.234, "−1.23"], [0.0123, "0.01"], [NaN, "–"]]);
+  check(number, [[0, "0.00"], [123.4, "123"], [-1.234, "−1.23"], [0.0123, "0.01"], [-0.001, "0.00"], [NaN, "–"]]);
 });
 
 test("a file's size is in whole bytes or three digits", () => {
@@ -75,9 +76,13 @@ test("an automatic range holds every peak and does not flicker", () => {
   assert.ok(highs.filter((high, i) => i > 50 && high !== highs[i - 1]).length <= 1);
   const rising = tops(Array.from({ length: 500 }, (_, i) => 1 + 2 * i));
   assert.ok(rising.every((high, i) => !i || high >= rising[i - 1]));
-  const falling = tops(Array.from({ length: 1510 }, (_, i) => (i < 10 ? 1000 : 10)));
-  assert.equal(falling[9], 1000);
-  assert.ok(falling.at(-1) >= 10 && falling.at(-1) <= 15);
+  const falling = tops(Array.from({ length: 3510 }, (_, i) => (i < 10 ? 1000 : 10)));
+  const steps = [...new Set(falling)];
+  assert.deepEqual(steps, [1000, 500, 200, 100, 50, 20]);
+  const seconds = steps.slice(1).map((top) => (falling.indexOf(top) - 9) / 50);
+  for (const [i, share] of [0.415, 0.16, 0.0758, 0.0328, 0.0071].entries()) {
+    assert.ok(Math.abs(seconds[i] - 10 * Math.log(1 / share)) < 0.3, `${seconds}`); // a tenth of the distance a second
+  }
 });
 
 test("a fixed range stays until it is released", () => {
@@ -102,4 +107,17 @@ test("a pair of numbers that is no range is refused with the reason and changes 
     assert.match(range.fix(low, high), reason);
     assert.deepEqual([range.low, range.high], [0, 50]);
   }
+});
+
+test("black or white is written on a colour, whichever contrasts more", () => {
+  const contrast = (ink, level) => {
+    const light = (each) => (each <= 10 ? each / 3294 : ((each / 255 + 0.055) / 1.055) ** 2.4);
+    const [a, b] = [light(ink === "#fff" ? 255 : 0), light(level)].sort((one, other) => other - one);
+    return (a + 0.05) / (b + 0.05);
+  };
+  for (let grey = 0; grey < 256; grey += 1) {
+    const ink = inkOn(((255 << 24) | (grey << 16) | (grey << 8) | grey) >>> 0);
+    assert.ok(contrast(ink, grey) > 4.4, `${grey}`);
+  }
+  assert.deepEqual([inkOn(0xff00ffff), inkOn(0xffff0000)], ["#000", "#fff"]); // yellow, blue
 });

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from tests.conftest import ask, pressed
-from tests.viewer.conftest import DESK, PHONE
+from tests.viewer.conftest import DESK, PHONE, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
 
@@ -55,3 +55,22 @@ def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
                 at = f"{raw['x'] + raw['width'] * x / 100}, {raw['y'] + raw['height'] / 2}"
                 assert page.evaluate(f"document.elementFromPoint({at}).closest('.frame').id") == f"{name}-frame"
         assert page.violations() == []
+
+
+def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):
+    image = rig.show(pressed())
+    page = open_page(f"{url}/#palm?range=0:500", **DESK)
+    page.evaluate(WATCH_TEXTS)
+    page.press("Space")
+    page.resize(1280, 900)
+    peak = f"{image.restored.max():.3g}"
+    written = f"window.drawn.filter(each => !each.id && each.text === '{peak}')"
+    page.wait(f"{written}.length > 0")
+    row, column = np.argwhere(image.restored == image.restored.max())[0]
+    at = page.evaluate(f"{written}[0]")
+    assert at["x"] / at["width"] == (column + 0.5) / 8
+    assert int(at["y"] / at["height"] * 8) == row
+    page.evaluate("window.drawn = []")
+    page.resize(390, 844)  # cells of 20 px
+    page.refreshed(30)
+    assert page.evaluate(f"{written}.length") == 0

@@ -47,7 +47,10 @@ document.documentElement.dataset.painted = "0";
 function read() {
   writeAddress();
   if (wall.open) document.title = "all sensors, tactiled";
-  else screen.read(viewer, reachable);
+  else {
+    screen.read(viewer, reachable);
+    if (viewer.session?.frame) viewer.maps.write(viewer.session.frame, viewer.range, viewer.view);
+  }
   playback.read();
 }
 

@@ -55,7 +55,7 @@ export function savePng({ name, plane }, frame, maps, range, colormap, origin, s
   canvas.height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (shear ? 1 : 0));
   const sheet = new Sheet(canvas, bodyHeight);
   sheet.write(title, MARGIN_PX, 32, TITLE_PX);
-  const [raw, restored] = [[maps.rawMarks.canvas, maps.arrows.canvas], [maps.restoredMarks.canvas]];
+  const [raw, restored] = [[maps.written[0], maps.rawMarks.canvas, maps.arrows.canvas], [maps.written[1], maps.restoredMarks.canvas]];
   const left = MARGIN_PX + AXIS_LEFT_PX;
   sheet.map("Raw", left, w, h, maps.raw.canvas, raw, plane, ofRaw);
   sheet.map("Restored", left + step, w, h, maps.restored.canvas, restored, plane, ofRestored);

@@ -11,7 +11,7 @@ export function number(value, digits = 3) {
   if (!Number.isFinite(value)) return "\u2013";
   const size = Math.abs(value);
   const decimals = size === 0 ? digits - 1 : digits - 1 - Math.floor(Math.log10(size));
-  return value.toFixed(Math.max(0, Math.min(digits - 1, decimals))).replace("-", "\u2212");
+  return fixed(value, Math.max(0, Math.min(digits - 1, decimals)));
 }
 
 /**

@@ -1,5 +1,6 @@
 /** The raw and the restored map side by side, on one colour scale and one scale in mm. @module */
 
+import { CellValues } from "./cell_values.js";
 import { Colorbar } from "./colorbar.js";
 import { byId } from "./dom.js";
 import { DisplayRange } from "./display_range.js";
@@ -29,6 +30,7 @@ export class Maps {
     /** Restored less raw, by cell of the restored map. */
     this.difference = new Heatmap(byId("difference"), byId("difference-frame"));
     this._maps = [this.raw, this.restored, this.difference];
+    this._values = this._maps.map((each) => new CellValues(each.canvas));
     this._axes = this._maps.map((each) => new MapAxes(each.frame));
     this._differenceRange = new DisplayRange();
     this._differenceColorbar = new Colorbar(byId("difference-colorbar"));
@@ -57,7 +59,7 @@ export class Maps {
   /** Show nothing. */
   clear() {
     this._plane = null;
-    for (const each of [...this._maps, this.rawMarks, this.restoredMarks]) each.clear();
+    for (const each of [...this._maps, ...this._values, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
     this.colorbar.clear();
     this._differenceColorbar.clear();
@@ -80,6 +82,26 @@ export class Maps {
     if (shear && frame.sheared) this.arrows.draw(frame.shear, frame.timestamp);
     else this.arrows.clear();
     if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
+  }
+
+  /**
+   * Write values in the cells, if they are large enough; seldom, as nobody reads sixty a second.
+   * @param {Frame} frame
+   * @param {DisplayRange} range
+   * @param {View} view
+   */
+  write(frame, range, { name, colormap, signed }) {
+    const plane = this._plane;
+    if (!plane || !colormap) return;
+    const [raw, restored, difference] = this._values;
+    raw.draw(frame.raw, plane, plane.raw, range, colormap);
+    restored.draw(frame.restored, plane, plane.restored, range, colormap);
+    if (name === "difference" && signed) difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+  }
+
+  /** @returns {HTMLCanvasElement[]} what is written over raw and restored map */
+  get written() {
+    return this._values.map((each) => each.canvas);
   }
 
   /** @param {Frame} frame @param {Colormap} colormap */
@@ -138,6 +160,7 @@ export class Maps {
     const zoom = snapZoom(plane, Math.min((box.clientWidth - AXIS_LEFT_PX) / plane.width, height / plane.height));
     this.zoom = zoom;
     for (const each of this._maps) each.resize(zoom);
+    for (const each of this._values) each.resize(plane, zoom);
     for (const each of this._axes) each.draw(plane, zoom);
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
