@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 
-from tests.conftest import ask, pressed
-from tests.viewer.conftest import DESK, PHONE, WATCH_TEXTS
+from tactiled.web.server import running
+from tests.conftest import Rig, ask, meanwhile, pressed
+from tests.viewer.conftest import DESK, PAINTINGS, PHONE, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
 
@@ -74,3 +75,18 @@ def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):
     page.resize(390, 844)  # cells of 20 px
     page.refreshed(30)
     assert page.evaluate(f"{written}.length") == 0
+
+
+def test_the_demo_says_what_to_look_at_until_that_is_closed(page, open_page):
+    assert not page.locator("#demo").is_visible()
+    with meanwhile(Rig("demo")) as rig, running(rig.service) as url:
+        rig.show(pressed())
+        first = open_page(url)
+        assert first.locator("#demo").is_visible()
+        first.inspect()
+        first.get_by_role("button", name="Close").click()
+        assert not first.locator("#demo").is_visible()
+        first.reload()
+        first.wait(f"{PAINTINGS} > 0")
+        assert not first.locator("#demo").is_visible()
+        first.finish()

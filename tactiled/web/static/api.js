@@ -298,6 +298,10 @@ export async function offered() {
   return new Set(paths.map((each) => each.slice(ROOT.length)));
 }
 
+/** @returns {Promise<boolean>} the service is that of `tactiled demo` */
+export const isDemo = async () => Object.values((await request("/config")).bus).some(
+  (/** @type {{interface: string, channel: string}} */ each) => each.interface === "virtual" && each.channel === "demo");
+
 /**
  * @param {number} after id of the newest event that is known
  * @returns {Promise<{events: Event[], newest: number}>}

@@ -11,6 +11,7 @@ import { PlaybackPage } from "./playback_page.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
 import { Regions } from "./regions.js";
+import { loadSetting, saveSetting } from "./storage.js";
 import { ALL, Tabs } from "./tabs.js";
 import { theme } from "./theme.js";
 import { Viewer } from "./viewer.js";
@@ -22,6 +23,7 @@ import { Wall } from "./wall.js";
 const READ_MS = 200; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors
 const WALL = "#/wall"; // the address of all sensors; a sensor's own has no bare slash
+const DEMO_KEY = "tactiled.demo"; // that its hint was closed
 const REPLAYED = "recording"; // the clock of a sensor whose bus is not open
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
@@ -109,6 +111,7 @@ async function loadOffers() {
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   calibration.offer(offered.has("/sensors/{name}/calibration/session"));
   log.offer(offered.has("/events"));
+  if (offered.has("/config") && !loadSetting(DEMO_KEY)) byId("demo").hidden = !(await api.isDemo());
   await viewer.view.load();
 }
 
@@ -170,6 +173,10 @@ controls(viewer, {
   }),
 });
 
+byId("demo-close").addEventListener("click", () => {
+  byId("demo").hidden = true;
+  saveSetting(DEMO_KEY, "closed");
+});
 new ResizeObserver(() => viewer.layout()).observe(byId("boxes"));
 new ResizeObserver(() => wall.restyle()).observe(byId("wall"));
 for (const id of ["section", "forces", "latencies", "kernel", "colorbar"]) {
