@@ -17,8 +17,6 @@ export function csvText(plane, frame, origin) {
   const lines = [
     ...origin.map(([name, value]) => `# ${name}: ${value}`),
     `# pitch_mm: ${plane.pitch}`,
-    ...[["raw", plane.raw], ["restored", plane.restored]].map(([name, cells]) =>
-      `# ${name}: ${extentText(/** @type {Cells} */ (cells), plane.isGrid)}`),
     `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty`,
     `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
@@ -30,13 +28,6 @@ export function csvText(plane, frame, origin) {
     lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
   }
   return `${lines.join("\n")}\n`;
-}
-
-/** @param {Cells} cells @param {boolean} isGrid @returns {string} how many, and between which centres */
-function extentText({ rows, columns, count, x, y }, isGrid) {
-  const number = isGrid ? `${rows} x ${columns} cells` : `${count} taxels`;
-  const span = (/** @type {Float64Array} */ of) => `${decimal(Math.min(...of))} to ${decimal(Math.max(...of))}`;
-  return `${number}, x_mm ${span(x)}, y_mm ${span(y)}`;
 }
 
 /** @param {Cells} cells @param {number} i */
