@@ -31,8 +31,11 @@ WATCH_TEXTS = """() => {
   window.drawn = [];
   const { fillText } = CanvasRenderingContext2D.prototype;
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
-    const { width, height, id } = this.canvas;
-    window.drawn.push({ id, text, x, y, end: x + this.measureText(text).width, width, height });
+    const { width, height, id, isConnected } = this.canvas;
+    const size = this.measureText(text);
+    const box = [x - size.actualBoundingBoxLeft, y - size.actualBoundingBoxAscent,
+      x + size.actualBoundingBoxRight, y + size.actualBoundingBoxDescent];
+    window.drawn.push({ id, saved: !isConnected, text, x, y, box, end: x + size.width, width, height });
     fillText.call(this, text, x, y);
   };
 }"""

@@ -47,15 +47,17 @@ def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_pic
         page.wait("document.body.dataset.level === 'stale'")
         page.evaluate("window.drawn = []")
         assert page.download("s").read_bytes().startswith(b"\x89PNG")
-        texts = page.evaluate("window.drawn.filter(each => !each.id && each.height > 300)")
+        texts = page.evaluate("window.drawn.filter(each => each.saved && each.height > 300)")
         assert texts[0]["text"] == f"{NAME}_{number}, frame 0"
-        assert texts[1]["text"].endswith("Z, stale")
+        assert re.search(r"Z, stale, method \w+, unit kPa", " ".join(each["text"] for each in texts))
         assert {"Raw", "Restored", "kPa", "0"} <= {each["text"] for each in texts}
         for each in texts:
-            assert 0 <= each["x"] < each["end"] <= each["width"], each
-            assert 12 <= each["y"] <= each["height"], each
+            left, top, right, bottom = each["box"]
+            assert 0 <= left < right <= each["width"], each
+            assert 0 <= top < bottom <= each["height"], each
         for one, other in itertools.combinations(texts, 2):
-            apart = one["end"] <= other["x"] or other["end"] <= one["x"] or abs(one["y"] - other["y"]) >= 14
+            (left, top, right, bottom), (x, y, to_x, to_y) = one["box"], other["box"]
+            apart = right <= x or to_x <= left or bottom <= y or to_y <= top
             assert apart, (one, other)
 
 

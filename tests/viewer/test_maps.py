@@ -9,7 +9,7 @@ import pytest
 
 from tactiled.restore.methods import METHODS
 from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import CONTACTS, PAINTINGS, PAUSED, WATCH_TEXTS
+from tests.viewer.conftest import CONTACTS, LIVE, PAINTINGS, PAUSED, WATCH_TEXTS
 
 BELOW_ZERO = (122, 140, 255)
 OFFSET = re.compile(r"from \d+ ms (earlier|later)$")
@@ -76,12 +76,13 @@ def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, o
 
 
 def test_a_saved_picture_and_table_say_where_they_are_from(rig, page):
+    rig.stale_after(600)
     rig.send(pressed(), drop=[0])
-    page.wait("document.body.dataset.warnings === '1'")
+    page.wait(f"document.body.dataset.warnings === '1' && {LIVE}")
     page.press("Space")
     page.evaluate(WATCH_TEXTS)
     page.download("s")
-    drawn = [each["text"] for each in page.evaluate("window.drawn") if not each["id"]]
+    drawn = [each["text"] for each in page.evaluate("window.drawn") if each["saved"]]
     assert drawn.count("mm") == 2
     assert [drawn.count(str(tick)) for tick in (0, 2, 4, 6)] == [5, 4, 4, 4]  # the legend has a 0, too
     comments, rows = [], []
