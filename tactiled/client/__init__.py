@@ -6,22 +6,43 @@ for image in tactiled.connect("http://127.0.0.1:8000").stream("palm"):
     print(image.sequence, image.restored.max(), image.unit)
 """
 
+import asyncio
 import atexit
 import json
+import os
 import ssl
-from collections.abc import AsyncGenerator, Generator, Sequence
-from contextlib import suppress
-from http.client import HTTPException
-from typing import Any
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
+from functools import partial, wraps
+from http.client import HTTPException, HTTPResponse, IncompleteRead
+from numbers import Real
+from pathlib import Path
+from shutil import copyfileobj
+from typing import Any, BinaryIO, ParamSpec, TypeVar
 from urllib.error import HTTPError
-from urllib.parse import parse_qsl, quote, urlsplit
-from urllib.request import Request, urlopen
+from urllib.parse import parse_qsl, quote, urlencode, urlsplit
+from urllib.request import HTTPHandler, HTTPSHandler, Request, build_opener, urlopen
 from weakref import WeakSet
+from zipfile import BadZipFile
 
+from tactiled.client import results
+from tactiled.client.results import Answer, Contact, Contacts, Event, Recording, Region, Window
 from tactiled.client.stream import ANSWER_S, Image, Service, Stream, aread, describe, read
 from tactiled.errors import ConfigError, LoadedError, TactileError
+from tactiled.files import whole_file
+from tactiled.wire import Kind
 
-__all__ = ["Client", "Image", "connect"]
+__all__ = ["Client", "Contact", "Contacts", "Event", "Image", "Recording", "Region", "Window", "connect"]
+ROOT = "/api/v1"
+MAX_SECONDS, MAX_WAIT_S = 999_999, 30  # of a window; for an event
+MAX_ITEMS = 1000  # images, events or recordings in one answer
+UPLOAD_S = 600.0  # that the service may take for a part of a recording
+NO_RESULT = ValueError, LookupError, TypeError, AttributeError, EOFError, OSError, BadZipFile
+
+Parameters = ParamSpec("Parameters")
+Value = TypeVar("Value")
+Body = bytes | BinaryIO | None
 
 
 def connect(url: str, token: str | None = None, ssl_context: ssl.SSLContext | None = None) -> "Client":
@@ -57,8 +78,21 @@ def _parse_url(url: str) -> tuple[str, str]:
     return f"{parts.scheme}://{parts.netloc}{parts.path.rstrip('/')}", query[0][1] if query else ""
 
 
+def _on_thread(method: Callable[Parameters, Value]) -> Callable[Parameters, Coroutine[Any, Any, Value]]:
+    """The same method for asyncio: its requests wait on another thread."""
+
+    @wraps(method)
+    async def run(*args: Parameters.args, **options: Parameters.kwargs) -> Value:
+        return await asyncio.to_thread(method, *args, **options)
+
+    return run
+
+
 class Client:
-    """Talks to one service; every method raises TactileError with the service's message where it refuses."""
+    """Talks to one service; every method raises TactileError with the service's message where it refuses.
+
+    `asnapshot` is `snapshot` for asyncio, and so on.
+    """
 
     def __init__(self, url: str, token: str | None = None, ssl_context: ssl.SSLContext | None = None) -> None:
         self.url, token_in_url = _parse_url(url)
@@ -123,26 +157,126 @@ class Client:
 
     def metrics(self) -> str:
         """Health, counts and times, in Prometheus's text format."""
-        return self._answer(Request(f"{self.url}/metrics", headers=self._service.headers)).decode(errors="replace")
+        return self._answer("GET", "/metrics")[0].decode(errors="replace")
 
-    def _request(self, verb: str, path: str, body: object = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        headers = self._service.headers | ({"Content-Type": "application/json"} if data else {})
-        answer = self._answer(Request(f"{self.url}/api/v1{path}", data, headers, method=verb))
+    def snapshot(self, sensor: str, patience_s: float = ANSWER_S, shear: bool = False) -> Image:
+        """The newest image, raw and restored, with its total force; `status` has the sensor's state and age.
+
+        Before the first frame it waits for one, for `patience_s`, then TactileError.
+        """
+        path = f"/sensors/{_quoted(sensor)}/geometry"
+        with closing(self.stream(sensor, 0.0, patience_s, shear)) as images:
+            image = next(images)
+        geometry = self._request("GET", path)
+        return replace(image, force=self._read(lambda: results.total_force(image, geometry)))
+
+    def window(self, sensor: str, seconds: float, kind: Kind = "restored") -> Window:
+        """The images of the last `seconds` before the newest one, as many as the service still has."""
+        _check_seconds("seconds", seconds, MAX_SECONDS)
+        query = {"kind": kind, "last": f"{seconds:.6f}s", "limit": str(MAX_ITEMS), "format": "npz"}
+        path, pages = f"{ROOT}/sensors/{_quoted(sensor)}/frames", list[Answer]()
+        while not pages or query["before"]:
+            pages.append(self._answer("GET", f"{path}?{urlencode(query)}"))
+            query["before"] = pages[-1][1].get("X-Tactiled-Before", "")
+        return self._read(lambda: results.parse_window(sensor, kind, pages))
+
+    def contacts(self, sensor: str) -> Contacts:
+        """The contacts in the newest restored image; TactileError before the first frame."""
+        return self._get(Contacts, f"/sensors/{_quoted(sensor)}/contacts")
+
+    def regions(self, sensor: str) -> tuple[Region, ...]:
+        """The watched regions with their values now, their highest values and integrals."""
+        return self._get(tuple[Region, ...], f"/sensors/{_quoted(sensor)}/regions", "regions")
+
+    def events(self, after: int = 0, wait_s: float = 0.0) -> tuple[Event, ...]:
+        """Up to 1000 events after the one with the id `after`; if there are none, the next within `wait_s`.
+
+        The service has its last 1000. Ids count up by 1, so that a gap shows how many are lost; they begin at 1
+        again when the service is restarted.
+        """
+        _check_seconds("wait_s", wait_s, MAX_WAIT_S)
+        query = urlencode({"after": after, "limit": MAX_ITEMS, "wait": wait_s})
+        return self._get(tuple[Event, ...], f"/events?{query}", "events", ANSWER_S + wait_s)
+
+    def recordings(self, after: str = "") -> tuple[Recording, ...]:
+        """Up to 1000 recordings of the service's folder, sorted by name, those after the name `after`."""
+        query = urlencode({"after": after, "limit": MAX_ITEMS})
+        return self._get(tuple[Recording, ...], f"/recordings?{query}", "recordings")
+
+    def download(self, recording: str, path: str | Path) -> None:
+        """Copy a recording that does not run to a new file; TactileError if that cannot be written."""
+        source = f"{ROOT}/recordings/{_quoted(recording, 'recording')}"
+        with self._open("GET", source) as answer, whole_file(Path(path)) as part, part.open("xb") as file:
+            copyfileobj(answer, file)
+            if answer.length:  # bytes that did not come: reading in pieces says nothing
+                raise IncompleteRead(b"", answer.length)
+
+    def upload(self, path: str | Path, name: str | None = None) -> Recording:
+        """Add a file to the service's recordings, by its own name or another; OSError if it cannot be read."""
+        target = f"/recordings/{_quoted(Path(path).name if name is None else name, 'recording')}"
+        with Path(path).open("rb") as file:
+            content, _ = self._answer("PUT", ROOT + target, file, UPLOAD_S)
+        recording: Recording = self._read(lambda: results.parse(Recording, json.loads(content)))
+        return recording
+
+    asensors, aset_method, atare = _on_thread(sensors), _on_thread(set_method), _on_thread(tare)
+    asnapshot, awindow, ametrics = _on_thread(snapshot), _on_thread(window), _on_thread(metrics)
+    acontacts, aregions, aevents = _on_thread(contacts), _on_thread(regions), _on_thread(events)
+    arecordings, adownload, aupload = _on_thread(recordings), _on_thread(download), _on_thread(upload)
+
+    def _get(self, kind: type[Value], path: str, key: str = "", timeout_s: float = ANSWER_S) -> Value:
+        answer = self._request("GET", path, timeout_s=timeout_s)
+        value: Value = self._read(lambda: results.parse(kind, answer[key] if key else answer))
+        return value
+
+    def _read(self, make: Callable[[], Value]) -> Value:
         try:
-            return json.loads(answer or b"null")
+            return make()
+        except NO_RESULT as error:
+            raise TactileError(f"{self.url}: no answer of this version of tactiled: {error!r}") from error
+
+    def _request(self, verb: str, path: str, body: object = None, timeout_s: float = ANSWER_S) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        content, _ = self._answer(verb, ROOT + path, data, timeout_s)
+        try:
+            return json.loads(content or b"null")
         except ValueError as error:
             raise TactileError(f"{self.url}: {describe(error)}") from error
 
-    def _answer(self, request: Request) -> bytes:
+    def _answer(self, verb: str, path: str, body: Body = None, timeout_s: float = ANSWER_S) -> Answer:
+        with self._open(verb, path, body, timeout_s) as answer:
+            return answer.read(), answer.headers
+
+    @contextmanager
+    def _open(
+        self, verb: str, path: str, body: Body = None, timeout_s: float = ANSWER_S
+    ) -> Iterator[HTTPResponse]:
+        request = Request(self.url + path, body, self._service.headers, method=verb)
+        open_url: Callable[..., HTTPResponse] = partial(urlopen, context=self._service.ssl_context)
+        if isinstance(body, bytes):
+            request.add_header("Content-Type", "application/json")
+        elif body is not None:
+            request.add_header("Content-Length", str(os.fstat(body.fileno()).st_size))
+            open_url = build_opener(_UploadHandler(context=self._service.ssl_context)).open
         try:
-            with urlopen(request, timeout=ANSWER_S, context=self._service.ssl_context) as answer:  # http or https
-                body: bytes = answer.read()
-                return body
+            with open_url(request, timeout=timeout_s) as answer:
+                yield answer
         except HTTPError as error:
             raise _refusal(self.url, error) from error
         except (OSError, HTTPException, ValueError) as error:
             raise TactileError(f"{self.url}: {describe(error)}") from error
+
+
+class _UploadHandler(HTTPHandler, HTTPSHandler):
+    """Has the answer of a service that refuses a body before it has all of it."""
+
+    def do_open(self, http_class: Any, req: Request, **options: Any) -> HTTPResponse:
+        class Connection(http_class):  # type: ignore[misc]
+            def request(self, *args: Any, **options: Any) -> None:
+                with suppress(BrokenPipeError, ConnectionResetError):
+                    super().request(*args, **options)
+
+        return super().do_open(Connection, req, **options)
 
 
 _STREAMS: WeakSet[Generator[Image, None, None]] = WeakSet()
@@ -156,11 +290,17 @@ def _close_streams() -> None:
             images.close()
 
 
-def _quoted(sensor: str) -> str:
-    """A sensor's name in an address."""
-    if not isinstance(sensor, str) or not sensor:
-        raise ConfigError(f"sensor = {sensor!r}: give a sensor's name")
-    return quote(sensor, safe="")
+def _quoted(name: object, kind: str = "sensor") -> str:
+    """A name in an address."""
+    if not isinstance(name, str) or not name:
+        raise ConfigError(f"{kind} = {name!r}: give a {kind}'s name")
+    return quote(name, safe="")
+
+
+def _check_seconds(key: str, value: object, limit: float) -> None:
+    """ConfigError where an argument is no time from 0 to a limit, s."""
+    if not isinstance(value, Real) or not 0 <= float(value) <= limit:
+        raise ConfigError(f"{key} = {value!r}: give 0 to {limit} s")
 
 
 def _refusal(url: str, error: HTTPError) -> TactileError:

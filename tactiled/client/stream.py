@@ -19,8 +19,9 @@ from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
+from tactiled.client.display import html
 from tactiled.errors import ConfigError, TactileError
-from tactiled.units import COUNTS, PRESSURE, Unit
+from tactiled.units import COUNTS, FORCE_UNITS, PRESSURE, Unit
 from tactiled.wire import PRESSURES, Kind, Unpacked, unpack
 
 LOG = logging.getLogger("tactiled.client")
@@ -54,6 +55,17 @@ class Image:
     shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
     noise: float = math.nan  # as noise_kpa, in `unit`
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
+    force: float = math.nan  # total of `restored`, N or counts mm2; NaN in a stream
+
+    def _repr_html_(self) -> str:
+        """Show it in a notebook."""
+        force = {} if math.isnan(self.force) else {"force": f"{self.force:.4g} {FORCE_UNITS[self.unit]}"}
+        warnings = "; ".join(each["text"] for each in self.status.get("warnings", ())) or "none"
+        facts = (
+            {"state": self.status.get("state"), "method": self.status.get("ran")} | force | {"warnings": warnings}
+        )
+        images = {"raw": self.raw, "restored": self.restored}
+        return html(f"{self.sensor}, frame {self.sequence}", images, self.unit, self.noise, facts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,157 @@
+"""What requests of the client return: frozen values, and how they are read from an answer."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
+from http.client import HTTPMessage
+from io import BytesIO
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.client.display import html
+from tactiled.client.stream import Image
+from tactiled.frames import FrameWarning
+from tactiled.units import FORCE_SCALES, ForceUnit, Unit
+from tactiled.wire import Kind
+
+Answer = tuple[bytes, HTTPMessage]  # content and headers
+ARRAYS = "sequence", "time", "method", "flags", "values"  # of a window
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """One contact; x to the right and y down, in the array's own coordinates."""
+
+    id: int  # the same while it lasts
+    x_mm: float  # centre of pressure
+    y_mm: float
+    force: float  # in `Contacts.force_unit`
+    area_mm2: float
+    peak: float  # in `Contacts.unit`
+    major_mm: float  # standard deviation of the pressure along its longer axis
+    minor_mm: float
+    angle_rad: float  # of the longer axis from x towards y, -pi/2 to pi/2
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """The contacts in the newest restored image."""
+
+    sensor: str
+    state: str  # live, stale, down or ended
+    sequence: int  # of the image
+    timestamp: float  # s, Unix, of the frame's first CAN message
+    unit: Unit
+    force_unit: ForceUnit
+    contacts: tuple[Contact, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One thing that happened."""
+
+    id: int  # 1, 2, 3, ... since the service was started
+    time: float  # s, Unix
+    kind: str  # for programs: sensor_stale, warning_raised, ...
+    sensor: str | None
+    bus: str | None
+    text: str  # for people
+    warning: FrameWarning | None  # that was raised or cleared
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording in the service's folder."""
+
+    name: str
+    bytes: int | None  # size of its file; None: it was removed
+    running: bool
+    bus: str | None  # None: recorded before this start of the service
+    messages: int | None  # in the file so far
+    unreadable: int | None  # messages lost: the interface could not decode them
+    error: str | None  # why it ended early
+
+
+@dataclass(frozen=True, slots=True)
+class RegionMeasures:
+    """What an image holds in a region; NaN: unknown."""
+
+    force: float  # N, or counts mm2
+    mean: float  # pressure, in `Region.unit`
+    peak: float  # pressure, in `Region.unit`
+    area: float  # mm2 in contact
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A region of an array, what it holds, and what it has held since `since`."""
+
+    name: str
+    shape: str  # rectangle, ellipse or polygon
+    points_mm: tuple[tuple[float, float], ...]  # x and y of two opposite corners, or of each of a polygon
+    threshold: dict[str, Any] | None  # quantity, and its bounds `above` and `below`
+    unit: Unit
+    now: RegionMeasures | None  # None: no image yet
+    highest: RegionMeasures | None  # each on its own
+    impulse: float  # integral of force over time, N s or counts mm2 s
+    pressure_time: float  # integral of the peak pressure over time, `unit` times s
+    since: float | None  # s, Unix, of the first image, or of the first after a reset
+    exceeded: bool  # whether the threshold is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """T images of one sensor, oldest first."""
+
+    sensor: str
+    kind: Kind
+    unit: Unit  # counts of shear, and of an uncalibrated sensor
+    cut: bool  # whether the service may have discarded images of the window's beginning
+    sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
+    time: NDArray[np.float64]  # (T,) s, Unix, of each frame's first CAN message
+    method: NDArray[np.str_]  # (T,) that restored each
+    flags: NDArray[np.uint8]  # (T, rows, columns) or (T, taxels) of the raw image, as `frames.FLAG_BITS`
+    values: NDArray[np.float32]  # (T, rows, columns) or (T, taxels); shear (T, 2, ...), x and y; NaN: no data
+
+    def _repr_html_(self) -> str:
+        """Show the highest value of each cell in a notebook."""
+        values = np.hypot(*self.values.swapaxes(0, 1)) if self.kind == "shear" else self.values
+        facts = {
+            "images": len(values),
+            "frames lost": np.sum(np.diff(self.sequence) - 1),
+            "duration": f"{np.sum(np.diff(self.time)):.3f} s",
+        }
+        images = {"highest": np.fmax.reduce(values, axis=0, initial=np.nan)}
+        return html(f"{self.sensor}, {self.kind}", images, self.unit, np.nan, facts)
+
+
+def parse(kind: Any, data: Any) -> Any:
+    """A value of a type from its JSON: objects become dataclasses, lists tuples, null of a float NaN.
+
+    Keys that the type lacks are left out; LookupError or TypeError where the JSON has not what it needs.
+    """
+    if isinstance(kind, type) and is_dataclass(kind):
+        return kind(**{name: parse(each, data[name]) for name, each in get_type_hints(kind).items()})
+    if data is None:
+        return np.nan if kind is float else None
+    if isinstance(data, list):
+        return tuple(parse(get_args(kind)[0], each) for each in data)
+    objects = filter(is_dataclass, get_args(kind))  # of a type that may be None
+    return next((parse(each, data) for each in objects), data)
+
+
+def total_force(image: Image, geometry: Mapping[str, Any]) -> float:
+    """The sum of a restored image times the areas of its cells, N or counts mm2."""
+    areas_mm2 = geometry["areas_mm2"] or geometry["restored"]["cell_mm"] ** 2
+    return float(np.sum(image.restored * areas_mm2)) * FORCE_SCALES[image.unit]
+
+
+def parse_window(sensor: str, kind: Kind, pages: Sequence[Answer]) -> Window:
+    """The window of pages with their headers, the newest first; ValueError if its images have several units."""
+    units: set[Any] = {headers["X-Tactiled-Unit"] for _, headers in pages}
+    if len(units) > 1:
+        raise ValueError(f"images in {' and '.join(units)}: read them again")
+    loaded = [dict(np.load(BytesIO(content))) for content, _ in reversed(pages)]
+    arrays = [np.concatenate([page[name] for page in loaded]) for name in ARRAYS]
+    return Window(sensor, kind, units.pop(), any("X-Tactiled-Cut" in headers for _, headers in pages), *arrays)
