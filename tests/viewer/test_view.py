@@ -71,10 +71,12 @@ def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):
     at = page.evaluate(f"{written}[0]")
     assert at["x"] / at["width"] == (column + 0.5) / 8
     assert int(at["y"] / at["height"] * 8) == row
-    page.evaluate("window.drawn = []")
+    page.evaluate("document.querySelector('#restored + canvas').id = 'values'")
+    assert page.pixels("values").any()
     page.resize(390, 844)  # cells of 20 px
-    page.refreshed(30)
-    assert page.evaluate(f"{written}.length") == 0
+    page.wait(
+        "!document.getElementById('values').getContext('2d').getImageData(0, 0, 999, 999).data.some(Boolean)"
+    )
 
 
 def test_the_demo_says_what_to_look_at_until_that_is_closed(page, open_page):
