@@ -52,12 +52,12 @@ def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_pic
         assert re.search(r"Z, stale, method \w+, unit kPa", " ".join(each["text"] for each in texts))
         assert {"Raw", "Restored", "kPa", "0"} <= {each["text"] for each in texts}
         for each in texts:
-            left, top, right, bottom = each["box"]
-            assert 0 <= left < right <= each["width"], each
-            assert 0 <= top < bottom <= each["height"], each
+            x, y, to_x, to_y = each["box"]
+            assert 0 <= x < to_x <= each["width"], each
+            assert 0 <= y < to_y <= each["height"], each
         for one, other in itertools.combinations(texts, 2):
-            (left, top, right, bottom), (x, y, to_x, to_y) = one["box"], other["box"]
-            apart = right <= x or to_x <= left or bottom <= y or to_y <= top
+            (x, y, to_x, to_y), (x2, y2, to_x2, to_y2) = one["box"], other["box"]
+            apart = to_x <= x2 or to_x2 <= x or to_y <= y2 or to_y2 <= y
             assert apart, (one, other)
 
 

@@ -82,9 +82,9 @@ def test_a_saved_picture_and_table_say_where_they_are_from(rig, page):
     page.press("Space")
     page.evaluate(WATCH_TEXTS)
     page.download("s")
-    drawn = [each["text"] for each in page.evaluate("window.drawn") if each["saved"]]
-    assert drawn.count("mm") == 2
-    assert [drawn.count(str(tick)) for tick in (0, 2, 4, 6)] == [5, 4, 4, 4]  # the legend has a 0, too
+    texts = [each["text"] for each in page.evaluate("window.drawn") if each["saved"]]
+    assert texts.count("mm") == 2
+    assert [texts.count(str(tick)) for tick in (0, 2, 4, 6)] == [5, 4, 4, 4]  # the legend has a 0, too
     comments, rows = [], []
     for line in page.download("c").read_text().splitlines():
         (comments if line.startswith("#") else rows).append(line)
@@ -98,7 +98,7 @@ def test_a_saved_picture_and_table_say_where_they_are_from(rig, page):
     assert (values["calibration"], values["pitch_mm"]) == ("configured", "1")
     assert "did not arrive" in next(text for name, text in values.items() if name.startswith("warnings"))
     assert rows[0].startswith("image,row,column,x_mm,y_mm,kpa,flags")
-    text = " ".join(drawn)
+    text = " ".join(texts)
     for each in (values["time"], "paused", "method wiener", "unit kPa", "calibration configured", "arrive"):
         assert each in text
 
