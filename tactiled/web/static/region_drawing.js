@@ -77,7 +77,9 @@ export class RegionDrawing {
     root.addEventListener("pointerup", (event) => {
       if (!this.shape) return;
       take(event);
-      if (this.shape !== "polygon" && this.points.length) this._finish();
+      if (this.shape === "polygon" || !this.points.length) return;
+      this.points[1] = at(event); // a quick drag's last move may not have come
+      this._finish();
     }, true);
   }
 

@@ -24,10 +24,11 @@ export class Regions {
     this._viewer = viewer;
     /** @type {Region[]} */
     this._regions = [];
-    this._sensor = "";
+    this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
+    this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
     this._layers = [raw, restored].map((each) => new RegionLayer(each.frame));
-    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._open({ shape, points_mm: points }));
+    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._open({ shape, points_mm: points }, viewer.name));
     this._body = /** @type {HTMLTableSectionElement} */ (byId("regions").querySelector("tbody"));
     this._dialog = /** @type {HTMLDialogElement} */ (byId("region"));
     this._name = /** @type {HTMLInputElement} */ (byId("region-name"));
@@ -40,8 +41,8 @@ export class Regions {
     this._chosen = null;
     for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._drawing.start(shape));
     byId("region-save").addEventListener("click", () => this._save());
-    byId("region-delete").addEventListener("click", () => this._act("Not deleted", (name) => api.removeRegion(this._sensor, name), true));
-    byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._sensor, name), false));
+    byId("region-delete").addEventListener("click", () => this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
+    byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
     byId("region-close").addEventListener("click", () => this._dialog.close());
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());
@@ -96,7 +97,7 @@ export class Regions {
     button.type = "button";
     button.addEventListener("click", () => {
       const region = this._regions.find((each) => each.name === button.textContent);
-      if (region) this._open(region);
+      if (region) this._open(region, this._sensor);
     });
     const head = element("th", "", button);
     head.scope = "row";
@@ -109,9 +110,13 @@ export class Regions {
     for (const each of this._layers) each.draw([...this._regions, ...drawn]);
   }
 
-  /** @param {{shape: Shape, points_mm: [number, number][], name?: string, threshold?: Region["threshold"]}} region */
-  _open(region) {
+  /**
+   * @param {{shape: Shape, points_mm: [number, number][], name?: string, threshold?: Region["threshold"]}} region
+   * @param {string} sensor
+   */
+  _open(region, sensor) {
     this._chosen = region;
+    this._owner = sensor;
     const unit = this._viewer.unit;
     const isNew = region.name === undefined;
     setText(byId("region-title"), isNew ? `New region: ${region.shape}` : `Region ${region.name}`);
@@ -143,7 +148,7 @@ export class Regions {
     const { shape, points_mm } = chosen;
     if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {
       notice(`There is a region ${name}: give another name.`, true);
-    } else if (await withToken(() => api.putRegion(this._sensor, name, { shape, points_mm, threshold }), "Region not saved")) {
+    } else if (await withToken(() => api.putRegion(this._owner, name, { shape, points_mm, threshold }), "Region not saved")) {
       this._dialog.close();
     }
     await this._poll();
@@ -167,9 +172,9 @@ export class Regions {
     ];
     ["force", "peak", "impulse", "integral"].forEach((id, i) => setText(byId(`region-${id}`), texts[i]));
     const seconds = Number(this._span.value);
-    /** @type {HTMLAnchorElement} */ (byId("region-csv")).href = api.regionCsv(this._sensor, region.name, seconds);
+    /** @type {HTMLAnchorElement} */ (byId("region-csv")).href = api.regionCsv(this._owner, region.name, seconds);
     try {
-      const { time, force } = await api.regionSeries(this._sensor, region.name, seconds, CHART_POINTS);
+      const { time, force } = await api.regionSeries(this._owner, region.name, seconds, CHART_POINTS);
       const of = line(time.length, "restored");
       of.length = time.length;
       of.zero = time[time.length - 1] ?? 0;
