@@ -29,6 +29,8 @@ class Module(ModuleType):
     HF_HOME = "/nonexistent"  # huggingface_hub's, a path
 
     def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
         return type(name, (StandIn,), {})
 
 
