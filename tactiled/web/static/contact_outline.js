@@ -17,6 +17,8 @@ export class ContactOutline {
     this.side = 1;
     /** @type {Uint8Array} by contact, whether it has an outline */
     this.outlined = new Uint8Array(0);
+    /** Cells by contact: its westernmost and northernmost edge, its easternmost and southernmost. */
+    this.extents = new Uint16Array(0);
     this._owners = new Uint8Array(0);
     this._sequence = -1;
     /** @type {Contact[]|null} */
@@ -36,6 +38,7 @@ export class ContactOutline {
     this._sequence = frame.sequence;
     this.count = 0;
     this.outlined = new Uint8Array(contacts?.length ?? 0);
+    this.extents = new Uint16Array(4 * this.outlined.length);
     if (!contacts?.length || !plane.isGrid) return;
     const { count, side } = plane.restored;
     this.side = side;
@@ -79,13 +82,25 @@ export class ContactOutline {
         const i = row * columns + column;
         const owner = owners[i];
         if (!owner) continue;
-        this.outlined[owner - 1] = 1;
+        this._extend(owner - 1, row, column);
         if (!row || owners[i - columns] !== owner) this._edge(column, row, column + 1, row);
         if (row === rows - 1 || owners[i + columns] !== owner) this._edge(column, row + 1, column + 1, row + 1);
         if (!column || owners[i - 1] !== owner) this._edge(column, row, column, row + 1);
         if (column === columns - 1 || owners[i + 1] !== owner) this._edge(column + 1, row, column + 1, row + 1);
       }
     }
+  }
+
+  /** @param {number} contact @param {number} row @param {number} column */
+  _extend(contact, row, column) {
+    const { extents } = this;
+    const at = 4 * contact;
+    const isFirst = !this.outlined[contact]; // and the northernmost, as rows come in order
+    extents[at] = isFirst ? column : Math.min(extents[at], column);
+    if (isFirst) extents[at + 1] = row;
+    extents[at + 2] = Math.max(extents[at + 2], column + 1);
+    extents[at + 3] = row + 1;
+    this.outlined[contact] = 1;
   }
 
   /** @param {number} x @param {number} y @param {number} toX @param {number} toY */

@@ -148,16 +148,18 @@ export class Overlay {
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
-    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], plane);
+    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], outline, i, plane);
   }
 
   /**
    * Write a contact's number and force above it, below it, beside it or on it: where there is room first; else its
    * number alone.
    * @param {Contact} contact
+   * @param {ContactOutline} outline
+   * @param {number} i the contact's number in the outline
    * @param {Plane} plane
    */
-  _label(contact, plane) {
+  _label(contact, outline, i, plane) {
     const half = Math.round(this._pen.measureText(contact.label).width / 2 + 3 * this._ratio);
     const rise = Math.round((TEXT_PX / 2 + 2) * this._ratio);
     const minAxis = MIN_AXIS_PX * this._ratio;
@@ -167,17 +169,23 @@ export class Overlay {
     const sin = Math.sin(contact.angle_rad);
     const wide = Math.round(Math.max(minAxis, Math.hypot(long * cos, short * sin)));
     const tall = Math.round(Math.max(minAxis, Math.hypot(long * sin, short * cos)));
+    const { extents, outlined } = outline;
+    const cell = outline.side * this._px;
     const x = Math.round((contact.x_mm - plane.left) * this._px);
     const y = Math.round((contact.y_mm - plane.top) * this._px);
     const within = Math.max(half, Math.min(this.canvas.width - half, x));
+    const west = outlined[i] ? Math.round(extents[4 * i] * cell) : x - wide;
+    const north = outlined[i] ? Math.round(extents[4 * i + 1] * cell) : y - tall;
+    const east = outlined[i] ? Math.round(extents[4 * i + 2] * cell) : x + wide;
+    const south = outlined[i] ? Math.round(extents[4 * i + 3] * cell) : y + tall;
     const { label } = contact;
-    if (this._place(label, within, y - tall - rise, half, rise) || this._place(label, within, y + tall + rise, half, rise)
-      || this._place(label, x + wide + half, y, half, rise) || this._place(label, x - wide - half, y, half, rise)
-      || this._place(label, within, Math.max(rise, y - tall + rise), half, rise)) return;
+    if (this._place(label, within, north - rise, half, rise) || this._place(label, within, south + rise, half, rise)
+      || this._place(label, east + half, y, half, rise) || this._place(label, west - half, y, half, rise)
+      || this._place(label, within, Math.max(rise, north + rise), half, rise)) return;
     const number = label.slice(0, label.indexOf(":"));
     const narrow = Math.round(this._pen.measureText(number).width / 2 + this._ratio);
     const inside = Math.max(narrow, Math.min(this.canvas.width - narrow, x));
-    if (this._place(number, inside, y - tall - rise, narrow, rise)) return;
+    if (this._place(number, inside, north - rise, narrow, rise)) return;
     this._place(number, inside, Math.max(rise, y - 2 * rise), narrow, rise);
   }
 
