@@ -1,4 +1,8 @@
+import subprocess
+import sys
 import threading
+
+import pytest
 
 from tactiled.threads import FairLock
 from tests.conftest import BUSY_S, until
@@ -48,3 +52,34 @@ def test_a_slow_thread_loses_the_lock_and_its_end_releases_no_other():
     assert inside == ["third"]
     with lock:
         pass
+
+
+COUNT_HEAPS = """
+import ctypes, sys, tempfile, threading
+from tactiled.threads import limit_heaps
+if sys.argv[1] == "limited":
+    limit_heaps()
+together = threading.Barrier(9)
+libc = ctypes.CDLL(None)
+libc.malloc.restype = ctypes.c_void_p
+def work():
+    together.wait()
+    libc.malloc(100_000)
+    together.wait()
+for _ in range(8):
+    threading.Thread(target=work).start()
+for _ in range(2):
+    together.wait()
+libc.fopen.restype = ctypes.c_void_p
+with tempfile.NamedTemporaryFile() as file:
+    stream = ctypes.c_void_p(libc.fopen(file.name.encode(), b"w"))
+    libc.malloc_info(0, stream)
+    libc.fclose(stream)
+    print(file.read().count(b"<heap nr="))
+"""
+
+
+@pytest.mark.parametrize(("how", "heaps"), [("limited", {2}), ("not", range(3, 100))])
+def test_threads_share_two_heaps(how, heaps):
+    text = subprocess.run([sys.executable, "-c", COUNT_HEAPS, how], capture_output=True, text=True, check=True)
+    assert int(text.stdout) in heaps

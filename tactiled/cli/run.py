@@ -18,6 +18,7 @@ from tactiled.cli.check import findings_of, prepared
 from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
 from tactiled.runtime.service import Service
+from tactiled.threads import limit_heaps
 from tactiled.web.server import publish, serve
 
 
@@ -32,6 +33,7 @@ def run(
     _: options.LogFormat = "console",
 ) -> None:
     """Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket."""
+    limit_heaps()
     for finding in findings_of(config):
         if not finding.hint:
             logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run

@@ -8,11 +8,13 @@ from tactiled.config import load_served
 from tactiled.errors import ConfigError
 from tactiled.interop import zenoh_session
 from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.threads import limit_heaps
 from tactiled.web import server
 
 
 def serve(config: options.Config, _: options.LogFormat = "console") -> None:
     """Serve the sensors that `run --publish` publishes on a Zenoh network; reads no bus."""
+    limit_heaps()
     settings = load_served(config)
     for key in ("foxglove", "xela", "recordings"):
         if getattr(settings.server, key) is not None:
