@@ -43,7 +43,7 @@ def searched(monitor, frames, now=0.0, flags=SOUND):
         monitor.push(frame, flags, NOISE)
     monitor.search(now)
     if monitor._running:
-        assert monitor._running.poll(60)
+        assert monitor._running.poll(240)  # its process gives way to all others
         monitor.search(now)
     return monitor.warning
 
