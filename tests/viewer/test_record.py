@@ -12,6 +12,7 @@ from tests.conftest import pressed
 
 LIST = "document.getElementById('recordings').innerText"
 FOCUSED = "document.activeElement.innerText"
+CLICK = "all => all.forEach(each => each.click())"
 ROW = "document.activeElement.closest('li')?.innerText"
 
 
@@ -56,9 +57,7 @@ def test_what_is_recorded_is_what_was_sent_and_replays_as_it_was(recording, rig,
     row.get_by_role("button", name="Delete").click()
     assert path.exists()  # once is not enough
     delete = row.get_by_role("button", name=re.compile("delete", re.IGNORECASE))  # asks again after a while
-    page.keep(
-        lambda: delete.evaluate_all("all => all.forEach(each => each.click())"), f"!{LIST}.includes('{path.name}')"
-    )
+    page.keep(lambda: delete.evaluate_all(CLICK), f"!{LIST}.includes('{path.name}')")
     assert not path.exists()
     service = replaying(rig.config, copy, 1.0)
     service.start()
