@@ -14,8 +14,8 @@ M_ARENA_MAX, MAX_HEAPS = -8, 2  # glibc's mallopt(3)
 def limit_heaps() -> None:
     """Have all threads that are not started yet share two heaps; nothing where the C library is not glibc.
 
-    By default glibc has up to eight a core, gives threads that come and go one after the other, and gives memory
-    that lies between two blocks in use back to nobody: `python -m tests.study soak`.
+    By default glibc has up to eight heaps a core. Threads that come and go use all of them, and each keeps memory
+    that is free but lies between blocks in use: `python -m tests.study soak` shows what that adds up to.
     """
     with suppress(AttributeError):
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, MAX_HEAPS)

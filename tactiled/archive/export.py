@@ -39,9 +39,7 @@ class ExportJob(Job):
     """Restores every frame of a recording into a file of one format."""
 
     to: str | None = None  # the format; None: by the ending of the file's name
-    regions: Mapping[str, Region] = field(
-        default_factory=dict
-    )  # by name: those that the sensor has in the service
+    regions: Mapping[str, Region] = field(default_factory=dict)  # of the sensor in its service, by name
 
     def settings(self) -> dict[str, Any]:
         """All that outputs depend on, but the input and the version (JSON's types)."""

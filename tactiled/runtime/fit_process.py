@@ -73,12 +73,19 @@ def start(function: Callable[..., object], *arguments: object) -> Connection:
 def _work(
     sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
 ) -> None:
-    """Send what a function gives, or the error that it raises."""
+    """Run one function in a process of its own."""
     with be_patient():
-        try:
-            sender.send((function(*arguments, **named), None))
-        except Exception as error:
-            sender.send((None, error))
+        send_outcome(sender, function, arguments, named)
+
+
+def send_outcome(
+    sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
+) -> None:
+    """Send what a function gives, or the error that it raises."""
+    try:
+        sender.send((function(*arguments, **named), None))
+    except Exception as error:
+        sender.send((None, error))
 
 
 def be_patient() -> threadpool_limits:

@@ -7,7 +7,7 @@ from multiprocessing.process import BaseProcess
 from threading import Lock
 from typing import ParamSpec, TypeVar, cast
 
-from tactiled.runtime.fit_process import SPAWN, be_patient
+from tactiled.runtime.fit_process import SPAWN, be_patient, send_outcome
 
 IDLE_S = 60.0  # without work until it ends
 Arguments = ParamSpec("Arguments")
@@ -65,8 +65,4 @@ def _work(pipe: Connection, idle_s: float) -> None:
     """Do what comes until nothing has come for so long, or the service has ended."""
     with be_patient(), suppress(EOFError, OSError):
         while pipe.poll(idle_s):
-            function, arguments, named = pipe.recv()
-            try:
-                pipe.send((function(*arguments, **named), None))
-            except Exception as error:
-                pipe.send((None, error))
+            send_outcome(pipe, *pipe.recv())
