@@ -18,7 +18,7 @@ from tactiled.interop.foxglove import need
 from tactiled.plausibility.settings import Finding, config_findings, unedited
 from tactiled.plausibility.traffic import bus_report
 from tactiled.runtime.service import Service
-from tactiled.runtime.state import StateFile, default_path
+from tactiled.runtime.state import StateFile
 
 EXIT_DOUBTFUL = 1
 NO_GAP_MM = 1e3  # wider than any array
@@ -86,7 +86,7 @@ def _bus(config: Config, name: str, seconds: float) -> list[Finding]:
 def prepared(config: Path) -> Service:
     """The service of a configuration file, all of it made and nothing started."""
     settings = load(config)
-    return Service(settings, state=StateFile(settings.server.state or default_path(config)), path=config)
+    return Service(settings, state=StateFile.of(config, settings.server.state), path=config)
 
 
 def _count(named: Mapping[str, object], noun: str) -> str:

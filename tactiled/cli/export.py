@@ -10,7 +10,7 @@ from tactiled.archive.export import ExportJob
 from tactiled.archive.writers import FORMATS, writer
 from tactiled.bus.logfile import WRITERS
 from tactiled.cli import batch, options
-from tactiled.runtime.state import StateFile, default_path
+from tactiled.runtime.state import StateFile
 
 ENDINGS = ", ".join(name for name in FORMATS if name[0] == ".")
 TO_HELP = f"Format: {', '.join(name.removeprefix('.') for name in FORMATS)}; left out: by the file's ending."
@@ -29,7 +29,7 @@ def export(
 ) -> None:
     """Restore every frame of recordings into files of arrays, or into files for Foxglove, ROS 2 or Rerun."""
     settings, name, _ = options.one_sensor(config, sensor)
-    state = StateFile(settings.server.state or default_path(config))
+    state = StateFile.of(config, settings.server.state)
     job = ExportJob.of(config, settings, name, to=to, regions=state.regions.get(name, {}))
     writer(out, to)
     if not (one := batch.single(recordings, out, workers, scheduler)):

@@ -68,6 +68,11 @@ class StateFile:
         self._lock = threading.Lock()
         self.methods, self.tares, self.regions = _read(path)
 
+    @classmethod
+    def of(cls, config: Path, path: Path | None) -> "StateFile":
+        """The state of a configuration file's service: at the path that it names, or at the default one."""
+        return cls(path or default_path(config))
+
     def keep(self, sensor: str, method: str | None) -> None:
         """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""
         with self._lock:

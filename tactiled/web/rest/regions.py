@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 from tactiled import units
-from tactiled.contacts.regions import Measures, Region
+from tactiled.contacts.regions import Measures, Region, measure_units
 from tactiled.errors import StateError
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
 from tactiled.web import schemas
@@ -155,8 +155,8 @@ def _csv(time: list[float], values: list[list[float]], unit: units.Unit) -> str:
     """One line an image; empty: not known."""
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
-    force = units.FORCE_UNITS[unit].replace(" ", "_")
-    lines.writerow(["time_s", f"force_{force}", f"mean_{unit}", f"peak_{unit}", "area_mm2"])
+    columns = zip(Measures._fields, measure_units(unit), strict=True)
+    lines.writerow(["time_s", *(f"{name}_{each.replace(' ', '_')}" for name, each in columns)])
     for at, row in zip(time, values, strict=True):
         lines.writerow([f"{at:.6f}", *("" if each != each else f"{each:.6g}" for each in row)])
     return text.getvalue()
