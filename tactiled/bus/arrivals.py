@@ -71,16 +71,17 @@ def _divided(readings: Readings, codec: Codec) -> tuple[NDArray[np.int64], list[
     """`Arrivals.divided` and `descents`."""
     segments, sequences = readings.segments, readings.sequences
     divided = np.full(len(segments), -1)
-    down = np.flatnonzero(segments[1:] <= segments[:-1])
-    if len(down) * DESCENTS_PER_SEGMENT <= len(segments):
+    down = (segments[1:] <= segments[:-1]).nonzero()[0]
+    if 0 < down.size * DESCENTS_PER_SEGMENT <= len(segments):
         divided[down + 1] = down  # ends a run earlier than it must, and costs less to find
-    else:
+    elif down.size:
         groups = (segments // codec.ordered).astype(np.uint16)
         order = np.argsort(groups, kind="stable")
         before, after = order[:-1], order[1:]
         same = (groups[before] == groups[after]) & (segments[before] >= segments[after])
         divided[after[same]] = before[same]
     if codec.modulus is not None and sequences is not None:
-        changes = np.flatnonzero((sequences[1:] != sequences[:-1]) | (sequences[1:] == NO_SEQUENCE))
-        divided[changes + 1] = changes
+        changes = ((sequences[1:] != sequences[:-1]) | (sequences[1:] == NO_SEQUENCE)).nonzero()[0]
+        if changes.size:
+            divided[changes + 1] = changes
     return divided, (down + 1).tolist()

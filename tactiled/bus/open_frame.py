@@ -73,11 +73,12 @@ class OpenFrame:
 
     def used_payloads(self) -> Sequence[bytes | None]:
         """The payloads that are not disputed."""
-        disputed = list(self.disputed)
-        self.present[disputed] = False
+        if self.disputed:
+            self.present[list(self.disputed)] = False
         if self.payloads.dtype == object:
             return [each if present else None for each, present in zip(self.payloads, self.present, strict=True)]
-        self.payloads[disputed] = 0
+        if self.disputed:
+            self.payloads[list(self.disputed)] = 0
         return Rows(self.payloads, self.present)
 
 

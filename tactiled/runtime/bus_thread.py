@@ -14,6 +14,7 @@ from tactiled.bus.assembler import Assembler
 from tactiled.bus.polling import Poller
 from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
+from tactiled.bus.socketcan import MAX_FRAMES
 from tactiled.errors import BusError
 from tactiled.frames import Loss
 from tactiled.runtime.sensor import Sensor
@@ -39,6 +40,7 @@ class BusThread:
         self._down: str | None = None
         self.turns = 0  # of its thread's loop; it stands still only if the thread hangs
         self._poller = Poller(each.codec.polling for each in sensors.values())
+        self._offered: dict[str, Sensor] = {}  # whose frames nobody has begun to restore
         self._stop = threading.Event()
         self._reader: Reader | None = None
         self._thread = self._new_thread()
@@ -158,12 +160,21 @@ class BusThread:
                     frames = self._router.push(batch, now)
                 self._offer(frames)
             self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))
+            if len(batch) < MAX_FRAMES:  # else newer ones may wait
+                self._restore_offered()
             if reader.off != self._down:
                 self._set_down(reader.off)
 
     def _offer(self, frames: Frames) -> None:
         for name, frame in frames:
-            self._sensors[name].offer(frame)
+            sensor = self._offered[name] = self._sensors[name]
+            sensor.offer(frame, wake=False)
+
+    def _restore_offered(self) -> None:
+        """Restore the newest frame of every sensor that was offered some, unless its own thread does."""
+        for sensor in self._offered.values():
+            sensor.take_turn()
+        self._offered.clear()
 
     def _bus_counts(self) -> dict[str, int]:
         """Losses that the bus itself counted since the start, however often it was opened."""

@@ -1,4 +1,4 @@
-"""One array as it runs: its worker thread, its newest image, and its health."""
+"""One array as it runs: the restoration of its newest frame, its newest image, and its health."""
 
 import threading
 import time
@@ -28,7 +28,9 @@ State = Literal["live", "stale", "silent", "down", "ended"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
 MAX_BUDGET_S = 1e-3  # for restoring a frame, unless it is configured
 BUDGET_SHARE = 0.1  # of the time from frame to frame, the same
+MAX_SHARES = 0.4  # of all sensors of a service together
 REPLAYED = "recording"  # the clock of a sensor whose bus is a recording
+QUICK_S = 5e-3  # of processor time for the frame before, up to which the bus's thread restores the next
 MIN_RATE_WEIGHT = 0.02  # of a new period in the running mean, which else covers 1 s: at most 50 frames
 
 
@@ -68,7 +70,7 @@ class _Jitter:
 
 
 class Sensor:
-    """One array: a worker thread restores its newest frame; any thread may ask for images and health."""
+    """One array: its bus's thread or its own restores its newest frame; any may ask for images and health."""
 
     def __init__(
         self,
@@ -89,6 +91,7 @@ class Sensor:
         self.ended: str | None = None  # how the recording that was replayed ended
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.errors: Callable[[], Mapping[str, int]] = dict  # error frames of its bus by now, by kind
+        self.budget_share = BUDGET_SHARE  # by the number of sensors that the service has
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self._clock = clock
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
@@ -96,7 +99,8 @@ class Sensor:
         self._wake = threading.Condition()
         self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
         self._working = self._stopping = False
-        self._turns = 0  # frames that the thread has finished
+        self._turns = 0  # frames that are finished
+        self._took_s = inf  # of processor time, the newest of them; before any, as the first builds its tables
         self._skipped = 0
         self._loss = Loss()
         self._warnings: dict[str, FrameWarning] = {}  # by code, since they were last drained
@@ -113,7 +117,7 @@ class Sensor:
 
     @property
     def turns(self) -> int | None:
-        """Frames that its thread has finished; None while it has none to restore."""
+        """Frames that are finished; None while there is none to restore."""
         return self._turns if self._working or self._waiting is not None else None
 
     @property
@@ -197,15 +201,25 @@ class Sensor:
         join_started(self._thread)
         self._tracking.stop()
 
-    def offer(self, frame: RawFrame) -> None:
-        """Take a new frame; one that still waits for its turn is skipped and counted."""
+    def offer(self, frame: RawFrame, wake: bool = True) -> None:
+        """Take a new frame; one that still waits for its turn is skipped and counted.
+
+        Its own thread restores it. Without `wake` that thread begins only if frames take long; else the caller
+        restores it by `take_turn`.
+        """
         assembled = self._note_arrival(frame)
         with self._wake:
             self._skipped += self._waiting is not None
             if self._skipped:
                 frame = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
             self._waiting, self._loss = (frame, assembled), frame.loss
-            self._wake.notify()
+            if wake or self._took_s > QUICK_S:
+                self._wake.notify()
+
+    def take_turn(self) -> None:
+        """Restore the frame that waits on the caller's thread, to save a hand-over, unless frames take long."""
+        if self._took_s <= QUICK_S:
+            self._restore_waiting()
 
     def restore(self, frame: RawFrame) -> None:
         """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
@@ -240,22 +254,38 @@ class Sensor:
     def _work(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._stopping or self._waiting is not None)
+                self._wake.wait_for(lambda: self._stopping or (self._waiting is not None and not self._working))
                 if self._stopping:
                     return
-                waiting, self._waiting = self._waiting, None
-            if waiting is not None:
-                frame, assembled = waiting
-                self._working = True
-                self._publish(frame, self._budget_s(), (frame.arrived, assembled))
-                self._turns += 1
-                self._working = False
+            self._restore_waiting()
+
+    def _begin_turn(self) -> tuple[RawFrame, float] | None:
+        """The frame that waits; None where there is none, or a thread is at the one before."""
+        with self._wake:
+            if self._waiting is None or self._working:
+                return None
+            waiting, self._waiting, self._working = self._waiting, None, True
+            return waiting
+
+    def _restore_waiting(self) -> None:
+        """Restore the frame that waits, if it is its turn."""
+        if (waiting := self._begin_turn()) is None:
+            return
+        frame, assembled = waiting
+        began = time.thread_time()
+        self._publish(frame, self._budget_s(), (frame.arrived, assembled))
+        self._took_s = time.thread_time() - began
+        self._turns += 1
+        with self._wake:
+            self._working = False
+            if self._waiting is not None:
+                self._wake.notify()
 
     def _budget_s(self) -> float:
         """Time for restoring a frame."""
         if self.plan.budget_s is not None:
             return self.plan.budget_s
-        return min(BUDGET_SHARE * self._period_s, MAX_BUDGET_S) if self._period_s else MAX_BUDGET_S
+        return min(self.budget_share * self._period_s, MAX_BUDGET_S) if self._period_s else MAX_BUDGET_S
 
     def _publish(self, frame: RawFrame, budget_s: float, came: tuple[float, float]) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service.

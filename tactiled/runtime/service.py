@@ -20,7 +20,7 @@ from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults, duration
 from tactiled.runtime.kept_regions import KeptRegions
 from tactiled.runtime.reload import Reload, compare, new_plans
-from tactiled.runtime.sensor import Sensor
+from tactiled.runtime.sensor import BUDGET_SHARE, MAX_SHARES, Sensor
 from tactiled.runtime.state import KeptTare, StateFile
 from tactiled.runtime.watch import Watch
 
@@ -45,6 +45,7 @@ class Service:
         plans = {plan.name: plan for plan in sensor_plans(config)}
         self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed
         self._apply_lock = Lock()  # one calibration is applied at a time
+        self._share_time()
         self._watch = Watch(self.sensors.values(), self.events, self.faults, self._keep_tare)
         self.regions = KeptRegions(state, self.events, self.sensor)
         self._take_state()
@@ -190,6 +191,11 @@ class Service:
         finally:
             self.stop()
 
+    def _share_time(self) -> None:
+        """Give every sensor its share of the time for restoring: all together do not fill a core."""
+        for each in self.sensors.values():
+            each.budget_share = min(BUDGET_SHARE, MAX_SHARES / len(self.sensors))
+
     def turns(self) -> dict[str, int | None]:
         """Turns by now of every thread that must move, by its name; None for one that waits for work."""
         buses = {f"bus {each.name}": each.turns for each in self._sources.values() if isinstance(each, BusThread)}
@@ -264,6 +270,7 @@ class Service:
         for name in outcome.sensors.ending:
             before[name].down = "restarts" if name in sensors else "is no longer in the configuration"
         self.sensors, self.config = sensors, config
+        self._share_time()
         self._watch.sensors = tuple(sensors.values())
         self.buses.update(buses)
         for name in outcome.buses.removed:

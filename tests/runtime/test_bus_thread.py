@@ -77,6 +77,19 @@ def line(plan, monkeypatch):
     line.sensor.stop()
 
 
+def test_of_frames_of_one_sensor_that_come_together_only_the_newest_is_restored(plan, monkeypatch):
+    line = Line(plan)
+    for sequence in range(4):
+        line.send(sequence)
+    monkeypatch.setattr(line.bus, "batch", lambda *_: (Batch.of(line.bus.messages), line.bus.messages.clear())[0])
+    monkeypatch.setattr(OPEN_BUS, line.bus.open)
+    line.sensor._took_s = 0.0
+    line.listener.start()
+    line.until_image(3)
+    line.listener.stop()
+    assert line.sensor.hub.latest().loss.skipped == 3
+
+
 def test_a_bus_that_goes_away_is_opened_again_when_it_is_back(line):
     line.send(0)
     line.until_image(0)

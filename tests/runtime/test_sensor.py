@@ -1,10 +1,12 @@
-from threading import Event
+from threading import Event, get_ident
 
 import numpy as np
 import pytest
 
 from tactiled.runtime.sensor import Sensor
-from tests.conftest import BUSY_S, until
+from tactiled.runtime.service import Service
+from tactiled.study.load import configuration
+from tests.conftest import BUSY_S, Clock, until
 from tests.runtime.conftest import Timed, frame
 
 
@@ -67,6 +69,42 @@ def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, 
     assert slow.status().loss.skipped == 3
 
 
+def test_frames_but_the_first_are_restored_on_the_bus_s_thread_unless_they_take_long(plan, monkeypatch):
+    sensor, threads, process = Sensor(plan), [], Sensor(plan).pipeline.process
+    monkeypatch.setattr(sensor.pipeline, "process", lambda *a: (threads.append(get_ident()), process(*a))[1])
+
+    def take(sequence):
+        sensor.offer(frame(sequence), wake=False)
+        sensor.take_turn()
+        until(lambda: sensor.turns is None)
+        assert sensor.hub.latest().sequence == sequence
+        return threads.pop() == get_ident()
+
+    sensor.start()
+    assert [take(0), take(1), take(2)] == [False, True, True]
+    with monkeypatch.context() as slow:
+        slow.setattr("tactiled.runtime.sensor.QUICK_S", 0.0)
+        assert not take(3)
+    assert take(4)
+    sensor.stop()
+
+
+def test_a_frame_that_comes_while_the_sensor_s_own_thread_restores_is_left_to_it(plan, monkeypatch):
+    sensor, begun, go_on, process = Sensor(plan), Event(), Event(), Sensor(plan).pipeline.process
+    monkeypatch.setattr(sensor.pipeline, "process", lambda *a: (begun.set(), go_on.wait(), process(*a))[2])
+    sensor.start()
+    sensor.offer(frame(0))
+    assert begun.wait(BUSY_S)
+    sensor._took_s = 0.0
+    sensor.offer(frame(1), wake=False)
+    sensor.take_turn()
+    assert sensor.hub.latest() is None
+    go_on.set()
+    until(lambda: (image := sensor.hub.latest()) and image.sequence == 1)
+    sensor.stop()
+    assert sensor.status().loss.skipped == 0
+
+
 def test_a_frame_that_cannot_be_restored_makes_the_sensor_stale_until_the_next(plan, monkeypatch):
     sensor = Timed(plan).sensor
     sensor.start()
@@ -105,3 +143,14 @@ def test_jitter_and_skew_are_by_the_clock_of_the_bus(plan, monkeypatch):
         assert sensor.status().jitter_s == pytest.approx(np.sqrt(14.75 / 3) / 1000)  # of 10, 11, 13 and 15 ms
     timed.now += 10.0
     assert (sensor.status().jitter_s, sensor.status().skew_s) == (None, 0.003)
+
+
+def test_more_than_four_sensors_of_a_service_share_the_time_for_restoring():
+    for count, budget_s in ((1, 1e-3), (4, 1e-3), (8, 0.5e-3)):
+        for sensor in Service(configuration(count)).sensors.values():
+            clock = Clock()
+            sensor._clock = clock.monotonic
+            for n in range(400):
+                clock.now += 0.01
+                sensor._note_arrival(frame(n))
+            assert sensor._budget_s() == pytest.approx(budget_s, rel=0.01)

@@ -120,8 +120,9 @@ class Packed(BatchCodec):
         data, index = batch.data, batch.data[:, 1]
         good = (self._lengths[index] == batch.lengths) & (batch.fd == self.fd)
         first, bits = self._padding
-        if bits.size:
-            good &= ~(data[:, first : HEADER + self._width] & bits[index]).any(axis=1)
+        padding = data[:, first : HEADER + self._width] & bits[index]
+        if padding.any():
+            good &= ~padding.any(axis=1)
         payloads = data[:, HEADER : HEADER + self._width]
         return Readings(batch.times, index.astype(np.int64), payloads, good, data[:, 0].astype(np.int64))
 
