@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Loss, Message
 from tactiled.units import PRESSURE
 
@@ -39,7 +40,7 @@ class NpzWriter:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""
         self._row, self._count = row(image, regions), self._count + 1
         for name, array in self._row.items():
@@ -121,9 +122,9 @@ class _DeferredErrors(io.FileIO):
         return 0
 
 
-def row(image: Image, regions: NDArray[np.float32]) -> Arrays:
+def row(image: Image, regions: Mapping[str, Measures]) -> Arrays:
     """What an export has of one frame."""
-    measures = {"regions": regions.astype("<f4", copy=False)} if len(regions) else {}
+    measures = {"regions": np.array([*regions.values()], "<f4")} if regions else {}
     shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
     noise = {"noise_kpa": np.array(image.noise, "<f8")} if image.unit == PRESSURE else {}
     return (

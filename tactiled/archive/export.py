@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tactiled import __version__
 from tactiled.archive.arrays import LOSS_KINDS
 from tactiled.archive.jobs import Job
@@ -57,8 +55,7 @@ class ExportJob(Job):
             for name, frame in frames(_tapped(recording, target.add_message), router):
                 if name == plan.name:
                     image = pipeline.process(frame)
-                    measures = np.array([each(image) for each in meters], np.float32)
-                    target.add_image(image, measures)
+                    target.add_image(image, {each: meter(image) for each, meter in meters.items()})
                     count += 1
             if not count:
                 where = f"recording {source}"
@@ -67,13 +64,13 @@ class ExportJob(Job):
             about = _provenance(recording, plan) | {"loss": loss, "config": self.config}
             if meters:
                 about |= {"regions": self._regions(), "region_measures": Measures._fields}
-                about["units"] |= {"regions": ", ".join(measure_units(plan.unit))}
+                about["units"] |= {"regions": ", ".join(measure_units(plan.unit).values())}
             target.finish(about)
         return f"{count} frames of {plan.name} from {recording.summary()}"
 
-    def _meters(self, plan: SensorPlan) -> list[RegionMeter]:
+    def _meters(self, plan: SensorPlan) -> dict[str, RegionMeter]:
         try:
-            return [RegionMeter(each, plan.cells) for each in self.regions.values()]
+            return {name: RegionMeter(each, plan.cells) for name, each in self.regions.items()}
         except ValueError as error:
             raise ConfigError(f"regions of sensor {plan.name}: {error}") from error
 

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from mcap.writer import Writer
-from numpy.typing import NDArray
 
 from tactiled import __version__
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 from tactiled.interop import foxglove
 from tactiled.units import nanoseconds
@@ -24,8 +23,9 @@ class McapWriter:
         self.close = self._file.close
         self._writer: Any = Writer(self._file)  # partly untyped
         self._writer.start(library=f"tactiled {__version__}")
-        self._topics = foxglove.Topics(plan, plan.unit)
+        self._name, self._topics = plan.name, foxglove.Topics(plan, plan.unit)
         self._bus = self._channel(foxglove.bus_topic(plan.bus))
+        self._regions: int | None = None  # the channel of the regions
         self._channels = [self._channel(each) for each in self._topics.topics]
 
     def _channel(self, topic: foxglove.Topic) -> int:
@@ -40,11 +40,14 @@ class McapWriter:
         """Write one message of the bus."""
         self._add(self._bus, message.time, foxglove.bus_message(message))
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
-        """Write one image and its status."""
-        del regions  # they are in exports as arrays
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+        """Write one image, its status and what its regions hold."""
         for channel, data in zip(self._channels, self._topics.messages(image), strict=True):
             self._add(channel, image.time, data)
+        if regions:
+            if self._regions is None:
+                self._regions = self._channel(foxglove.regions_topic(self._name))
+            self._add(self._regions, image.time, foxglove.regions_message(image.unit, regions))
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the rest, `provenance` in the metadata."""

@@ -8,11 +8,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 from tactiled.interop import ros
 from tactiled.runtime.contact_tracking import ImageContacts
@@ -41,13 +40,12 @@ class Rosbag2Writer:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
-        """Write one image, its contacts and status, at the time of its frame."""
-        del regions  # they are in exports as arrays
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+        """Write one image, its contacts, regions and status, at the time of its frame."""
         if self._empty:
             self._write(self._topics.first(image.time), image.time)
             self._empty = False
-        self._write(self._topics.messages(image, self._contacts(image, image.time)), image.time)
+        self._write(self._topics.messages(image, self._contacts(image, image.time), regions), image.time)
 
     def _write(self, messages: Iterator[ros.Message], time_s: float) -> None:
         with _os_errors():

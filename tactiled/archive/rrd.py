@@ -8,11 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 from tactiled.interop import rerun_images
 from tactiled.runtime.contact_tracking import ImageContacts
@@ -51,10 +50,10 @@ class RrdWriter:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
-        """Write one image, its contacts and warnings."""
-        del regions  # they are in exports as arrays
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+        """Write one image, its contacts and warnings, and what its regions hold."""
         self._log.add(image, self._contacts(image, image.time))
+        self._log.add_regions(regions)
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the rest, `provenance` as a property of the recording."""

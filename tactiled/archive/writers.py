@@ -6,10 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
 
@@ -23,10 +21,10 @@ class Writer(Protocol):
     def add_message(self, message: Message) -> None:
         """Take one data frame of the sensor's bus, before the image that it completes."""
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded.
 
-        `regions` (R, 4) has the measures of every region.
+        `regions` has the measures of every region, by its name.
         """
 
     def finish(self, provenance: Mapping[str, Any]) -> None:

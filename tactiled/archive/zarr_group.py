@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from tactiled.archive import arrays
 from tactiled.build import SensorPlan
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 
 CHUNK_BYTES = 4 << 20  # of the largest array, at most: 1024 frames of 32 x 32, 256 of 64 x 64
@@ -35,7 +35,7 @@ class ZarrWriter:
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
 
-    def add_image(self, image: Image, regions: NDArray[np.float32]) -> None:
+    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its chunk."""
         row = arrays.row(image, regions)
         largest = max(each.nbytes for each in row.values())

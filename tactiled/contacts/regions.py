@@ -77,16 +77,16 @@ class Measures(NamedTuple):
     area: float  # mm2 in contact
 
 
-def measure_units(unit: Unit) -> tuple[str, ...]:
-    """Units of the fields of Measures of images in a unit."""
-    return FORCE_UNITS[unit], unit, unit, "mm2"
+def measure_units(unit: Unit) -> dict[str, str]:
+    """Units of images in a unit, by the fields of Measures."""
+    return dict(zip(Measures._fields, (FORCE_UNITS[unit], unit, unit, "mm2"), strict=True))
 
 
 class RegionMeter:
-    """Measures a region in restored images; ValueError where no cell lies in it."""
+    """Measures a region (None: the whole array) in restored images; ValueError where no cell lies in it."""
 
-    def __init__(self, region: Region, cells: Cells) -> None:
-        self._cells = region.cells(cells)
+    def __init__(self, region: Region | None, cells: Cells) -> None:
+        self._cells = np.arange(len(cells.areas)) if region is None else region.cells(cells)
         self._areas = cells.areas[self._cells]
 
     def __call__(self, image: Image) -> Measures:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
+from tactiled.contacts.regions import Measures
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
 from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, PRESSURE, Unit, force_text, nanoseconds
@@ -196,6 +197,24 @@ def bus_message(message: Message) -> bytes:
 def state_topic(name: str) -> Topic:
     """How a sensor is doing: /NAME/state."""
     return _json_topic(f"/{name}/state", "tactiled state", STATE)
+
+
+def regions_topic(name: str) -> Topic:
+    """What the regions of a sensor hold: /NAME/regions."""
+    measures = OBJECT | {"properties": dict.fromkeys(Measures._fields, NUMBER)}
+    regions = OBJECT | {"additionalProperties": measures}
+    return _json_topic(
+        f"/{name}/regions", "tactiled regions", {"unit": STRING, "force_unit": STRING, "regions": regions}
+    )
+
+
+def regions_message(unit: Unit, regions: Mapping[str, Measures]) -> bytes:
+    """What an image's regions hold, by name; a measure that is not known is left out."""
+    values = {
+        name: {key: value for key, value in each._asdict().items() if value == value}
+        for name, each in regions.items()
+    }
+    return json.dumps({"unit": unit, "force_unit": FORCE_UNITS[unit], "regions": values}).encode()
 
 
 def contacts_topic(name: str) -> Topic:

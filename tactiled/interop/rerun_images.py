@@ -3,7 +3,7 @@
 Maps are in mm: x along a row, y down a column. Both have one colour scale, from 0 to the highest pressure so far.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import nan
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.units import FORCE_SCALES, FORCE_UNITS, force_text
@@ -70,6 +71,12 @@ class SensorLog:
         for code in self._warnings.keys() - warnings.keys():
             self._log("warnings", rr.TextLog(f"over: {code}", level=rr.TextLogLevel.INFO))
         self._warnings = warnings
+
+    def add_regions(self, regions: Mapping[str, Measures]) -> None:
+        """Log what the regions hold in the image that was added last."""
+        for name, measures in regions.items():
+            for key, value in measures._asdict().items():
+                self._log(f"regions/{rr.escape_entity_path_part(name)}/{key}", rr.Scalars(value))
 
     def _add_map(self, name: str, picture: NDArray[np.float32]) -> None:
         """Log a picture (R, C) and, where it changes, what of it is unknown."""

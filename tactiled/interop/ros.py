@@ -4,7 +4,7 @@ Lengths are in m, in a frame of reference with the sensor's name: x along a row,
 Only messages of `tactiled_msgs` have mm and kPa, and their fields say so.
 """
 
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import asdict
 from math import cos, inf, sin
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.contacts.detection import Contact
+from tactiled.contacts.regions import Measures
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
@@ -31,6 +32,7 @@ TOPICS = {  # a slash in front: of all sensors
     "restored": ("sensor_msgs/msg/Image", RELIABLE),
     "shear": ("sensor_msgs/msg/Image", SENSOR_DATA),
     "tactile": ("tactiled_msgs/msg/TactileArray", RELIABLE),
+    "regions": ("tactiled_msgs/msg/TactileRegions", RELIABLE),
     "wrench": ("geometry_msgs/msg/WrenchStamped", RELIABLE),
     "markers": ("visualization_msgs/msg/MarkerArray", RELIABLE),
     "layout": ("tactiled_msgs/msg/TactileLayout", LATCHED),
@@ -77,15 +79,20 @@ class Topics:
             yield self._message("/tf_static", {"transforms": [placed]})
 
     def messages(
-        self, image: Image, contacts: tuple[Contact, ...], selection: Container[str] = TOPICS
+        self,
+        image: Image,
+        contacts: tuple[Contact, ...],
+        regions: Mapping[str, Measures],
+        selection: Container[str] = TOPICS,
     ) -> Iterator[Message]:
-        """One image and the contacts in it, on the topics of `selection`."""
+        """One image, its contacts and what its regions hold, by name, on the topics of `selection`."""
         stamped = {"header": self._header(image.time)}
         makers: dict[str, Callable[[], list[Fields]]] = {
             "raw": lambda: [stamped | _pixels(self._taxels.picture(image.raw))],
             "restored": lambda: [stamped | _pixels(self._plan.cells.picture(image.restored))],
             "shear": lambda: [stamped | self._shear_pixels(each) for each in (image.shear,) if each is not None],
             "tactile": lambda: [stamped | self._tactile_fields(image, contacts)],
+            "regions": lambda: [stamped | _region_fields(image, regions)] if regions else [],
             "wrench": lambda: [stamped | {"wrench": _wrench(each)} for each in contacts],
             "markers": lambda: [{"markers": [stamped | each for each in self._markers(contacts)]}],
             "/diagnostics": lambda: [stamped | each for each in self._diagnostics(image)],
@@ -106,11 +113,10 @@ class Topics:
         """All that a frame's arrays and numbers are, with their units."""
         rows, columns = self._plan.array.shape or (0, 0)
         sums = {"force": self._areas @ image.restored.ravel(), "peak": image.restored.max(initial=0)}
-        units = {"pressure_unit": image.unit, "force_unit": FORCE_UNITS[image.unit]}
         arrays = {"rows": rows, "columns": columns, "raw": image.raw.ravel(), "flags": image.flags.ravel()}
         about = {"sequence": image.sequence, "noise": image.noise, "method": image.method}
         about["warnings"] = [each.code for each in image.warnings]
-        return sums | units | arrays | about | {"contacts": [asdict(each) for each in contacts]}
+        return sums | _units(image) | arrays | about | {"contacts": [asdict(each) for each in contacts]}
 
     def _shear_pixels(self, shear: NDArray[np.float32]) -> Fields:
         return _pixels(np.stack([self._taxels.picture(each) for each in shear], axis=-1))
@@ -148,6 +154,18 @@ class Topics:
             "hardware_id": self._plan.bus,
             "values": [{"key": key, "value": text} for key, text in values.items()],
         }
+
+
+def _units(image: Image) -> Fields:
+    return {"pressure_unit": image.unit, "force_unit": FORCE_UNITS[image.unit]}
+
+
+def _region_fields(image: Image, regions: Mapping[str, Measures]) -> Fields:
+    each = [
+        {"name": name, "force": now.force, "mean": now.mean, "peak": now.peak, "area_mm2": now.area}
+        for name, now in regions.items()
+    ]
+    return _units(image) | {"regions": each}
 
 
 def _pixels(picture: NDArray[np.float32]) -> Fields:

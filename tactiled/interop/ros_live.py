@@ -159,7 +159,9 @@ class Node:
             image = newest or image
         if image is not self._published and image.unit == self._plan.unit:
             self._published = image
-            self._put(self._topics.messages(image, contacts, topics))
+            series = self._sensor.regions.series if "regions" in topics else {}
+            regions = {name: each.measure(image) for name, each in series.items()}
+            self._put(self._topics.messages(image, contacts, regions, topics))
 
     def _put(self, messages: Iterator[ros.Message]) -> None:
         for topic, cdr in messages:

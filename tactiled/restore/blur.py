@@ -61,6 +61,9 @@ class MatrixBlur(Blur):
         self._matrix = matrix
         self.forward, self.adjoint = _product(matrix.T), _product(matrix)
 
+    def __reduce__(self) -> Any:
+        return MatrixBlur, (self._matrix, self.cell_mm), {"thickness_error": self.thickness_error}
+
     @cached_property
     def modes(self) -> Modes:
         """The matrix's singular vectors."""
@@ -80,6 +83,10 @@ class GridBlur(Blur):
         self._rows, self._columns = _smooth_parts(self._stencil, shape, refine)
         self.forward = _sum_of_products(self._rows, [B.T for B in self._columns])
         self.adjoint = _sum_of_products([A.T for A in self._rows], self._columns)
+
+    def __reduce__(self) -> Any:
+        arguments = self._stencil.__wrapped__, self._shape, self._refine, self.cell_mm
+        return GridBlur, arguments, {"thickness_error": self.thickness_error}
 
     @cached_property
     def modes(self) -> Modes:

@@ -18,7 +18,7 @@ from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make
 from tactiled.restore.noise import estimate, noise_ratio
 from tactiled.runtime.pipeline import flag_warnings, make_image, without_zero
-from tactiled.runtime.recorded_frames import RecordedFrames
+from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
@@ -38,7 +38,7 @@ class Playback:
     and no faulty taxels are looked for. The noise is as configured, else measured from the first frames.
     """
 
-    def __init__(self, plan: SensorPlan, zero: Zero, recorded: RecordedFrames, noise_frames: int) -> None:
+    def __init__(self, plan: SensorPlan, zero: Zero, recorded: FrameFiles, noise_frames: int) -> None:
         """There must be a frame, and `noise_frames` from which noise is measured unless it is configured."""
         self.plan, self.zero, self._recorded = plan, zero, recorded
         calibration, size = plan.calibration, plan.array.size

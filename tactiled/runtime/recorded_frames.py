@@ -48,32 +48,39 @@ FLOATS, FLAGS, SHEAR = 1, 2, 4  # in `content`: counts are float32, not uint16; 
 _losses = attrgetter(*LOSSES)
 
 
-class _File:
-    """A file without a name, which nothing survives that ends the service; another process may write it."""
+class SharedFile:
+    """A file without a name, which nothing survives that ends the service; one other process may write it."""
 
-    def __init__(self, folder: Path) -> None:
-        self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115, closed by `close`
-        self.close = self._file.close
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self.write, self.flush, self.close = file.write, file.flush, file.close
+
+    @classmethod
+    def temporary(cls, folder: Path) -> "SharedFile":
+        """A new one; OSError where the folder takes no files."""
+        return cls(TemporaryFile(dir=folder, buffering=0))
 
     def __reduce__(self) -> Any:
         return _reopened, (DupFd(self._file.fileno()),)
 
     @property
     def size(self) -> int:
+        """Bytes by now."""
         return os.fstat(self._file.fileno()).st_size
 
     def read(self, size: int, offset: int) -> bytes:
+        """What stands at an offset."""
         return os.pread(self._file.fileno(), size, offset)
 
 
 def _reopened(duplicate: Any) -> Any:
-    return os.fdopen(duplicate.detach(), "wb")
+    return SharedFile(os.fdopen(duplicate.detach(), "wb"))
 
 
 class _Writer:
     """Writes the frames of one sensor: arrays first, so that a head that is there has them."""
 
-    def __init__(self, heads: Any, arrays: Any) -> None:
+    def __init__(self, heads: SharedFile, arrays: SharedFile) -> None:
         self._heads, self._arrays = heads, arrays
         self._pending = bytearray()
         self._offset = 0
@@ -100,7 +107,7 @@ class _Writer:
 
 
 def write_frames(
-    path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[Any, Any]], leave_mb: float
+    path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[SharedFile, SharedFile]], leave_mb: float
 ) -> str:
     """Write every frame of a recording; returns a summary of it. TactileError where it or the disk ends early."""
     recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
@@ -112,14 +119,19 @@ def write_frames(
                 for each in writers.values():
                     each.flush()
                 flushed = time.monotonic()
-                if disk_usage(path.parent).free < leave_mb * 1e6:
-                    raise TactileError(f"less than {leave_mb:g} MB of its disk are free (recordings_leave_mb)")
-                if os.getppid() != parent:
-                    raise TactileError("the service ended")
+                check_goes_on(parent, path.parent, leave_mb)
     finally:
         for each in writers.values():
             each.flush()
     return recording.summary()
+
+
+def check_goes_on(parent: int, folder: Path, leave_mb: float) -> None:
+    """TactileError where the process that wants the files has ended, or their disk is full."""
+    if disk_usage(folder).free < leave_mb * 1e6:
+        raise TactileError(f"less than {leave_mb:g} MB of its disk are free (recordings_leave_mb)")
+    if os.getppid() != parent:
+        raise TactileError("the service ended")
 
 
 def _version(path: Path) -> tuple[int, int]:
@@ -128,43 +140,16 @@ def _version(path: Path) -> tuple[int, int]:
     return status.st_mtime_ns, status.st_size
 
 
-class RecordedFrames:
-    """The frames of a recording's sensors; more come while `reading`. `codecs` are of one bus."""
+class FrameFiles:
+    """The frames of a recording's sensors, as far as they are in files; another process may read them, too."""
 
-    def __init__(self, path: Path, codecs: Mapping[str, Codec], leave_mb: float = 0.0) -> None:
-        """OSError where its folder takes no files."""
-        self.path, self._made_of, self.used_at = path, (_version(path), codecs), 0.0
-        self._sizes = {name: each.size for name, each in codecs.items()}
-        self._files = {name: (_File(path.parent), _File(path.parent)) for name in codecs}
-        self.summary = self.error = ""  # of the recording; why it, or its reading, ended early
-        self._process = FitProcess()
-        self._thread = Thread(target=self._read, args=(codecs, leave_mb), name=f"read {path.name}", daemon=True)
-        self._thread.start()
+    def __init__(self, sizes: Mapping[str, int], files: Mapping[str, tuple[SharedFile, SharedFile]]) -> None:
+        """`sizes`: taxels of each sensor; `files`: its heads and its arrays."""
+        self._sizes, self._files = sizes, files
 
-    def is_of(self, codecs: Mapping[str, Codec]) -> bool:
-        """Whether these codecs would read the same from the file as it is now; OSError where it is not there."""
-        return self._made_of == (_version(self.path), codecs)
-
-    @property
-    def reading(self) -> bool:
-        """Whether more frames may come."""
-        return self._thread.is_alive()
-
-    def close(self) -> None:
-        """Give the disk free."""
-        self._process.cancel()
-        join_started(self._thread)
-        for each in self._files.values():
-            for file in each:
-                file.close()
-
-    def _read(self, codecs: Mapping[str, Codec], leave_mb: float) -> None:
-        try:
-            self.summary = self._process.run(write_frames, self.path, codecs, self._files, leave_mb)
-        except Cancelled:
-            pass
-        except Exception as error:
-            self.error = str(error)
+    def of(self, sensor: str) -> "FrameFiles":
+        """Those of one sensor."""
+        return FrameFiles({sensor: self._sizes[sensor]}, {sensor: self._files[sensor]})
 
     def count(self, sensor: str) -> int:
         """Frames of a sensor by now."""
@@ -199,3 +184,42 @@ class RecordedFrames:
             shear=np.frombuffer(data, "<f4", 2 * size, shear_at).reshape(2, size) if content & SHEAR else None,
             arrived=float(head["position"]),
         )
+
+
+class RecordedFrames(FrameFiles):
+    """The frames of a recording's sensors; more come while `reading`. `codecs` are of one bus."""
+
+    def __init__(self, path: Path, codecs: Mapping[str, Codec], leave_mb: float = 0.0) -> None:
+        """OSError where its folder takes no files."""
+        self.path, self.leave_mb, self._made_of, self.used_at = path, leave_mb, (_version(path), codecs), 0.0
+        files = {name: (SharedFile.temporary(path.parent), SharedFile.temporary(path.parent)) for name in codecs}
+        super().__init__({name: each.size for name, each in codecs.items()}, files)
+        self.summary = self.error = ""  # of the recording; why it, or its reading, ended early
+        self._process = FitProcess()
+        self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
+        self._thread.start()
+
+    def is_of(self, codecs: Mapping[str, Codec]) -> bool:
+        """Whether these codecs would read the same from the file as it is now; OSError where it is not there."""
+        return self._made_of == (_version(self.path), codecs)
+
+    @property
+    def reading(self) -> bool:
+        """Whether more frames may come."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Give the disk free."""
+        self._process.cancel()
+        join_started(self._thread)
+        for each in self._files.values():
+            for file in each:
+                file.close()
+
+    def _read(self, codecs: Mapping[str, Codec]) -> None:
+        try:
+            self.summary = self._process.run(write_frames, self.path, codecs, self._files, self.leave_mb)
+        except Cancelled:
+            pass
+        except Exception as error:
+            self.error = str(error)

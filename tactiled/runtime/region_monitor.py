@@ -49,7 +49,7 @@ class RegionSeries:
 
     def __init__(self, name: str, region: Region, cells: Cells) -> None:
         self.name, self.region = name, region
-        self._measure = RegionMeter(region, cells)
+        self.measure = RegionMeter(region, cells)
         slots = int(SERIES_S * MAX_RATE_HZ)
         self._time, self._values = np.zeros(slots), np.zeros((slots, len(Measures._fields)), np.float32)
         self._count = 0
@@ -59,6 +59,13 @@ class RegionSeries:
         self._last = self._stored = -np.inf  # s, of the newest image, and of the newest in the series
         self._unit: Unit = "kPa"
         self._forget()
+
+    def take_threshold(self, region: Region) -> bool:
+        """Go on as a region that has the same place; False, and nothing changed, where it has another."""
+        same = self.region.model_copy(update={"threshold": region.threshold}) == region
+        if same and self.region != region:
+            self.region, self.exceeded = region, False
+        return same
 
     def reset(self) -> None:
         """Forget peaks and integrals."""
@@ -73,7 +80,7 @@ class RegionSeries:
     def add(self, image: Image) -> float | None:
         """Measure an image; the value that has crossed the threshold, None where none has."""
         gap = image.time - self._last
-        now = self._measure(image)
+        now = self.measure(image)
         with self._lock:
             self._now = now
             if image.unit != self._unit:
@@ -142,8 +149,14 @@ class RegionMonitor:
         return {name: each.region for name, each in self.series.items()}
 
     def put(self, name: str, region: Region) -> None:
-        """Watch a region; ValueError, and nothing changed, where it holds no cell or there are too many."""
-        if name not in self.series and len(self.series) >= MAX_REGIONS:
+        """Watch a region; ValueError, and nothing changed, where it holds no cell or there are too many.
+
+        One of that name that has the same place goes on with its series, maybe by another threshold.
+        """
+        region.check()
+        if (series := self.series.get(name)) and series.take_threshold(region):
+            return
+        if series is None and len(self.series) >= MAX_REGIONS:
             raise ValueError(f"{MAX_REGIONS} regions a sensor at most")
         self.series = {**self.series, name: RegionSeries(name, region, self._cells())}
 

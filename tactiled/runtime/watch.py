@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import astuple
 
 from tactiled.calibrate.health import RULES, Change, Fault
+from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults, Kind
 from tactiled.runtime.sensor import Sensor, State
@@ -125,7 +126,8 @@ class Watch:
         for name, above, value in map(astuple, sensor.regions.drain_crossings()):
             limit = sensor.regions.regions[name].threshold if name in sensor.regions.regions else None
             if limit is not None:
-                bound = f"above {limit.above:g}" if above else f"below {limit.below:g}"
+                unit = measure_units(sensor.plan.unit)[limit.quantity]
+                bound = f"above {limit.above:g} {unit}" if above else f"below {limit.below:g} {unit}"
                 text = f"region {name}: {limit.quantity} {value:.3g} is {bound}"
                 self._events.add("region_above" if above else "region_below", text, sensor.name)
 

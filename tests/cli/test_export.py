@@ -95,6 +95,10 @@ def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, 
     )
     with open_zarr(exported(lossy, config, tmp_path / "a.zarr")) as group:
         assert group["regions"].metadata.dimension_names == ("time", "region", "measure")
+    got, _ = topics(exported(lossy, config, tmp_path / "a.mcap"))
+    content = [each.decoded_message for each in got["/palm/regions"]]
+    np.testing.assert_allclose([each["regions"]["heel"]["peak"] for each in content], heels.max((1, 2)), rtol=1e-6)
+    assert (content[0]["unit"], content[0]["force_unit"]) == ("kPa", "N")
     StateFile(state).keep_regions("palm", {"far": Region(shape="rectangle", points_mm=[[90, 90], [91, 91]])})
     text = refusal("export", lossy, "--config", config, "-o", tmp_path / "b.npz")
     assert "regions of sensor palm: points_mm: no cell of the image has its centre in it" in text
@@ -282,7 +286,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path, form, load, monkeypat
     export = form(tmp_path / "out", sensor_plan("palm", parse(CONFIG).sensor["palm"]))
     tracemalloc.start()
     for _ in range(4000):
-        export.add_image(None, None)
+        export.add_image(None, {})
     export.finish({"units": {"raw": "kPa"}})
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

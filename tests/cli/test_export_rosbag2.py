@@ -11,8 +11,10 @@ from rosbags.highlevel import AnyReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
+from tactiled.contacts.regions import Region
 from tactiled.frames import FLAG_BITS, MISSING
 from tactiled.interop.ros import ros_name
+from tactiled.runtime.state import StateFile
 from tests.cli.commands import refusal
 from tests.cli.test_export import exported
 
@@ -94,6 +96,21 @@ def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, 
     last = contacts[-1]
     assert last["force"] == pytest.approx(1.4, abs=0.1)  # four taxels of 1 mm2 at 350 kPa
     assert (last["x_mm"], last["y_mm"]) == pytest.approx((3.5, 4.5), abs=0.05)
+
+
+def test_what_the_sensor_s_regions_hold_has_a_topic(tmp_path, config, lossy):
+    state = tmp_path / "state.json"
+    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
+    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])  # four of eight columns, pitch 1 mm
+    StateFile(state).keep_regions("palm", {"heel": heel})
+    file = bag(lossy, config, tmp_path / "grasp")
+    heels = pictures(columns(file)["/palm/restored"])[:, :, :4].astype(float)
+    got = messages(file, "/palm/regions")
+    assert {(each["pressure_unit"], each["force_unit"], each["regions"][0]["name"]) for each in got} == {
+        ("kPa", "N", "heel")
+    }
+    for name, values in (("force", heels.sum((1, 2)) * 1e-3), ("peak", heels.max((1, 2)))):
+        np.testing.assert_allclose([each["regions"][0][name] for each in got], values, rtol=1e-5, atol=1e-6)
 
 
 def test_the_place_of_the_array_is_a_static_transform(tmp_path, config, lossy):

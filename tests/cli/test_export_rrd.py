@@ -9,6 +9,8 @@ from rerun.chunk import RrdReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
+from tactiled.contacts.regions import Region
+from tactiled.runtime.state import StateFile
 from tests.cli.test_export import exported
 from tests.cli.test_export_rosbag2 import pictures, values
 from tests.conftest import BUSY_S
@@ -55,6 +57,18 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
     assert texts[0].startswith("41 taxels did not arrive")
     assert texts[1] == "over: missing"
     assert json.loads(static["/__properties/provenance", "json"][0]) == json.loads(npz["provenance"].item())
+
+
+def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy):
+    state = tmp_path / "state.json"
+    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
+    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])
+    StateFile(state).keep_regions("palm", {"left heel": heel})
+    expected = np.load(exported(lossy, config, tmp_path / "a.npz"))["regions"]
+    got, _ = columns(exported(lossy, config, tmp_path / "a.rrd"))
+    for k, key in enumerate(("force", "mean", "peak", "area")):
+        values = [each[0] for each in got[rf"/palm/regions/left\ heel/{key}"]["scalars"]]
+        np.testing.assert_allclose(values, expected[:, 0, k], rtol=1e-5, atol=1e-6)
 
 
 def test_a_layout_is_a_picture_in_counts_with_the_screen_to_show_it_on(tmp_path):

@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh import ext
 
 from tactiled.config import Server, Zenoh
+from tactiled.contacts.regions import Region
 from tactiled.interop.ros_types import Types
 from tactiled.interop.zenoh_session import open_session
 from tactiled.units import nanoseconds
@@ -105,6 +106,20 @@ def test_a_subscriber_gets_exact_images_with_the_stamp_of_their_frame_numbered_b
     assert times[0] > time.time_ns() - 10 * BUSY_S * 1e9
     assert {*lengths} == {16}
     assert len({*ids} - {bytes(16)}) == 1
+
+
+def test_what_the_regions_hold_is_published_to_whom_subscribes(rig, network):
+    heel = Region(shape="rectangle", points_mm=[[2.5, 2.5], [4.5, 4.5]])
+    rig.sensor.regions.put("heel", heel)
+    data = subscribed(rig, network(), "7/palm/regions/**")[-1].payload.to_bytes()
+    message, image = (
+        Types().store.deserialize_cdr(data, "tactiled_msgs/msg/TactileRegions"),
+        rig.sensor.hub.latest(),
+    )
+    ((name, force, peak),) = [(each.name, each.force, each.peak) for each in message.regions]
+    inside = image.restored[3:5, 3:5]
+    assert (name, message.pressure_unit, message.force_unit) == ("heel", "kPa", "N")
+    assert (force, peak) == pytest.approx((1e-3 * inside.sum(), inside.max()), rel=1e-5)
 
 
 def test_tokens_are_as_rmw_zenoh_parses_them_and_end_with_the_publisher(rig, network):

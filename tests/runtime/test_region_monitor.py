@@ -74,6 +74,26 @@ def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(mon
     assert (summary.highest.peak, summary.impulse, summary.since) == (5, 0, 20.0)
 
 
+def test_another_threshold_leaves_peaks_and_series_and_is_judged_anew(monitor):
+    for n, kpa in enumerate([30, 60, 45]):
+        monitor.add(image(kpa, n))
+    before = monitor.series["west"]
+    monitor.drain_crossings()
+    monitor.put("west", WEST)  # the same: it is still above
+    assert before.exceeded
+    limit = Threshold(quantity="peak", above=40.0, below=20.0)
+    monitor.put("west", WEST.model_copy(update={"threshold": limit}))
+    monitor.add(image(45, 3))
+    assert [(each.above, each.value) for each in monitor.drain_crossings()] == [(True, 45)]
+    assert monitor.series["west"] is before
+    assert before.summary().highest.peak == 60
+    with pytest.raises(ValueError, match="below = 50 is more than above = 40"):
+        monitor.put("west", WEST.model_copy(update={"threshold": limit.model_copy(update={"below": 50.0})}))
+    assert monitor.series["west"].region.threshold == limit
+    monitor.put("west", WEST.model_copy(update={"points_mm": ((-0.5, -0.5), (2.5, 3.5))}))
+    assert monitor.series["west"] is not before
+
+
 def test_more_regions_than_there_is_memory_for_are_refused(monitor):
     for n in range(MAX_REGIONS - 1):
         monitor.put(f"r{n}", WEST)

@@ -17,6 +17,7 @@ MEDIA = {
     "npz": "application/x-npz",
     "png": "image/png",
     "file": "application/octet-stream",
+    "csv": "text/csv",
     "calibration": "application/vnd.tactiled.calibration+json",
 }
 PROBLEMS = {

@@ -9,21 +9,25 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi import Path as PathParameter
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from tactiled.errors import TactileError
 from tactiled.frames import Loss
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.recorded_frames import RecordedFrames
+from tactiled.runtime.recorded_series import SeriesRuns
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
 from tactiled.web import answers, schemas
 from tactiled.web.http.problems import Problem
+from tactiled.web.rest import recorded_series
 from tactiled.web.rest.dependencies import in_turn, without_path
 from tactiled.web.rest.openapi import EVERY_RESOURCE, MEDIA, problems, success
+from tactiled.web.rest.recorded_series import SensorQuery, SeriesQuery
 from tactiled.web.rest.recordings import FileName, Recordings
+from tactiled.web.rest.regions import RegionMeasures
 from tactiled.wire import KINDS, PRESSURES, pack
 
 MAX_OPEN = 4  # recordings whose frames are on the disk; the one used longest ago makes room
@@ -62,6 +66,12 @@ class Played(schemas.Schema):
     force: list[float] = Field([], description="total of the raw image: lowest and highest of each piece in turn")
 
 
+class PlayedRegion(RegionMeasures):
+    """What a region of the sensor holds in the restored image."""
+
+    name: str = Field(examples=["heel"])
+
+
 class PlayedFrame(schemas.Restoration, schemas.FrameId):
     """What is known of one frame of a recording beside its images."""
 
@@ -73,12 +83,7 @@ class PlayedFrame(schemas.Restoration, schemas.FrameId):
     warnings: tuple[schemas.FrameWarning, ...]
     force_unit: ForceUnit = Field(examples=["N"])
     contacts: tuple[schemas.Contact, ...] = Field(description="strongest first, numbered in each frame anew")
-
-
-class SensorQuery(BaseModel):
-    """Whose frames."""
-
-    sensor: str = Field(description="a sensor, as in the configuration", examples=["palm"])
+    regions: tuple[PlayedRegion, ...] = Field(description="of the sensor, as live")
 
 
 class MethodQuery(SensorQuery):
@@ -106,6 +111,7 @@ class Playbacks:
         self._leave_mb = leave_mb
         self._open: dict[tuple[str, str], RecordedFrames] = {}  # by file and bus, the one used last at the end
         self._restoring = lru_cache(MAX_OPEN)(Playback)
+        self.series = SeriesRuns()
 
     def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
         """The frames of a file, read again where it or the bus has changed; Problem 503 where it cannot be."""
@@ -133,6 +139,7 @@ class Playbacks:
 
     def close(self) -> None:
         """Close all."""
+        self.series.close()
         while self._open:
             self._open.popitem()[1].close()
 
@@ -202,8 +209,18 @@ def _frame(
         "warnings": playback.warnings(number, method),
         "force_unit": FORCE_UNITS[image.unit],
         "contacts": answers.listed(playback.contacts(image), image.unit),
+        "regions": [
+            PlayedRegion(name=name, **RegionMeasures.of(each.measure(image)).model_dump())
+            for name, each in sensor.regions.series.items()
+        ],
     }
     return Response(PlayedFrame(**PlayedFrame.shared(image) | fields).model_dump_json(), media_type=MEDIA["json"])
+
+
+def _series(playbacks: Playbacks, query: SeriesQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
+    """Values of its frames over the whole recording."""
+    playback = playbacks.playback(sensor, recorded)
+    return recorded_series.answer(playbacks.series, query, sensor, recorded, playback)
 
 
 def make(recordings: Recordings, leave_mb: float) -> APIRouter:
@@ -245,5 +262,10 @@ def make(recordings: Recordings, leave_mb: float) -> APIRouter:
     ) -> Response:
         """Reason, warnings, losses and contacts of one frame of a recording."""
         return await answer(request, name, query, partial(_frame, playbacks, number, query.method))
+
+    @router.get("/series", response_model=recorded_series.Series, responses=faults)
+    async def series(name: FileName, request: Request, query: Annotated[SeriesQuery, Query()]) -> Response:
+        """Force, mean, peak and contact area over a recording; the first request begins to measure its frames."""
+        return await answer(request, name, query, partial(_series, playbacks, query))
 
     return router

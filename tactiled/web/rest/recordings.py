@@ -57,6 +57,7 @@ class Recording(schemas.Schema):
 
     name: str = Field(examples=["grasp.log"])
     bytes: int | None = Field(description="null: its file was removed or renamed", examples=[48231])
+    modified: float | None = Field(None, description="Unix time of its last message, or of its upload, s")
     running: bool = Field(examples=[True])
     bus: str | None = Field(None, description="null: recorded before this start of the service")
     messages: int | None = Field(None, description="on the disk so far", examples=[1025])
@@ -232,7 +233,9 @@ class Recordings:
         """One as it is now."""
         path, run = self._folder / name, self._runs.get(name)
         running = run is not None and run.is_alive()  # before its size: it grows until it has ended
-        file = {"name": name, "running": running, "bytes": _size(path)}
+        file = {"name": name, "running": running, "bytes": None, "modified": None}
+        if status := _status(path):
+            file |= {"bytes": status.st_size, "modified": status.st_mtime}
         return Recording(**Recording.shared(run) | file)  # a thread has a name of its own
 
 
@@ -246,16 +249,16 @@ def _complete(path: Path) -> None:
 
 def _is_recording(path: Path) -> bool:
     """A file of a recording's name that is no link out of the folder."""
-    return re.fullmatch(FILE_NAME, path.name) is not None and _size(path) is not None
+    return re.fullmatch(FILE_NAME, path.name) is not None and _status(path) is not None
 
 
-def _size(path: Path) -> int | None:
-    """The size of a file in bytes; None if it is missing, or a link."""
+def _status(path: Path) -> os.stat_result | None:
+    """That of a file; None if it is missing, or a link."""
     try:
         status = path.lstat()
     except OSError:
         return None
-    return status.st_size if stat.S_ISREG(status.st_mode) else None
+    return status if stat.S_ISREG(status.st_mode) else None
 
 
 def make(recordings: Recordings) -> APIRouter:

@@ -2,7 +2,8 @@
 
 import csv
 import io
-from typing import Annotated
+from collections.abc import Iterable
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, Response
@@ -12,6 +13,7 @@ from tactiled import units
 from tactiled.contacts.regions import Measures, Region, measure_units
 from tactiled.errors import StateError
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
+from tactiled.runtime.sensor import Sensor
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
@@ -21,6 +23,11 @@ MAX_POINTS = 60_000
 NAME = r"^[\w][\w .-]{0,39}$"
 RegionName = Annotated[str, Path(pattern=NAME, description="a region of the sensor", examples=["heel"])]
 router = APIRouter(prefix="/api/v1/sensors/{name}/regions", tags=["regions"])
+
+
+def or_null(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
+    return None if value != value else value
 
 
 class RegionMeasures(schemas.Schema):
@@ -33,8 +40,8 @@ class RegionMeasures(schemas.Schema):
 
     @classmethod
     def of(cls, measures: Measures) -> "RegionMeasures":
-        """JSON has no NaN."""
-        return cls(**{key: None if value != value else value for key, value in measures._asdict().items()})
+        """Those of an image."""
+        return cls(**{key: or_null(value) for key, value in measures._asdict().items()})
 
 
 class WatchedRegion(Region):
@@ -86,7 +93,8 @@ class Series(schemas.Schema):
     area: list[float | None] = Field(examples=[[64.0]])
 
 
-def _series(sensor: NamedSensor, region: RegionName) -> RegionSeries:
+def watched(sensor: Sensor, region: str) -> RegionSeries:
+    """A region of a sensor; Problem 404 where it has none of that name."""
     try:
         return sensor.regions.series[region]
     except KeyError as error:
@@ -110,13 +118,13 @@ def put_region(sensor: NamedSensor, service: CurrentService, region: RegionName,
         raise Problem(409, str(error)) from error
     except StateError as error:
         raise _not_kept(error, service) from error
-    return WatchedRegion.of(_series(sensor, region))
+    return WatchedRegion.of(watched(sensor, region))
 
 
 @router.delete("/{region}", status_code=204, responses=problems(404, 503, *CONTROL))
 def remove_region(sensor: NamedSensor, service: CurrentService, region: RegionName) -> None:
     """Watch a region no longer."""
-    _series(sensor, region)
+    watched(sensor, region)
     try:
         service.regions.remove(sensor, region)
     except StateError as error:
@@ -126,7 +134,7 @@ def remove_region(sensor: NamedSensor, service: CurrentService, region: RegionNa
 @router.post("/{region}/reset", status_code=204, responses=problems(404, *CONTROL))
 def reset_region(sensor: NamedSensor, region: RegionName) -> None:
     """Forget the highest values and the integrals of a region."""
-    _series(sensor, region).reset()
+    watched(sensor, region).reset()
 
 
 @router.get("/{region}/series", response_model=Series, responses=problems(404))
@@ -140,12 +148,11 @@ def series(
     form: Annotated[str, Query(alias="format", pattern="^(json|csv)$", description="json or csv")] = "json",
 ) -> Response:
     """Force, mean, peak and contact area of a region, image by image."""
-    time, values, unit = _series(sensor, region).series(seconds, points)
+    time, values, unit = watched(sensor, region).series(seconds, points)
     if form == "csv":
         return Response(_csv(time.tolist(), values.tolist(), unit), media_type="text/csv")
     columns = {
-        key: [None if each != each else each for each in column]
-        for key, column in zip(Measures._fields, values.T.tolist(), strict=True)
+        key: list(map(or_null, column)) for key, column in zip(Measures._fields, values.T.tolist(), strict=True)
     }
     content = Series(unit=unit, time=time.tolist(), **columns).model_dump_json()
     return Response(content, media_type="application/json")
@@ -153,12 +160,24 @@ def series(
 
 def _csv(time: list[float], values: list[list[float]], unit: units.Unit) -> str:
     """One line an image; empty: not known."""
+    rows = ([f"{at:.6f}", *csv_values(row)] for at, row in zip(time, values, strict=True))
+    return csv_lines([["time_s", *csv_headings(unit)], *rows])
+
+
+def csv_headings(unit: units.Unit) -> list[str]:
+    """Measures with their units, as headings of a CSV."""
+    return [f"{name}_{each.replace(' ', '_')}" for name, each in measure_units(unit).items()]
+
+
+def csv_values(values: Iterable[float]) -> list[str]:
+    """Values as a CSV has them; NaN, not known, is empty."""
+    return ["" if each != each else f"{each:.6g}" for each in values]
+
+
+def csv_lines(rows: Iterable[list[Any]]) -> str:
+    """Lines of a CSV."""
     text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    columns = zip(Measures._fields, measure_units(unit), strict=True)
-    lines.writerow(["time_s", *(f"{name}_{each.replace(' ', '_')}" for name, each in columns)])
-    for at, row in zip(time, values, strict=True):
-        lines.writerow([f"{at:.6f}", *("" if each != each else f"{each:.6g}" for each in row)])
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 

@@ -242,7 +242,8 @@ def test_a_recording_whose_file_is_renamed_keeps_its_name_until_it_is_stopped(ap
     assert (file["name"], file["running"]) == ("b.log", False)
     for refused in (*api.read_and_delete("a.log"), api.start("a.log", "can1")):
         assert problem(refused, 409) == "recording a.log: runs: stop it first"
-    ended = {"name": "a.log", "bytes": None, "running": False, "bus": "can0", "messages": 10, "unreadable": 0}
+    ended = {"name": "a.log", "bytes": None, "modified": None, "running": False}
+    ended |= {"bus": "can0", "messages": 10, "unreadable": 0}
     for _ in range(2):
         assert api.stop("a.log").json() == ended | {"error": None}
     assert api.only()["name"] == "b.log"
@@ -260,9 +261,9 @@ def test_the_size_of_an_ended_recording_is_that_of_its_whole_file(folder, reques
     buses = {"can0": {"interface": "virtual", "channel": request.node.name}}
     files = recordings.Recordings(folder, buses, Events(), 0.0)
     files.start("can0", "a.log.gz")
-    size_of, run = recordings._size, files._runs["a.log.gz"]
+    status_of, run = recordings._status, files._runs["a.log.gz"]
     with monkeypatch.context() as patched:
-        patched.setattr(recordings, "_size", lambda path: (size_of(path), run.stop())[0])
+        patched.setattr(recordings, "_status", lambda path: (status_of(path), run.stop())[0])
         during = files.recording("a.log.gz")
     (after,) = files.page(recordings.PageQuery()).recordings
     assert not after.running

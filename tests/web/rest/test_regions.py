@@ -44,8 +44,8 @@ def test_a_region_over_its_threshold_is_an_event(rig, client):
 
     until(lambda: kinds() == ["region_above", "region_below"])
     texts = [each["text"] for each in client.get("/events").json()["events"] if "region" in each["kind"]]
-    assert "is above 0.1" in texts[0]
-    assert texts[1].endswith("is below 0.05")
+    assert "is above 0.1 N" in texts[0]
+    assert texts[1].endswith("is below 0.05 N")
 
 
 @pytest.mark.parametrize(

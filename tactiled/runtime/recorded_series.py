@@ -1,0 +1,189 @@
+"""Force, mean, peak and contact area in every frame of a recording, of the whole array and of regions.
+
+Another process measures the restored images, the same that playback shows.
+"""
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from threading import Thread, Timer
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.calibrate.tare import Zero
+from tactiled.contacts.regions import Measures, Region, RegionMeter
+from tactiled.runtime.fit_process import Cancelled, FitProcess
+from tactiled.runtime.pipeline import NOISE_FRAMES
+from tactiled.runtime.playback import MAX_POINTS, Playback
+from tactiled.runtime.recorded_frames import FLUSH_S, FrameFiles, RecordedFrames, SharedFile, check_goes_on
+from tactiled.threads import join_started
+
+MAX_SERIES = 4  # on the disk; the one used longest ago makes room
+IDLE_S = 90.0  # without a request until measuring ends: a page in the background asks once a minute
+REPLACED_AFTER_S = 3.0  # without a request until another series is measured instead
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesJob:
+    """What is measured: every frame of a sensor, restored by a method."""
+
+    plan: SensorPlan
+    zero: Zero
+    frames: FrameFiles
+    method: str
+    regions: Mapping[str, Region]
+    folder: Path
+    leave_mb: float
+
+    @property
+    def row(self) -> np.dtype[Any]:
+        """Of a frame: its position, s, and the measures (K, 4) of the array and its regions."""
+        areas = 1 + len(self.regions)
+        return np.dtype([("position", "<f8"), ("values", "<f4", (areas, len(Measures._fields)))])
+
+
+def write_measures(job: SeriesJob, target: SharedFile) -> None:
+    """Write a row for each frame; TactileError where the disk is full or the service has ended."""
+    count = job.frames.count(job.plan.name)
+    playback = Playback(job.plan, job.zero, job.frames, min(NOISE_FRAMES, count))
+    meters = [RegionMeter(each, job.plan.cells) for each in (None, *job.regions.values())]
+    row, parent, flushed = np.zeros((), job.row), os.getppid(), time.monotonic()
+    for number in range(count):
+        image = playback.image(number, job.method)
+        row["position"], row["values"] = image.arrived, [each(image) for each in meters]
+        target.write(row.tobytes())
+        if time.monotonic() - flushed > FLUSH_S:
+            target.flush()
+            check_goes_on(parent, job.folder, job.leave_mb)
+            flushed = time.monotonic()
+    target.flush()
+
+
+class Summary(NamedTuple):
+    """A series in P pieces; K counts the array and its regions, 4 the fields of Measures. NaN: not known."""
+
+    position_s: NDArray[np.float64]  # (P,) at which a piece begins
+    values: NDArray[np.float32]  # (P, K, 4) the highest of each piece
+    highest: NDArray[np.float32]  # (K, 4) of the recording
+    number: NDArray[np.int64]  # (K, 4) of the first frame that has it
+    highest_s: NDArray[np.float64]  # (K, 4) its position
+
+
+class RecordedSeries:
+    """One series; more of it comes while `running`."""
+
+    def __init__(self, job: SeriesJob) -> None:
+        """OSError where its folder takes no files."""
+        self.job, self.error, self.used_at = job, "", 0.0
+        self.frames = job.frames.count(job.plan.name)
+        self._file = SharedFile.temporary(job.folder)
+        self._process = FitProcess()
+        self._idle = Timer(IDLE_S, self._process.cancel)
+        self._thread = Thread(target=self._measure, name=f"measure {job.plan.name}", daemon=True)
+        self._thread.start()
+
+    def _measure(self) -> None:
+        try:
+            self._process.run(write_measures, self.job, self._file)
+        except Cancelled:
+            pass
+        except Exception as error:
+            self.error = str(error)
+        self._idle.cancel()
+
+    @property
+    def running(self) -> bool:
+        """Whether frames are still being measured."""
+        return self._thread.is_alive()
+
+    @property
+    def given_up(self) -> bool:
+        """Whether it ended early because nobody asked for it."""
+        return not (self.running or self.error) and self.measured < self.frames
+
+    @property
+    def measured(self) -> int:
+        """Frames by now."""
+        return self._file.size // self.job.row.itemsize
+
+    def use(self) -> None:
+        """Somebody asks for it."""
+        self.used_at = time.monotonic()
+        self._idle.cancel()
+        if self.running:
+            self._idle = Timer(IDLE_S, self._process.cancel)
+            self._idle.daemon = True
+            self._idle.start()
+
+    def close(self) -> None:
+        """Measure no more, and give the disk free."""
+        self._process.cancel()
+        join_started(self._thread)
+        self._idle.cancel()
+        self._file.close()
+
+    def rows(self) -> NDArray[Any]:
+        """Rows (T,) of the frames that are measured by now, as `SeriesJob.row`."""
+        return np.frombuffer(self._file.read(self.measured * self.job.row.itemsize, 0), self.job.row)
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Of all frames, once they are measured."""
+        rows = self.rows()
+        position, values = rows["position"], rows["values"]
+        first = np.unique(np.linspace(0, len(rows), MAX_POINTS, endpoint=False).astype(int))
+        number = np.nan_to_num(values, nan=-np.inf).argmax(axis=0)
+        highest = np.take_along_axis(values, number[None], axis=0)[0]
+        return Summary(position[first], np.fmax.reduceat(values, first, axis=0), highest, number, position[number])
+
+
+class SeriesRuns:
+    """The series of recordings: one is measured at a time; on one thread, but for `close`."""
+
+    def __init__(self) -> None:
+        self._runs: list[tuple[tuple[Any, ...], RecordedSeries]] = []  # by what they depend on, newest use last
+
+    def series(
+        self, playback: Playback, recorded: RecordedFrames, method: str, regions: Mapping[str, Region]
+    ) -> RecordedSeries | None:
+        """The series of a recording that was read; None while another one is measured for somebody else.
+
+        OSError where its folder takes no files.
+        """
+        plan = playback.plan
+        key = recorded, plan, playback.tared_at, method, tuple(regions.items())
+        run = next((each for of, each in self._runs if of == key), None)
+        if run is None or run.given_up:
+            if not self._make_room():
+                return None
+            frames, folder = recorded.of(plan.name), recorded.path.parent
+            job = SeriesJob(plan, playback.zero, frames, method, regions, folder, recorded.leave_mb)
+            run = RecordedSeries(job)
+        self._runs = [each for each in self._runs if each[1] is not run] + [(key, run)]
+        run.use()
+        return run
+
+    def drop(self, run: RecordedSeries) -> None:
+        """Measure it anew when somebody asks again."""
+        self._runs = [each for each in self._runs if each[1] is not run]
+        run.close()
+
+    def _make_room(self) -> bool:
+        for _, each in self._runs:
+            if each.running and time.monotonic() - each.used_at < REPLACED_AFTER_S:
+                return False
+        for _, each in list(self._runs):
+            if each.running or each.given_up or len(self._runs) >= MAX_SERIES:
+                self.drop(each)
+        return True
+
+    def close(self) -> None:
+        """Close all."""
+        while self._runs:
+            self._runs.pop()[1].close()

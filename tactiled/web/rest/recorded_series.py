@@ -1,0 +1,151 @@
+"""`/api/v1/recordings/{name}/series`: what a recording's restored images hold in total and in regions."""
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field
+from starlette.responses import Response, StreamingResponse
+
+from tactiled.contacts.regions import Measures, Region
+from tactiled.errors import TactileError
+from tactiled.restore.methods import require
+from tactiled.runtime.playback import Playback
+from tactiled.runtime.recorded_frames import RecordedFrames
+from tactiled.runtime.recorded_series import RecordedSeries, SeriesJob, SeriesRuns, Summary
+from tactiled.runtime.sensor import Sensor
+from tactiled.units import FORCE_UNITS, ForceUnit
+from tactiled.web import schemas
+from tactiled.web.http.problems import Problem
+from tactiled.web.rest.dependencies import without_path
+from tactiled.web.rest.openapi import MEDIA
+from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, or_null, watched
+
+TOTAL = "total"
+CSV_ROWS = 500  # that are written at once
+SOON = {"Retry-After": "1"}
+
+
+class SensorQuery(BaseModel):
+    """Whose frames."""
+
+    sensor: str = Field(description="a sensor, as in the configuration", examples=["palm"])
+
+
+class SeriesQuery(SensorQuery):
+    """Which series."""
+
+    method: schemas.MethodName | None = Field(None, description="left out: the one that is selected live")
+    regions: str | None = Field(
+        None,
+        description="regions of the sensor, separated by commas; left out: all of them",
+        examples=["heel,toe"],
+    )
+    format: Literal["json", "csv"] = Field("json", description="csv has every frame")
+
+
+class Highest(schemas.Schema):
+    """The highest value of a recording; null: not known."""
+
+    value: float | None = Field(examples=[4.2])
+    number: int = Field(description="of the first frame that has it, from 0", examples=[512])
+    position_s: float = Field(description="from the recording's first message", examples=[5.12])
+
+
+class AreaSeries(schemas.Schema):
+    """Values of the array or a region; null: not known."""
+
+    name: str = Field(description="of the region", examples=["heel"])
+    force: list[float | None] = Field(description="in `force_unit`")
+    mean: list[float | None] = Field(description="pressure, in `unit`")
+    peak: list[float | None] = Field(description="pressure, in `unit`")
+    area: list[float | None] = Field(description="mm2 in contact")
+    highest: dict[Literal["force", "mean", "peak", "area"], Highest]
+
+
+class Series(schemas.Schema):
+    """Values of every frame's restored image, in at most 600 pieces: of each piece the highest."""
+
+    name: str = Field(examples=["grasp.log"])
+    sensor: schemas.SensorName
+    method: str = Field(description="by which every frame is restored", examples=["auto"])
+    frames: int = Field(examples=[1025])
+    measured: int = Field(description="frames by now", examples=[1025])
+    running: bool = Field(description="whether frames are still being measured; values come at the end")
+    error: str | None = Field(description="why it ended early", examples=[None])
+    unit: schemas.Unit
+    force_unit: ForceUnit = Field(examples=["N"])
+    position_s: list[float] = Field([], description="at which each piece begins")
+    total: AreaSeries | None = Field(None, description="of the whole array")
+    regions: list[AreaSeries] = Field([], description="of each region")
+
+
+def answer(
+    runs: SeriesRuns, query: SeriesQuery, sensor: Sensor, recorded: RecordedFrames, playback: Playback
+) -> Response:
+    """A recording's series as far as it is measured; Problem where it cannot be measured now."""
+    where = f"recording {recorded.path.name}"
+    regions, method = _regions(sensor, query.regions), query.method or sensor.method
+    require(method)
+    if recorded.reading:
+        raise Problem(409, f"{where}: is not read to its end yet", SOON)
+    try:
+        run = runs.series(playback, recorded, method, regions)
+    except OSError as error:
+        raise Problem(503, f"{where}: {error.strerror}") from error
+    if run is None:
+        raise Problem(409, f"{where}: another series is being measured", SOON)
+    running, measured = run.running, run.measured  # in this order
+    if run.error:
+        runs.drop(run)
+    if query.format == "json":
+        return _json(run, recorded, running, measured)
+    if running or run.error:
+        raise Problem(409, f"{where}: {measured} of {run.frames} frames are measured", SOON)
+    file = f"{recorded.path.name.split('.')[0]}-{sensor.name}.csv"
+    headers = {"Content-Disposition": f'attachment; filename="{file}"'}
+    return StreamingResponse(_csv(run.job, run.rows()), media_type=MEDIA["csv"], headers=headers)
+
+
+def _regions(sensor: Sensor, names: str | None) -> dict[str, Region]:
+    """The regions of these names; Problem 404 names one that is not there."""
+    each = sensor.regions.regions
+    return each if names is None else {name: watched(sensor, name).region for name in names.split(",") if name}
+
+
+def _json(run: RecordedSeries, recorded: RecordedFrames, running: bool, measured: int) -> Response:
+    job, unit = run.job, run.job.plan.unit
+    fields: dict[str, Any] = {
+        "name": recorded.path.name, "sensor": job.plan.name, "method": job.method, "frames": run.frames,
+        "measured": measured, "running": running, "unit": unit, "force_unit": FORCE_UNITS[unit],
+        "error": without_path(TactileError(run.error), recorded.path) or None,
+    }  # fmt: skip
+    if not running and not run.error:
+        total, *regions = (_area(name, k, run.summary) for k, name in enumerate((TOTAL, *job.regions)))
+        fields |= {"position_s": run.summary.position_s.tolist(), "total": total, "regions": regions}
+    return Response(Series(**fields).model_dump_json(), media_type=MEDIA["json"])
+
+
+def _area(name: str, k: int, summary: Summary) -> AreaSeries:
+    """The series of the array or the region of number `k`."""
+    columns = zip(Measures._fields, summary.values[:, k].T.tolist(), strict=True)
+    highest = {
+        key: Highest(
+            value=or_null(float(summary.highest[k, n])),
+            number=int(summary.number[k, n]),
+            position_s=float(summary.highest_s[k, n]),
+        )
+        for n, key in enumerate(Measures._fields)
+    }
+    return AreaSeries(name=name, highest=highest, **{key: list(map(or_null, each)) for key, each in columns})
+
+
+def _csv(job: SeriesJob, rows: NDArray[Any]) -> Iterator[str]:
+    """One line a frame; empty: not known."""
+    areas, headings = (TOTAL, *job.regions), csv_headings(job.plan.unit)
+    yield csv_lines([["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings)]])
+    for first in range(0, len(rows), CSV_ROWS):
+        some = rows[first : first + CSV_ROWS]
+        values = some["values"].reshape(len(some), -1).tolist()
+        numbered = enumerate(zip(some["position"].tolist(), values, strict=True), first)
+        yield csv_lines([n, f"{at:.6f}", *csv_values(row)] for n, (at, row) in numbered)
