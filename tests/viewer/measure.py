@@ -1,11 +1,13 @@
-"""python -m tests.viewer.measure: what the viewer costs the browser at 64 x 64 and 75 Hz; prints only.
+"""python -m tests.viewer.measure [wall]: what the viewer costs the browser; prints only.
 
-CPU is the time of the page's main thread; garbage is what V8's sampling profiler counts as allocated, the viewer's
-own functions apart from the browser's; collections are the garbage collector's.
+One array of 64 x 64 at 75 Hz; or the wall of eight of 32 x 32, each at 75 Hz. CPU is the time of the page's main
+thread; garbage is what V8's sampling profiler counts as allocated, the viewer's own functions apart from the
+browser's; collections are the garbage collector's.
 """
 
 import json
 import shutil
+import sys
 from collections import Counter
 from threading import Event, Thread
 
@@ -21,26 +23,37 @@ RATE_HZ = 75.0  # of the sensor: above the screen's
 FRAMES = 256  # that are simulated before and repeated: one round of the codec's sequence numbers
 WARM_UP_MS = 30_000  # until the browser has compiled what paints, and the last ten seconds are full
 SPAN_MS = 30_000
-CONFIG = """
+WALL_SENSORS = 8
+BUS = """
 [bus.can0]
 interface = "virtual"
 channel = "measure"
-
-[sensor.palm]
+"""
+SENSOR = """
+[sensor.s{number}]
 bus = "can0"
 method = "wiener"
-codec = { name = "packed", bits = 12, fd = true }
-array = { rows = 64, columns = 64, pitch_mm = 1.0 }
-cover = { thickness_mm = 1.2, young_mpa = 0.6, poisson = 0.48 }
-kernel = { model = "layered" }
-calibration = { kpa_per_count = 0.05, no_load = 100, noise_kpa = 0.2, saturation = 4000 }
+codec = {{ name = "packed", bits = 12, fd = true, array_id = {number} }}
+array = {{ rows = {side}, columns = {side}, pitch_mm = 1.0 }}
+cover = {{ thickness_mm = 1.2, young_mpa = 0.6, poisson = 0.48 }}
+kernel = {{ model = "layered" }}
+calibration = {{ kpa_per_count = 0.05, no_load = 100, noise_kpa = 0.2, saturation = 4000 }}
 """
 SAMPLING = {
     "samplingInterval": 1024,
     "includeObjectsCollectedByMajorGC": True,
     "includeObjectsCollectedByMinorGC": True,
 }
+COUNT_MAPS = """
+window.maps = 0;
+const put = CanvasRenderingContext2D.prototype.putImageData;
+CanvasRenderingContext2D.prototype.putImageData = function (...image) {
+  window.maps += 1;
+  put.apply(this, image);
+};
+"""
 PAINTED = "Number(document.documentElement.dataset.painted)"
+PAINTED_ON_WALL = f"window.maps / {WALL_SENSORS}"
 
 
 def allocated(node: dict, into: Counter) -> Counter:
@@ -57,21 +70,21 @@ def metrics(session: CDPSession) -> dict[str, float]:
     return {each["name"]: each["value"] for each in session.send("Performance.getMetrics")["metrics"]}
 
 
-def measure(browser: Browser, page: Page) -> None:
+def measure(browser: Browser, page: Page, painted_now: str) -> None:
     """Watch a live page for three spans and print frame rate, CPU, garbage and the collector's pauses."""
     session = page.context.new_cdp_session(page)
     session.send("Performance.enable", {"timeDomain": "threadTicks"})
     page.wait_for_timeout(WARM_UP_MS)
-    painted, before = page.evaluate(PAINTED), metrics(session)
+    painted, before = page.evaluate(painted_now), metrics(session)
     page.wait_for_timeout(SPAN_MS)
-    after, frames = metrics(session), page.evaluate(PAINTED) - painted
+    after, frames = metrics(session), page.evaluate(painted_now) - painted
     span_s = after["Timestamp"] - before["Timestamp"]
     busy_s = after["TaskDuration"] - before["TaskDuration"]
     print(f"{frames / span_s:.1f} frames/s painted; main thread: {busy_s / span_s:.1%} of a core")
     session.send("HeapProfiler.startSampling", SAMPLING)
-    painted = page.evaluate(PAINTED)
+    painted = page.evaluate(painted_now)
     page.wait_for_timeout(SPAN_MS)
-    profile, frames = session.send("HeapProfiler.stopSampling")["profile"], page.evaluate(PAINTED) - painted
+    profile, frames = session.send("HeapProfiler.stopSampling")["profile"], page.evaluate(painted_now) - painted
     by_function = allocated(profile["head"], Counter())
     own = sum(size for name, size in by_function.items() if ".js " in name)
     total_kb, own_kb = by_function.total() / 1e3 / frames, own / 1e3 / frames
@@ -84,11 +97,17 @@ def measure(browser: Browser, page: Page) -> None:
 
 
 def main() -> None:
-    """Serve a simulated array, open the viewer, measure."""
-    service, stop = Service(parse(CONFIG, "measure")), Event()
-    sensor, end = service.sensor("palm"), open_bus(interface="virtual", channel="measure")
-    one = player(sensor.array, sensor.plan.kernel, sensor.codec, sensor.plan.calibration, "fingertip", 0.2)
-    frames = [one.messages(sequence, sequence / RATE_HZ, 0.0) for sequence in range(FRAMES)]
+    """Serve simulated arrays, open the viewer, measure."""
+    wall = sys.argv[1:] == ["wall"]
+    count, side = (WALL_SENSORS, 32) if wall else (1, 64)
+    config = BUS + "".join(SENSOR.format(number=n, side=side) for n in range(count))
+    service, stop = Service(parse(config, "measure")), Event()
+    end = open_bus(interface="virtual", channel="measure")
+    frames = [[] for _ in range(FRAMES)]
+    for sensor in service.sensors.values():
+        one = player(sensor.array, sensor.plan.kernel, sensor.codec, sensor.plan.calibration, "fingertip", 0.2)
+        for sequence, messages in enumerate(frames):
+            messages += one.messages(sequence, sequence / RATE_HZ, 0.0)
     repeat = (lambda sequence, *_: frames[sequence % FRAMES], end.send, RATE_HZ, stop)
     sender = Thread(target=play, args=repeat, daemon=True)
     with running(service) as url, sync_playwright() as playwright:
@@ -96,8 +115,9 @@ def main() -> None:
         sender.start()
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(url)
-        measure(browser, page)
+        page.add_init_script(COUNT_MAPS if wall else "")
+        page.goto(f"{url}#/wall" if wall else url)
+        measure(browser, page, PAINTED_ON_WALL if wall else PAINTED)
         browser.close()
     stop.set()
     sender.join()

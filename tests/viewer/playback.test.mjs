@@ -3,6 +3,7 @@ import test from "node:test";
 
 import { positionText } from "../../tactiled/web/static/format.js";
 import { PlaybackClock, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
+import { areasOf, curvesOf } from "../../tactiled/web/static/recorded_series.js";
 import { messageBytes } from "../../tactiled/web/static/wire.js";
 
 test("a position goes on at the chosen speed while it plays, from where it was", () => {
@@ -51,4 +52,16 @@ test("an answer is taken apart into the messages of each frame", () => {
   const answer = Uint8Array.from([...frame, ...frame].flatMap((each) => [...each]));
   assert.deepEqual(splitFrames(answer, 3, messageBytes), [frame, frame]);
   assert.throws(() => splitFrames(answer.subarray(0, answer.length - 100), 3, messageBytes), RangeError);
+});
+
+test("of a series force and peak of each area can be drawn, once they are measured", () => {
+  const total = { name: "total", force: [1, null], peak: [10, 20] };
+  const heel = { name: "heel", force: [0.5, 0.7], peak: [9, 8] };
+  const series = { unit: "counts", position_s: [0, 0.1], total: null, regions: [] };
+  assert.deepEqual([areasOf(series), curvesOf(series)], [[], []]);
+  const curves = curvesOf({ ...series, total, regions: [heel] });
+  assert.deepEqual(curves.map(({ title, unit, y }) => [title, unit, y]), [
+    ["total, force", "counts·mm²", [1, null]], ["total, peak", "counts", [10, 20]],
+    ["heel, force", "counts·mm²", [0.5, 0.7]], ["heel, peak", "counts", [9, 8]],
+  ]);
 });

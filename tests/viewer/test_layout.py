@@ -45,6 +45,8 @@ def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_pic
             assert label["text"].startswith(words)
             assert abs(label["y"] / label["height"] - y) < 0.25
         page.wait("document.body.dataset.level === 'stale'")
+        for each in page.evaluate("window.drawn.filter(each => !each.id && !each.saved)"):  # of the axes
+            assert each["box"][2] <= each["width"] + 1, each
         page.evaluate("window.drawn = []")
         assert page.download("s").read_bytes().startswith(b"\x89PNG")
         texts = page.evaluate("window.drawn.filter(each => each.saved && each.height > 300)")

@@ -77,8 +77,9 @@ def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, o
 
 def test_a_saved_picture_and_table_say_where_they_are_from(rig, page):
     rig.stale_after(600)
+    before = page.painted()
     rig.send(pressed(), drop=[0])
-    page.wait(f"document.body.dataset.warnings === '1' && {LIVE}")
+    page.wait(f"document.body.dataset.warnings === '1' && {LIVE} && {PAINTINGS} > {before}")
     page.press("Space")
     page.evaluate(WATCH_TEXTS)
     page.download("s")

@@ -5,7 +5,9 @@ import pytest
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.cli.recordings import write
-from tests.conftest import pressed
+from tests.conftest import ask, pressed, until
+from tests.viewer.conftest import WATCH_TEXTS
+from tests.viewer.test_regions import drag
 
 FRAMES, RATE_HZ = 50, 50.0
 WHEN = "document.getElementById('when').innerText"
@@ -49,6 +51,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     for name in ("#tare", "#record", "#calibrate-open", "#banner", "#latencies"):
         assert not page.locator(name).is_visible(), name
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
+    page.get_by_role("slider", name="Position in the recording").wait_for()
     assert page.text("pill-text", "recorded-name") == ["recording", "grasp.log"]
     page.press("t")
     page.wait("document.getElementById('notice').innerText === 'A recording plays: go back to live to tare.'")
@@ -77,7 +80,28 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     page.press("l")
     page.wait(f"{LEVEL} === 'stale' && {FRAME} === '{rig.sequence}'")
     assert page.locator("#tare").is_visible()
+    page.get_by_role("slider", name="Kept frames, newest at the right").wait_for()
     assert "recording=" not in page.url
+
+
+def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, open_page):
+    url, _ = recorded
+    page = open_page(url)
+    looks = []
+
+    def answer(route):
+        looks.append(route.fetch())
+        body = looks[-1].json()
+        if len(looks) == 1:  # as if no more had been read
+            body |= {"reading": True, "frames": 10, "duration_s": 0.2, "positions_s": [0, 0.2], "force": [1, 1]}
+        route.fulfill(response=looks[-1], json=body)
+
+    until(lambda: not ask("GET", f"{url}/api/v1/recordings/grasp.log/playback?sensor=palm").json()["reading"])
+    page.route("**/grasp.log/playback?*", answer)
+    page.evaluate(WATCH_TEXTS)
+    open_recording(page)
+    page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
+    page.wait("window.drawn.some(({ text }, i, all) => text === 'position, s' && all[i - 1].text === '0.75')")
 
 
 def test_a_link_keeps_recording_and_position_and_a_loop_begins_again(recorded, open_page):
@@ -112,3 +136,37 @@ def test_a_file_from_this_computer_is_added_and_plays(recorded, tmp_path_factory
     row.get_by_role("button", name="Play", exact=True).click()
     page.wait("document.getElementById('notice').innerText === 'bad.log: no frame of this sensor'")
     page.wait(f"{LEVEL} === 'stale'")  # as before
+
+
+def test_a_region_is_drawn_on_a_recording_and_its_highest_force_is_read_seen_and_saved(recorded, open_page):
+    url, _ = recorded
+    page = open_page(f"{url}/#palm?recording=grasp.log&at=0.6", ready=PLAYS)
+    page.get_by_role("button", name="Rectangle").click()
+    drag(page, page.box("#restored-frame"), (0.05, 0.05), (0.7, 0.95))
+    page.get_by_label("Name").fill("heel")
+    page.get_by_role("button", name="Save").click()
+    page.wait("Number(document.querySelector('#regions td')?.textContent) > 0")
+    force = page.evaluate("Number(document.querySelector('#regions td').textContent)")
+    address = "/api/v1/recordings/grasp.log"
+    (heel,) = ask("GET", f"{url}{address}/frames/30?sensor=palm").json()["regions"]
+    assert force == pytest.approx(heel["force"], rel=0.01)
+    page.get_by_role("button", name="Measure the whole recording").click()
+    page.wait("document.querySelectorAll('#series tbody tr').length === 2")
+    series = ask("GET", f"{url}{address}/series?sensor=palm").json()
+    highest = series["regions"][0]["highest"]["force"]
+    assert highest["number"] == 30
+    page.press("Home")
+    page.wait(f"{FRAME} === '0'")
+    row = page.locator("#series tbody tr", has_text="heel")
+    assert row.locator("td").all_inner_texts()[:2] == [f"{highest['value']:.2f}", "0:00.6"]
+    row.get_by_role("button", name="0:00.6").first.click()
+    page.wait(f"{FRAME} === '30' && document.getElementById('force-span').innerText === 'restored'")
+    page.inspect()
+    page.resize(1280, 860)
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="CSV of every frame").click()
+    lines = saved.value.path().read_text().splitlines()
+    assert (len(lines), lines[0].split(",")[6]) == (1 + FRAMES, "heel_force_N")
+    page.get_by_role("button", name="heel").click()
+    page.locator("#region-delete").click()
+    page.wait("document.querySelectorAll('#series tbody tr').length === 1")  # measured again without it

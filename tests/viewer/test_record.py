@@ -1,5 +1,6 @@
 """Recordings of the bus from the page."""
 
+import os
 import re
 
 import pytest
@@ -110,16 +111,17 @@ def delete(page, expected):
 
 def test_the_focus_goes_from_a_deleted_recording_to_its_neighbour(recording, open_page):
     url, folder = recording
-    for name in ("a", "b", "c"):
+    for time, name in enumerate("abc"):
         (folder / f"{name}.log").touch()
+        os.utime(folder / f"{name}.log", (time, time))  # newest first, they are c, b, a
     page = open_page(url)
     page.locator("#recordings li", has_text="b.log").get_by_role("button", name="Delete").focus()
-    delete(page, f"{ROW}?.startsWith('c.log')")
-    assert page.locator("#notice").inner_text() == "Deleted: b.log."
     delete(page, f"{ROW}?.startsWith('a.log')")
+    assert page.locator("#notice").inner_text() == "Deleted: b.log."
+    delete(page, f"{ROW}?.startsWith('c.log')")
     (folder / "d.log").touch()
     page.wait(f"{LIST}.includes('d.log')")
-    assert page.evaluate(ROW).startswith("a.log")
+    assert page.evaluate(ROW).startswith("c.log")
     (folder / "d.log").unlink()
     page.wait(f"!{LIST}.includes('d.log')")
     delete(page, "document.activeElement.id === 'record'")

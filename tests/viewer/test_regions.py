@@ -1,10 +1,23 @@
-"""Regions drawn on the maps, their values, thresholds and series."""
+"""Regions drawn on the maps, their values, thresholds and series, and the series of contacts."""
 
 import numpy as np
 import pytest
 
-from tests.conftest import ask, pressed
+from tactiled.runtime.region_monitor import MIN_GAP_S
+from tests.conftest import ask, pressed, until
 from tests.viewer.conftest import PHONE
+
+# How many pixels of the chart have the first line's colour.
+INK = """(canvas => {
+  const [r, g, b] = [0x00, 0x72, 0xb2];
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    const off = Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b);
+    count += data[i + 3] > 200 && off < 20;
+  }
+  return count;
+})(document.getElementById("plot-chart"))"""
 
 
 def drag(page, box, start, end):
@@ -41,6 +54,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="Save").click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 2")
     page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")  # over 5 kPa
+    assert page.text("notice") == ["Region heel: peak is above 5 kPa"]
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")
@@ -51,7 +65,71 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="Delete").click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 1")
     page.get_by_role("button", name="Rectangle").click()
+    active = "[...document.querySelectorAll('.draw [aria-pressed=true]')].map(each => each.innerText).join()"
+    assert page.evaluate(active) == "Rectangle"
     page.press("Escape")
+    assert page.evaluate(active) == ""
     page.resize(1280, 860)
     drag(page, box, (0.1, 0.1), (0.4, 0.4))  # draws nothing any more
     assert not page.locator("#region").is_visible()
+
+
+def test_a_click_makes_a_region_of_one_cell(rig, url, open_page):
+    rig.show(pressed(3, force=3000))
+    page = open_page(url)
+    box = page.box("#restored-frame")
+    page.get_by_role("button", name="Rectangle").click()
+    page.mouse.click(box["x"] + 4.3 / 8 * box["width"], box["y"] + 2.4 / 8 * box["height"])
+    page.get_by_role("button", name="Save").click()
+    page.wait("document.querySelectorAll('#regions tbody tr').length === 1")
+    (region,) = ask("GET", f"{url}/api/v1/sensors/palm/regions").json()["regions"]
+    assert region["name"] == "cell r2 c4"
+    image = page.show(rig, pressed(3, force=3000))
+    page.wait("document.querySelector('#regions td:nth-child(4)').textContent !== '–'")
+    (region,) = ask("GET", f"{url}/api/v1/sensors/palm/regions").json()["regions"]
+    assert region["now"]["peak"] == region["now"]["mean"] == pytest.approx(image.restored[2, 4])
+
+
+def rows(page):
+    """The lines of the series' CSV that hold values, and the others.
+
+    A browser starts ten downloads a second at most, and drops the others without a word.
+    """
+    page.wait_for_timeout(150)
+    with page.expect_download() as saved:
+        page.locator("#plot-csv").press("Enter")  # a click may miss it: contacts that come or end move the panel
+    lines = saved.value.path().read_text().splitlines()
+    values = [line for line in lines if line[0].isdigit()]
+    return values, [line for line in lines if line not in values]
+
+
+def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, open_page):
+    shape = {"shape": "rectangle", "points_mm": [[1.5, 1.5], [5.5, 5.5]]}
+    ask("PUT", f"{url}/api/v1/sensors/palm/regions/heel", json=shape).raise_for_status()
+    rig.stale_after(600)  # a contact of a stale sensor has no button
+    rig.show(pressed(3, force=3000))
+    page = open_page(url)
+    page.keep(lambda: rig.show(pressed(3, force=3000)), "!!document.querySelector('#contact-list button:enabled')")
+    page.locator("#contact-list tbody td").first.click()
+    page.wait("document.querySelector('#contact-list button').getAttribute('aria-pressed') === 'true'")
+    page.wait("[...document.querySelectorAll('#plot-add option')].some(each => each.value === 'region heel')")
+    page.get_by_label("Add a contact or region").select_option("region heel")
+    assert page.locator("#plot-key").inner_text().split("\n") == ["contact 1 ✕", "heel ✕"]
+    page.keyboard.press("Space")  # while the page is paused, too
+    page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 20")
+    page.wait_for_timeout(2e3 * MIN_GAP_S)  # a series leaves images out that follow at once
+    image = rig.show(pressed(3, force=3000))
+    until(lambda: float(rows(page)[0][-1].split(",")[0]) == pytest.approx(image.time, abs=1e-5))
+    values, comments = rows(page)
+    assert comments[-1] == "time_s,kind,name,force_N,mean_kPa,peak_kPa,area_mm2,x_mm,y_mm"
+    assert {"# sensor: palm", "# calibration: configured", "# warnings: none"} <= set(comments)
+    assert {tuple(line.split(",")[1:3]) for line in values} == {("contact", "1"), ("region", "heel")}
+    (contact,) = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
+    newest = [line.split(",") for line in values if ",contact," in line][-1]
+    expected = [contact[key] for key in ("force", "peak", "area_mm2", "x_mm", "y_mm")]
+    assert [float(newest[i]) for i in (3, 5, 6, 7, 8)] == pytest.approx(expected, rel=1e-4)
+    for size in ({"width": 1280, "height": 860}, PHONE):
+        page.resize(**size)
+        assert page.violations() == []
+    page.get_by_role("button", name="Remove contact 1").click()
+    assert "contact" not in page.locator("#plot-key").inner_text()

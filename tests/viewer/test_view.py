@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web.server import running
 from tests.conftest import Rig, ask, meanwhile, pressed
-from tests.viewer.conftest import DESK, PAINTINGS, PHONE, WATCH_TEXTS
+from tests.viewer.conftest import DESK, PAINTINGS, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
 
@@ -29,6 +29,11 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
     assert not page.locator("#raw").is_visible()
+    page.locator("#restored-frame").click()
+    probe = page.locator("#probe", has_text="difference")
+    row, column = map(int, re.search(r"taxel (\d+), (\d+)", probe.inner_text()).groups())
+    signed_text = f"{difference[row, column]:+.1f}".replace("-", "\u2212")
+    assert f", difference {signed_text} kPa (" in probe.inner_text()
     restored, above = page.pixels("restored")[..., :3], image.restored > 5
     assert above.any()
     assert (restored[above] == ABOVE).all()
@@ -57,6 +62,84 @@ def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
                 at = f"{raw['x'] + raw['width'] * x / 100}, {raw['y'] + raw['height'] / 2}"
                 assert page.evaluate(f"document.elementFromPoint({at}).closest('.frame').id") == f"{name}-frame"
         assert page.violations() == []
+
+
+LABEL = "document.getElementById('restored-surface').ariaLabel"
+VIEW = rf"{LABEL}.match(/by (-?\d+)°, seen from (\d+)°/).slice(1).map(Number)"
+
+
+def swipe(page, at, dx, dy):
+    """Move a finger over an element from its middle."""
+    box, session = page.box(at), page.context.new_cdp_session(page.page)
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    for step in range(9):
+        points = [] if step == 8 else [{"x": x + step / 7 * dx, "y": y + step / 7 * dy}]
+        kind = "touchEnd" if step == 8 else "touchMove" if step else "touchStart"
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
+def test_surfaces_are_turned_by_pointer_and_keys_and_a_link_restores_the_view(pair, open_page):
+    _rig, url = pair
+    page = open_page(f"{url}/#palm?range=0:5", **DESK)
+    page.get_by_label("View").select_option("surface")
+    page.wait("location.hash === '#palm?view=surface&range=0%3A5'")
+    page.refreshed()
+    assert not page.locator("#restored").is_visible()
+    first = page.pixels("restored-surface")
+    assert page.evaluate(VIEW) == [-30, 35]
+    box = page.box("#raw-surface")
+    page.mouse.move(box["x"] + 150, box["y"] + 150)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 130, box["y"] + 170)
+    page.mouse.up()
+    page.wait(f"{VIEW}.join() === '-20,45'")  # both are
+    assert (page.pixels("restored-surface") != first).any()
+    page.locator("#restored-surface").focus()
+    page.press("ArrowLeft", "ArrowUp")  # which would show an older frame
+    page.wait(f"{VIEW}.join() === '-15,40' && !document.body.classList.contains('paused')")
+    page.get_by_role("button", name="Turn back").click()
+    page.wait(f"{VIEW}.join() === '-30,35'")
+    np.testing.assert_array_equal(page.pixels("restored-surface"), first)
+    page.inspect()
+    page.locator("#restored-surface").focus()
+    page.press(*["ArrowDown"] * 12)
+    page.wait(f"{VIEW}.join() === '-30,90'")  # from above, where no column hides another
+    above = page.pixels("restored-surface").reshape(-1, 4)
+    colors = {tuple(each) for each in above[above[:, 3] > 0]}
+    assert colors == {tuple(each) for each in page.pixels("restored").reshape(-1, 4)}
+    assert (*ABOVE, 255) in colors
+    page.press("2")  # of no grid
+    page.wait("document.querySelector('#view option:checked').disabled")
+    assert page.locator("#restored").is_visible()
+    page.press("1")
+    page.locator("#restored-surface").wait_for()
+    phone = open_page(page.url, **TOUCH)
+    phone.wait(f"{VIEW}.join() === '-30,35'")
+    swipe(phone, "#raw-surface", 80, 0)
+    phone.wait(f"{VIEW}[0] < -45 && scrollY === 0")
+    swipe(phone, "#raw-surface", 0, -150)
+    phone.wait("scrollY > 50")  # the page's own
+    assert phone.evaluate(VIEW)[1] == 35
+
+
+def test_the_axes_of_a_surface_have_room_however_it_is_turned(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(f"{url}/#palm?view=surface&range=0:500", **PHONE)
+    page.evaluate(WATCH_TEXTS)
+    page.locator("#restored-surface").focus()
+    for turn in range(24):
+        if turn == 12:
+            page.resize(**DESK)
+        page.evaluate("window.drawn = []")
+        page.press(*["ArrowLeft"] * 6)
+        page.refreshed()
+        texts = page.evaluate("window.drawn.filter(each => each.id === 'restored-axes')")
+        assert {"x, mm", "y, mm", "kPa", "500"} <= {each["text"] for each in texts}
+        for each in texts:
+            x, y, to_x, to_y = each["box"]
+            assert 0 <= x < to_x <= each["width"], each
+            assert 0 <= y < to_y <= each["height"], each
+        assert page.evaluate(f"{SCROLL_WIDTH} <= innerWidth")
 
 
 def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):

@@ -46,7 +46,8 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * `bytes` is null where the file was moved or removed, `messages` where this service did not start the recording;
  * `error` says why it ended early.
  * @typedef {{
- *   name: string, bytes: number|null, running: boolean, bus: string|null, messages: number|null, error: string|null
+ *   name: string, bytes: number|null, modified: number|null, running: boolean, bus: string|null,
+ *   messages: number|null, error: string|null
  * }} Recording
  */
 
@@ -63,8 +64,26 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   number: number, position_s: number, sequence: number, timestamp: number, skew_s: number, method: string,
  *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
- *   resolution_mm: number, loss: Loss, warnings: Warning[], contacts: import("./sensor_stream.js").Contact[]
+ *   resolution_mm: number, loss: Loss, warnings: Warning[], contacts: import("./sensor_stream.js").Contact[],
+ *   regions: PlayedRegion[]
  * }} PlayedFrame
+ */
+
+/** @typedef {RegionMeasures & {name: string}} PlayedRegion in the restored image of a frame */
+
+/** @typedef {{value: number|null, number: number, position_s: number}} Highest `number` is that of the frame */
+
+/**
+ * Of the array or a region; of each piece of the recording the highest values.
+ * @typedef {{name: string, highest: Record<Measure, Highest>} & Record<Measure, (number|null)[]>} AreaSeries
+ */
+
+/**
+ * Restored images of a whole recording; `total` is null until the end of measuring.
+ * @typedef {{
+ *   method: string, frames: number, measured: number, running: boolean, error: string|null, unit: string,
+ *   position_s: number[], total: AreaSeries|null, regions: AreaSeries[]
+ * }} RecordedSeries
  */
 
 /**
@@ -216,10 +235,16 @@ export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE"
 /**
  * @typedef {{
  *   name: string, shape: Shape, points_mm: [number, number][],
- *   threshold: {quantity: string, above: number, below: number}|null, unit: string, now: RegionMeasures|null,
+ *   threshold: {quantity: Measure, above: number, below: number}|null, unit: string, now: RegionMeasures|null,
  *   highest: RegionMeasures|null, impulse: number, pressure_time: number, exceeded: boolean
  * }} Region
  */
+
+/** @typedef {"force"|"mean"|"peak"|"area"} Measure of a region */
+
+/** @typedef {Measure|"x"|"y"} Quantity x and y are a contact's centre of pressure */
+
+/** @typedef {{unit: string, time: number[]} & Partial<Record<Quantity, (number|null)[]>>} Series values over time (Unix s); null: not known */
 
 /** @param {string} name @returns {Promise<Region[]>} */
 export const regions = async (name) => (await request(`${at(name)}/regions`)).regions;
@@ -241,7 +266,7 @@ export const resetRegion = (name, region) => request(`${atRegion(name, region)}/
  * @param {string} region
  * @param {number} seconds
  * @param {number} points at most
- * @returns {Promise<{time: number[], force: (number|null)[]}>}
+ * @returns {Promise<Series>}
  */
 export const regionSeries = (name, region, seconds, points) =>
   request(`${atRegion(name, region)}/series?seconds=${seconds}&points=${points}`);
@@ -355,6 +380,15 @@ export async function recordedFrames(name, query) {
 /** @param {string} name @param {string} sensor @param {number} number @param {string} method "" for the live one @returns {Promise<PlayedFrame>} */
 export const recordedFrame = (name, sensor, number, method) =>
   request(`${atRecording(name)}/frames/${number}${asQuery(method ? { sensor, method } : { sensor })}`);
+
+/** @param {string} name @param {string} sensor @param {string} method "" for the live one @returns {string} */
+const atSeries = (name, sensor, method) => `${atRecording(name)}/series${asQuery(method ? { sensor, method } : { sensor })}`;
+
+/** @param {string} name @param {string} sensor @param {string} method "" for the live one @returns {Promise<RecordedSeries>} */
+export const recordedSeries = (name, sensor, method) => request(atSeries(name, sensor, method));
+
+/** @param {string} name @param {string} sensor @param {string} method @returns {string} where it is to be had */
+export const recordedSeriesCsv = (name, sensor, method) => `${ROOT}${atSeries(name, sensor, method)}&format=csv`;
 
 /** @param {string} name @param {Blob} file @returns {Promise<Recording>} */
 export const uploadRecording = (name, file) =>

@@ -11,6 +11,7 @@ import { PlaybackPage } from "./playback_page.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
 import { Regions } from "./regions.js";
+import { SeriesPanel } from "./series_panel.js";
 import { loadSetting, saveSetting } from "./storage.js";
 import { ALL, Tabs } from "./tabs.js";
 import { theme } from "./theme.js";
@@ -34,6 +35,7 @@ const viewer = new Viewer({
   onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer), onPlayback: (session) => playback.begin(session),
 });
 viewer.regions = new Regions(viewer);
+const series = new SeriesPanel(viewer);
 const wall = new Wall(viewer, (name) => choose(name));
 const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.name)?.bus ?? "", (name) => playback.open(name));
 const playback = new PlaybackPage(viewer, () => recorder.update());
@@ -170,6 +172,7 @@ controls(viewer, {
     viewer.restyle();
     wall.restyle();
     calibration.restyle();
+    series.chart.restyle();
   }),
 });
 

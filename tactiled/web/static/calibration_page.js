@@ -7,7 +7,7 @@ import { byId, element, setText } from "./dom.js";
 import { DisplayRange } from "./display_range.js";
 import { Heatmap } from "./heatmap.js";
 import { messageOf } from "./notice.js";
-import { tare } from "./tare.js";
+import { tare, undoTare } from "./tare.js";
 import { withToken } from "./token_dialog.js";
 import { readingText } from "./units.js";
 
@@ -61,7 +61,7 @@ export class CalibrationPage {
     press("calibrate-close", () => dialog.close());
     press("calibrate-next", () => this._go("gain"));
     press("calibrate-tare-now", () => tare(this._name, (text, bad = false) => this._say(text, bad)));
-    press("calibrate-tare-undo", () => this._undoTare());
+    press("calibrate-tare-undo", () => undoTare(this._name, (text, bad = false) => this._say(text, bad)));
     press("calibrate-fit", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
     press("calibrate-again", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
     press("calibrate-cancel", () => this._act("Not cancelled", () => api.calibrationAction(this._name, "cancel")));
@@ -268,11 +268,6 @@ export class CalibrationPage {
       this._show();
     }
     return done;
-  }
-
-  async _undoTare() {
-    const say = (/** @type {string} */ text, /** @type {boolean} */ bad) => this._say(text, bad);
-    if (await withToken(() => api.undoTare(this._name), "Not undone", say)) this._say("The zero before is back.");
   }
 
   /** @param {Event} event */

@@ -3,6 +3,11 @@
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { decadeTicks, labelledTicks } from "./ticks.js";
 
+/** @import { Ink } from "./dom.js" */
+
+/** @type {number[]} */
+const SOLID = [];
+
 /**
  * Points of one line; x must not fall. The arrays of a plain line may be rings.
  * @typedef {object} Line
@@ -11,15 +16,16 @@ import { decadeTicks, labelledTicks } from "./ticks.js";
  * @property {number} first the index of the first point
  * @property {number} length points in use
  * @property {number} zero the x that is drawn as 0
- * @property {"raw"|"restored"|"accent"} ink
+ * @property {Ink} ink
  * @property {"plain"|"steps"|"dots"|"points"} style points have no line between them
  * @property {number} step how wide one of the steps is, in units of x
  * @property {Float64Array|null} spread half the height of the band about the line, at each point; null for none
+ * @property {number[]} dash lengths of dashes and gaps, units of lines; none for a solid line
  */
 
 /**
  * @param {number} capacity
- * @param {"raw"|"restored"|"accent"} ink
+ * @param {Ink} ink
  * @param {"plain"|"steps"|"dots"|"points"} style
  * @param {number} step
  * @returns {Line}
@@ -27,7 +33,31 @@ import { decadeTicks, labelledTicks } from "./ticks.js";
 export function line(capacity, ink, style = "plain", step = 0) {
   const x = new Float64Array(capacity);
   const y = new Float64Array(capacity);
-  return { x, y, first: 0, length: 0, zero: 0, ink, style, step, spread: null };
+  return { x, y, first: 0, length: 0, zero: 0, ink, style, step, spread: null, dash: SOLID };
+}
+
+/**
+ * @param {number[]} time
+ * @param {(number|null)[]} values null: not known
+ * @param {number} maxGap between two values that a line joins
+ * @param {Ink} ink
+ * @param {number[]} [dash] lengths of dashes and gaps, CSS px
+ * @returns {Line} with a gap where a value is not known, or the next comes later
+ */
+export function gappedLine(time, values, maxGap, ink, dash = SOLID) {
+  /** @type {number[]} */
+  const x = [];
+  /** @type {number[]} */
+  const y = [];
+  values.forEach((value, i) => {
+    if (time[i] - time[i - 1] > maxGap) {
+      x.push(time[i]);
+      y.push(NaN);
+    }
+    x.push(time[i]);
+    y.push(value ?? NaN);
+  });
+  return { ...line(0, ink), x: new Float64Array(x), y: new Float64Array(y), length: x.length, dash: dash.map((each) => each * SUBPIXELS) };
 }
 
 /**
@@ -62,7 +92,7 @@ export class Chart {
     /** The axes, on a canvas of their own: text is the dearest part of a chart, and seldom another. */
     this._axesContext = context2d(document.createElement("canvas"));
     /** What is painted there. */
-    this._paintedAxes = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", ratio: NaN, ink: this._ink };
+    this._paintedAxes = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", y: "", ratio: NaN, ink: this._ink };
     /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
     this._w = this._h = this._sx = this._sy = 0;
   }
@@ -135,12 +165,12 @@ export class Chart {
    * @param {number} ratio device px a CSS px
    */
   _axes(axes, ratio) {
-    const { left, right, bottom, top, x } = axes;
+    const { left, right, bottom, top, x, y } = axes;
     const { _axesContext: draw, _paintedAxes: painted, _ink: ink, canvas } = this;
     const size = draw.canvas.width === canvas.width && draw.canvas.height === canvas.height;
     if (size && painted.left === left && painted.right === right && painted.bottom === bottom && painted.top === top
-      && painted.x === x && painted.ratio === ratio && painted.ink === ink) return;
-    this._paintedAxes = { left, right, bottom, top, x, ratio, ink };
+      && painted.x === x && painted.y === y && painted.ratio === ratio && painted.ink === ink) return;
+    this._paintedAxes = { left, right, bottom, top, x, y, ratio, ink };
     draw.canvas.width = canvas.width; // which clears it, too
     draw.canvas.height = canvas.height;
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -229,10 +259,10 @@ export class Chart {
       if (half) draw.lineTo(x + half, y);
       down = true;
     }
-    const dashed = this._ink.forced && of.ink === "raw";
-    if (dashed) draw.setLineDash(DASHES);
+    const dash = this._ink.forced && of.ink === "raw" ? DASHES : of.dash;
+    if (dash.length) draw.setLineDash(dash);
     if (of.style !== "points") draw.stroke();
-    if (dashed) draw.setLineDash([]);
+    if (dash.length) draw.setLineDash(SOLID);
     if (of.style === "dots" || of.style === "points") this._dots(of, axes, sx, sy);
   }
 

@@ -23,8 +23,9 @@ export class ContactTable {
    * @param {number} taxels
    * @param {number} unknown of these, nothing is known
    * @param {number} unit of their pressure
+   * @param {Map<string, number>|null} charted what the chart of series shows, as "contact 3"; null where it can show none
    */
-  show(contacts, enabled, taxels, unknown, unit) {
+  show(contacts, enabled, taxels, unknown, unit, charted) {
     const count = Math.min(MAX_ROWS, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
@@ -32,7 +33,7 @@ export class ContactTable {
     setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : "–");
     while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
-    for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i], unit);
+    for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i], unit, charted);
   }
 }
 
@@ -49,14 +50,20 @@ function noContact(taxels, unknown) {
 
 /** @returns {HTMLTableRowElement} an empty one */
 function newRow() {
-  const head = element("th", "");
+  const button = element("button", "link");
+  button.type = "button";
+  button.title = "Draw its series, or remove it from the chart";
+  const head = element("th", "", button);
   head.scope = "row";
   return element("tr", "", head, ...Array.from({ length: COLUMNS - 1 }, () => element("td", "")));
 }
 
-/** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact @param {number} unit */
-function fillRow(cells, contact, unit) {
-  setText(cells[0], String(contact.id));
+/** @param {HTMLCollectionOf<HTMLTableCellElement>} cells @param {Contact} contact @param {number} unit @param {Map<string, number>|null} charted */
+function fillRow(cells, contact, unit, charted) {
+  const button = /** @type {HTMLButtonElement} */ (cells[0].firstElementChild);
+  setText(button, String(contact.id));
+  button.disabled = !charted;
+  button.setAttribute("aria-pressed", String(charted?.has(`contact ${contact.id}`) ?? false));
   setText(cells[1], forceNumber(contact.force, unit));
   setText(cells[2], fixed(contact.peak, 0));
   setText(cells[3], fixed(contact.area_mm2, 0));

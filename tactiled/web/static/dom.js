@@ -46,10 +46,10 @@ export function context2d(canvas) {
  * @param {HTMLCanvasElement} canvas
  * @param {number} width CSS px
  * @param {number} height CSS px
- * @returns {number} device pixels per CSS px
+ * @param {number} [ratio] pixels per CSS px, else those of the screen
+ * @returns {number} pixels per CSS px
  */
-export function fitCanvas(canvas, width, height) {
-  const ratio = window.devicePixelRatio || 1;
+export function fitCanvas(canvas, width, height, ratio = window.devicePixelRatio || 1) {
   const w = Math.max(1, Math.round(width * ratio));
   const h = Math.max(1, Math.round(height * ratio));
   if (canvas.width !== w) canvas.width = w;
@@ -57,18 +57,12 @@ export function fitCanvas(canvas, width, height) {
   return ratio;
 }
 
+/** @typedef {"raw"|"restored"|"accent"|"series1"|"series2"|"series3"|"series4"|"series5"|"series6"} Ink colour of a line */
+
 /**
  * The page's colours as the theme has them now.
- * @typedef {object} ThemeColors
- * @property {string} text
- * @property {string} muted
- * @property {string} line
- * @property {string} panel
- * @property {string} raw
- * @property {string} restored
- * @property {string} accent
- * @property {string} font
- * @property {boolean} forced the system allows few colours: they alone tell nothing apart
+ * @typedef {Record<Ink|"text"|"muted"|"line"|"panel"|"font", string> & {forced: boolean}} ThemeColors where `forced`, the
+ *   system allows few colours: they alone tell nothing apart
  */
 
 /** @returns {ThemeColors} */
@@ -83,7 +77,8 @@ export function themeColors() {
   };
   const colors = {
     text: of("text"), muted: of("muted"), line: of("line"), panel: of("panel"), raw: of("raw"),
-    restored: of("restored"), accent: of("accent"), font: getComputedStyle(document.body).fontFamily,
+    restored: of("restored"), accent: of("accent"), series1: of("series1"), series2: of("series2"), series3: of("series3"),
+    series4: of("series4"), series5: of("series5"), series6: of("series6"), font: getComputedStyle(document.body).fontFamily,
     forced: matchMedia("(forced-colors: active)").matches,
   };
   swatch.remove();

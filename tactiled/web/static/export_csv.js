@@ -1,7 +1,8 @@
-/** A frame as CSV: comments that begin with #, then one line per cell. @module */
+/** A frame or series as CSV: comments that begin with #, then one line per cell or time. @module */
 
 import { UNITS } from "./units.js";
 
+/** @import { Quantity, Series } from "./api.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
 
@@ -26,6 +27,29 @@ export function csvText(plane, frame, origin) {
   }
   for (let i = 0; i < plane.restored.count; i += 1) {
     lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
+  }
+  return `${lines.join("\n")}\n`;
+}
+
+/**
+ * @param {Map<string, Series>} all by kind and name, as "contact 3"
+ * @param {number} unit of their pressure
+ * @param {[string, string][]} origin name and value of what else is to be said of them
+ * @returns {string}
+ */
+export function seriesCsv(all, unit, origin) {
+  const quantities = /** @type {Quantity[]} */ (["force", "mean", "peak", "area", "x", "y"]);
+  const force = ["N", "counts_mm2"][unit];
+  const lines = [
+    ...origin.map(([name, value]) => `# ${name}: ${value}`),
+    "# time_s is Unix time; the mean of a contact is its force over its area, x_mm and y_mm are its centre of pressure",
+    `time_s,kind,name,force_${force},mean_${UNITS[unit]},peak_${UNITS[unit]},area_mm2,x_mm,y_mm`,
+  ];
+  for (const [key, series] of all) {
+    series.time.forEach((time, i) => {
+      const row = quantities.map((each) => series[each]?.[i] ?? NaN);
+      if (row.some((each) => !Number.isNaN(each))) lines.push([time.toFixed(6), key.replace(" ", ","), ...row.map((each) => (Number.isNaN(each) ? "" : +each.toPrecision(6)))].join());
+    });
   }
   return `${lines.join("\n")}\n`;
 }

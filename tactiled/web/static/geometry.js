@@ -107,6 +107,20 @@ export class Plane {
 }
 
 /**
+ * @param {Plane} plane
+ * @param {[number, number][]} points mm
+ * @returns {{name: string, corners: [number, number][]}|null} the restored cell in which all of them lie; null for none
+ */
+export function cellAround(plane, points) {
+  const { restored: cells } = plane;
+  const [cell, ...others] = points.map(([x, y]) => plane.find(cells, x, y));
+  if (cell < 0 || others.some((each) => each !== cell)) return null;
+  const name = plane.isGrid ? `cell r${Math.floor(cell / cells.columns)} c${cell % cells.columns}` : `taxel ${cell}`;
+  const [x, y, half] = [cells.x[cell], cells.y[cell], cells.side / 2];
+  return { name, corners: [[x - half, y - half], [x + half, y + half]] };
+}
+
+/**
  * @param {number[]} xs
  * @param {number[]} ys
  * @param {number} side

@@ -26,7 +26,7 @@ export class Heatmap {
     /** CSS px per mm. */
     this.zoom = 1;
     this._ratio = 1;
-    /** @type {CanvasPattern|null} */
+    /** @type {CanvasPattern|string|null} */
     this._hatch = null;
   }
 
@@ -106,23 +106,8 @@ export class Heatmap {
 
   /** @returns {CanvasPattern|string} the hatching of a taxel of which nothing is known */
   _unknown() {
-    if (!this._hatch) {
-      const tile = document.createElement("canvas");
-      tile.width = tile.height = 8;
-      const draw = context2d(tile);
-      draw.fillStyle = "#8d949c";
-      draw.fillRect(0, 0, 8, 8);
-      draw.strokeStyle = "#5b6168";
-      draw.lineWidth = 2;
-      draw.beginPath();
-      for (const shift of [-8, 0, 8]) {
-        draw.moveTo(shift - 1, 9);
-        draw.lineTo(shift + 9, -1);
-      }
-      draw.stroke();
-      this._hatch = this._pen.createPattern(tile, "repeat");
-    }
-    return this._hatch ?? "#8d949c";
+    this._hatch ??= hatching(this._pen);
+    return this._hatch;
   }
 
   /** Where on the plane a pointer is. @param {PointerEvent} event @param {{x: number, y: number}} into mm */
@@ -132,4 +117,22 @@ export class Heatmap {
     into.x = this._plane.left + ((event.clientX - box.left) / box.width) * this._plane.width;
     into.y = this._plane.top + ((event.clientY - box.top) / box.height) * this._plane.height;
   }
+}
+
+/** @param {CanvasRenderingContext2D} pen @returns {CanvasPattern|string} fills what is unknown */
+export function hatching(pen) {
+  const tile = document.createElement("canvas");
+  tile.width = tile.height = 8;
+  const draw = context2d(tile);
+  draw.fillStyle = "#8d949c";
+  draw.fillRect(0, 0, 8, 8);
+  draw.strokeStyle = "#5b6168";
+  draw.lineWidth = 2;
+  draw.beginPath();
+  for (const shift of [-8, 0, 8]) {
+    draw.moveTo(shift - 1, 9);
+    draw.lineTo(shift + 9, -1);
+  }
+  draw.stroke();
+  return pen.createPattern(tile, "repeat") ?? "#8d949c";
 }

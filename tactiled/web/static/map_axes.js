@@ -33,7 +33,7 @@ export function drawAxes(draw, plane, zoom, left, top, ink) {
     const x = Math.round(left + (value - plane.left) * zoom) + 0.5;
     draw.moveTo(x, bottom);
     draw.lineTo(x, bottom + TICK_PX);
-    draw.fillText(text, x, bottom + TICK_PX + 2);
+    draw.fillText(text, Math.min(x, left + width - draw.measureText(text).width / 2), bottom + TICK_PX + 2);
   }
   draw.textAlign = "right";
   draw.textBaseline = "middle";

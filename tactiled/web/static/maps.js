@@ -7,7 +7,9 @@ import { DisplayRange } from "./display_range.js";
 import { Heatmap } from "./heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
+import { Projection } from "./projection.js";
 import { ShearArrows } from "./shear_arrows.js";
+import { Surface } from "./surface.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -17,10 +19,12 @@ import { ShearArrows } from "./shear_arrows.js";
 
 const WIDE_WINDOW = matchMedia("(min-width: 900px)"); // where the maps share the window's height
 const LONG_RATIO = 1.5; // times the height, from which width a map on a phone has the page's whole width
+const MIN_BESIDE_PX = 600; // CSS px, of both surfaces side by side on a page of one column
 const MIN_SNAP_SHARE = 0.94; // of the size there is, from which a cell is made a whole number of pixels
 
 export class Maps {
-  constructor() {
+  /** @param {() => void} onTurn the surfaces were turned */
+  constructor(onTurn) {
     this.raw = new Heatmap(byId("raw"), byId("raw-frame"));
     this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
     this.rawMarks = new Overlay(byId("raw-marks"));
@@ -37,6 +41,16 @@ export class Maps {
     this._differences = new Float32Array(0);
     this._taxels = new Int32Array(0); // that the cells of the restored map lie on
     this._boxes = byId("boxes");
+    this._projection = new Projection();
+    const turned = () => {
+      for (const each of this._surfaces) each.aim();
+      onTurn();
+    };
+    this._surfaces = [new Surface("Raw", this.raw.frame, this._projection, turned), new Surface("Restored", this.restored.frame, this._projection, turned)];
+    byId("surface-reset").addEventListener("click", () => {
+      this._projection.reset();
+      turned();
+    });
     /** CSS px per mm. */
     this.zoom = 1;
     /** @type {Plane|null} */
@@ -49,6 +63,8 @@ export class Maps {
     this.raw.use(plane, plane.raw);
     this.restored.use(plane, plane.restored);
     this.difference.use(plane, plane.restored);
+    this._surfaces[0].use(plane, plane.raw);
+    this._surfaces[1].use(plane, plane.restored);
     const { x, y, count } = plane.restored;
     this._taxels = Int32Array.from({ length: count }, (_, i) => plane.find(plane.raw, x[i], y[i]));
     this._differences = new Float32Array(count);
@@ -59,7 +75,7 @@ export class Maps {
   /** Show nothing. */
   clear() {
     this._plane = null;
-    for (const each of [...this._maps, ...this._values, this.rawMarks, this.restoredMarks]) each.clear();
+    for (const each of [...this._maps, ...this._values, ...this._surfaces, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
     this.colorbar.clear();
     this._differenceColorbar.clear();
@@ -82,6 +98,9 @@ export class Maps {
     if (shear && frame.sheared) this.arrows.draw(frame.shear, frame.timestamp);
     else this.arrows.clear();
     if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
+    if (view.name !== "surface") return;
+    this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
+    this._surfaces[1].paint(frame.restored, range, colormap, frame.unit);
   }
 
   /**
@@ -152,10 +171,12 @@ export class Maps {
     const box = /** @type {HTMLElement} */ (this.restored.frame.parentElement); // which every view has
     const maps = byId("maps");
     const single = maps.dataset.view === "slider";
+    const surface = maps.dataset.view === "surface";
     maps.style.removeProperty("--most"); // to see what room there is
-    const stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;
+    let stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;
+    if (surface) stacked = !WIDE_WINDOW.matches && this._boxes.clientWidth < MIN_BESIDE_PX;
     this._boxes.classList.toggle("stacked", stacked && !single);
-    maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
+    if (!surface) maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
     const height = WIDE_WINDOW.matches ? box.clientHeight - AXIS_BOTTOM_PX : 0.7 * window.innerHeight;
     const zoom = snapZoom(plane, Math.min((box.clientWidth - AXIS_LEFT_PX) / plane.width, height / plane.height));
     this.zoom = zoom;
@@ -166,7 +187,12 @@ export class Maps {
     this.restoredMarks.resize(plane, zoom);
     this.arrows.resize(plane, zoom);
     const tops = this._maps.filter((each) => each.frame.offsetParent).map((each) => each.frame.getBoundingClientRect().top);
-    maps.style.setProperty("--map-height", `${Math.max(...tops) - Math.min(...tops) + plane.height * zoom}px`);
+    const mapHeight = surface ? box.clientHeight - AXIS_BOTTOM_PX : Math.max(...tops) - Math.min(...tops) + plane.height * zoom;
+    maps.style.setProperty("--map-height", `${mapHeight}px`);
+    if (surface) {
+      this._projection.fit(plane, box.clientWidth, box.clientHeight);
+      for (const each of this._surfaces) each.resize(box.clientWidth, box.clientHeight);
+    }
     this.colorbar.forget();
     this._differenceColorbar.forget();
   }

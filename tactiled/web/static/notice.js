@@ -1,20 +1,30 @@
 /** A message that disappears by itself. @module */
 
-import { byId, setText } from "./dom.js";
+import { byId, element } from "./dom.js";
 
 const STAYS_MS = 3000;
-const BAD_STAYS_MS = 8000;
+const BAD_STAYS_MS = 8000; // also what offers something
 
 let timer = 0;
 
-/** @param {string} text @param {boolean} [bad] */
-export function notice(text, bad = false) {
-  const element = byId("notice");
-  setText(element, text);
-  element.hidden = false;
-  element.classList.toggle("bad", bad);
+/**
+ * @param {string} text
+ * @param {boolean} [bad]
+ * @param {{name: string, run: () => void}|null} [action] a button for it
+ */
+export function notice(text, bad = false, action = null) {
+  const box = byId("notice");
+  box.replaceChildren(text);
+  if (action) {
+    const button = element("button", "", action.name);
+    button.type = "button";
+    button.addEventListener("click", action.run);
+    box.append(" ", button);
+  }
+  box.hidden = false;
+  box.classList.toggle("bad", bad);
   clearTimeout(timer);
-  timer = setTimeout(() => { element.hidden = true; }, bad ? BAD_STAYS_MS : STAYS_MS);
+  timer = setTimeout(() => { box.hidden = true; }, bad || action ? BAD_STAYS_MS : STAYS_MS);
 }
 
 /** @param {unknown} error @returns {string} */

@@ -21,6 +21,7 @@ import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
+const HINTS = { flat: "Point at a map to read it; click or tap to pin.", surface: "Drag to turn, or use the arrow keys on a surface." };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
 
@@ -62,13 +63,13 @@ export class PageText {
     this._restoration(session, frame);
     this.readings.status(session?.status ?? null, live || health.level === "playback");
     this.readings.pace(pace.fps(), live && !paused && pace.painted && replayed_s === null ? pace.latency : NaN, pace.skew);
-    setText(byId("probe"), probeText(viewer, frame) || "Point at a map to read it; click or tap to pin.");
+    setText(byId("probe"), probeText(viewer, frame) || HINTS[viewer.view.name === "surface" ? "surface" : "flat"]);
     if (!(session instanceof PlaybackSession)) this._playback(session, frame, live ? replayed_s === null ? "live" : "replay" : health.level === "ended" ? "end" : "last");
     this.range(viewer.range);
     this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
-    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit);
+    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     this._section(viewer, frame);
@@ -169,8 +170,8 @@ export class PageText {
  * @param {Frame|null} frame
  * @returns {string} what the probe reads; "" where nothing is probed
  */
-function probeText({ session, probe: { x, y } }, frame) {
-  return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y) : "";
+function probeText({ session, probe: { x, y }, view }, frame) {
+  return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y, view.name === "difference") : "";
 }
 
 /**
@@ -178,19 +179,22 @@ function probeText({ session, probe: { x, y } }, frame) {
  * @param {Frame} frame
  * @param {number} x mm
  * @param {number} y mm
+ * @param {boolean} compared the difference is shown, too
  * @returns {string} what is there
  */
-function reading(plane, frame, x, y) {
+function reading(plane, frame, x, y, compared) {
   const r = plane.find(plane.raw, x, y);
   const s = plane.find(plane.restored, x, y);
   const place = `x ${fixed(x, 1)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
   const raw = Number.isNaN(frame.raw[r]) ? "unknown" : readingText(frame.raw[r], frame.unit);
+  const off = frame.restored[s] - frame.raw[r];
+  const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${readingText(off, frame.unit)}` : "";
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
   const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
-  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s], frame.unit)}${shear} (${taxel}${flags})`;
+  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;
 }
 
 /**

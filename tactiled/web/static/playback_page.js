@@ -8,10 +8,12 @@ import { positionText } from "./format.js";
 import { messageOf, notice } from "./notice.js";
 import { SPEEDS, recordingName } from "./playback_clock.js";
 import { PlaybackSession } from "./playback_session.js";
+import { RecordedSeriesPanel } from "./recorded_series.js";
 import { withToken } from "./token_dialog.js";
 import { FORCE_UNITS } from "./units.js";
 
 /** @import { Played } from "./api.js" */
+/** @import { Curve } from "./recorded_series.js" */
 /** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
 
@@ -31,6 +33,8 @@ export class PlaybackPage {
     const given = new URLSearchParams(location.hash.split("?")[1] ?? "");
     /** Name of the recording that is open; "" for none. */
     this.recording = given.get("recording") ?? "";
+    this._series = new RecordedSeriesPanel((number) => viewer.show(viewer.session instanceof PlaybackSession ? viewer.session.recorded.frames - 1 - number : 0));
+    this._regions = ""; // the sensor's, of which the values are known
     this._position = Number(given.get("at") ?? 0) || 0;
     this._speed = /** @type {HTMLSelectElement} */ (byId("speed"));
     this._loop = /** @type {HTMLInputElement} */ (byId("loop"));
@@ -120,7 +124,7 @@ export class PlaybackPage {
   }
 
   /**
-   * Wait for a recording's first frames; what plays from then on is told more as the file is read.
+   * Wait for a recording's first frames.
    * @param {string} sensor
    * @returns {Promise<Played|null>} null where there is nothing to play: the page says why, and goes on live
    */
@@ -131,7 +135,6 @@ export class PlaybackPage {
       if (recorded.reading) notice(`Reading ${name} …`);
       for (; !recorded.frames && recorded.reading; recorded = await api.played(name, sensor)) await sleep(FIRST_MS);
       if (!recorded.frames) throw new Error(recorded.error ?? NO_FRAMES);
-      this._follow(recorded);
       return recorded;
     } catch (error) {
       notice(`${name}: ${messageOf(error)}`, true);
@@ -143,13 +146,13 @@ export class PlaybackPage {
     }
   }
 
-  /** @param {Played} recorded */
-  async _follow(recorded) {
-    for (let now = recorded; now.reading;) {
+  /** Tell a session more as its file is read. @param {PlaybackSession} session */
+  async _follow(session) {
+    while (session.recorded.reading) {
       await sleep(READ_MS);
-      if (this.recording !== recorded.name) return;
-      now = await api.played(recorded.name, recorded.sensor).catch(() => now);
-      if (this._session?.recorded.sensor === now.sensor) this._session.update(now);
+      if (this._session !== session) return;
+      const now = await api.played(session.recorded.name, session.name).catch(() => session.recorded);
+      session.update(now);
       if (!now.reading && now.error) notice(`${now.name}: ${now.error}`, true);
     }
   }
@@ -160,6 +163,8 @@ export class PlaybackPage {
     session.setSpeed(Number(this._speed.value));
     session.showAt(this._position);
     this._chart = new OverviewChart(this._viewer.forces.chart);
+    this._series.use(session);
+    this._follow(session);
   }
 
   _setLoop() {
@@ -178,9 +183,18 @@ export class PlaybackPage {
     const session = this._session;
     document.body.classList.toggle("playback", session !== null);
     byId("recorded").hidden = session === null;
-    setText(byId("force-span"), session ? "raw, whole recording" : "last 10 s");
+    const curve = session && this._series.curve;
+    setText(byId("force-name"), curve ? "Whole recording" : "Total force");
+    setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : "last 10 s");
+    document.body.classList.toggle("curve", Boolean(curve));
     setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
+    this._scrub.setAttribute("aria-label", session ? "Position in the recording" : "Kept frames, newest at the right");
+    this._viewer.regions?.read();
     if (!session) return;
+    const regions = this._viewer.regions?.shapes ?? "";
+    if (regions !== this._regions) session.measureAgain();
+    this._regions = regions;
+    this._series.read(regions);
     const { recorded, position, paused } = session;
     setText(byId("pause"), paused ? "Play" : "Pause");
     const where = `${positionText(position)} / ${positionText(recorded.duration_s)}`;
@@ -195,7 +209,7 @@ export class PlaybackPage {
 
   /** Draw the force over the whole recording. @param {number} unit of pressure */
   draw(unit) {
-    if (this._session) this._chart?.draw(this._session, unit);
+    if (this._session) this._chart?.draw(this._session, unit, this._series.curve);
   }
 }
 
@@ -205,21 +219,23 @@ class OverviewChart {
   constructor(chart) {
     this._chart = chart;
     this._line = line(0, "raw");
-    /** @type {Played|null} */
+    /** @type {Played|Curve|null} */
     this._of = null;
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "position, s", y: "" };
   }
 
-  /** @param {PlaybackSession} session @param {number} unit of pressure */
-  draw({ recorded, position }, unit) {
-    if (this._of !== recorded) {
-      this._of = recorded;
-      const [x, y] = [Float64Array.from(recorded.positions_s), Float64Array.from(recorded.force)];
-      this._line = { ...this._line, x, y, length: x.length };
-      const top = roundUp(Math.max(1e-3, ...recorded.force));
-      const lowest = Math.min(...recorded.force);
+  /** @param {PlaybackSession} session @param {number} unit of pressure @param {Curve|null} curve instead of the raw force */
+  draw({ recorded, position }, unit, curve) {
+    if (this._of !== (curve ?? recorded)) {
+      this._of = curve ?? recorded;
+      const { x: at, y: values, unit: y } = curve ?? { x: recorded.positions_s, y: recorded.force, unit: FORCE_UNITS[unit] };
+      const all = Float64Array.from(values, (each) => each ?? NaN);
+      const known = all.filter(Number.isFinite);
+      this._line = { ...line(0, curve ? "restored" : "raw"), x: Float64Array.from(at), y: all, length: at.length };
+      const top = roundUp(Math.max(1e-3, ...known));
+      const lowest = Math.min(0, ...known);
       const bottom = lowest < -0.05 * top ? -roundUp(-lowest) : -0.06 * top;
-      this._axes = { ...this._axes, right: Math.max(recorded.duration_s, 1e-3), top, bottom, y: FORCE_UNITS[unit] };
+      this._axes = { ...this._axes, right: Math.max(recorded.duration_s, 1e-3), top, bottom, y };
     }
     this._chart.draw(this._axes, [this._line], position);
   }

@@ -8,7 +8,7 @@ import { Timeline } from "./timeline.js";
 import { forceText, unitOf } from "./units.js";
 import { RAW, RESTORED, SHEAR, messageBytes, packet, parse } from "./wire.js";
 
-/** @import { Played, PlayedFrame } from "./api.js" */
+/** @import { Played, PlayedFrame, PlayedRegion } from "./api.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Health } from "./health.js" */
@@ -101,6 +101,12 @@ export class PlaybackSession {
     return frame && this._statuses.at(frame.timestamp);
   }
 
+  /** @returns {PlayedRegion[]} what the regions hold in the frame that is shown; none until that is known */
+  get regions() {
+    const { frame } = this;
+    return (frame && this.contacts.at(frame.timestamp)?.regions) ?? [];
+  }
+
   /** @returns {Health} */
   health() {
     return this._health;
@@ -148,6 +154,12 @@ export class PlaybackSession {
     this._turn += 1;
   }
 
+  /** The sensor has other regions: ask for their values. */
+  measureAgain() {
+    this._detailed = -1;
+    this.contacts.clear();
+  }
+
   /** Show another frame. @param {number} to how far before the last */
   show(to) {
     this._seek(Math.max(0, Math.min(this.recorded.frames - 1, this.recorded.frames - 1 - to)));
@@ -162,6 +174,7 @@ export class PlaybackSession {
   /** More of the recording was read. @param {Played} recorded */
   update(recorded) {
     this.recorded = recorded;
+    this._listener.onChange();
   }
 
   /** @param {number} number of a frame */
@@ -283,7 +296,7 @@ export class PlaybackSession {
   _take(details, method) {
     const { frames, duration_s, unit } = this.recorded;
     for (const each of details.contacts) each.label = `${each.id}: ${forceText(each.force, this.unit)}`;
-    this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts });
+    this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts, regions: details.regions });
     const rate_hz = duration_s > 0 ? (frames - 1) / duration_s : NaN;
     this.status = {
       ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz, jitter_s: null, detail: "",

@@ -45,7 +45,8 @@ export class Recorder {
   /** Look at the folder. */
   async update() {
     if (!this.offered) return;
-    this._recordings = await api.recordings();
+    const at = (/** @type {Recording} */ { running, modified }) => (running ? Infinity : modified ?? 0);
+    this._recordings = (await api.recordings()).sort((one, other) => at(other) - at(one) || 0);
     this.read();
   }
 

@@ -1,4 +1,4 @@
-/** Drawing a region on a map: drag a rectangle or an ellipse, click the corners of a polygon. @module */
+/** Drawing a region on a map: drag a rectangle or an ellipse, or click a cell; click the corners of a polygon. @module */
 
 import { notice } from "./notice.js";
 
@@ -6,10 +6,9 @@ import { notice } from "./notice.js";
 /** @import { Heatmap } from "./heatmap.js" */
 
 const HINTS = {
-  rectangle: "Drag on a map. Esc ends.", ellipse: "Drag on a map. Esc ends.",
+  rectangle: "Drag on a map, or click a cell. Esc ends.", ellipse: "Drag on a map, or click a cell. Esc ends.",
   polygon: "Click the corners on a map; Enter closes the polygon, Esc ends.",
 };
-const MIN_SIDE_MM = 0.05; // of what a drag has made: less was a click
 
 export class RegionDrawing {
   /**
@@ -34,6 +33,7 @@ export class RegionDrawing {
     this.points = [];
     document.body.classList.add("drawing");
     notice(HINTS[shape]);
+    this._onChange();
   }
 
   /** Draw nothing any more. */
@@ -94,8 +94,7 @@ export class RegionDrawing {
 
   _finish() {
     const { shape, points } = this;
-    const sides = [0, 1].map((axis) => Math.max(...points.map((each) => each[axis])) - Math.min(...points.map((each) => each[axis])));
     this.stop();
-    if (shape && Math.min(...sides) > MIN_SIDE_MM) this._onDone(shape, points);
+    if (shape) this._onDone(shape, points);
   }
 }

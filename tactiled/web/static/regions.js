@@ -1,17 +1,19 @@
 /** Regions of the sensor that is watched: their list, their values over time, and the dialog to set one. @module */
 
 import * as api from "./api.js";
-import { Chart, line } from "./chart.js";
+import { Chart, gappedLine } from "./chart.js";
 import { roundUp } from "./display_range.js";
 import { byId, element, setText } from "./dom.js";
 import { fixed } from "./format.js";
+import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
 import { RegionLayer } from "./region_layer.js";
 import { messageOf, notice } from "./notice.js";
+import { PlaybackSession } from "./playback_session.js";
 import { withToken } from "./token_dialog.js";
-import { FORCE_UNITS, UNITS, forceNumber, forceText, pressureText, unitOf } from "./units.js";
+import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "./units.js";
 
-/** @import { Region, Shape } from "./api.js" */
+/** @import { Measure, Region, Shape } from "./api.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 const POLL_MS = 500;
@@ -24,11 +26,13 @@ export class Regions {
     this._viewer = viewer;
     /** @type {Region[]} */
     this._regions = [];
+    /** @type {Region[]} as the service has them; in the list those of a recording have the values of its frame */
+    this._watched = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
     this._layers = [raw, restored].map((each) => new RegionLayer(each.frame));
-    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._open({ shape, points_mm: points }, viewer.name));
+    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._drawn(shape, points));
     this._body = /** @type {HTMLTableSectionElement} */ (byId("regions").querySelector("tbody"));
     this._dialog = /** @type {HTMLDialogElement} */ (byId("region"));
     this._name = /** @type {HTMLInputElement} */ (byId("region-name"));
@@ -39,7 +43,7 @@ export class Regions {
     this._chart = new Chart(/** @type {HTMLCanvasElement} */ (byId("region-chart")));
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
-    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._drawing.start(shape));
+    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.stop() : this._drawing.start(shape)));
     byId("region-save").addEventListener("click", () => this._save());
     byId("region-delete").addEventListener("click", () => this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
@@ -47,6 +51,11 @@ export class Regions {
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());
     setInterval(() => this._poll(), POLL_MS);
+  }
+
+  /** @returns {string[]} of the regions in the list */
+  get names() {
+    return this._regions.map((each) => each.name);
   }
 
   /** The maps have another size. @param {number} zoom CSS px per mm */
@@ -71,9 +80,28 @@ export class Regions {
     if (this._dialog.open) await this._plot();
   }
 
-  /** @param {string} sensor @param {Region[]} regions */
-  _take(sensor, regions) {
+  /** @returns {string} what differs where a region is another */
+  get shapes() {
+    return JSON.stringify(this._watched.map(({ name, shape, points_mm }) => [name, shape, points_mm]));
+  }
+
+  /** Bring the values up to date with the frame of a recording that is shown. */
+  read() {
+    if (this._viewer.session instanceof PlaybackSession && this._sensor === this._viewer.name) this._take(this._sensor, this._watched);
+  }
+
+  /** @param {string} sensor @param {Region[]} watched */
+  _take(sensor, watched) {
+    const { session } = this._viewer;
+    for (const { name, threshold, exceeded, unit } of session instanceof PlaybackSession ? [] : watched) {
+      if (exceeded && threshold && !(sensor === this._sensor && this._watched.some((each) => each.name === name && each.exceeded))) {
+        notice(`Region ${name}: ${threshold.quantity} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
+      }
+    }
     this._sensor = sensor;
+    this._watched = watched;
+    const regions = session instanceof PlaybackSession
+      ? watched.map((each) => ({ ...each, exceeded: false, now: session.regions.find(({ name }) => name === each.name) ?? null })) : watched;
     this._regions = regions;
     byId("regions").hidden = !regions.length;
     while (this._body.rows.length < regions.length) this._body.append(this._row());
@@ -106,8 +134,19 @@ export class Regions {
 
   _draw() {
     const { shape, points } = this._drawing;
+    for (const each of SHAPES) byId(`region-${each}`).setAttribute("aria-pressed", String(each === shape));
     const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
     for (const each of this._layers) each.draw([...this._regions, ...drawn]);
+  }
+
+  /** Open the dialog for a new region: what was drawn, or the cell that was clicked. @param {Shape} shape @param {[number, number][]} points */
+  _drawn(shape, points) {
+    const { session, name } = this._viewer;
+    const cell = shape !== "polygon" && session ? cellAround(session.plane, points) : null;
+    this._open(cell ? { shape: "rectangle", points_mm: cell.corners } : { shape, points_mm: points }, name);
+    if (!cell) return;
+    setText(byId("region-title"), "New region: one cell");
+    this._name.value = cell.name;
   }
 
   /**
@@ -124,12 +163,13 @@ export class Regions {
     this._name.readOnly = !isNew;
     this._limit.value = region.threshold?.quantity ?? "";
     for (const option of this._limit.options) {
-      option.textContent = { force: `force, ${FORCE_UNITS[unit]}`, mean: `mean, ${UNITS[unit]}`, peak: `peak, ${UNITS[unit]}`, area: "area, mm²" }[option.value] ?? "none";
+      const quantity = /** @type {Measure|""} */ (option.value);
+      option.textContent = quantity ? `${quantity}, ${unitOfQuantity(quantity, unit)}` : "none";
     }
     this._above.value = String(region.threshold?.above ?? "");
     this._below.value = String(region.threshold?.below ?? "");
-    byId("region-held").hidden = isNew;
-    for (const id of ["region-delete", "region-reset"]) byId(id).hidden = isNew;
+    byId("region-held").hidden = byId("region-reset").hidden = isNew || this._viewer.session instanceof PlaybackSession;
+    byId("region-delete").hidden = isNew;
     this._showLimit();
     this._dialog.showModal();
     if (isNew) this._name.focus();
@@ -143,8 +183,14 @@ export class Regions {
   async _save() {
     const { _chosen: chosen, _name: { value: name } } = this;
     if (!chosen) return;
-    const quantity = this._limit.value;
-    const threshold = quantity ? { quantity, above: this._above.valueAsNumber, below: this._below.valueAsNumber } : null;
+    const quantity = /** @type {Measure|""} */ (this._limit.value);
+    const above = this._above.valueAsNumber;
+    if (quantity && Number.isNaN(above)) {
+      notice("Region not saved: give the value above which it is reported.", true);
+      return;
+    }
+    const below = this._below.value ? this._below.valueAsNumber : above;
+    const threshold = quantity ? { quantity, above, below } : null;
     const { shape, points_mm } = chosen;
     if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {
       notice(`There is a region ${name}: give another name.`, true);
@@ -154,17 +200,18 @@ export class Regions {
     await this._poll();
   }
 
-  /** @param {string} failed @param {(name: string) => Promise<unknown>} action @param {boolean} close */
+  /** @param {string} failed @param {(name: string) => Promise<unknown>} action @param {boolean} close at once: nothing asks for what is deleted */
   async _act(failed, action, close) {
     const name = this._chosen?.name;
-    if (name !== undefined && await withToken(() => action(name), failed) && close) this._dialog.close();
+    if (close) this._dialog.close();
+    if (name !== undefined) await withToken(() => action(name), failed);
     await this._poll();
   }
 
   /** Bring the dialog's chart and values up to date. */
   async _plot() {
     const region = this._regions.find((each) => each.name === this._chosen?.name);
-    if (!region) return;
+    if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
     const { highest, impulse, pressure_time } = region;
     const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
@@ -175,13 +222,8 @@ export class Regions {
     /** @type {HTMLAnchorElement} */ (byId("region-csv")).href = api.regionCsv(this._owner, region.name, seconds);
     try {
       const { time, force } = await api.regionSeries(this._owner, region.name, seconds, CHART_POINTS);
-      const of = line(time.length, "restored");
-      of.length = time.length;
+      const of = gappedLine(time, force ?? [], Infinity, "restored");
       of.zero = time[time.length - 1] ?? 0;
-      time.forEach((each, i) => {
-        of.x[i] = each;
-        of.y[i] = force[i] ?? NaN;
-      });
       const top = roundUp(Math.max(unit ? 100 : 0.1, ...of.y.filter(Number.isFinite)));
       this._chart.draw({ left: -seconds, right: 0, bottom: 0, top, x: "time, s", y: FORCE_UNITS[unit] }, [of]);
     } catch (error) {

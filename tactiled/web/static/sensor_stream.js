@@ -3,7 +3,7 @@
 import { ReconnectingSocket } from "./socket.js";
 import { kindOf, packet, parse } from "./wire.js";
 
-/** @import { Loss, State, Warning } from "./api.js" */
+/** @import { Loss, PlayedRegion, State, Warning } from "./api.js" */
 /** @import { Packet } from "./wire.js" */
 
 /**
@@ -24,7 +24,7 @@ import { kindOf, packet, parse } from "./wire.js";
  * }} Contact `label`, its number and force, is the page's own
  */
 
-/** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[]}} ContactsMessage strongest first */
+/** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[], regions?: PlayedRegion[]}} ContactsMessage strongest first; of a recording also its regions */
 
 /**
  * @typedef {object} Listener

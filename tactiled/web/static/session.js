@@ -1,6 +1,7 @@
 /** One sensor as it is watched: its stream, the frames that are kept, and which of them is shown. @module */
 
 import * as api from "./api.js";
+import { ContactSeries } from "./contact_series.js";
 import { DeviationCache } from "./deviation.js";
 import { FrameHistory } from "./frame_history.js";
 import { Freshness } from "./freshness.js";
@@ -50,6 +51,8 @@ export class Session {
     this.history = new FrameHistory(plane, hasShear);
     /** @type {Timeline<ContactsMessage>} */
     this.contacts = new Timeline(MAX_CONTACTS, CONTACTS_WITHIN_S);
+    /** Of all contacts that came, those of a paused page too. */
+    this.series = new ContactSeries();
     /** @type {Timeline<Status>} */
     this._statuses = new Timeline(MAX_STATUSES, STATUS_WITHIN_S);
     this.deviations = new DeviationCache(name, plane.restored.count);
@@ -71,6 +74,7 @@ export class Session {
       onStatus: (status) => this._takeStatus(status),
       onLink: () => this._linked(),
       onContacts: (message) => {
+        this.series.push(message);
         if (this.paused || unitOf(message.unit) !== this.unit) return;
         for (const each of message.contacts) each.label = `${each.id}: ${forceText(each.force, this.unit)}`;
         this.contacts.push(message);

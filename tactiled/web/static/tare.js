@@ -5,12 +5,18 @@ import { byId, setText } from "./dom.js";
 import { notice } from "./notice.js";
 import { withToken } from "./token_dialog.js";
 
+const LOOK_MS = 500; // between two looks whether a tare is complete
+const MAX_LOOKS = 60;
+
 const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 
-/** @param {string} name @param {typeof notice} [report] @returns {Promise<boolean>} it has begun */
+/** @import { Calibration } from "./api.js" */
+
+/** @param {string} name @param {(text: string, bad?: boolean) => void} [report] where to say it @returns {Promise<boolean>} it has begun */
 export async function tare(name, report = notice) {
   if (!name) return false;
   let seen = "";
+  const before = report === notice ? await api.calibration(name).catch(() => null) : null; // the dialog has its own undo
   const begin = (/** @type {boolean} */ force) => withToken(() => api.tare(name, force).catch((error) => {
     if (error.code !== "loaded") throw error;
     ({ seen } = error);
@@ -18,7 +24,28 @@ export async function tare(name, report = notice) {
   let begun = await begin(false);
   if (seen) begun = await confirmTare(name, seen) && await begin(true);
   if (begun) report("Tare: the next frames are taken as the unloaded array.");
+  if (begun && before) offerUndo(name, before);
   return begun;
+}
+
+/**
+ * Wait for a tare to be complete, and offer to undo it.
+ * @param {string} name
+ * @param {Calibration} before the tare
+ */
+async function offerUndo(name, before) {
+  let now = before;
+  for (let look = 0; now.tared_at === before.tared_at; look += 1) {
+    if (look === MAX_LOOKS) return;
+    await new Promise((resolve) => { setTimeout(resolve, LOOK_MS); });
+    now = await api.calibration(name).catch(() => before);
+  }
+  notice(`${name}: tare complete.`, false, { name: "Undo", run: () => undoTare(name) });
+}
+
+/** @param {string} name @param {(text: string, bad?: boolean) => void} [report] where to say it */
+export async function undoTare(name, report = notice) {
+  if (await withToken(() => api.undoTare(name), "Not undone", report)) report("The zero before is back.");
 }
 
 /**

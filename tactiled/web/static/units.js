@@ -11,6 +11,9 @@ export const UNITS = ["kPa", "counts"];
 export const FORCE_UNITS = ["N", "counts·mm²"];
 export const FORCE_SCALES = [1e-3, 1]; // force of a pressure of 1 on 1 mm²
 
+/** @param {import("./api.js").Measure} quantity @param {number} unit of pressure @returns {string} that of the quantity */
+export const unitOfQuantity = (quantity, unit) => ({ force: FORCE_UNITS[unit], mean: UNITS[unit], peak: UNITS[unit], area: "mm²" })[quantity];
+
 /** @param {string} name as the service's JSON has it @returns {number} index in UNITS */
 export const unitOf = (name) => Math.max(0, UNITS.indexOf(name));
 

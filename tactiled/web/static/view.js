@@ -26,6 +26,7 @@ export class View {
     this._ranges = ranges;
     this._onChange = onChange;
     this._views = /** @type {HTMLSelectElement} */ (byId("view"));
+    this._surface = /** @type {HTMLOptionElement} */ (byId("view-surface"));
     this._colors = /** @type {HTMLSelectElement} */ (byId("colors"));
     this._scales = /** @type {HTMLSelectElement} */ (byId("wall-scale"));
     this._split = /** @type {HTMLInputElement} */ (byId("split"));
@@ -52,7 +53,15 @@ export class View {
 
   /** @returns {string} both, slider, difference or surface */
   get name() {
-    return this._views.value;
+    const { value } = this._views;
+    return value === "surface" && this._surface.disabled ? "both" : value;
+  }
+
+  /** @param {boolean} isGrid cells have rows and columns, as those of a surface must */
+  offerSurface(isGrid) {
+    this._surface.disabled = !isGrid;
+    this._surface.text = isGrid ? "3-D surface" : "3-D surface: grids only";
+    this._show();
   }
 
   /** @returns {boolean} each map of the wall has a scale of its own */
@@ -69,7 +78,7 @@ export class View {
   address(unit) {
     const range = this._ranges[unit];
     const said = new URLSearchParams();
-    if (this._views.selectedIndex) said.set("view", this.name);
+    if (this._views.selectedIndex) said.set("view", this._views.value);
     if (this._colors.selectedIndex) said.set("colors", this._colors.value);
     if (!range.auto) said.set("range", `${range.low}:${range.high}`);
     return said.size ? `?${said}` : "";

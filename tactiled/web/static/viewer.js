@@ -42,7 +42,7 @@ export class Viewer {
     this._listener = listener;
     /** By unit of pressure. */
     this.ranges = UNITS.map(() => new DisplayRange());
-    this.maps = new Maps();
+    this.maps = new Maps(() => this.refresh());
     this.section = new CrossSection(byId("section"));
     this.forces = new TrendChart(byId("forces"), FORCE_UNITS[0], MIN_FORCES[0]);
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
@@ -55,6 +55,8 @@ export class Viewer {
     this.view = new View(this.ranges, () => this.restyle());
     /** @type {import("./regions.js").Regions|null} */
     this.regions = null;
+    /** @type {Map<string, number>|null} what the chart of series shows, as "contact 3"; null where it can show none */
+    this.charted = null;
     /** @type {Session|PlaybackSession|null} */
     this.session = null;
     /** @type {((name: string) => Promise<Played|null>)|null} gives the recording to watch in the place of a sensor */
@@ -256,6 +258,7 @@ export class Viewer {
   /** @param {Sensor} sensor @param {Plane} plane @param {Played|null} recorded what is watched in its place */
   _open(sensor, plane, recorded) {
     const { name, shear } = sensor;
+    this.view.offerSurface(plane.isGrid);
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;

@@ -13,7 +13,7 @@ import { WallStream } from "./wall_stream.js";
 /** @import { Viewer } from "./viewer.js" */
 
 const READ_MS = 200; // between two updates of the texts
-const RATE_HZ = 15;
+const RATE_HZ = 40; // of each sensor, at most: of one at 100 Hz every third image
 const GAP_PX = 12; // between tiles
 const PADDING_PX = 26; // of a tile's width beside its map: what the style pads
 const TEXT_HEIGHT_PX = 126; // of its height above and below: name, scale, force and warnings
