@@ -92,15 +92,21 @@ def _address(config: Server) -> tuple[socket.AddressFamily, socket.SocketKind, t
 
 
 class _Server(uvicorn.Server):
-    """uvicorn's, which tells systemd when it begins to stop."""
+    """uvicorn's, which tells systemd when it begins to stop, and the servers beside it."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self.beside: list[uvicorn.Server] = []
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close every connection."""
+        """Close every connection, those of the servers beside this one meanwhile."""
         systemd.notify(STOPPING="1", STATUS="stopping")
+        for each in self.beside:
+            each.should_exit = True
         await super().shutdown(sockets)
 
 
-def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) -> uvicorn.Server:
+def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) -> _Server:
     """A server whose event loop looks at the watchdog once a second."""
 
     async def look() -> None:
@@ -162,7 +168,10 @@ def serve(service: "Service | Fleet", config: Server) -> None:
         if config.foxglove is not None:
             foxglove.need("server.foxglove")
         server = _server(_application(service, config), config, _watchdog(service, _url(listener, config)))
-        with bridge(cast("Service", service), config.foxglove) as port, xela_clients(service, config) as address:
+        with (
+            bridge(cast("Service", service), config.foxglove) as port,
+            xela_clients(service, config, server.beside) as address,
+        ):
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
             names = "sensors of all robots" if isinstance(service, Fleet) else ", ".join(service.sensors)
@@ -203,22 +212,29 @@ def running(service: "Service | Fleet", config: Server | None = None) -> Iterato
 
 
 @contextmanager
-def xela_clients(service: ServiceView, config: Server) -> Iterator[str | None]:
-    """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address."""
+def xela_clients(
+    service: ServiceView, config: Server, beside: list[uvicorn.Server] | None = None
+) -> Iterator[str | None]:
+    """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address.
+
+    The server is added to those `beside` another, which ends them.
+    """
     if config.xela is None:
         yield None
         return
     secrets = dict.fromkeys(("read_token", "control_token", "tls_certificate", "tls_key"))
     config = config.model_copy(update=secrets | {"host": config.xela_host, "port": config.xela})
-    with _on_thread(xela.alone(service, config), config) as url:
+    with _on_thread(xela.alone(service, config), config, beside) as url:
         yield url.replace("http", "ws", 1)
 
 
 @contextmanager
-def _on_thread(app: FastAPI, config: Server) -> Iterator[str]:
+def _on_thread(app: FastAPI, config: Server, beside: list[uvicorn.Server] | None = None) -> Iterator[str]:
     """Serve an application on a thread meanwhile; gives its URL."""
     listener = _listen(config)
     server = _server(app, config)
+    if beside is not None:
+        beside.append(server)
     thread = threading.Thread(target=server.run, args=([listener],), name="server", daemon=True)
     thread.start()
     end = time.monotonic() + MAX_START_S
