@@ -72,4 +72,4 @@ class FairLock:
             turn.release()
 
 
-FRAME_LOCK = FairLock()  # of all threads that assemble or restore frames
+FRAME_LOCK = FairLock()  # of all threads that assemble or restore frames, or send them

@@ -25,7 +25,7 @@ from tactiled.interop.zenoh_session import need
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.simulate.playback import player
+from tactiled.simulate.playback import SCENE_S, TOUR, player
 from tactiled.web.server import running
 from tactiled.wire import unpack
 
@@ -33,7 +33,7 @@ WARM_UP_S = 3.0  # connections, caches and the measured noise settle
 DRAIN_S = 0.5  # after the last frame was sent
 WAIT_S = 60.0  # for sensors of other processes
 SERVER = Server(port=0, streams_per_client=0, streams=0)
-RECORDED_FRAMES = 256  # of a tour's scenes, sent over and over: as many as sequence numbers
+SCENE_FRAMES = 128  # of each scene, at the speed at which it moves: with those of the others a multiple of 256
 SENSORS_PER_BUS = 4  # more of 32 x 32 at 100 Hz do not fit on one bus of CAN FD
 BUFFER_BYTES = 8 << 20  # of a bus's socket
 CAN_FRAME = Struct("=IB3x64s")  # of Linux, CAN FD
@@ -99,11 +99,11 @@ def configuration(sensors: int) -> Config:
     return parse("".join(BUS.format(bus=each) for each in sorted({*buses})) + "".join(tables))
 
 
-def frames_of(sensor: Sensor) -> list[list[bytes]]:
-    """A tour's frames as SocketCAN has them, one list of messages each."""
+def frames_of(sensor: Sensor, rate_hz: float) -> list[list[bytes]]:
+    """A part of every scene of a tour as SocketCAN has it, one list of messages each, sent over and over."""
     plan = sensor.plan
     source = player(plan.array, plan.kernel, plan.codec, plan.calibration, noise_kpa=0.2)
-    times = [n * 48.0 / RECORDED_FRAMES for n in range(RECORDED_FRAMES)]
+    times = [SCENE_S * (n + 0.25) + k / rate_hz for n in range(len(TOUR)) for k in range(SCENE_FRAMES)]
     return [[each.data for each in source.messages(n, t, 0.0)] for n, t in enumerate(times)]
 
 
@@ -125,7 +125,7 @@ def measure(
     With `readers` so many processes read, restore and publish by Zenoh, each a part of the sensors, and this one
     serves; else this one does it all.
     """
-    payloads = frames_of(Service(configuration(1)).sensor("s0"))
+    payloads = frames_of(Service(configuration(1)).sensor("s0"), rate_hz)
     context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
     (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
     flow, end = "&flow=credit" if pull else "", context.Event()

@@ -4,10 +4,12 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
+from threading import Lock
 from typing import NamedTuple
 
 from tactiled.frames import Image
 from tactiled.runtime.sensor_view import SensorView, ServiceView
+from tactiled.threads import FRAME_LOCK
 from tactiled.web import answers, schemas
 from tactiled.web.http.protocols import frame
 from tactiled.wire import Kind, pack
@@ -34,8 +36,9 @@ class ContactsFrame(NamedTuple):
 class Feed:
     """Wakes the clients of one sensor when there is something new; lives on one event loop."""
 
-    def __init__(self, sensor: SensorView) -> None:
+    def __init__(self, sensor: SensorView, images: "_NewImages") -> None:
         self.sensor = sensor
+        self._images = images
         self.image: Image | None = None
         self._frames: dict[Format, list[bytes]] = {}
         self._status: schemas.StreamStatus | None = None
@@ -48,9 +51,9 @@ class Feed:
     def listen(self, wake: Callable[[], None]) -> Iterator[None]:
         """Call `wake` now, and whenever there may be a newer image or another state."""
         if not self._clients:
-            self._take(self.sensor.hub.latest())
+            self.take(self.sensor.hub.latest())
             loop = asyncio.get_running_loop()
-            self._stop = self.sensor.hub.subscribe(lambda image: _hand_over(loop, self, image))
+            self._stop = self.sensor.hub.subscribe(lambda image: self._images.hand_over(loop, self, image))
         self._clients.add(wake)
         wake()
         try:
@@ -120,11 +123,47 @@ class Feed:
         contacts = answers.contacts(self.sensor)
         return None if contacts is None else ContactsFrame(contacts.sequence, frame(contacts.model_dump_json()))
 
-    def _take(self, image: Image | None) -> None:
+    def take(self, image: Image | None) -> None:
+        """Wake every client for a new image."""
         self.image = image
         self._frames.clear()
         self._contacts = None
         self.tick()
+
+
+class _NewImages:
+    """Images on their way from worker threads to the event loop, of each feed the newest.
+
+    The loop takes all of them in one turn of FRAME_LOCK: threads that take the interpreter from each other in the
+    middle of a frame, or of what clients are sent, spend time on that.
+    """
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._images: dict[Feed, Image] = {}
+
+    def hand_over(self, loop: asyncio.AbstractEventLoop, feed: Feed, image: Image) -> None:
+        """Have the loop take an image; a closed loop has no clients. Any thread."""
+        with self._lock:
+            is_first = not self._images
+            self._images[feed] = image
+        if not is_first:
+            return
+        try:
+            loop.call_soon_threadsafe(self._take, loop)
+        except RuntimeError:
+            if not loop.is_closed():
+                raise
+
+    def _take(self, loop: asyncio.AbstractEventLoop) -> None:
+        with FRAME_LOCK:
+            with self._lock:
+                images, self._images = self._images, {}
+            for feed, image in images.items():
+                try:
+                    feed.take(image)
+                except Exception as error:  # the others' clients have nothing to do with it
+                    loop.call_exception_handler({"message": f"stream of {feed.sensor.name}", "exception": error})
 
 
 class Feeds(Mapping[str, Feed]):
@@ -134,6 +173,7 @@ class Feeds(Mapping[str, Feed]):
         self._service = service
         self._sensors: Mapping[str, SensorView] = {}
         self._feeds: dict[str, Feed] = {}
+        self._images = _NewImages()
         self._listeners: set[Callable[[], None]] = set()
         self.follow()
 
@@ -162,7 +202,7 @@ class Feeds(Mapping[str, Feed]):
             return
         before, self._sensors = self._feeds, sensors
         self._feeds = {
-            name: before[name] if name in before and before[name].sensor is sensor else Feed(sensor)
+            name: before[name] if name in before and before[name].sensor is sensor else Feed(sensor, self._images)
             for name, sensor in sensors.items()
         }
         for changed in tuple(self._listeners):
@@ -185,12 +225,3 @@ async def ticking(feeds: Feeds) -> AsyncIterator[None]:
         yield
     finally:
         task.cancel()
-
-
-def _hand_over(loop: asyncio.AbstractEventLoop, feed: Feed, image: Image) -> None:
-    """Hand an image over from the worker thread; a closed loop has no clients."""
-    try:
-        loop.call_soon_threadsafe(feed._take, image)
-    except RuntimeError:
-        if not loop.is_closed():
-            raise
