@@ -71,6 +71,7 @@ class Recording:
     messages: int | None  # in the file so far
     unreadable: int | None  # messages lost: the interface could not decode them
     error: str | None  # why it ended early
+    modified: float | None = None  # s, Unix time of its last message, or of its upload; None: it was removed
 
 
 @dataclass(frozen=True, slots=True)

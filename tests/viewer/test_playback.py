@@ -53,6 +53,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
     page.get_by_role("slider", name="Position in the recording").wait_for()
     assert page.text("pill-text", "recorded-name") == ["recording", "grasp.log"]
+    page.get_by_role("img", name="Total raw force over the whole recording").wait_for()
     page.press("t")
     page.wait("document.getElementById('notice').innerText === 'A recording plays: go back to live to tare.'")
     assert rig.sensor.pipeline.zero.time is None

@@ -25,6 +25,8 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     assert low == -high
     difference = image.restored - image.raw
     assert np.abs(difference).max() <= high
+    least, most = (f"{each:+.1f}".replace("-", "\u2212") for each in (difference.min(), difference.max()))
+    page.wait(f"document.getElementById('difference-extremes').textContent === ': {least} to {most} kPa'")
     levels = np.clip(np.floor((difference + high) * 128 / high), 0, 255).astype(int)
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()

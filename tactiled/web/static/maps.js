@@ -2,14 +2,16 @@
 
 import { CellValues } from "./cell_values.js";
 import { Colorbar } from "./colorbar.js";
-import { byId } from "./dom.js";
+import { byId, setText } from "./dom.js";
 import { DisplayRange } from "./display_range.js";
+import { fixed } from "./format.js";
 import { Heatmap } from "./heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
 import { Projection } from "./projection.js";
 import { ShearArrows } from "./shear_arrows.js";
 import { Surface } from "./surface.js";
+import { UNITS } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -115,7 +117,10 @@ export class Maps {
     const [raw, restored, difference] = this._values;
     raw.draw(frame.raw, plane, plane.raw, range, colormap);
     restored.draw(frame.restored, plane, plane.restored, range, colormap);
-    if (name === "difference" && signed) difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+    if (name !== "difference" || !signed) return;
+    difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+    const [least, most] = extremes(this._differences);
+    setText(byId("difference-extremes"), `: ${signedText(least)} to ${signedText(most)} ${UNITS[frame.unit]}`);
   }
 
   /** @returns {HTMLCanvasElement[]} what is written over raw and restored map */
@@ -197,6 +202,20 @@ export class Maps {
     this._differenceColorbar.forget();
   }
 }
+
+/** @param {Float32Array} values @returns {[number, number]} the least and the most of those that are known; 0 is between them */
+function extremes(values) {
+  let least = 0;
+  let most = 0;
+  for (const each of values) {
+    if (each < least) least = each;
+    if (each > most) most = each;
+  }
+  return [least, most];
+}
+
+/** @param {number} value @returns {string} */
+const signedText = (value) => `${value > 0 ? "+" : ""}${fixed(value, 1)}`;
 
 /**
  * @param {Plane} plane

@@ -186,6 +186,7 @@ export class PlaybackPage {
     const curve = session && this._series.curve;
     setText(byId("force-name"), curve ? "Whole recording" : "Total force");
     setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : "last 10 s");
+    byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : "Total force over the last ten seconds, raw and restored");
     document.body.classList.toggle("curve", Boolean(curve));
     setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
     this._scrub.setAttribute("aria-label", session ? "Position in the recording" : "Kept frames, newest at the right");

@@ -21,7 +21,7 @@ import { RAW, RESTORED, SHEAR, messageBytes, packet, parse } from "./wire.js";
 const CHUNK = 48; // frames an answer while it plays
 const DETAILS_MS = 200; // between two requests for warnings and contacts while it plays
 const DETAILS_AHEAD_MS = 300; // of the frame that is shown: what they tell is there when its frame is
-const CONTACTS_MS = 110; // that contacts may be shown beside their frame while it plays
+const CONTACTS_MS = 250; // that contacts may be shown beside their frame while it plays
 const SAME_S = 1e-4; // between two times of one frame
 const BUSY_MS = 1000; // until a request is repeated that came too soon, or for what is not read yet
 /** @type {Health} */

@@ -18,6 +18,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 const POLL_MS = 500;
 const CHART_POINTS = 600;
+const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
 
 export class Regions {
@@ -222,7 +223,7 @@ export class Regions {
     /** @type {HTMLAnchorElement} */ (byId("region-csv")).href = api.regionCsv(this._owner, region.name, seconds);
     try {
       const { time, force } = await api.regionSeries(this._owner, region.name, seconds, CHART_POINTS);
-      const of = gappedLine(time, force ?? [], Infinity, "restored");
+      const of = gappedLine(time, force ?? [], MAX_GAP_S + seconds / CHART_POINTS, "restored");
       of.zero = time[time.length - 1] ?? 0;
       const top = roundUp(Math.max(unit ? 100 : 0.1, ...of.y.filter(Number.isFinite)));
       this._chart.draw({ left: -seconds, right: 0, bottom: 0, top, x: "time, s", y: FORCE_UNITS[unit] }, [of]);
