@@ -47,9 +47,12 @@ def open_recording(page, name="grasp.log"):
 def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_back(recorded, rig, open_page):
     url, _ = recorded
     page = open_page(url)
+    page.locator("#tare").wait_for()
+    assert not page.locator("#series-measure").is_visible()
     open_recording(page)
     for name in ("#tare", "#record", "#calibrate-open", "#banner", "#latencies"):
         assert not page.locator(name).is_visible(), name
+    assert page.locator("#series-measure").is_visible()
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
     page.get_by_role("slider", name="Position in the recording").wait_for()
     assert page.text("pill-text", "recorded-name") == ["recording", "grasp.log"]

@@ -15,7 +15,7 @@ export class RegionLayer {
     this._canvas = document.createElement("canvas");
     this._canvas.className = "marks";
     this._canvas.setAttribute("aria-hidden", "true");
-    frame.append(this._canvas);
+    frame.querySelector("canvas")?.after(this._canvas); // under the labels of contacts
     /** @type {Plane|null} */
     this._plane = null;
     this._zoom = 1;
