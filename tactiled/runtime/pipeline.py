@@ -187,8 +187,8 @@ class Pipeline:
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
-        calibrated, end = monotonic(), thread_time() + budget_s
-        done = self._restorer(raw, flags, lambda: thread_time() > end)
+        calibrated = monotonic()
+        done = self._restorer(raw, flags, Deadline(budget_s))
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
@@ -247,6 +247,23 @@ class Pipeline:
             noise = max(noise, estimate(self.calibrator.pressure(counts)))
         means = [self.calibrator.pressure(each) for each in blocks(counts)]
         return load_description(means, noise, self._plan.unit)
+
+
+class Deadline:
+    """Whether a thread's processor time for an image is over.
+
+    It is so before a step that would end too late if it took as long as the one before.
+    """
+
+    def __init__(self, budget_s: float) -> None:
+        self._last = thread_time()
+        self._end = self._last + budget_s
+
+    def __call__(self) -> bool:
+        """Whether to stop now; asked before every step."""
+        now = thread_time()
+        step, self._last = now - self._last, now
+        return now + step > self._end
 
 
 def make_image(plan: SensorPlan, frame: RawFrame, done: Restored, **others: Any) -> Image:

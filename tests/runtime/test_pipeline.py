@@ -11,7 +11,8 @@ from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
-from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
+from tactiled.runtime import pipeline as module
+from tactiled.runtime.pipeline import NOISE_FRAMES, Deadline, Pipeline
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.simulate.array import Surface
 from tests.calibrate.files import calibration_file, origin
@@ -314,3 +315,15 @@ def test_a_taxel_found_faulty_is_flagged_and_restored_from_its_neighbours_and_su
     other = make("wiener", kpa_per_count=2 * GAIN)
     other.take_over(pipeline)
     assert other.monitor.state.faults[3 * SIDE + 3] == Fault.STUCK
+
+
+def test_a_step_that_would_end_after_the_deadline_does_not_begin(monkeypatch):
+    now = 5.0
+    monkeypatch.setattr(module, "thread_time", lambda: now)
+    deadline, stops = Deadline(1.0), []
+    for step in (0.1, 0.3, 0.25, 0.1, 0.2):  # s; the time is 0.1, 0.4, 0.65, 0.75, 0.95 s
+        now += step
+        stops.append(deadline())
+    assert stops == [False, False, False, False, True]
+    now += 0.5
+    assert deadline()
