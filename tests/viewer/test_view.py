@@ -25,8 +25,8 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     assert low == -high
     difference = image.restored - image.raw
     assert np.abs(difference).max() <= high
-    least, most = (f"{each:+.1f}".replace("-", "\u2212") for each in (difference.min(), difference.max()))
-    page.wait(f"document.getElementById('difference-extremes').textContent === ': {least} to {most} kPa'")
+    low_text, high_text = (f"{each:+.1f}".replace("-", "\u2212") for each in (difference.min(), difference.max()))
+    page.wait(f"document.getElementById('difference-extremes').textContent === ': {low_text} to {high_text} kPa'")
     levels = np.clip(np.floor((difference + high) * 128 / high), 0, 255).astype(int)
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
@@ -157,7 +157,7 @@ def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):
     at = page.evaluate(f"{written}[0]")
     assert at["x"] / at["width"] == pytest.approx((column + 0.5) / 8, abs=0.01)
     assert int(at["y"] / at["height"] * 8) == row
-    page.evaluate("document.querySelector('#restored + canvas').id = 'values'")
+    page.evaluate("document.querySelector('#restored ~ .values').id = 'values'")
     some = "document.getElementById('values').getContext('2d').getImageData(0, 0, 999, 999).data.some(Boolean)"
     page.wait(some)
     page.resize(390, 844)  # cells of 20 px

@@ -23,7 +23,7 @@ export class CellValues {
   /** @param {HTMLCanvasElement} map that it stands over */
   constructor(map) {
     this.canvas = document.createElement("canvas");
-    this.canvas.className = "marks";
+    this.canvas.className = "marks values";
     this.canvas.setAttribute("aria-hidden", "true");
     map.after(this.canvas);
     this._pen = context2d(this.canvas);
