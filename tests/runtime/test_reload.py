@@ -195,8 +195,7 @@ def test_a_wrong_file_changes_nothing_and_says_why_in_a_line(live, caplog, old, 
         live.service.reload()
     assert line in str(caught.value)
     assert "hush" not in caplog.text + str(caught.value)
-    assert live.service.events.after(0)[-1].kind == "config_refused"
-    assert line in live.service.events.after(0)[-1].text
+    assert any(each.kind == "config_refused" and line in each.text for each in live.service.events.after(0))
     assert line in caplog.text
     assert everything(live) == before
     live.show()  # all of it runs as before
