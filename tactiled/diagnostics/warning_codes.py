@@ -26,7 +26,7 @@ TEXTS: dict[WarningCode, str] = {
     "offset": "no part of the array is free of pressure: if nothing lies on all of it, tare",
     "noise_low": "fine patterns have under half of the configured noise: lower noise_kpa, or taxels share noise",
     "plateau": "several taxels share the highest value: if they are saturated, set calibration.saturation",
-    "cut_short": "restoring took longer than {budget_ms:.2g} ms: the image is the best until then",
+    "cut_short": "the {budget_ms:.2g} ms for an image were over before its method was done: it could be sharper",
     "edge": "a contact reaches over the edge: what presses outside the array is felt inside",
 }
 

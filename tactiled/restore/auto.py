@@ -22,8 +22,8 @@ SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more 
 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
-WIENER = "smooth contact: {:.1%} of the linear image is below zero"
-SHARP = "sharp contact: {:.1%} of the linear image is below zero"
+WIENER = "smooth contact: {:.1%} of the Wiener-filtered image is below zero"
+SHARP = "sharp contact: {:.1%} of the Wiener-filtered image is below zero"
 LOADS = "isolated indenters: {} explain the frame down to its noise"
 
 

@@ -23,7 +23,7 @@ Kind = Literal[
     "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000
-CLEAR_AFTER_S = 1.0  # without a fault or a warning: one that flickers makes one event
+CLEAR_AFTER_S = 1.0  # without a fault: one that flickers makes one event
 LOGGED_AS_WARNINGS: frozenset[Kind] = frozenset({
     "sensor_stale", "sensor_silent", "sensor_down", "bus_down", "warning_raised", "state_ignored", "tare_lapsed",
     "tare_refused", "tare_ignored", "calibration_missing", "taxel_faulty", "fault_raised",

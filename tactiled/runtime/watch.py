@@ -8,11 +8,12 @@ from dataclasses import astuple
 from tactiled.calibrate.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
-from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults, Kind
+from tactiled.runtime.events import Events, Faults, Kind
 from tactiled.runtime.sensor import Sensor, State
 from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
+WARNING_STAYS_S = 5.0  # after it last appeared, so that one that comes and goes is one event
 MAX_TAXELS_NAMED = 8  # in an event
 STATE_EVENTS: dict[State, Kind] = {
     "live": "sensor_live", "stale": "sensor_stale", "silent": "sensor_silent", "down": "sensor_down",
@@ -106,7 +107,7 @@ class Watch:
         if self._values["state", sensor.name] != "live":  # without frames no warning is cleared
             return
         for (name, code), (warning, raised_at) in list(self._raised.items()):
-            if name == sensor.name and now - raised_at > CLEAR_AFTER_S:
+            if name == sensor.name and now - raised_at > WARNING_STAYS_S:
                 del self._raised[name, code]
                 self._events.add("warning_cleared", warning.text, name, warning=warning)
 

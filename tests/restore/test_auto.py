@@ -80,7 +80,7 @@ def test_every_choice_has_a_reason(covered, sensed):
     assert [done.method for done in results] == ["idle", "wiener", "tv"]
     assert results[0].why == "no contact above the noise"
     for done, smooth in zip(results[1:], (True, False), strict=True):
-        share = float(re.search(r"([\d.]+)% of the linear image is below zero", done.why)[1]) / 100
+        share = float(re.search(r"([\d.]+)% of the Wiener-filtered image is below zero", done.why)[1]) / 100
         assert (share < WORTH) == smooth
 
 

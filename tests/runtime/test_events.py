@@ -7,7 +7,7 @@ from tactiled.calibrate.health import Change, Fault
 from tactiled.frames import MISSING
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.watch import Watch
+from tactiled.runtime.watch import WARNING_STAYS_S, Watch
 from tests.conftest import until
 from tests.runtime.conftest import Timed, frame
 
@@ -53,7 +53,7 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
 
 
 def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
-    watched = Watched(replace(plan, method="raw", stale_after_s=5 * CLEAR_AFTER_S))
+    watched = Watched(replace(plan, method="raw", stale_after_s=5 * WARNING_STAYS_S))
     start = watched.now
 
     def events_at(seconds, *missing):
@@ -65,13 +65,13 @@ def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
         return [(each.kind, each.warning and each.warning.taxels) for each in watched.events.after(last)]
 
     assert events_at(0.0, 2, 3) == [("sensor_live", None), ("warning_raised", 3)]
-    assert events_at(0.9 * CLEAR_AFTER_S, 4) == []
-    assert events_at(1.8 * CLEAR_AFTER_S) == []
-    assert events_at(2.0 * CLEAR_AFTER_S) == [("warning_cleared", 4)]
+    assert events_at(0.9 * WARNING_STAYS_S, 4) == []
+    assert events_at(1.8 * WARNING_STAYS_S) == []
+    assert events_at(2.0 * WARNING_STAYS_S) == [("warning_cleared", 4)]
     raised, cleared = (each for each in watched.events.after(0) if each.warning)
     assert (raised.text, cleared.warning.code) == (raised.warning.text, "missing")
-    assert events_at(3.0 * CLEAR_AFTER_S, 5) == [("warning_raised", 5)]
-    assert events_at(9.0 * CLEAR_AFTER_S) == [("sensor_stale", None)]  # silence clears nothing
+    assert events_at(3.0 * WARNING_STAYS_S, 5) == [("warning_raised", 5)]
+    assert events_at(9.0 * WARNING_STAYS_S) == [("sensor_stale", None)]  # silence clears nothing
 
 
 def test_a_fault_is_one_event_and_the_watch_clears_it_after_a_while(caplog):

@@ -52,12 +52,12 @@ test("latency leaves out the clocks' difference where it is large", () => {
   assert.equal(rate.fps(), 2);
 });
 
-test("a warning stays three seconds after it was last reported, with its newest text", () => {
+test("a warning stays five seconds after it was last reported, with its newest text", () => {
   const warnings = new Warnings();
   const dead = (text) => [{ code: "dead", text, taxels: null }];
   assert.deepEqual(warnings.hold(dead("2 taxels dead"), 0), ["2 taxels dead"]);
   assert.deepEqual(warnings.hold(dead("1 taxel dead"), 1000), ["1 taxel dead"]);
-  assert.deepEqual([warnings.hold([], 3900), warnings.hold([], 4001)], [["1 taxel dead"], []]);
+  assert.deepEqual([warnings.hold([], 5900), warnings.hold([], 6001)], [["1 taxel dead"], []]);
 });
 
 test("what belongs to some frames is shown with the nearest one, within a limit and with the offset", () => {

@@ -103,7 +103,7 @@ def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
         page.resize(width, 860)
         at = page.box("#raw-frame")
         page.mouse.move(at["x"] + 0.55 * at["width"], at["y"] + 0.5 * at["height"])
-        page.get_by_text(re.compile(r"restored [\d.]+ kPa \(taxel \d, \d\)")).wait_for()
+        page.get_by_text(re.compile(r"restored [\d.]+ kPa \(taxel r\d c\d\)")).wait_for()
         assert page.locator("#probe").evaluate(FITS)
     page.locator("#raw-frame").click()
     page.locator("#section-where", has_text="pinned").wait_for()

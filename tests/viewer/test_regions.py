@@ -54,7 +54,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="Save").click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 2")
     page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")  # over 5 kPa
-    assert page.text("notice") == ["Region heel: peak is above 5 kPa"]
+    assert page.text("notice") == ["palm: peak in region heel is above 5 kPa"]
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")
@@ -62,7 +62,8 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     for size in ({"width": 1280, "height": 860}, PHONE):
         page.resize(**size)
         assert page.violations() == []
-    page.get_by_role("button", name="Delete").click()
+    for name in ("Delete", "Really delete"):
+        page.get_by_role("button", name=name, exact=True).click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 1")
     page.get_by_role("button", name="Rectangle").click()
     active = "[...document.querySelectorAll('.draw [aria-pressed=true]')].map(each => each.innerText).join()"
@@ -113,7 +114,7 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     page.locator("#contact-list tbody td").first.click()
     page.wait("document.querySelector('#contact-list button').getAttribute('aria-pressed') === 'true'")
     page.wait("[...document.querySelectorAll('#plot-add option')].some(each => each.value === 'region heel')")
-    page.get_by_label("Add a contact or region").select_option("region heel")
+    page.get_by_label("Add a region or contact").select_option("region heel")
     assert page.locator("#plot-key").inner_text().split("\n") == ["contact 1 ✕", "heel ✕"]
     page.keyboard.press("Space")  # while the page is paused, too
     page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 20")

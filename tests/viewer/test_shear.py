@@ -64,7 +64,7 @@ def test_arrows_keep_to_their_frames_and_nothing_is_inaccessible_or_cut_off(rig,
         page.resize(width, 860)
         raw = page.box("#raw")
         page.mouse.move(raw["x"] + 0.05 * raw["width"], raw["y"] + 0.1 * raw["height"])
-        page.get_by_text(re.compile(r"shear 20000, 0 counts \(taxel 0, 0\)")).wait_for()
+        page.get_by_text(re.compile(r"shear 20000, 0 counts \(taxel r0 c0\)")).wait_for()
         assert page.locator("#probe").evaluate(FITS)
     assert raw["y"] == pytest.approx(page.box("#restored")["y"], abs=0.5)
 
@@ -75,8 +75,8 @@ def test_shear_is_read_saved_and_switched_off(rig, url, open_page):
     page.show(rig, X, Y)
     frame = page.box("#raw")
     for column, row, words in (
-        (1, 3, "shear −600, 600 counts (taxel 1, 0)"),
-        (5, 3, re.compile(r"restored [\d.]+ kPa \(taxel 1, 2, dead\)")),
+        (1, 3, "shear −600, 600 counts (taxel r1 c0)"),
+        (5, 3, re.compile(r"restored [\d.]+ kPa \(taxel r1 c2, dead\)")),
     ):
         page.mouse.click(frame["x"] + column * frame["width"] / 6, frame["y"] + row * frame["height"] / 4)
         page.locator("#probe", has_text=words).wait_for()

@@ -26,14 +26,16 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     difference = image.restored - image.raw
     assert np.abs(difference).max() <= high
     low_text, high_text = (f"{each:+.1f}".replace("-", "\u2212") for each in (difference.min(), difference.max()))
-    page.wait(f"document.getElementById('difference-extremes').textContent === ': {low_text} to {high_text} kPa'")
+    row, column = np.unravel_index(difference.argmax(), difference.shape)
+    extremes = f": {low_text} to {high_text} kPa at x {column:.1f}, y {row:.1f} mm"
+    page.wait(f"document.getElementById('difference-extremes').textContent === '{extremes}'")
     levels = np.clip(np.floor((difference + high) * 128 / high), 0, 255).astype(int)
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
     assert not page.locator("#raw").is_visible()
     page.locator("#restored-frame").click()
     probe = page.locator("#probe", has_text="difference")
-    row, column = map(int, re.search(r"taxel (\d+), (\d+)", probe.inner_text()).groups())
+    row, column = map(int, re.search(r"taxel r(\d+) c(\d+)", probe.inner_text()).groups())
     signed_text = f"{difference[row, column]:+.1f}".replace("-", "\u2212")
     assert f", difference {signed_text} kPa (" in probe.inner_text()
     restored, above = page.pixels("restored")[..., :3], image.restored > 5
@@ -115,13 +117,16 @@ def test_surfaces_are_turned_by_pointer_and_keys_and_a_link_restores_the_view(pa
     assert page.locator("#restored").is_visible()
     page.press("1")
     page.locator("#restored-surface").wait_for()
-    phone = open_page(page.url, **TOUCH)
-    phone.wait(f"{VIEW}.join() === '-30,35'")
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.get_by_role("button", name="Link").click()
+    page.locator("#notice", has_text="Link copied.").wait_for()
+    phone = open_page(page.evaluate("navigator.clipboard.readText()"), **TOUCH)
+    phone.wait(f"{VIEW}.join() === '-30,90'")
     swipe(phone, "#raw-surface", 80, 0)
     phone.wait(f"{VIEW}[0] < -45 && scrollY === 0")
     swipe(phone, "#raw-surface", 0, -150)
     phone.wait("scrollY > 50")  # the page's own
-    assert phone.evaluate(VIEW)[1] == 35
+    assert phone.evaluate(VIEW)[1] == 90
 
 
 def test_the_axes_of_a_surface_have_room_however_it_is_turned(rig, url, open_page):

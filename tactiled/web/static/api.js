@@ -236,7 +236,7 @@ export const undoTare = (name) => request(`${at(name)}/tare`, { method: "DELETE"
  * @typedef {{
  *   name: string, shape: Shape, points_mm: [number, number][],
  *   threshold: {quantity: Measure, above: number, below: number}|null, unit: string, now: RegionMeasures|null,
- *   highest: RegionMeasures|null, impulse: number, pressure_time: number, exceeded: boolean
+ *   highest: RegionMeasures|null, impulse: number, pressure_time: number, since: number|null, exceeded: boolean
  * }} Region
  */
 

@@ -14,6 +14,7 @@ import { Regions } from "./regions.js";
 import { SeriesPanel } from "./series_panel.js";
 import { loadSetting, saveSetting } from "./storage.js";
 import { ALL, Tabs } from "./tabs.js";
+import { canUndo } from "./tare.js";
 import { theme } from "./theme.js";
 import { Viewer } from "./viewer.js";
 import { Wall } from "./wall.js";
@@ -56,6 +57,7 @@ function read() {
     if (viewer.session?.frame) viewer.maps.write(viewer.session.frame, viewer.range, viewer.view);
   }
   playback.read();
+  byId("tare-undo").hidden = !canUndo(viewer.name) || playback.recording !== "";
 }
 
 /** @param {Status} status */

@@ -11,7 +11,7 @@ import { notice } from "./notice.js";
 import { PlaybackSession } from "./playback_session.js";
 import { provenance } from "./provenance.js";
 import { methodTitle } from "./readings.js";
-import { tare } from "./tare.js";
+import { tare, undoTare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
 import { withToken } from "./token_dialog.js";
 
@@ -56,15 +56,27 @@ function buttons(viewer, targets) {
   press("forward", () => viewer.step(1));
   press("section-turn", () => turn(viewer));
   press("tare", () => tare(viewer.name));
+  press("tare-undo", () => undoTare(viewer.name));
   press("calibrate-open", () => targets.calibration.open());
   press("save-png", () => save("png", viewer, targets));
   press("save-csv", () => save("csv", viewer, targets));
+  press("copy-link", copyLink);
   press("help-open", showHelp);
   press("help-close", () => help.close());
   press("banner-action", () => viewer.session?.stream.retry());
   scrub.addEventListener("input", () => viewer.show(Number(scrub.max) - Number(scrub.value)));
   contacts.addEventListener("change", () => viewer.showContacts(contacts.checked));
   shear.addEventListener("change", () => viewer.showShear(shear.checked));
+}
+
+/** Copy the address, which keeps sensor, view, colours, fixed range and place in a recording. */
+async function copyLink() {
+  try {
+    await navigator.clipboard.writeText(location.href); // which a page from another machine without TLS may not
+    notice("Link copied.");
+  } catch {
+    notice(`The browser does not let this page copy; the link is ${location.href}`, true);
+  }
 }
 
 /** Open the help at its beginning: the button that takes the focus stands at its end. */

@@ -1,5 +1,7 @@
 /** Small helpers for canvases and text, shared by everything that draws. @module */
 
+const CONFIRM_MS = 4000; // that a button to delete something waits for its second press
+
 /**
  * @template {HTMLElement} T
  * @param {string} id
@@ -83,4 +85,20 @@ export function themeColors() {
   };
   swatch.remove();
   return colors;
+}
+
+/** @param {HTMLButtonElement} button to delete something @returns {boolean} it was pressed twice */
+export function confirmed(button) {
+  const sure = button.dataset.sure !== undefined;
+  const reset = () => {
+    delete button.dataset.sure;
+    button.textContent = "Delete";
+  };
+  if (sure) reset();
+  else {
+    button.dataset.sure = "";
+    button.textContent = "Really delete";
+    setTimeout(reset, CONFIRM_MS);
+  }
+  return sure;
 }

@@ -41,7 +41,7 @@ export function seriesCsv(all, unit, origin) {
   const quantities = /** @type {Quantity[]} */ (["force", "mean", "peak", "area", "x", "y"]);
   const force = ["N", "counts_mm2"][unit];
   const lines = [
-    ...origin.map(([name, value]) => `# ${name}: ${value}`),
+    ...origin.filter(([name]) => name !== "unit").map(([name, value]) => `# ${name}: ${value}`), // columns have theirs
     "# time_s is Unix time; the mean of a contact is its force over its area, x_mm and y_mm are its centre of pressure",
     `time_s,kind,name,force_${force},mean_${UNITS[unit]},peak_${UNITS[unit]},area_mm2,x_mm,y_mm`,
   ];

@@ -48,7 +48,7 @@ export function healthOf(socket, replies, status, statusAt, imageAt, now) {
     const title = status.position_s === null ? "BUS DOWN" : "REPLAY FAILED";
     return { level: "down", title, text: `${status.detail}. ${lastFrame}` };
   }
-  if (status.state === "silent") return { level: "silent", title: "SILENT", text: `${status.detail}.` };
+  if (status.state === "silent") return { level: "silent", title: "SILENT", text: `${status.detail}. Check its power, its wiring, the bit rate and its CAN id.` };
   if (status.state === "stale") {
     const more = status.detail.startsWith("no frame") ? "" : ` ${status.detail}`;
     return { level: "stale", title: "STALE", text: `last frame ${duration(age ?? 0)} ago.${more}` };

@@ -43,14 +43,15 @@ export class Maps {
     this._differences = new Float32Array(0);
     this._taxels = new Int32Array(0); // that the cells of the restored map lie on
     this._boxes = byId("boxes");
-    this._projection = new Projection();
+    /** Of both surfaces. */
+    this.projection = new Projection();
     const turned = () => {
       for (const each of this._surfaces) each.aim();
       onTurn();
     };
-    this._surfaces = [new Surface("Raw", this.raw.frame, this._projection, turned), new Surface("Restored", this.restored.frame, this._projection, turned)];
+    this._surfaces = [new Surface("Raw", this.raw.frame, this.projection, turned), new Surface("Restored", this.restored.frame, this.projection, turned)];
     byId("surface-reset").addEventListener("click", () => {
-      this._projection.reset();
+      this.projection.reset();
       turned();
     });
     /** CSS px per mm. */
@@ -119,8 +120,11 @@ export class Maps {
     restored.draw(frame.restored, plane, plane.restored, range, colormap);
     if (name !== "difference" || !signed) return;
     difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
-    const [least, most] = extremes(this._differences);
-    setText(byId("difference-extremes"), `: ${signedText(least)} to ${signedText(most)} ${UNITS[frame.unit]}`);
+    const { x, y } = plane.restored;
+    const [lowest, highest] = extremes(this._differences);
+    const [low, high] = [lowest, highest].map((i) => (i < 0 ? 0 : this._differences[i]));
+    const place = highest < 0 ? "" : ` at x ${fixed(x[highest], 1)}, y ${fixed(y[highest], 1)} mm`;
+    setText(byId("difference-extremes"), `: ${signedText(low)} to ${signedText(high)} ${UNITS[frame.unit]}${place}`);
   }
 
   /** @returns {HTMLCanvasElement[]} what is written over raw and restored map */
@@ -195,7 +199,7 @@ export class Maps {
     const mapHeight = surface ? box.clientHeight - AXIS_BOTTOM_PX : Math.max(...tops) - Math.min(...tops) + plane.height * zoom;
     maps.style.setProperty("--map-height", `${mapHeight}px`);
     if (surface) {
-      this._projection.fit(plane, box.clientWidth, box.clientHeight);
+      this.projection.fit(plane, box.clientWidth, box.clientHeight);
       for (const each of this._surfaces) each.resize(box.clientWidth, box.clientHeight);
     }
     this.colorbar.forget();
@@ -203,15 +207,15 @@ export class Maps {
   }
 }
 
-/** @param {Float32Array} values @returns {[number, number]} the least and the most of those that are known; 0 is between them */
+/** @param {Float32Array} values @returns {[number, number]} indices of the lowest below zero and of the highest above it; -1 for none */
 function extremes(values) {
-  let least = 0;
-  let most = 0;
-  for (const each of values) {
-    if (each < least) least = each;
-    if (each > most) most = each;
+  let lowest = -1;
+  let highest = -1;
+  for (let i = 0; i < values.length; i += 1) {
+    if (values[i] < (values[lowest] ?? 0)) lowest = i;
+    if (values[i] > (values[highest] ?? 0)) highest = i;
   }
-  return [least, most];
+  return [lowest, highest];
 }
 
 /** @param {number} value @returns {string} */

@@ -22,6 +22,7 @@ import { SATURATED } from "./wire.js";
  * @property {number} probeY mm
  * @property {boolean} pinned
  * @property {Contact[]|null} contacts null where they are not to be shown
+ * @property {Map<number, string>} labels of contacts by id, as the table has them
  * @property {ContactOutline} outline of the contacts
  * @property {number} outlined number of the frame that the outlines are of
  */
@@ -48,7 +49,7 @@ export class Overlay {
     /** What is drawn, but for crosses on saturated taxels; `known` is false where it must be redrawn. */
     this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
-      contacts: /** @type {Contact[]|null} */ (null), outlined: -1,
+      contacts: /** @type {Contact[]|null} */ (null), labels: /** @type {Map<number, string>|null} */ (null), outlined: -1,
     };
   }
 
@@ -79,7 +80,7 @@ export class Overlay {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
-    if (marks.contacts) this._contacts(marks.contacts, marks.outline, plane);
+    if (marks.contacts) this._contacts(marks.contacts, marks, plane);
     else if (measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
     if (!Number.isFinite(marks.probeX)) return;
     const x = (marks.probeX - plane.left) * this._px;
@@ -101,11 +102,12 @@ export class Overlay {
     const ringed = !marks.contacts && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
-    if (last.known && !crossed && last.contacts === marks.contacts && last.outlined === marks.outlined && last.pinned === marks.pinned
+    if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.outlined === marks.outlined && last.pinned === marks.pinned
       && last.along === marks.along && Object.is(last.lineAt, marks.lineAt) && Object.is(last.ringX, ringX) && Object.is(last.ringY, ringY)
       && Object.is(last.probeX, marks.probeX) && Object.is(last.probeY, marks.probeY)) return true;
     last.known = !crossed;
     last.contacts = marks.contacts;
+    last.labels = marks.labels;
     last.outlined = marks.outlined;
     last.pinned = marks.pinned;
     last.along = marks.along;
@@ -117,8 +119,8 @@ export class Overlay {
     return false;
   }
 
-  /** @param {Contact[]} contacts @param {ContactOutline} outline @param {Plane} plane */
-  _contacts(contacts, outline, plane) {
+  /** @param {Contact[]} contacts @param {Marks} marks @param {Plane} plane */
+  _contacts(contacts, { outline, labels }, plane) {
     const draw = this._pen;
     const minAxis = MIN_AXIS_PX * this._ratio;
     const { edges } = outline;
@@ -148,19 +150,20 @@ export class Overlay {
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
-    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], outline, i, plane);
+    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], labels.get(contacts[i].id) ?? "", outline, i, plane);
   }
 
   /**
    * Write a contact's number and force above it, below it, beside it or on it: where there is room first; else its
    * number alone.
    * @param {Contact} contact
+   * @param {string} label
    * @param {ContactOutline} outline
    * @param {number} i the contact's number in the outline
    * @param {Plane} plane
    */
-  _label(contact, outline, i, plane) {
-    const half = Math.round(this._pen.measureText(contact.label).width / 2 + 3 * this._ratio);
+  _label(contact, label, outline, i, plane) {
+    const half = Math.round(this._pen.measureText(label).width / 2 + 3 * this._ratio);
     const rise = Math.round((TEXT_PX / 2 + 2) * this._ratio);
     const minAxis = MIN_AXIS_PX * this._ratio;
     const long = OUTLINE_DEVIATIONS * contact.major_mm * this._px;
@@ -178,11 +181,10 @@ export class Overlay {
     const north = outlined[i] ? Math.round(extents[4 * i + 1] * cell) : y - tall;
     const east = outlined[i] ? Math.round(extents[4 * i + 2] * cell) : x + wide;
     const south = outlined[i] ? Math.round(extents[4 * i + 3] * cell) : y + tall;
-    const { label } = contact;
     if (this._place(label, within, north - rise, half, rise) || this._place(label, within, south + rise, half, rise)
       || this._place(label, east + half, y, half, rise) || this._place(label, west - half, y, half, rise)
       || this._place(label, within, Math.max(rise, north + rise), half, rise)) return;
-    const number = label.slice(0, label.indexOf(":"));
+    const number = `${contact.id}`;
     const narrow = Math.round(this._pen.measureText(number).width / 2 + this._ratio);
     const inside = Math.max(narrow, Math.min(this.canvas.width - narrow, x));
     if (this._place(number, inside, north - rise, narrow, rise)) return;

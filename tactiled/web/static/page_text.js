@@ -53,14 +53,14 @@ export class PageText {
     const health = session?.health() ?? (reachable || viewer.name ? CONNECTING : UNREACHABLE);
     const paused = session?.paused ?? false;
     const replayed_s = session?.status?.position_s ?? null;
+    const frame = session?.frame ?? null;
+    this._restoration(session, frame);
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
     if (replayed_s !== null && health.level === "live" && !paused) setText(byId("pill-text"), `replay ${positionText(replayed_s)}`);
     document.body.classList.toggle("replayed", replayed_s !== null);
-    const frame = session?.frame ?? null;
     this._shear.hidden = !session?.hasShear;
     const live = health.level === "live";
     this.readings.frame(frame);
-    this._restoration(session, frame);
     this.readings.status(session?.status ?? null, live || health.level === "playback");
     this.readings.pace(pace.fps(), live && !paused && pace.painted && replayed_s === null ? pace.latency : NaN, pace.skew);
     setText(byId("probe"), probeText(viewer, frame) || HINTS[viewer.view.name === "surface" ? "surface" : "flat"]);
@@ -69,6 +69,7 @@ export class PageText {
     this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
+    viewer.label(contactsOfFrame?.contacts ?? []);
     this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
@@ -191,7 +192,7 @@ function reading(plane, frame, x, y, compared) {
   const off = frame.restored[s] - frame.raw[r];
   const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${readingText(off, frame.unit)}` : "";
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
-  const taxel = plane.isGrid ? `taxel ${Math.floor(r / plane.raw.columns)}, ${r % plane.raw.columns}` : `taxel ${r}`;
+  const taxel = plane.isGrid ? `taxel r${Math.floor(r / plane.raw.columns)} c${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
   const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
   return `${place}: raw ${raw}, restored ${readingText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;

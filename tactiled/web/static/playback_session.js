@@ -5,7 +5,7 @@ import { FrameHistory } from "./frame_history.js";
 import { messageOf, notice } from "./notice.js";
 import { PlaybackClock, splitFrames, stepOf } from "./playback_clock.js";
 import { Timeline } from "./timeline.js";
-import { forceText, unitOf } from "./units.js";
+import { unitOf } from "./units.js";
 import { RAW, RESTORED, SHEAR, messageBytes, packet, parse } from "./wire.js";
 
 /** @import { Played, PlayedFrame, PlayedRegion } from "./api.js" */
@@ -295,7 +295,6 @@ export class PlaybackSession {
   /** @param {PlayedFrame} details @param {string} method that was asked for */
   _take(details, method) {
     const { frames, duration_s, unit } = this.recorded;
-    for (const each of details.contacts) each.label = `${each.id}: ${forceText(each.force, this.unit)}`;
     this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts, regions: details.regions });
     const rate_hz = duration_s > 0 ? (frames - 1) / duration_s : NaN;
     this.status = {

@@ -20,11 +20,6 @@ export class Projection {
     this.flat = NaN;
     /** CSS px per mm, and of the range from its bottom to its top. */
     this.px = this.rise = NaN;
-    this.reset();
-  }
-
-  /** Take the first view. */
-  reset() {
     /** Turn about the vertical, degrees; 0 with x to the right. */
     this.azimuth = AZIMUTH_DEG;
     /** Of the eye above the array, degrees; 90 as on a flat map. */
@@ -32,10 +27,25 @@ export class Projection {
     this._update();
   }
 
+  /** Take the first view. */
+  reset() {
+    this.aim(AZIMUTH_DEG, ELEVATION_DEG);
+  }
+
+  /** @returns {boolean} it is another than the first view */
+  get turned() {
+    return this.azimuth !== AZIMUTH_DEG || this.elevation !== ELEVATION_DEG;
+  }
+
   /** @param {number} right degrees that the front goes to the right @param {number} down degrees that it goes down */
   turn(right, down) {
-    this.azimuth = ((this.azimuth - right + 540) % 360) - 180;
-    this.elevation = Math.max(MIN_ELEVATION_DEG, Math.min(90, this.elevation + down));
+    this.aim(this.azimuth - right, this.elevation + down);
+  }
+
+  /** @param {number} azimuth degrees @param {number} elevation degrees; the nearest that there is */
+  aim(azimuth, elevation) {
+    this.azimuth = ((((azimuth + 180) % 360) + 360) % 360) - 180;
+    this.elevation = Math.max(MIN_ELEVATION_DEG, Math.min(90, elevation));
     this._update();
   }
 

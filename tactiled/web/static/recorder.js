@@ -1,14 +1,12 @@
 /** Recordings of a bus: begin, end, list, fetch, delete. @module */
 
 import * as api from "./api.js";
-import { byId, element, setText } from "./dom.js";
+import { byId, confirmed, element, setText } from "./dom.js";
 import { byteText } from "./format.js";
 import { notice } from "./notice.js";
 import { withToken } from "./token_dialog.js";
 
 /** @import { Recording } from "./api.js" */
-
-const CONFIRM_MS = 4000; // that a delete waits for its second click
 
 export class Recorder {
   /**
@@ -139,22 +137,11 @@ export class Recorder {
   }
 }
 
-/** @param {HTMLButtonElement} button to delete something @returns {boolean} it was pressed twice */
-function confirmed(button) {
-  if (button.dataset.sure !== undefined) return true;
-  button.dataset.sure = "";
-  button.textContent = "Really delete";
-  setTimeout(() => {
-    delete button.dataset.sure;
-    button.textContent = "Delete";
-  }, CONFIRM_MS);
-  return false;
-}
-
 /** @param {Recording} recording @returns {string} */
 function describe(recording) {
   const size = recording.bytes === null ? "file moved or removed" : byteText(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
-  const state = recording.running ? `recording ${recording.bus}, ` : "";
+  const when = recording.modified ? `${new Date(1000 * recording.modified).toLocaleString([], { dateStyle: "medium", timeStyle: "short", hour12: false })}, ` : "";
+  const state = recording.running ? `recording ${recording.bus}, ` : when;
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
 }

@@ -3,7 +3,7 @@
 import * as api from "./api.js";
 import { Chart, gappedLine } from "./chart.js";
 import { roundUp } from "./display_range.js";
-import { byId, element, setText } from "./dom.js";
+import { byId, confirmed, element, setText } from "./dom.js";
 import { fixed } from "./format.js";
 import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
@@ -46,11 +46,12 @@ export class Regions {
     this._chosen = null;
     for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.stop() : this._drawing.start(shape)));
     byId("region-save").addEventListener("click", () => this._save());
-    byId("region-delete").addEventListener("click", () => this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
+    byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
     byId("region-close").addEventListener("click", () => this._dialog.close());
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());
+    this._above.addEventListener("input", () => this._above.setCustomValidity(""));
     setInterval(() => this._poll(), POLL_MS);
   }
 
@@ -96,7 +97,7 @@ export class Regions {
     const { session } = this._viewer;
     for (const { name, threshold, exceeded, unit } of session instanceof PlaybackSession ? [] : watched) {
       if (exceeded && threshold && !(sensor === this._sensor && this._watched.some((each) => each.name === name && each.exceeded))) {
-        notice(`Region ${name}: ${threshold.quantity} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
+        notice(`${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
       }
     }
     this._sensor = sensor;
@@ -178,7 +179,9 @@ export class Regions {
   }
 
   _showLimit() {
-    byId("region-limits").hidden = !this._limit.value;
+    const quantity = /** @type {Measure|""} */ (this._limit.value);
+    byId("region-limits").hidden = !quantity;
+    setText(byId("region-unit"), quantity && unitOfQuantity(quantity, this._viewer.unit));
   }
 
   async _save() {
@@ -187,7 +190,8 @@ export class Regions {
     const quantity = /** @type {Measure|""} */ (this._limit.value);
     const above = this._above.valueAsNumber;
     if (quantity && Number.isNaN(above)) {
-      notice("Region not saved: give the value above which it is reported.", true);
+      this._above.setCustomValidity("Give the value above which it is reported.");
+      this._above.reportValidity();
       return;
     }
     const below = this._below.value ? this._below.valueAsNumber : above;
@@ -214,7 +218,8 @@ export class Regions {
     const region = this._regions.find((each) => each.name === this._chosen?.name);
     if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
-    const { highest, impulse, pressure_time } = region;
+    const { highest, impulse, pressure_time, since } = region;
+    setText(byId("region-since"), since === null ? "" : `since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
     const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
       forceText(highest.force, unit), pressureText(highest.peak, unit), `${forceText(impulse, unit)}·s`, `${pressureText(pressure_time, unit)}·s`,
     ];

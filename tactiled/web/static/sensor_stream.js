@@ -20,8 +20,8 @@ import { kindOf, packet, parse } from "./wire.js";
  * One contact: its axes are standard deviations of the pressure, its angle goes from x towards y.
  * @typedef {{
  *   id: number, x_mm: number, y_mm: number, force: number, area_mm2: number, peak: number, major_mm: number,
- *   minor_mm: number, angle_rad: number, label: string
- * }} Contact `label`, its number and force, is the page's own
+ *   minor_mm: number, angle_rad: number
+ * }} Contact
  */
 
 /** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[], regions?: PlayedRegion[]}} ContactsMessage strongest first; of a recording also its regions */

@@ -19,7 +19,7 @@ import { FORCE_SCALES, unitOf, unitOfQuantity } from "./units.js";
 const POLL_MS = 500;
 const CHART_POINTS = 600; // of a region
 const MAX_POINTS = 60_000;
-const MAX_OFFERED = 20; // contacts, the newest
+const MAX_OFFERED = 8; // contacts, the newest
 const MAX_GAPS_S = { contact: 0.5, region: 1 }; // between two values that a line joins; of regions as in the service's integrals
 const MAX_GAP_FRAMES = 3; // the same of a slow sensor
 const DASHES = [[], [8, 4], [2, 3], [12, 3, 2, 3], [5, 3], [12, 5]]; // of each slot, for who does not see its colour
@@ -86,12 +86,12 @@ export class SeriesPanel {
   /** Bring the list of what can be added up to date. */
   _offer() {
     const contacts = this._session?.series.contacts.slice(0, MAX_OFFERED) ?? [];
-    const offers = [...contacts.map(({ id, ended }) => [`contact ${id}`, ended ? ", ended" : ""]), ...this._regions.map((key) => [key, ""])]
+    const offers = [...this._regions.map((key) => [key, ""]), ...contacts.map(({ id, ended }) => [`contact ${id}`, ended ? ", ended" : ""])]
       .filter(([key]) => !this._slots.has(key));
     const offered = offers.join();
     if (offered === this._offered && this._add.length && !this._add.value) return;
     this._offered = offered;
-    this._add.replaceChildren(new Option("Add a contact or region", ""), ...offers.map(([key, more]) => new Option(title(key) + more, key)));
+    this._add.replaceChildren(new Option("Add a region or contact", ""), ...offers.map(([key, more]) => new Option(title(key) + more, key)));
   }
 
   /** Bring the legend up to date. */

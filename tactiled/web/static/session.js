@@ -8,7 +8,7 @@ import { Freshness } from "./freshness.js";
 import { healthOf } from "./health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "./timeline.js";
-import { forceText, unitOf } from "./units.js";
+import { unitOf } from "./units.js";
 import { RAW, RESTORED, SHEAR } from "./wire.js";
 
 /** @import { Frame } from "./frame_history.js" */
@@ -76,7 +76,6 @@ export class Session {
       onContacts: (message) => {
         this.series.push(message);
         if (this.paused || unitOf(message.unit) !== this.unit) return;
-        for (const each of message.contacts) each.label = `${each.id}: ${forceText(each.force, this.unit)}`;
         this.contacts.push(message);
         this._listener.onContacts();
       },

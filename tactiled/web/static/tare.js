@@ -7,10 +7,17 @@ import { withToken } from "./token_dialog.js";
 
 const LOOK_MS = 500; // between two looks whether a tare is complete
 const MAX_LOOKS = 60;
+const UNDO_MS = 600_000; // that the toolbar offers to undo a tare; step 1 of the calibration does so longer
 
 const loaded = /** @type {HTMLDialogElement} */ (byId("loaded"));
 
 /** @import { Calibration } from "./api.js" */
+
+/** @type {Map<string, number>} when this page completed a tare that can be undone, ms on performance.now's clock, by sensor */
+const completed = new Map();
+
+/** @param {string} name @returns {boolean} this page tared the sensor not long ago */
+export const canUndo = (name) => performance.now() - (completed.get(name) ?? -Infinity) < UNDO_MS;
 
 /** @param {string} name @param {(text: string, bad?: boolean) => void} [report] where to say it @returns {Promise<boolean>} it has begun */
 export async function tare(name, report = notice) {
@@ -40,12 +47,16 @@ async function offerUndo(name, before) {
     await new Promise((resolve) => { setTimeout(resolve, LOOK_MS); });
     now = await api.calibration(name).catch(() => before);
   }
+  completed.set(name, performance.now());
   notice(`${name}: tare complete.`, false, { name: "Undo", run: () => undoTare(name) });
 }
 
 /** @param {string} name @param {(text: string, bad?: boolean) => void} [report] where to say it */
 export async function undoTare(name, report = notice) {
-  if (await withToken(() => api.undoTare(name), "Not undone", report)) report("The zero before is back.");
+  if (await withToken(() => api.undoTare(name), "Not undone", report)) {
+    completed.delete(name);
+    report(`${name}: the zero before is back.`);
+  }
 }
 
 /**

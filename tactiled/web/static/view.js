@@ -7,6 +7,7 @@ import { messageOf, notice } from "./notice.js";
 import { loadSetting, saveSetting } from "./storage.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
+/** @import { Projection } from "./projection.js" */
 
 const KEY = "tactiled.colors";
 const SCALE_KEY = "tactiled.scale";
@@ -20,10 +21,12 @@ function inAddress() {
 export class View {
   /**
    * @param {DisplayRange[]} ranges by unit of pressure
+   * @param {Projection} projection of the 3-D surfaces
    * @param {() => void} onChange
    */
-  constructor(ranges, onChange) {
+  constructor(ranges, projection, onChange) {
     this._ranges = ranges;
+    this._projection = projection;
     this._onChange = onChange;
     this._views = /** @type {HTMLSelectElement} */ (byId("view"));
     this._surface = /** @type {HTMLOptionElement} */ (byId("view-surface"));
@@ -47,6 +50,8 @@ export class View {
     this._scales.addEventListener("change", () => saveSetting(SCALE_KEY, this._scales.value));
     const [low, high] = (given.get("range") ?? "").split(":").map(Number);
     for (const each of ranges) each.fix(low, high); // which refuses what is no range
+    const [azimuth, elevation] = (given.get("turn") ?? "").split(":").map(Number);
+    if (Number.isFinite(azimuth) && Number.isFinite(elevation)) projection.aim(azimuth, elevation);
     this._cut();
     this._show();
   }
@@ -81,6 +86,7 @@ export class View {
     if (this._views.selectedIndex) said.set("view", this._views.value);
     if (this._colors.selectedIndex) said.set("colors", this._colors.value);
     if (!range.auto) said.set("range", `${range.low}:${range.high}`);
+    if (this.name === "surface" && this._projection.turned) said.set("turn", `${Math.round(this._projection.azimuth)}:${Math.round(this._projection.elevation)}`);
     return said.size ? `?${said}` : "";
   }
 

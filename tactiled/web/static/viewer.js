@@ -14,11 +14,11 @@ import { PlaybackSession } from "./playback_session.js";
 import { Probe } from "./probe.js";
 import { Session } from "./session.js";
 import { TrendChart } from "./trend_chart.js";
-import { FORCE_SCALES, FORCE_UNITS, UNITS, unitOf } from "./units.js";
+import { FORCE_SCALES, FORCE_UNITS, UNITS, forceText, unitOf } from "./units.js";
 import { View } from "./view.js";
 
 /** @import { Played, Sensor } from "./api.js" */
-/** @import { ContactsMessage } from "./sensor_stream.js" */
+/** @import { Contact, ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
@@ -52,7 +52,7 @@ export class Viewer {
       this.refresh();
       if (deliberate) listener.onProbe();
     });
-    this.view = new View(this.ranges, () => this.restyle());
+    this.view = new View(this.ranges, this.maps.projection, () => this.restyle());
     /** @type {import("./regions.js").Regions|null} */
     this.regions = null;
     /** @type {Map<string, number>|null} what the chart of series shows, as "contact 3"; null where it can show none */
@@ -72,7 +72,7 @@ export class Viewer {
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {Marks} */
-    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, outline: new ContactOutline(), outlined: -1 };
+    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, labels: new Map(), outline: new ContactOutline(), outlined: -1 };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
@@ -101,6 +101,20 @@ export class Viewer {
   get contactsOfFrame() {
     const frame = this.session?.frame;
     return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
+  }
+
+  /** Label contacts on the maps with the forces that the table has. @param {Contact[]} contacts in the table */
+  label(contacts) {
+    const labels = new Map(contacts.map((each) => [each.id, this._labelOf(each)]));
+    const { marks } = this;
+    if (labels.size === marks.labels.size && [...labels].every(([id, text]) => marks.labels.get(id) === text)) return;
+    marks.labels = labels;
+    this.refresh();
+  }
+
+  /** @param {Contact} contact @returns {string} */
+  _labelOf({ id, force }) {
+    return `${id}: ${forceText(force, this.unit)}`;
   }
 
   /** @param {number} now ms */
@@ -147,6 +161,7 @@ export class Viewer {
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
     marks.contacts = this.contactsOfFrame?.contacts ?? null;
+    for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
     marks.outline.update(frame, plane, marks.contacts, session.paused);
     marks.outlined = session.paused ? frame.sequence : -1;
   }

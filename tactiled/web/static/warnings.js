@@ -4,7 +4,8 @@ import { element, setText } from "./dom.js";
 
 /** @import { Warning } from "./api.js" */
 
-const STAYS_MS = 3000; // after it was last reported
+const STAYS_MS = 5000; // after it was last reported, as the service's events have it
+const MINOR = "cut_short"; // listed after all others: the image is right, only less sharp
 
 export class Warnings {
   constructor() {
@@ -24,6 +25,8 @@ export class Warnings {
   hold(warnings, now) {
     for (const { code, text } of warnings) this._recent.set(code, { text, at: now });
     for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
+    const minor = this._recent.get(MINOR);
+    if (minor && this._recent.delete(MINOR)) this._recent.set(MINOR, minor);
     return [...this._recent.values()].map((each) => each.text);
   }
 }
