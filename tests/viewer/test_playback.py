@@ -40,7 +40,7 @@ def recorded(rig, tmp_path):
 
 def open_recording(page, name="grasp.log"):
     row = page.locator("#recordings li", has_text=name)
-    row.get_by_role("button", name="Play", exact=True).click()
+    row.get_by_role("button", name="Open", exact=True).click()
     page.wait(f"{PLAYS} && {FRAME} === '0'")
 
 
@@ -137,7 +137,7 @@ def test_a_file_from_this_computer_is_added_and_plays(recorded, tmp_path_factory
     page.wait(f"{PLAYS} && document.getElementById('recorded-name').innerText === 'dropped.log'")
     page.press("l")
     row = page.locator("#recordings li", has_text="bad.log")
-    row.get_by_role("button", name="Play", exact=True).click()
+    row.get_by_role("button", name="Open", exact=True).click()
     page.wait("document.getElementById('notice').innerText === 'bad.log: no frame of this sensor'")
     page.wait(f"{LEVEL} === 'stale'")  # as before
 
@@ -165,6 +165,7 @@ def test_a_region_is_drawn_on_a_recording_and_its_highest_force_is_read_seen_and
     assert row.locator("td").all_inner_texts()[:2] == [f"{highest['value']:.2f}", "0:00.6"]
     row.get_by_role("button", name="0:00.6").first.click()
     page.wait(f"{FRAME} === '30' && document.getElementById('force-span').innerText === 'restored'")
+    assert "# state: grasp.log at 0:00.6" in page.download("c").read_text().splitlines()
     page.inspect()
     page.resize(1280, 860)
     with page.expect_download() as saved:

@@ -5,6 +5,7 @@ import { byId, setText } from "./dom.js";
 import { download } from "./download.js";
 import { csvText } from "./export_csv.js";
 import { savePng } from "./export_png.js";
+import { positionText } from "./format.js";
 import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
 import { notice } from "./notice.js";
@@ -141,8 +142,9 @@ function save(kind, viewer, targets) {
   }
   const { name, plane, frame, statusOfFrame } = session;
   const { level } = targets.screen;
+  const recorded = session instanceof PlaybackSession ? `${session.recorded.name} at ${positionText(session.position)}` : "";
   const still = level === "live" ? "paused" : `paused, ${level}`;
-  const state = session.paused ? still : level;
+  const state = recorded || (session.paused ? still : level);
   if (kind === "csv") {
     const text = csvText(plane, frame, provenance(name, frame, statusOfFrame, state));
     download(name, frame, "csv", new Blob([text], { type: "text/csv" }));

@@ -128,9 +128,9 @@ export class Recorder {
       else if (await withToken(() => api.deleteRecording(name), "Not deleted")) notice(`Deleted: ${name}.`);
       await this._refresh();
     });
-    const play = element("button", "", "Play");
+    const play = element("button", "", "Open");
     play.type = "button";
-    play.title = `Play ${name}`;
+    play.title = `Open ${name} to play it`;
     play.hidden = running;
     play.addEventListener("click", () => this._play(name));
     return element("li", "", title, element("span", "end", play, button), element("span", "sub"));

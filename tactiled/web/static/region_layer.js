@@ -42,9 +42,9 @@ export class RegionLayer {
       const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
       const xs = points.map((each) => each[0]);
       const ys = points.map((each) => each[1]);
-      const [left, top] = [Math.min(...xs), Math.min(...ys)];
+      const [left, top, bottom] = [Math.min(...xs), Math.min(...ys), Math.max(...ys)];
       draw.beginPath();
-      outline(draw, shape, points, left, top, Math.max(...xs) - left, Math.max(...ys) - top);
+      outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
       for (const [width, color] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, exceeded ? "#ffb454" : "#fff"]])) {
         draw.setLineDash(width > 2 ? [] : [6, 3]);
         draw.lineWidth = width;
@@ -55,7 +55,7 @@ export class RegionLayer {
       draw.lineWidth = 3;
       draw.strokeStyle = "rgb(0 0 0 / 80%)";
       draw.fillStyle = exceeded ? "#ffb454" : "#fff";
-      const y = Math.max(TEXT_PX, top - 4);
+      const y = Math.min(plane.height * zoom - 4, bottom + TEXT_PX); // labels of contacts are above them
       draw.strokeText(name, Math.max(2, left), y);
       draw.fillText(name, Math.max(2, left), y);
     }

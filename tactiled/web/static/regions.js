@@ -16,7 +16,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 /** @import { Measure, Region, Shape } from "./api.js" */
 /** @import { Viewer } from "./viewer.js" */
 
-const POLL_MS = 500;
+const POLL_MS = 250;
 const CHART_POINTS = 600;
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
@@ -42,6 +42,8 @@ export class Regions {
     this._above = /** @type {HTMLInputElement} */ (byId("region-above"));
     this._below = /** @type {HTMLInputElement} */ (byId("region-below"));
     this._chart = new Chart(/** @type {HTMLCanvasElement} */ (byId("region-chart")));
+    /** The newest bringing up to date of the dialog. @type {Promise<void>} */
+    this._plotting = Promise.resolve();
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
     for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.stop() : this._drawing.start(shape)));
@@ -209,12 +211,18 @@ export class Regions {
   async _act(failed, action, close) {
     const name = this._chosen?.name;
     if (close) this._dialog.close();
+    await this._plotting; // or its request may come after the region has ended
     if (name !== undefined) await withToken(() => action(name), failed);
     await this._poll();
   }
 
-  /** Bring the dialog's chart and values up to date. */
-  async _plot() {
+  /** Bring the dialog's chart and values up to date. @returns {Promise<void>} */
+  _plot() {
+    this._plotting = this._plotted();
+    return this._plotting;
+  }
+
+  async _plotted() {
     const region = this._regions.find((each) => each.name === this._chosen?.name);
     if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
