@@ -35,6 +35,7 @@ STYLES = {  # method -> label, mark, colour
     "skimage rl": ("scikit-image richardson_lucy", "", COLOURS[1]),
 }
 LARGE = ("auto", "nnls")  # auto often selects nnls, and then both must show
+MAX_TICKS = 9  # whose texts have room at full length
 TOP = 2.0  # times the raw image's error: more is drawn at the edge
 COLUMNS = 3
 
@@ -222,7 +223,9 @@ def _sweep(axes: Axes, sweep: Sweep, rows: list[Row]) -> None:
     axes.set_title(sweep.name.capitalize(), fontsize=11)
     axes.set_xlabel(sweep.unit, fontsize=9.5, labelpad=3)
     axes.set(ylim=(0, TOP * 1.05), xlim=(-0.3, len(values) - 0.7))
-    axes.set_xticks(at, [f"{value:g}".replace("-", "−") for value in values], fontsize=8.5)
+    dense = len(values) > MAX_TICKS  # without the zero before the point, neighbours do not touch
+    texts = [f"{value:g}".replace("-", "−") for value in values]
+    axes.set_xticks(at, [each.removeprefix("0") or "0" for each in texts] if dense else texts, fontsize=8.5)
 
 
 def calibration(path: Path, results: Results) -> None:
