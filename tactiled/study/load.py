@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import zip_longest
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from struct import Struct
@@ -205,7 +206,7 @@ def _by_readers(sensors: int, readers: int) -> Iterator[System]:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     fleet, context = Fleet(Zenoh(listen=(endpoint,)), SERVER), multiprocessing.get_context("spawn")
-    pipes, targets, processes = [], [], []
+    pipes, processes = [], []
     with fleet.running(), running(fleet, SERVER) as url:
         for number in range(readers):
             ours, theirs = context.Pipe()
@@ -215,14 +216,14 @@ def _by_readers(sensors: int, readers: int) -> Iterator[System]:
             processes.append(process)
             theirs.close()
             pipes.append(ours)
-        for each in pipes:
-            targets += each.recv()
+        rows = zip_longest(*[each.recv() for each in pipes])  # the readers' load is even over a period
+        targets = [each for row in rows for each in row if each is not None]
         end = time.monotonic() + WAIT_S
         while len(fleet.sensors) < sensors:
             if time.monotonic() > end:
                 raise TactileError(f"{len(fleet.sensors)} of {sensors} sensors reached the server in {WAIT_S:g} s")
             time.sleep(0.01)
-        names = sorted(fleet.sensors, key=lambda name: tuple(int(part[1:]) for part in name.split("/")))
+        names = sorted(fleet.sensors, key=lambda name: [int(part[1:]) for part in reversed(name.split("/"))])
 
         def say(word: str) -> None:
             for each in pipes:

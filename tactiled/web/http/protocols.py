@@ -2,12 +2,12 @@
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
 a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
-stream takes the newest image.
+stream takes the newest image. A client that requests images one by one has read the one before.
 """
 
 import asyncio
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any, cast
 
@@ -29,6 +29,7 @@ from tactiled.web.http.timeouts import MAX_FRAGMENTS, SHUTDOWN_S
 
 PING_EVERY = 4  # messages
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and the next few
+FEW_BYTES = 256  # what clients that keep up send at once: some ten messages
 MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
 PROTOCOL = "tactiled.protocol"
@@ -93,6 +94,8 @@ class WebSocket(WebSocketsSansIOProtocol):
         self._pongs = 0
         self._keeps_up = asyncio.Event()
         self._keeps_up.set()
+        self._few_bytes = False  # came at once
+        self.take_text: Callable[[str], bool] = lambda _: False
 
     def sending(self) -> bool:
         """Whether more may come."""
@@ -100,6 +103,7 @@ class WebSocket(WebSocketsSansIOProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take bytes in; a handshake that the library cannot read is refused, which it leaves to its user."""
+        self._few_bytes = len(data) <= FEW_BYTES
         super().data_received(data)
         if self.conn.handshake_exc is not None and not self.handshake_initiated:
             answer = b"".join(self.conn.data_to_send())
@@ -132,11 +136,15 @@ class WebSocket(WebSocketsSansIOProtocol):
         await self._keeps_up.wait()
         await self.writable.wait()
 
-    def send_frames(self, frames: Sequence[bytes]) -> None:
-        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end."""
+    def send_frames(self, frames: Sequence[bytes], requested: bool = False) -> None:
+        """Send messages, one a frame, and a ping after every few that the client did not request one by one.
+
+        ClientDisconnected after the end.
+        """
         if self.disconnected or self.close_sent or self.conn.state is not OPEN:
             raise ClientDisconnected
-        self._messages += len(frames)
+        if not requested:
+            self._messages += len(frames)
         if self._messages // PING_EVERY > self._pings:
             self._pings = self._messages // PING_EVERY
             frames = [*frames, PING + self._pings.to_bytes(8, "big")]
@@ -162,12 +170,19 @@ class WebSocket(WebSocketsSansIOProtocol):
             super().handle_cont(event)
 
     def send_receive_event_to_app(self) -> None:
-        """Close a client whose text is not UTF-8: uvicorn would log a failure of the service."""
+        """Close a client whose text is not UTF-8: uvicorn would log a failure of the service.
+
+        A few short messages are handed over at once: a task's turn for each costs as much as an image does.
+        A client that sends many waits.
+        """
         if self.curr_msg_data_type == "text":
             try:
-                b"".join(self.frames).decode()
+                text = b"".join(self.frames).decode()
             except UnicodeDecodeError:
                 self._fail(CloseCode.INVALID_DATA, "text that is not UTF-8")
+                return
+            if self._few_bytes and not self.close_sent and self.take_text(text):
+                self.frames = []
                 return
         super().send_receive_event_to_app()
 

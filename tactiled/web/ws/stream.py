@@ -1,7 +1,7 @@
 """WebSocket streams of one sensor or several: newest wins, nothing queues for a client that does not read."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import NamedTuple
@@ -158,6 +158,7 @@ class Stream:
             try:
                 for line in self._lines.values():
                     self._listen_to(line)
+                self._protocol.take_text = self._take_text
                 await serve(self._socket, self._listen(), self._send())
             finally:
                 for line in self._lines.values():
@@ -220,10 +221,23 @@ class Stream:
 
     async def _listen(self) -> None:
         while True:
-            for name in parse_next(await receive(self._socket), list(self._credit)):
-                self._credit[name] = min(self._credit[name] + 1, MAX_CREDIT)
-                if name in self._lines:
-                    self._lines[name].wake()
+            self._take_request(parse_next(await receive(self._socket), list(self._credit)))
+
+    def _take_text(self, text: str) -> bool:
+        """Take a client's request at once; whether it is one, else `_listen` gets it and ends the stream."""
+        try:
+            names = parse_next(text, list(self._credit))
+        except ValueError:
+            return False
+        self._take_request(names)
+        return True
+
+    def _take_request(self, names: Sequence[str]) -> None:
+        """Let the client have an image more of each, sent later: the time for its messages is limited."""
+        for name in names:
+            self._credit[name] = min(self._credit[name] + 1, MAX_CREDIT)
+            if name in self._lines and not self._has_nothing(self._lines[name]):
+                self._loop.call_soon(self._lines[name].wake)
 
     async def _send(self) -> None:
         while True:
@@ -267,7 +281,7 @@ class Stream:
             line.image_timer.due = due_after(line.image_timer.due, now, rate_hz)
         frames = line.feed.frames(image, line.form)
         line.image, self._credit[name] = image, max(0, self._credit[name] - 1)
-        self._protocol.send_frames(frames)
+        self._protocol.send_frames(frames, requested=self._query.flow == "credit")
         line.feed.sensor.note_send(image)
 
     def _send_status(self, line: _Line) -> None:

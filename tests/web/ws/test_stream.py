@@ -3,12 +3,16 @@
 import json
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from websockets.client import ClientProtocol
+from websockets.frames import Opcode
 
 from tactiled.web import answers
+from tactiled.web.http.protocols import MARK, PING_EVERY
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
 from tactiled.web.ws import feed, session
@@ -166,6 +170,25 @@ def test_credit_gives_the_newest_image_once_and_at_most_two_ahead(rig, url):
         assert {each["type"] for each in texts(client, 0.3)} <= {"status"}
         client.send(NEXT)
         assert images(client, 1)[0].sequence == 5
+
+
+@pytest.mark.parametrize("query", ["", "&flow=credit"])
+def test_pings_follow_messages_that_the_client_did_not_request(rig, url, query, monkeypatch):
+    frames, receive = [], ClientProtocol.recv_frame
+    monkeypatch.setattr(ClientProtocol, "recv_frame", lambda own, each: (frames.append(each), receive(own, each)))
+
+    def pings_follow():
+        counts = Counter(each.opcode for each in frames if each.opcode is not Opcode.PING or MARK in each.data)
+        counted = counts[Opcode.TEXT] + (0 if query else counts[Opcode.BINARY])
+        return counts[Opcode.PING] == counted // PING_EVERY
+
+    with stream(url, f"?kinds=raw{query}") as client:
+        for at in range(4 * PING_EVERY):
+            if query:
+                client.send(NEXT)
+            rig.show(pressed(at % 6))
+            assert images(client, 1)[0].sequence == at
+        until(pings_follow)
 
 
 def test_the_images_of_a_frame_may_come_in_one_message(rig, url):
