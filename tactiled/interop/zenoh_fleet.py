@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import zenoh
 
 LOG = logging.getLogger(__name__)
-LOOK_S = 0.1  # how often states are looked at when no image comes
+LOOK_S = 0.1  # between two looks at the states, where nothing but images comes
 LINK_S = 2 * LOOK_S  # in which the end of our own link is seen, after that of the tokens
 CLOCK_S = 5.0  # between two comparisons with a reader's clock: 100 ppm of drift are 0.5 ms
 MAX_QUESTIONS = 8  # to readers at a time, beside those of clients
@@ -56,6 +56,7 @@ class Fleet:
         self._waiting: dict[str, Any] = {}  # the newest frame of a line that is not described yet
         self._history: dict[str, tuple[float, int]] = {}  # s and bytes of a sensor's past images
         self._history_left = server.history_mb * 1e6  # bytes
+        self._look_at = 0.0  # s, monotonic: when states are looked at next
         self._states: dict[str, str] = {}  # at the last look
         self._skewed: set[str] = set()
         self._inbox: deque[Callable[[], None]] = deque()  # for the thread
@@ -218,12 +219,17 @@ class Fleet:
             sensor.state_fields = state
 
     def _work(self, now: float) -> None:
+        """Show the images that came; look at states after other messages, and now and then: it costs as much."""
+        looks = bool(self._inbox) or now >= self._look_at
         while self._inbox:
             self._inbox.popleft()()
         while self._ready:
             line = self._ready.popleft()
             if (frame := line.parts.pop()) is not None:
                 self._show(line, *frame)
+        if not looks:
+            return
+        self._look_at = now + LOOK_S
         linked = self._session is not None and connected(self._session)
         for name, line in self._lines.items():
             line.look_at_link(linked)

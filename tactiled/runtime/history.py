@@ -1,7 +1,7 @@
 """The last images of one sensor, in memory that is allocated once and never grows."""
 
 from math import ceil, floor, prod
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from tactiled.frames import Image
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 MAX_RATE_HZ = 200  # of frames that there is memory for; of a faster sensor it is a shorter time
+Scalar = TypeVar("Scalar", bound=np.generic)
 BYTES_BESIDE = 8 + 8 + 8 + 8 + 1  # of a frame's sequence number, time, arrival, method and unit
 
 
@@ -43,8 +44,8 @@ class History:
         slots = min(ceil(seconds * MAX_RATE_HZ), max_bytes // self._frame_bytes)
         self.capacity = max(slots - 1, 0)  # frames; one slot more is being written
         slots = self.capacity and slots
-        self._images = {kind: np.zeros((slots, *shape), np.float32) for kind, shape in shapes.items()}
-        self._flags = np.zeros((slots, *raw), np.uint8)
+        self._images = {kind: _written((slots, *shape), np.float32) for kind, shape in shapes.items()}
+        self._flags = _written((slots, *raw), np.uint8)
         self._sequence = np.zeros(slots, np.int64)
         self._time, self._arrived = np.zeros(slots), np.zeros(slots)
         self._method = [""] * slots
@@ -113,3 +114,10 @@ class History:
             or bool((arrived >= since)[~comparable].any()),
             unit=(COUNTS if in_counts[-1] else PRESSURE) if len(in_counts) else None,
         )
+
+
+def _written(shape: tuple[int, ...], form: type[Scalar]) -> NDArray[Scalar]:
+    """Memory that the system gives now, not at its first use: that would hold up a frame for up to 5 ms."""
+    memory = np.empty(shape, form)
+    memory.fill(0)
+    return memory
