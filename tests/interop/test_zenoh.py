@@ -1,6 +1,7 @@
 """Readers, routers and servers as they run: processes of their own where one is killed or cut off."""
 
 import json
+import subprocess
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from websockets.sync.client import connect
 
 from tactiled.config import Server, Zenoh, parse
-from tactiled.interop.zenoh_session import Request
+from tactiled.errors import TactileError
+from tactiled.interop.zenoh_session import Request, open_session
 from tactiled.web.app import create
 from tactiled.web.forward import Requests, publisher
 from tactiled.web.server import running
@@ -90,6 +92,38 @@ def test_images_pass_bit_for_bit_and_the_stream_bears_the_joint_name(rig, served
         assert json.loads(socket_.recv(timeout=BUSY_S))["sensor"] == NAME
     page = ask("GET", f"{url}/sensors/{NAME}/frames?last=60s").json()
     assert page["frames"][-1]["sequence"] == image.sequence
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory):
+    """Settings of TLS, by whose authority signed this side's certificate."""
+    folder, settings = tmp_path_factory.mktemp("tls"), {}
+    new = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"]
+    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-addext", "basicConstraints=critical,CA:FALSE"]
+    for name in ("ours", "theirs"):
+        root, root_key, one, key = (folder / f"{name}{end}" for end in (".ca", ".ca.key", ".pem", ".key"))
+        signed = ["-CA", root, "-CAkey", root_key, *names]
+        for subject, out, keyout, more in ((name, root, root_key, []), ("palm", one, key, signed)):
+            command = [*new, "-subj", f"/CN={subject}", "-out", out, "-keyout", keyout, *more]
+            subprocess.run(command, check=True, capture_output=True)
+        trusted = folder / "ours.ca"
+        settings[name] = {"tls_root_certificate": trusted, "tls_certificate": one, "tls_key": key}
+    return settings
+
+
+def test_over_mutual_tls_an_authority_lets_readers_in_and_no_other(rig, certificates):
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    with fleet_at("", mode="peer", connect=[], listen=[endpoint], **certificates["ours"]) as fleet:
+        for more in (
+            certificates["theirs"],
+            {"tls_root_certificate": certificates["ours"]["tls_root_certificate"]},
+        ):
+            with pytest.raises(TactileError, match=endpoint):
+                open_session(Zenoh(mode="client", connect=[endpoint], **more))
+        with published(rig, endpoint, **certificates["ours"]):
+            until(lambda: NAME in fleet.sensors)
+            image = pass_on(rig, fleet, pressed())
+            np.testing.assert_array_equal(fleet.sensors[NAME].hub.latest().restored, image.restored)
 
 
 def test_a_change_needs_the_control_token_of_the_server_and_of_the_reader(rig, served):
