@@ -46,10 +46,10 @@ class History:
         slots = self.capacity and slots
         self._images = {kind: _written((slots, *shape), np.float32) for kind, shape in shapes.items()}
         self._flags = _written((slots, *raw), np.uint8)
-        self._sequence = np.zeros(slots, np.int64)
-        self._time, self._arrived = np.zeros(slots), np.zeros(slots)
+        self._sequence = _written((slots,), np.int64)
+        self._time, self._arrived = _written((2, slots), np.float64)
         self._method = [""] * slots
-        self._in_counts = np.zeros(slots, bool)
+        self._in_counts = _written((slots,), np.bool_)
         self._count = 0
 
     @property

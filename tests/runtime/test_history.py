@@ -1,3 +1,4 @@
+import resource
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -51,6 +52,15 @@ def test_memory_is_bounded_by_time_and_by_bytes():
         for kind, shape in (("raw", RAW), ("restored", RESTORED)):
             assert page(empty, kind).values.shape == (0, *shape)
         assert page(empty).flags.shape == (0, *RAW)
+
+
+def test_no_image_waits_for_memory():
+    shown, slots = [image(n) for n in range(10)], 200_000  # of 64 MB, which the system gives in pages
+    history = ring(slots)
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+    for n in range(slots):
+        history.add(shown[n % 10])
+    assert resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before < 10
 
 
 def test_the_last_images_come_in_order_with_all_that_is_known_of_them():
