@@ -55,11 +55,11 @@ def test_memory_is_bounded_by_time_and_by_bytes():
 
 
 def test_no_image_waits_for_memory():
-    shown, slots = [image(n) for n in range(10)], 200_000  # of 64 MB, which the system gives in pages
+    images, slots = [image(n) for n in range(10)], 200_000  # of 64 MB, which the system gives in pages
     history = ring(slots)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
     for n in range(slots):
-        history.add(shown[n % 10])
+        history.add(images[n % 10])
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before < 10
 
 
