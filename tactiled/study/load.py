@@ -272,7 +272,7 @@ def _send(
     span_s: float,
     results: Connection,
 ) -> None:
-    """Send every sensor's frames, one sensor after another in a period; then the time (s) of each one's end."""
+    """Send every sensor's frames, one sensor after another in a period; then the time (s) of each."""
     frames = [
         [b"".join(CAN_FRAME.pack(id_, len(data), data) for data in frame) for frame in payloads]
         for _, id_ in targets
@@ -286,8 +286,8 @@ def _send(
             for place, (port, _) in enumerate(targets):
                 due = began + (n + place / len(targets)) / rate_hz
                 time.sleep(max(0.0, due - time.monotonic()))
-                out.sendto(frames[place][n % len(payloads)], ("127.0.0.1", port))
                 send_times[place].append(time.time())
+                out.sendto(frames[place][n % len(payloads)], ("127.0.0.1", port))
     results.send(send_times)
 
 

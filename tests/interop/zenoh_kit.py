@@ -1,5 +1,6 @@
 import socket
 from contextlib import contextmanager, suppress
+from functools import partial
 
 from tactiled.config import Server, Zenoh
 from tactiled.interop.zenoh_fleet import Fleet
@@ -37,8 +38,13 @@ def detail(fleet):
 
 def pass_on(rig, fleet, counts):
     """Show frames until one comes through: a busy link may drop some."""
+
+    def passed(image):
+        newest = fleet.sensors[NAME].hub.latest()
+        return newest is not None and newest.sequence == image.sequence
+
     while True:
         image = rig.show(counts)
         with suppress(AssertionError):
-            until(lambda: fleet.sensors[NAME].hub.latest().sequence == image.sequence, 5.0)  # noqa: B023
+            until(partial(passed, image), 5.0)
             return image
