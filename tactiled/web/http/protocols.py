@@ -2,7 +2,7 @@
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
 a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
-stream takes the newest image. A client that requests images one by one has read the one before.
+stream takes the newest image.
 """
 
 import asyncio
@@ -28,7 +28,8 @@ from tactiled.web.http.headers import HEADERS
 from tactiled.web.http.timeouts import MAX_FRAGMENTS, SHUTDOWN_S
 
 PING_EVERY = 4  # messages
-MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and the next few
+REQUESTED = 1 / 8  # a message that the client requested counts as so many: its next request says that it reads
+MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and few more
 FEW_BYTES = 256  # what clients that keep up send at once: some ten messages
 MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
@@ -89,7 +90,7 @@ class WebSocket(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.conn.reject = _reject  # type: ignore[method-assign]
-        self._messages = 0
+        self._messages = 0.0
         self._pings = 0
         self._pongs = 0
         self._keeps_up = asyncio.Event()
@@ -137,16 +138,12 @@ class WebSocket(WebSocketsSansIOProtocol):
         await self.writable.wait()
 
     def send_frames(self, frames: Sequence[bytes], requested: bool = False) -> None:
-        """Send messages, one a frame, and a ping after every few that the client did not request one by one.
-
-        ClientDisconnected after the end.
-        """
+        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end."""
         if self.disconnected or self.close_sent or self.conn.state is not OPEN:
             raise ClientDisconnected
-        if not requested:
-            self._messages += len(frames)
+        self._messages += len(frames) * (REQUESTED if requested else 1)
         if self._messages // PING_EVERY > self._pings:
-            self._pings = self._messages // PING_EVERY
+            self._pings = int(self._messages // PING_EVERY)
             frames = [*frames, PING + self._pings.to_bytes(8, "big")]
             if self._pings - self._pongs >= MAX_UNANSWERED:
                 self._keeps_up.clear()

@@ -199,7 +199,7 @@ class Stream:
 
     def _add(self, line: _Line) -> None:
         """Send what is new of a sensor at once to a client that keeps up: a task's turn costs as much as that."""
-        if self._has_nothing(line):
+        if self._lines.get(line.feed.sensor.name) is not line or self._has_nothing(line):
             return
         self._due[line] = None
         if self._error is None and self._protocol.keeps_up():
@@ -281,7 +281,7 @@ class Stream:
             line.image_timer.due = due_after(line.image_timer.due, now, rate_hz)
         frames = line.feed.frames(image, line.form)
         line.image, self._credit[name] = image, max(0, self._credit[name] - 1)
-        self._protocol.send_frames(frames, requested=self._query.flow == "credit")
+        self._protocol.send_frames(frames, requested=self._query.flow == "credit" and len(self._credit) == 1)
         line.feed.sensor.note_send(image)
 
     def _send_status(self, line: _Line) -> None:
