@@ -1,7 +1,8 @@
 """What does this scene need? Nothing, the raw image, a linear filter, sharp edges, or a few loads fitted to it.
 
 These are the candidates in the order of their cost. Each says what the next one would certainly put right, as a
-share of the image's norm; the next one runs where that is at least WORTH. All numbers are of this frame alone.
+share of the image's norm; the next one runs where that is at least WORTH, after the raw image RAW_WORTH. All
+numbers are of this frame alone.
 """
 
 from math import sqrt
@@ -17,7 +18,9 @@ from tactiled.restore.scene import Restored, Scene
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Filter, Wiener
 
-WORTH = 0.02  # of the norm: at 0.015 a tenth more frames are iterated, for 0.4 % less error
+# Of the norm, chosen on 168 random scenes of 14 kinds that no claim is made on.
+WORTH = 0.005  # 0.02 spares 4 % of the time, and in 0.2 % noise costs a sixth more error
+RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin cover is right often enough
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
 
 IDLE = "no contact above the noise"
@@ -79,7 +82,7 @@ class Auto:
     def _restored(self, y: Image) -> Restored:
         filter_, resolution = self._wiener.filter(), self._scene.resolution()
         spared = self._spared(filter_) if self._unrefined else 1.0
-        if spared < WORTH:
+        if spared < RAW_WORTH:
             return Restored(y, "raw", RAW.format(spared), 0, 1.0, resolution)
         linear = self._wiener()
         negative = self._negative(linear)

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from tactiled.restore.aliasing import Aliasing
-from tactiled.restore.modes import Floats, Image, Modes, grid_modes, matrix_modes
+from tactiled.restore.modes import Floats, Image, Modes, SumOfProducts, grid_modes, matrix_modes
 from tactiled.restore.point_response import PointResponse
 
 RANK_TOLERANCE = 1e-7  # of the largest separable part: float32 loses smaller ones anyway
+MODES_RANK_TOLERANCE = 1e-4  # of the largest part: far below what the modes themselves miss
 FINE = 4  # cells along each side of a taxel, of which one is the load of a point
 THICKNESS_ERROR = 0.03  # of a cover's thickness: better is hardly known without a calibration
 
@@ -35,6 +36,10 @@ class Blur:
     def modes(self) -> Modes:
         """The patterns that the blur only weakens."""
         raise NotImplementedError
+
+    def to_taxel_modes(self) -> SumOfProducts | None:
+        """Give x -> U' H x, what the taxels feel without the error of `modes`; None where these have none."""
+        return None
 
     @cached_property
     def response(self) -> PointResponse | None:
@@ -94,6 +99,14 @@ class GridBlur(Blur):
         step, (rows, columns) = self._stencil(self._refine), self._shape
         marginals = _slide(step.sum(1), rows, self._refine), _slide(step.sum(0), columns, self._refine)
         return grid_modes(self._rows, self._columns, *marginals)
+
+    def to_taxel_modes(self) -> SumOfProducts | None:
+        """Give x -> U' H x, what the taxels feel without the error of `modes`."""
+        Uy, Ux = self.modes.taxel
+        parts = [(Uy.T @ A, B.T @ Ux) for A, B in zip(self._rows, self._columns, strict=True)]
+        size = [float(np.linalg.norm(A) * np.linalg.norm(B)) for A, B in parts]
+        large = [part for part, each in zip(parts, size, strict=True) if each > MODES_RANK_TOLERANCE * max(size)]
+        return SumOfProducts(*(list(each) for each in zip(*large, strict=True)))
 
     @cached_property
     def response(self) -> PointResponse | None:

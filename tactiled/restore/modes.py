@@ -45,6 +45,23 @@ class Transform:
         return np.empty(self.shape, np.float32)
 
 
+class SumOfProducts:
+    """x -> sum lefts[k] x rights[k] for images x (m, n), by two products of matrices, on buffers of its own."""
+
+    def __init__(self, lefts: list[Floats], rights: list[Floats]) -> None:
+        # Row i of every left beside row i of the others: the second product then sums over k.
+        self._lefts = np.ascontiguousarray(np.stack(lefts, axis=1), np.float32).reshape(-1, lefts[0].shape[1])
+        self._rights = np.concatenate(rights).astype(np.float32)
+        self._between = np.empty((len(self._lefts), rights[0].shape[0]), np.float32)
+        self._stacked = self._between.reshape(len(lefts[0]), -1)
+
+    def __call__(self, x: Image, out: Image) -> Image:
+        """Fill `out` and return it; float32, C-contiguous."""
+        self._lefts.dot(x, self._between)
+        self._stacked.dot(self._rights, out)
+        return out
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
     """H ~ U diag(gain) V': taxel modes U, surface modes V, both orthonormal and complete, smoothest first."""

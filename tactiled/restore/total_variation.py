@@ -16,6 +16,7 @@ PENALTY = 2.0  # over v: P of the splitting
 ITERATIONS = 5  # 20 spare another 2 % of error
 CUT_EVERY = 2  # iterations after which the time is looked at again
 DUAL_STEP = 0.24  # of the edges' pull: below 2 over the largest eigenvalue of a grid's differences, 8
+MODES_MISS = 0.02  # of a frame's norm, about twice what the blur's modes miss: less noise does not hide that
 MIN_WEIGHT = 1e-6  # noise standard deviations: a weight of 0 would be divided by 0
 
 
@@ -84,6 +85,9 @@ class TotalVariation:
     where w minimises |H w - y|^2 / 2 + P |w - (2 x - z)|^2 / 2. The less a frame tells of a cell, the smaller are
     both: with v = mean S / (1 + h^2 S), a cell's variance given the frame over the noise's, the weight is
     VARIATION_WEIGHT sqrt(sigma rms(y)) / v^VARIANCE_POWER, and P is PENALTY / v.
+
+    H is diagonal in its modes but for about a hundredth of its norm. Where the noise is too low to hide that, y is
+    first corrected by what the modes miss of the image that the iterations start from.
     """
 
     name = "tv"
@@ -96,6 +100,8 @@ class TotalVariation:
         self._analyse, self._synthesise = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._modes, self._data, self._inverse, self._again = (np.zeros_like(self._square) for _ in range(4))
         self._head, self._product = self._data[scene.modes.head], np.empty_like(scene.c)
+        self._exact, self._c = scene.blur.to_taxel_modes(), np.empty_like(scene.c)
+        self._miss = scene.noise * sqrt(scene.flat.size) / MODES_MISS  # norm of a frame whose noise hides nothing
         self._rest, self._z, self._mirrored = (
             np.zeros((rows, columns), np.float32) for _ in range(3)
         )  # rest: z - x
@@ -121,8 +127,9 @@ class TotalVariation:
     def flatten(self, image: Image) -> int:
         """Restore from a non-negative image; gives how often was iterated."""
         scene, edges, done = self._scene, self._edges, 0
-        self._load()
         np.copyto(self.image, image)
+        self._take_data()
+        self._load()
         self._rest[...] = 0
         while done < ITERATIONS and not (done % CUT_EVERY == 0 and scene.cut()):
             edges.follow()
@@ -138,6 +145,17 @@ class TotalVariation:
             self._variance[spectrum] = float((S / (1 + self._square * S)).mean())
         return self._variance[spectrum]
 
+    def _take_data(self) -> None:
+        """Put in place the frame's coefficients c, less what the modes miss of the image: (U'H - h V') x."""
+        scene, c = self._scene, self._c
+        np.copyto(c, scene.c)
+        if self._exact is None or scene.square < self._miss**2:
+            return
+        self._analyse(self.image, self._modes)
+        np.multiply(self._modes[scene.modes.head], self._gain, out=self._product)
+        np.add(c, self._product, out=c)
+        np.subtract(c, self._exact(self.image, self._product), out=c)
+
     def _load(self) -> None:
         """Put in place what the iterations owe to the frame."""
         scene, factor, v = self._scene, self._factor, self._cell_variance()
@@ -148,7 +166,7 @@ class TotalVariation:
         factor[()] = penalty
         np.add(self._square, factor, out=self._inverse)
         np.divide(factor, self._inverse, out=self._again)
-        np.multiply(scene.c, self._gain, out=self._product)
+        np.multiply(self._c, self._gain, out=self._product)
         np.divide(self._product, self._inverse[scene.modes.head], out=self._head)
 
     def _iterate(self) -> None:
