@@ -73,20 +73,17 @@ class Bumps(Points):
             self._fitters[width] = fitter
         return self._fitters[width]
 
-    def _fit(self, places: Floats, width: float, image: Image) -> int:
+    def _fit(self, places: Floats, width: float, image: Image) -> None:
         """Fit as many loads as there are places, or one more, of a width or the one that the frame shows."""
         self._image, fitter = image, self._fitter_of(width)
-        done, fit = self._try(fitter, places, width)
+        fit = self._try(fitter, places, width)
         for _ in range(MAX_HOPS):
             if self.loads or fit is None or (nearest := self._nearest(fit, width)) == width:
                 break
             width, fitter = nearest, self._fitter_of(nearest)
-            steps, fit = self._try(fitter, fit.places, width)
-            done += steps
-        if self.loads or fit is None or len(fit.force) == MAX_POINTS:
-            return done
-        steps, _ = self._try(fitter, self._split(fitter, fit, image), width)
-        return done + steps
+            fit = self._try(fitter, fit.places, width)
+        if fit is not None and self.loads is None and len(fit.force) < MAX_POINTS:
+            self._try(fitter, self._split(fitter, fit, image), width)
 
     def _nearest(self, fit: Fit, width: float) -> float:
         """Which of WIDTHS is nearest to the common width that a fit about `width` shows."""

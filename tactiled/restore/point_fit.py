@@ -4,13 +4,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
 
 # All chosen on the scenes of `python -m tests.study judge --family first`.
 MAX_POINTS = 8
-MAX_STEPS = 12  # for one number of points
 EARLY_STEPS = 3  # after which a step that takes off less than
 MIN_PROGRESS = 0.2  # of the residual's square, while that is
 HOPELESS = 4.0  # times what noise leaves, is the last
@@ -39,22 +39,33 @@ class Fit(NamedTuple):
         alike[4 * n : 5 * n, 3 * n :] = np.eye(n)
         return ridged(alike.T @ self.normal @ alike), self.right @ alike
 
-    def step(self, damping: float) -> Floats:
-        """Give the move (n, 2) of the points; the damping also holds those whose response is flat about them."""
-        n = len(self.force)
-        damped = self.normal[: 3 * n, : 3 * n].copy()
-        stiff = np.tile(damped.diagonal()[:n], 3)
-        stiff[:n] *= RIDGE
-        stiff[n:] *= damping * np.tile(self.force**2, 2)
-        damped.flat[:: 3 * n + 1] += stiff
-        return np.asarray(np.linalg.solve(damped, self.right[: 3 * n])[n:].reshape(2, n).T, float)
-
     def widths(self) -> tuple[Floats, Floats]:
         """Give each load's own widths (3, n), down, across and both, and their covariance for a noise of 1."""
         n = len(self.force)
         inverse = np.linalg.inv(ridged(self.normal))[3 * n :]
         covariance = np.asarray(inverse[:, 3 * n :], float)
         return np.asarray(inverse @ self.right).reshape(3, n), covariance.reshape(3, n, 3, n)
+
+
+class _Step(NamedTuple):
+    """Loads on the way to a fit, and the products of their frames and slopes."""
+
+    places: Floats  # (n, 2), pitches
+    force: Floats
+    residual: float  # of the frame, squared
+    gram: Floats  # (3 n, 3 n) of unit frames, and their slopes down and across
+    right: Floats  # (3 n,) of these and the residual
+
+    def move(self, damping: float) -> Floats:
+        """Give the move (n, 2) of the loads; the damping also holds those whose response is flat about them."""
+        n = len(self.force)
+        scale = np.concatenate([np.ones(n), self.force, self.force])
+        damped = scale[:, None] * scale * self.gram
+        stiff = damped.diagonal().copy()
+        stiff[:n] *= 1 + RIDGE
+        stiff[n:] += damping * np.concatenate([stiff[:n], stiff[:n]]) / (1 + RIDGE) * scale[n:] ** 2
+        damped.flat[:: 3 * n + 1] = stiff
+        return np.asarray(dposv(damped, scale * self.right)[1][n:].reshape(2, n).T, float)
 
 
 class Fitter:
@@ -68,50 +79,59 @@ class Fitter:
         self.jacobian = np.empty((6 * MAX_POINTS, rows * columns), np.float32)
         self.residual = np.empty(rows * columns, np.float32)
 
-    def __call__(self, y: Image, places: Floats, model: float) -> tuple[int, Fit | None]:
-        """Give the steps made from `places` (n, 2) and the fit that they led to.
+    def __call__(self, y: Image, places: Floats, model: float, steps: int) -> tuple[int, Fit | None]:
+        """Give the steps made from `places` (n, 2), at most `steps`, and the fit that they led to.
 
         `model` is what the response itself may miss of the frame's square (kPa^2).
         """
         variance = self._noise**2
-        damping, fit = INITIAL_DAMPING, None
+        damping, best = INITIAL_DAMPING, None
         done = 0
-        while done < MAX_STEPS:
+        while done < steps:
             self.places = places
             if self._cut():
                 return done, None
             done += 1
+            n = len(places)
             A = self._responses(places)
-            gram = np.asarray(A[0] @ A[0].T, float)
-            force = np.asarray(np.linalg.solve(ridged(gram), np.asarray(A[0] @ y, float)), float)
-            clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal())
+            J = A.reshape(3 * n, -1)
+            gram = np.asarray(J @ J.T, float)
+            along = np.asarray(J @ y, float)
+            force = solved(gram[:n, :n], along[:n])
+            clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal()[:n])
             if not clear.all():
-                fit, places = None, places[clear]
+                best, places = None, places[clear]
                 if not len(places):
                     break
                 continue
             residual = self._subtract(y, force)
-            if fit is None or residual <= fit.residual:
-                J, scale = A.reshape(6 * len(force), -1), np.concatenate([np.ones_like(force), *[force] * 5])
-                normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
-                gain = fit.residual - residual if fit else np.inf
-                fit = Fit(places, force, residual, normal, right)
+            if best is None or residual <= best.residual:
+                gain = best.residual - residual if best else np.inf
+                best = _Step(places, force, residual, gram, along - gram[:, :n] @ force)
                 damping *= DAMPING_FACTOR
                 if gain < MIN_GAIN * (variance + model / y.size):
                     break
                 slow = done >= EARLY_STEPS and gain < MIN_PROGRESS * residual
                 if slow and residual > HOPELESS * (variance * y.size + model):
-                    return done, fit
+                    break
             else:
                 damping /= DAMPING_FACTOR**2
-            step = fit.step(damping)
+            step = best.move(damping)
             if np.abs(step).max() < SETTLED:
                 break
-            places = self.within(fit.places + np.clip(step, -MAX_STEP, MAX_STEP))
-        if fit is not None and residual > fit.residual:
-            self._responses(fit.places)
-            self._subtract(y, fit.force)
-        return done, fit
+            places = self.within(best.places + np.clip(step, -MAX_STEP, MAX_STEP))
+        return done, self._finished(y, best) if best else None
+
+    def _finished(self, y: Image, best: "_Step") -> Fit:
+        """Give the fit of the best step, with what widths would do."""
+        n = len(best.force)
+        if best.places is not self.places:
+            self._responses(best.places)
+            self._subtract(y, best.force)
+        self._response.jacobian(best.places, self.jacobian[3 * n : 6 * n].reshape(3, n, -1), first=3)
+        J, scale = self.jacobian[: 6 * n], np.concatenate([np.ones_like(best.force), *[best.force] * 5])
+        normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
+        return Fit(best.places, best.force, best.residual, normal, right)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""
@@ -120,7 +140,7 @@ class Fitter:
 
     def _responses(self, places: Floats) -> Image:
         n = len(places)
-        A = self.jacobian[: 6 * n].reshape(6, n, -1)
+        A = self.jacobian[: 3 * n].reshape(3, n, -1)
         self._response.jacobian(places, A)
         return A
 
@@ -129,6 +149,11 @@ class Fitter:
         responses = self.jacobian[: len(force)].reshape(-1, y.size)
         np.subtract(y, force.astype(np.float32) @ responses, out=self.residual)
         return float(self.residual.dot(self.residual))
+
+
+def solved(normal: Floats, right: Floats) -> Floats:
+    """Solve normal equations, whatever the frame tells apart."""
+    return np.asarray(dposv(ridged(normal), right)[1])
 
 
 def ridged(normal: Floats) -> Floats:

@@ -10,6 +10,8 @@ from scipy.interpolate import make_interp_spline
 from tactiled.restore.modes import Floats, Image
 
 PHASES = 64  # places a pitch that are tabulated: between them, the slope
+ORDERS = (0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)  # of derivatives down and across, of each kind
+HALF = np.float32(0.5)
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
 
 
@@ -38,23 +40,21 @@ class PointResponse:
             self._widened[width] = wide
         return self._widened[width]
 
-    def jacobian(self, places: Floats, out: Image) -> None:
-        """Fill out (6, n, R C): unit loads' frames at `places` (n, 2), slopes down and across, and what widths do.
+    def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
+        """Fill out (k, n, R C) with k of six kinds of frames of unit loads at `places` (n, 2), from `first` on.
 
-        The last three are what a frame gains for each square pitch of the load's variance down, of that across,
-        and of the covariance: half the second derivatives, and the mixed one.
+        These are the frames themselves, their slopes down and across, and what they gain for each square pitch of
+        the load's variance down, of that across, and of the covariance: half the second derivatives, and the mixed
+        one.
         """
         nearest = (places * PHASES).round()
-        ahead = (places - nearest / PHASES).astype(np.float32)[..., None, None]
+        ahead = (places - nearest / PHASES).astype(np.float32)
         rows, columns = nearest.astype(np.intp).T
-        down, slope_down, curve_down = self._down(rows, ahead[:, 0])
-        across, slope_across, curve_across = self._across(columns, ahead[:, 1])
-        view = out.reshape(6, len(places), *self.shape)
-        of_rows = down, slope_down, down, curve_down, down, slope_down
-        of_columns = across, across, slope_across, across, curve_across, slope_across
-        for a, b, frames in zip(of_rows, of_columns, view, strict=True):
-            np.matmul(a, b.swapaxes(1, 2), out=frames)
-        view[3:5] *= np.float32(0.5)
+        down, across = self._down(rows, ahead[:, 0]), self._across(columns, ahead[:, 1])
+        for (row, column), frames in zip(ORDERS[first:], out.reshape(-1, len(places), *self.shape), strict=False):
+            np.matmul(down[row], across[column].swapaxes(1, 2), out=frames)
+        halves = out[max(3 - first, 0) : max(5 - first, 0)]
+        np.multiply(halves, HALF, out=halves)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
@@ -81,14 +81,16 @@ class _Axis:
 
     def __init__(self, parts: Floats, n: int, refine: int) -> None:
         self._table, self._n = np.asarray(_table(parts, n, refine), np.float32), n
-        self._taxels = np.arange(n)
 
     def __call__(self, nearest: NDArray[np.intp], ahead: Image) -> Image:
         """Give (3, n, taxels, parts) for loads at `nearest` phases, and a little `ahead`."""
         # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
-        turn, phase = np.divmod(self._n * PHASES - nearest, PHASES)
-        values = self._table[:, phase[:, None], turn[:, None] + self._taxels]
-        values[:2] += ahead * values[1:]
+        n, table = self._n, self._table
+        values = np.empty((3, len(nearest), n, table.shape[-1]), np.float32)
+        for load, place in enumerate(nearest.tolist()):
+            turn, phase = divmod(n * PHASES - place, PHASES)
+            values[:, load] = table[:, phase, turn : turn + n]
+        values[:2] += ahead[:, None, None] * values[1:]
         return values
 
 

@@ -16,6 +16,7 @@ from tactiled.restore.scene import Scene
 # Chosen on the scenes of `python -m tests.study judge --family first` and on pairs of loads half a pitch apart.
 MIN_SIDE = 3  # taxels a side that tell a place on it
 MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a load's frame, or no place is known
+MAX_STEPS = 12  # of all fits from one start: on 156 frames, 31 of them fitted, as good as any number
 MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
@@ -68,6 +69,7 @@ class Points:
         self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
+        self._steps = 0  # made from the same start
         self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
         self._before: tuple[Floats, float] | None = None  # places and width of a fit that stood or was cut short
 
@@ -84,36 +86,39 @@ class Points:
         if self._pause:
             self._pause -= 1
             return 0
-        done, before, self._before = 0, self._before, None
-        if before is not None:
-            done = self._fit(*before, image)
-        if self.loads is None and not self._scene.cut_short:
-            places = self._peaks(image)
-            done += self._fit(np.array(places), 0.0, image) if places else 0
+        before, self._before = self._before, None
+        done = self._fits(*before, image) if before else 0
+        if self.loads is None and not self._scene.cut_short and (places := self._peaks(image)):
+            done += self._fits(np.array(places), 0.0, image)
         self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
         if self._cuts == MAX_CUTS:
             self._cuts, self._pause = 0, PAUSE_FRAMES
         return done if self.loads else 0
 
-    def _fit(self, places: Floats, width: float, image: Image) -> int:
-        """Fit as many points as there are places, or one more; gives the steps made."""
+    def _fits(self, places: Floats, width: float, image: Image) -> int:
+        """Fit loads from places on; gives the steps made, MAX_STEPS at most."""
+        self._steps = 0
+        self._fit(places, width, image)
+        return self._steps
+
+    def _fit(self, places: Floats, width: float, image: Image) -> None:
+        """Fit as many points as there are places, or one more."""
         del width
         assert self._fitter is not None
-        done, fit = self._try(self._fitter, places, 0.0)
-        if self.loads or fit is None or len(fit.force) == MAX_POINTS:
-            return done
-        more, _ = self._try(self._fitter, self._split(self._fitter, fit, image), 0.0)
-        return done + more
+        fit = self._try(self._fitter, places, 0.0)
+        if fit is not None and self.loads is None and len(fit.force) < MAX_POINTS:
+            self._try(self._fitter, self._split(self._fitter, fit, image), 0.0)
 
-    def _try(self, fitter: Fitter, places: Floats, width: float) -> tuple[int, Fit | None]:
-        """Fit loads of a width at places and keep them if they stand; gives the steps made and the fit."""
-        done, fit = fitter(self._frame, places, self._model)
+    def _try(self, fitter: Fitter, places: Floats, width: float) -> Fit | None:
+        """Fit loads of a width at places and keep them if they stand."""
+        done, fit = fitter(self._frame, places, self._model, MAX_STEPS - self._steps)
+        self._steps += done
         cut = self._scene.cut()
         if fit is not None and not cut:
             self.loads = self._accepted(fitter, fit, width)
         if cut or self.loads:
             self._before = self.loads.places if self.loads else fitter.places, width
-        return done, None if cut else fit
+        return None if cut else fit
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
