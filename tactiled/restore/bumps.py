@@ -26,6 +26,9 @@ from tactiled.restore.scene import Scene
 # `python -m tests.study judge --family first`.
 WIDTHS = (0.0, 0.12, 0.25, 0.4, 0.6)  # square pitches: a load's variance along an axis
 MAX_HOPS = 2  # from one of these to another
+MAX_PREDICTED = (
+    6.0  # times what noise leaves: once a fit predicts more, no other follows; one of 129 would have stood
+)
 FAR, MIDDLE = 2.0, 0.25  # times what noise leaves: so far from points, the width tried next (square pitches)
 OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches and share of the common width: deviation of the loads' own
 MAX_WIDTH_ERROR = 0.1  # square pitches of the common width: of one less certain the shape is made up
@@ -78,12 +81,19 @@ class Bumps(Points):
         self._image, fitter = image, self._fitter_of(width)
         fit = self._try(fitter, places, width)
         for _ in range(MAX_HOPS):
-            if self.loads or fit is None or (nearest := self._nearest(fit, width)) == width:
+            if self._is_over(fit, width) or fit is None or (nearest := self._nearest(fit, width)) == width:
                 break
             width, fitter = nearest, self._fitter_of(nearest)
             fit = self._try(fitter, fit.places, width)
-        if fit is not None and self.loads is None and len(fit.force) < MAX_POINTS:
+        if not self._is_over(fit, width) and fit is not None and len(fit.force) < MAX_POINTS:
             self._try(fitter, self._split(fitter, fit, image), width)
+
+    def _is_over(self, fit: Fit | None, width: float) -> bool:
+        """Whether loads stand, or hardly will: from any width but none a fit predicts well what the next leaves."""
+        if self.loads or fit is None:
+            return True
+        expected = self._scene.noise**2 * self._unexplained.size + self._model
+        return width > 0 and fit.predicted() > MAX_PREDICTED * expected
 
     def _nearest(self, fit: Fit, width: float) -> float:
         """Which of WIDTHS is nearest to the common width that a fit about `width` shows."""

@@ -39,6 +39,10 @@ class Fit(NamedTuple):
         alike[4 * n : 5 * n, 3 * n :] = np.eye(n)
         return ridged(alike.T @ self.normal @ alike), self.right @ alike
 
+    def predicted(self) -> float:
+        """Give what would be left of `residual` if frames were linear in places and in the widths of each load."""
+        return self.residual - float(self.right @ np.linalg.solve(ridged(self.normal), self.right))
+
     def widths(self) -> tuple[Floats, Floats]:
         """Give each load's own widths (3, n), down, across and both, and their covariance for a noise of 1."""
         n = len(self.force)
