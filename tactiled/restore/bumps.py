@@ -26,9 +26,7 @@ from tactiled.restore.scene import Scene
 # `python -m tests.study judge --family first`.
 WIDTHS = (0.0, 0.12, 0.25, 0.4, 0.6)  # square pitches: a load's variance along an axis
 MAX_HOPS = 2  # from one of these to another
-MAX_PREDICTED = (
-    6.0  # times what noise leaves: once a fit predicts more, no other follows; one of 129 would have stood
-)
+MAX_PREDICTED = 6.0  # times what noise leaves: a fit that predicts more is the last; one of 129 would have stood
 FAR, MIDDLE = 2.0, 0.25  # times what noise leaves: so far from points, the width tried next (square pitches)
 OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches and share of the common width: deviation of the loads' own
 MAX_WIDTH_ERROR = 0.1  # square pitches of the common width: of one less certain the shape is made up
@@ -89,7 +87,7 @@ class Bumps(Points):
             self._try(fitter, self._split(fitter, fit, image), width)
 
     def _is_over(self, fit: Fit | None, width: float) -> bool:
-        """Whether loads stand, or hardly will: from any width but none a fit predicts well what the next leaves."""
+        """Whether loads stand, or hardly will: from a width, a fit predicts well what the next leaves."""
         if self.loads or fit is None:
             return True
         expected = self._scene.noise**2 * self._unexplained.size + self._model
