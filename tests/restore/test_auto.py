@@ -11,6 +11,7 @@ from tests.study.presses import presses
 
 SIGMA = 0.5
 SHAPE = (24, 24)
+POINT = np.eye(24) * (np.arange(24) == 12) * 40.0
 
 
 def bump(width, peak=60.0):
@@ -40,8 +41,8 @@ def test_noise_alone_is_idle_and_its_image_zero(covered, sensed):
 
 @pytest.mark.parametrize(
     "truth",
-    [np.eye(24) * (np.arange(24) == 12) * 40.0, np.full(SHAPE, 0.2), np.full(SHAPE, -0.2)],
-    ids=["a point", "a faint uniform load", "a faint uniform drift"],
+    [POINT, -POINT, np.full(SHAPE, 0.2), np.full(SHAPE, -0.2)],
+    ids=["a point", "a taxel that fell", "a faint uniform load", "a faint uniform drift"],
 )
 def test_what_stands_out_in_one_taxel_or_in_the_sum_is_not_idle(covered, sensed, truth):
     assert make("auto", covered(SHAPE), SIGMA)(sensed(truth)).method != "idle"

@@ -61,6 +61,29 @@ def test_total_force_at_the_border_is_the_blurs_own(covered, method, thickness):
     assert abs(float((blur.reach * image).sum()) - frame.sum()) <= 0.05 * np.sqrt(frame.size)
 
 
+@pytest.fixture
+def punched(covered):
+    """The blur of a cover, the noisy frame of a punch under it, and the truth."""
+
+    def make_frame(thickness, sigma):
+        blur, truth = covered((24, 24), thickness), np.zeros((24, 24))
+        truth[10:13, 10:13] = 100
+        noise = np.random.default_rng(0).normal(0, sigma, truth.shape)
+        return blur, (blur.forward(truth) + noise).astype(np.float32), truth
+
+    return make_frame
+
+
+def test_richardson_lucy_stops_at_the_noise(punched):
+    blur, frame, _ = punched(1.0, 5.0)
+    assert 1 <= make("rl", blur, 5.0)(frame).iterations <= 10
+
+
+def test_non_negative_least_squares_puts_no_pressure_beside_a_punch(punched):
+    blur, frame, truth = punched(2.0, 0.5)
+    assert make("nnls", blur, 0.5)(frame).image[truth == 0].sum() < 0.01 * truth.sum()
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("method", ["wiener", "rl", "nnls", "tv", "auto"])
 @pytest.mark.parametrize("flag", [MISSING, BAD, DEAD])

@@ -60,7 +60,8 @@ def test_with_a_token_loopback_is_served_under_the_name_of_its_proxy(guarded):
         return ask("PUT", guarded + METHOD, headers=proxied | headers, json=RAW)
 
     problem(put(origin), 401)  # as a page does that has its name lead here: no cookie is for that name
-    problem(put(bearer(CONTROL) | {"Origin": "https://elsewhere.example"}), 403)
+    for foreign in ("https://elsewhere.example", "https://norobot.example:8443"):
+        problem(put(bearer(CONTROL) | {"Origin": foreign}), 403)
     assert put(bearer(CONTROL) | origin).status_code == 200
 
 
