@@ -3,6 +3,7 @@
 from collections import defaultdict
 from functools import partial
 from itertools import cycle, product
+from math import inf
 from time import thread_time
 
 import numpy as np
@@ -10,6 +11,7 @@ from rich.progress import track
 
 from tactiled.cli.bench import print_table
 from tactiled.restore.methods import make
+from tactiled.runtime.pipeline import Deadline
 from tactiled.study.peers import skimage_wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import PEAK_KPA
@@ -56,25 +58,27 @@ def timed(run, frame):
     return 1e6 * (thread_time() - start)
 
 
-def prepared(method, skin, noise):
-    """A fresh restorer, with all made that can be before its first frame."""
+def prepared(method, skin, noise, budget_s):
+    """A fresh restorer, with all made that can be before its first frame; each image ends after a budget."""
     restorer = make(method, skin.blur, noise * PEAK_KPA)
     restorer.prepare()
-    return restorer
+    return lambda frame: restorer(frame, None, Deadline(budget_s))
 
 
-def measure(size, frames, seed, method="auto"):
+def measure(size, frames, seed, method="auto", budget_s=inf):
     """Microseconds (frames,) by label, the least of PASSES each; "wiener" is scikit-image's."""
     random, times, settings = np.random.default_rng(seed), defaultdict(list), []
     for thickness in THICKNESSES:
         skin, clips = rubber(thickness, size), list(clean_clips(size, thickness, seed))
-        settings += [(skin, clips, n, [prepared(method, skin, n) for _ in range(PASSES)]) for n in NOISES]
+        settings += [
+            (skin, clips, n, [prepared(method, skin, n, budget_s) for _ in range(PASSES)]) for n in NOISES
+        ]
     rounds = range(-(-frames // (CHUNK * len(settings))))
     for _, (skin, clips, noise, restorers) in track(list(product(rounds, settings)), f"{size}", transient=True):
         labels, sequence = chunk(clips, noise, random)
         wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
         passes = [
-            [timed(prepared(method, skin, noise), frame) for frame in sequence[:COLD]]
+            [timed(prepared(method, skin, noise, budget_s), frame) for frame in sequence[:COLD]]
             + [timed(wiener, frame) for frame in sequence[:: CHUNK // WIENERS]]
             + [timed(restorer, frame) for frame in sequence]
             for restorer in restorers
@@ -86,10 +90,12 @@ def measure(size, frames, seed, method="auto"):
     return {label: np.array(took) for label, took in times.items()}
 
 
-def frame_times(frames: int = 20_000, sizes: str = "16,32,64", method: str = "auto", seed: int = 1) -> None:
+def frame_times(
+    frames: int = 20_000, sizes: str = "16,32,64", method: str = "auto", seed: int = 1, budget_ms: float = inf
+) -> None:
     """Time very many single frames of mixed scenes; the worst against the median of scikit-image's wiener."""
     for size in map(int, sizes.split(",")):
-        times = measure(size, frames, seed, method)
+        times = measure(size, frames, seed, method, 1e-3 * budget_ms)
         wiener = times.pop("wiener")
         rows = []
         for label, took in {**times, "all": np.concatenate(list(times.values())), "wiener": wiener}.items():

@@ -49,7 +49,7 @@ def test_a_method_that_looks_back_is_told_from_one_that_does_not(monkeypatch):
 class Slow(Lagging):
     """Takes two milliseconds of the processor for the first frame."""
 
-    def __call__(self, frame):
+    def __call__(self, frame, *_):
         end = time.thread_time() + 0.002 * (self.image is None)
         while time.thread_time() < end:
             self.image = frame
