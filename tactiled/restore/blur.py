@@ -37,7 +37,7 @@ class Blur:
         """The patterns that the blur only weakens."""
         raise NotImplementedError
 
-    def to_taxel_modes(self) -> SumOfProducts | None:
+    def forward_in_modes(self) -> SumOfProducts | None:
         """Give x -> U' H x, what the taxels feel without the error of `modes`; None where these have none."""
         return None
 
@@ -100,7 +100,7 @@ class GridBlur(Blur):
         marginals = _slide(step.sum(1), rows, self._refine), _slide(step.sum(0), columns, self._refine)
         return grid_modes(self._rows, self._columns, *marginals)
 
-    def to_taxel_modes(self) -> SumOfProducts | None:
+    def forward_in_modes(self) -> SumOfProducts | None:
         """Give x -> U' H x, what the taxels feel without the error of `modes`."""
         Uy, Ux = self.modes.taxel
         parts = [(Uy.T @ A, B.T @ Ux) for A, B in zip(self._rows, self._columns, strict=True)]

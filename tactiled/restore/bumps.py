@@ -79,24 +79,31 @@ class Bumps(Points):
         self._image, fitter = image, self._fitter_of(width)
         fit = self._try(fitter, places, width)
         for _ in range(MAX_HOPS):
-            if self._is_over(fit, width) or fit is None or (nearest := self._nearest(fit, width)) == width:
+            if fit is None or (nearest := self._nearest(fit, width)) == width:
                 break
             width, fitter = nearest, self._fitter_of(nearest)
             fit = self._try(fitter, fit.places, width)
-        if not self._is_over(fit, width) and fit is not None and len(fit.force) < MAX_POINTS:
-            self._try(fitter, self._split(fitter, fit, image), width)
+        if fit is not None and len(fit.force) < MAX_POINTS:
+            super()._try(fitter, self._split(fitter, fit, image), width)
 
-    def _is_over(self, fit: Fit | None, width: float) -> bool:
-        """Whether loads stand, or hardly will: from a width, a fit predicts well what the next leaves."""
-        if self.loads or fit is None:
-            return True
-        expected = self._scene.noise**2 * self._unexplained.size + self._model
-        return width > 0 and fit.predicted() > MAX_PREDICTED * expected
+    def _try(self, fitter: Fitter, places: Floats, width: float) -> Fit | None:
+        """Fit loads of a width at places and keep them if they stand; gives a fit that another may improve on.
+
+        From a width, though not from points, a fit predicts well what the next one leaves.
+        """
+        fit = super()._try(fitter, places, width)
+        if fit is not None and width > 0 and fit.predicted() > MAX_PREDICTED * self._expected():
+            return None
+        return fit
+
+    def _expected(self) -> float:
+        """Square of what the noise and the model's error leave of the frame (kPa^2)."""
+        return self._scene.noise**2 * self._unexplained.size + self._model
 
     def _nearest(self, fit: Fit, width: float) -> float:
         """Which of WIDTHS is nearest to the common width that a fit about `width` shows."""
         total = width + _common_width(fit)[2]
-        if width == 0 and fit.residual > FAR * (self._scene.noise**2 * self._unexplained.size + self._model):
+        if width == 0 and fit.residual > FAR * self._expected():
             total = MIDDLE
         return min(WIDTHS, key=lambda each: abs(each - total))
 

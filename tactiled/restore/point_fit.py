@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
@@ -65,11 +64,11 @@ class _Step(NamedTuple):
         n = len(self.force)
         scale = np.concatenate([np.ones(n), self.force, self.force])
         damped = scale[:, None] * scale * self.gram
-        stiff = damped.diagonal().copy()
-        stiff[:n] *= 1 + RIDGE
-        stiff[n:] += damping * np.concatenate([stiff[:n], stiff[:n]]) / (1 + RIDGE) * scale[n:] ** 2
-        damped.flat[:: 3 * n + 1] = stiff
-        return np.asarray(dposv(damped, scale * self.right)[1][n:].reshape(2, n).T, float)
+        stiff = np.tile(damped.diagonal()[:n], 3)
+        stiff[:n] *= RIDGE
+        stiff[n:] *= damping * scale[n:] ** 2
+        damped.flat[:: 3 * n + 1] += stiff
+        return np.asarray(np.linalg.solve(damped, scale * self.right)[n:].reshape(2, n).T, float)
 
 
 class Fitter:
@@ -101,7 +100,7 @@ class Fitter:
             J = A.reshape(3 * n, -1)
             gram = np.asarray(J @ J.T, float)
             along = np.asarray(J @ y, float)
-            force = solved(gram[:n, :n], along[:n])
+            force = np.asarray(np.linalg.solve(ridged(gram[:n, :n]), along[:n]), float)
             clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal()[:n])
             if not clear.all():
                 best, places = None, places[clear]
@@ -129,7 +128,7 @@ class Fitter:
     def _finished(self, y: Image, best: "_Step") -> Fit:
         """Give the fit of the best step, with what widths would do."""
         n = len(best.force)
-        if best.places is not self.places:
+        if best.places is not self.places:  # a step after it was tried and was worse
             self._responses(best.places)
             self._subtract(y, best.force)
         self._response.jacobian(best.places, self.jacobian[3 * n : 6 * n].reshape(3, n, -1), first=3)
@@ -153,11 +152,6 @@ class Fitter:
         responses = self.jacobian[: len(force)].reshape(-1, y.size)
         np.subtract(y, force.astype(np.float32) @ responses, out=self.residual)
         return float(self.residual.dot(self.residual))
-
-
-def solved(normal: Floats, right: Floats) -> Floats:
-    """Solve normal equations, whatever the frame tells apart."""
-    return np.asarray(dposv(ridged(normal), right)[1])
 
 
 def ridged(normal: Floats) -> Floats:

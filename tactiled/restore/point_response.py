@@ -51,10 +51,11 @@ class PointResponse:
         ahead = (places - nearest / PHASES).astype(np.float32)
         rows, columns = nearest.astype(np.intp).T
         down, across = self._down(rows, ahead[:, 0]), self._across(columns, ahead[:, 1])
-        for (row, column), frames in zip(ORDERS[first:], out.reshape(-1, len(places), *self.shape), strict=False):
+        kinds = ORDERS[first : first + len(out)]
+        for (row, column), frames in zip(kinds, out.reshape(-1, len(places), *self.shape), strict=True):
             np.matmul(down[row], across[column].swapaxes(1, 2), out=frames)
-        halves = out[max(3 - first, 0) : max(5 - first, 0)]
-        np.multiply(halves, HALF, out=halves)
+            if 2 in (row, column):
+                np.multiply(frames, HALF, out=frames)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""

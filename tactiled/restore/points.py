@@ -106,11 +106,11 @@ class Points:
         del width
         assert self._fitter is not None
         fit = self._try(self._fitter, places, 0.0)
-        if fit is not None and self.loads is None and len(fit.force) < MAX_POINTS:
+        if fit is not None and len(fit.force) < MAX_POINTS:
             self._try(self._fitter, self._split(self._fitter, fit, image), 0.0)
 
     def _try(self, fitter: Fitter, places: Floats, width: float) -> Fit | None:
-        """Fit loads of a width at places and keep them if they stand."""
+        """Fit loads of a width at places and keep them if they stand; gives a fit that another may improve on."""
         done, fit = fitter(self._frame, places, self._model, MAX_STEPS - self._steps)
         self._steps += done
         cut = self._scene.cut()
@@ -118,7 +118,7 @@ class Points:
             self.loads = self._accepted(fitter, fit, width)
         if cut or self.loads:
             self._before = self.loads.places if self.loads else fitter.places, width
-        return None if cut else fit
+        return None if cut or self.loads else fit
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""

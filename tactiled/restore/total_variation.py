@@ -100,8 +100,9 @@ class TotalVariation:
         self._analyse, self._synthesise = scene.modes.to_surface_modes(), scene.modes.to_surface()
         self._modes, self._data, self._inverse, self._again = (np.zeros_like(self._square) for _ in range(4))
         self._head, self._product = self._data[scene.modes.head], np.empty_like(scene.c)
-        self._exact, self._c = scene.blur.to_taxel_modes(), np.empty_like(scene.c)
-        self._miss = scene.noise * sqrt(scene.flat.size) / MODES_MISS  # norm of a frame whose noise hides nothing
+        self._exact, self._c = scene.blur.forward_in_modes(), np.empty_like(scene.c)
+        # Norm of a frame up to which noise hides what the modes miss of it.
+        self._hidden = scene.noise * sqrt(scene.flat.size) / MODES_MISS
         self._rest, self._z, self._mirrored = (
             np.zeros((rows, columns), np.float32) for _ in range(3)
         )  # rest: z - x
@@ -149,7 +150,7 @@ class TotalVariation:
         """Put in place the frame's coefficients c, less what the modes miss of the image: (U'H - h V') x."""
         scene, c = self._scene, self._c
         np.copyto(c, scene.c)
-        if self._exact is None or scene.square < self._miss**2:
+        if self._exact is None or scene.square < self._hidden**2:
             return
         self._analyse(self.image, self._modes)
         np.multiply(self._modes[scene.modes.head], self._gain, out=self._product)
