@@ -1,4 +1,4 @@
-"""What does this scene need? Nothing, the raw image, a linear filter, sharp edges, or a few loads fitted to it.
+"""What does this scene need? Nothing, the raw image, a linear filter, a network, or a few loads fitted to it.
 
 These are the candidates in the order of their cost. Each says what the next one would certainly put right, as a
 share of the image's norm; the next one runs where that is at least WORTH, after the raw image RAW_WORTH. All
@@ -9,11 +9,12 @@ from math import sqrt
 
 import numpy as np
 
-from tactiled.restore.bumps import Bumps
+from tactiled.restore import learned
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.nonnegative import Nonnegative
+from tactiled.restore.points import TOO_THIN, Points
 from tactiled.restore.scene import Restored, Scene
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Filter, Wiener
@@ -25,6 +26,7 @@ SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more 
 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
+SPOTS = "small spots under so thin a cover: no frame tells where on their taxels they are"
 WIENER = "smooth contact: {:.1%} of the Wiener-filtered image is below zero"
 SHARP = "sharp contact: {:.1%} of the Wiener-filtered image is below zero"
 LOADS = "isolated indenters: {} explain the frame down to its noise"
@@ -35,10 +37,9 @@ class Auto:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._wiener, self._nonnegative = Wiener(scene), Nonnegative(scene)
-        self.loads = Bumps(scene, wary=True)
-        is_grid = len(scene.blur.surface_shape) == 2
-        self._flat = TotalVariation(scene, self._nonnegative) if is_grid else None
+        self._wiener = Wiener(scene)
+        self._sharp = _sharp(scene, self._wiener)
+        self.loads = Points(scene)
         size = scene.flat.size
         self._taxel_ones = np.ones(size, np.float32)
         self._peak = detection_threshold(scene.noise, size)
@@ -52,8 +53,7 @@ class Auto:
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
-        self._scene.prepare(self._wiener.filter, (self._flat or self._nonnegative).prepare)
-        self.loads.prepare()
+        self._scene.prepare(self._wiener.filter, self._sharp.prepare)
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored: of loads the fit's."""
@@ -84,21 +84,20 @@ class Auto:
         spared = self._spared(filter_) if self._unrefined else 1.0
         if spared < RAW_WORTH:
             return Restored(y, "raw", RAW.format(spared), 0, 1.0, resolution)
+        if self._unrefined and self.loads.unavailable == TOO_THIN and self._scene.spotted:
+            return Restored(y, "raw", SPOTS, 0, 1.0, resolution)
         linear = self._wiener()
         negative = self._negative(linear)
         if negative < WORTH:
             return Restored(linear, "wiener", WIENER.format(negative), 0, filter_.noise_gain, resolution)
-        done = self._nonnegative(linear)
-        steps = self.loads(y, self._nonnegative.image)
+        sharp = self._sharp
+        done = sharp(linear)
+        steps = self.loads(y, sharp.image)
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        solver: Nonnegative | TotalVariation = self._nonnegative
-        if self._flat:
-            done += self._flat.flatten(solver.image)
-            solver = self._flat
-        gain = solver.noise_gain(filter_.noise_gain)
-        return Restored(solver.image, solver.name, SHARP.format(negative), done, gain, resolution)
+        gain = sharp.noise_gain(filter_.noise_gain)
+        return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
 
     def _spared(self, filter_: Filter) -> float:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""
@@ -111,3 +110,10 @@ class Auto:
         np.minimum(linear, self._idle.image, out=self._below)
         flat, below = linear.reshape(-1), self._below.reshape(-1)
         return sqrt(float(below.dot(below)) / max(float(flat.dot(flat)), 1e-30))
+
+
+def _sharp(scene: Scene, wiener: Wiener) -> learned.Learned | TotalVariation | Nonnegative:
+    """Give what restores sharp contacts: the network where it was trained for, else what needs no training."""
+    if learned.fits(scene.blur):
+        return learned.Learned(scene, wiener)
+    return TotalVariation(scene) if len(scene.blur.surface_shape) == 2 else Nonnegative(scene)

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from tactiled.errors import ConfigError
 from tactiled.restore.auto import LOADS, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.bumps import Bumps
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
+from tactiled.restore.learned import Learned
+from tactiled.restore.learned import fits as is_learned
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
+from tactiled.restore.points import Points
 from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Restored, Scene, never
 from tactiled.restore.total_variation import TotalVariation
@@ -25,6 +27,7 @@ RL_ITERATIONS = 30  # of Richardson-Lucy, at most
 FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five times the median at times
 BY_HAND = "selected by hand"
 NO_POINTS = "not a few point loads; used NNLS"
+NOT_TRAINED = "the network was trained on grids of eight taxels a side, one cell each: non-negative instead"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
 
 
@@ -150,7 +153,11 @@ class _Nonnegative(Linear):
     def __init__(self, scene: Scene, name: str = "nnls", why: str = BY_HAND) -> None:
         super().__init__(scene)
         self._name, self._why = name, why
-        self._solver = TotalVariation(scene) if name == "tv" else Nonnegative(scene)
+        self._solver: Learned | TotalVariation | Nonnegative = Nonnegative(scene)
+        if name == "tv":
+            self._solver = TotalVariation(scene)
+        elif name == "learned":
+            self._solver = Learned(scene, self._wiener)
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
@@ -162,6 +169,10 @@ class _Nonnegative(Linear):
         self._scene.prepare(self._wiener.filter, self._solver.prepare)
 
 
+def _learned(scene: Scene) -> Linear:
+    return _Nonnegative(scene, "learned") if is_learned(scene.blur) else _Nonnegative(scene, why=NOT_TRAINED)
+
+
 def _total_variation(scene: Scene) -> Linear:
     return _Nonnegative(scene, "tv") if len(scene.blur.surface_shape) == 2 else _Nonnegative(scene, why=NO_AREA)
 
@@ -169,7 +180,7 @@ def _total_variation(scene: Scene) -> Linear:
 class _Points(_Nonnegative):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self._points = Bumps(scene)
+        self._points = Points(scene)
 
     def __call__(self, y: Image) -> Restored:
         done, drawing = super().__call__(y), self._points.drawing
@@ -196,4 +207,5 @@ METHODS: dict[str, Callable[[Scene], Linear | Auto | Windowed]] = {
     "nnls": _Nonnegative,
     "tv": _total_variation,
     "points": _Points,
+    "learned": _learned,
 }

@@ -28,26 +28,8 @@ class Fit(NamedTuple):
     places: Floats  # (n, 2), pitches
     force: Floats
     residual: float  # of the frame, squared
-    normal: Floats  # of n times force, row and column, then n times width down, across and both
+    normal: Floats  # of n times force, row, column and width
     right: Floats
-
-    def isotropic(self) -> tuple[Floats, Floats]:
-        """Give normal and right of n times force, row, column and a width that is the same down and across."""
-        n = len(self.force)
-        alike = np.eye(6 * n)[:, : 4 * n]
-        alike[4 * n : 5 * n, 3 * n :] = np.eye(n)
-        return ridged(alike.T @ self.normal @ alike), self.right @ alike
-
-    def predicted(self) -> float:
-        """Give what would be left of `residual` if frames were linear in places and in the widths of each load."""
-        return self.residual - float(self.right @ np.linalg.solve(ridged(self.normal), self.right))
-
-    def widths(self) -> tuple[Floats, Floats]:
-        """Give each load's own widths (3, n), down, across and both, and their covariance for a noise of 1."""
-        n = len(self.force)
-        inverse = np.linalg.inv(ridged(self.normal))[3 * n :]
-        covariance = np.asarray(inverse[:, 3 * n :], float)
-        return np.asarray(inverse @ self.right).reshape(3, n), covariance.reshape(3, n, 3, n)
 
 
 class _Step(NamedTuple):
@@ -79,7 +61,7 @@ class Fitter:
         self._response, self._noise, self._cut = response, noise, cut
         self.places = np.empty((0, 2))
         rows, columns = self.shape = response.shape
-        self.jacobian = np.empty((6 * MAX_POINTS, rows * columns), np.float32)
+        self.jacobian = np.empty((4 * MAX_POINTS, rows * columns), np.float32)
         self.residual = np.empty(rows * columns, np.float32)
 
     def __call__(self, y: Image, places: Floats, model: float, steps: int) -> tuple[int, Fit | None]:
@@ -131,10 +113,10 @@ class Fitter:
         if best.places is not self.places:  # a step after it was tried and was worse
             self._responses(best.places)
             self._subtract(y, best.force)
-        self._response.jacobian(best.places, self.jacobian[3 * n : 6 * n].reshape(3, n, -1), first=3)
-        J, scale = self.jacobian[: 6 * n], np.concatenate([np.ones_like(best.force), *[best.force] * 5])
+        self._response.jacobian(best.places, self.jacobian[3 * n : 4 * n].reshape(1, n, -1), first=3)
+        J, scale = self.jacobian[: 4 * n], np.concatenate([np.ones_like(best.force), *[best.force] * 3])
         normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
-        return Fit(best.places, best.force, best.residual, normal, right)
+        return Fit(best.places, best.force, best.residual, ridged(normal), right)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""

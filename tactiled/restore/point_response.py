@@ -1,8 +1,5 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
-from copy import copy
-from math import ceil, sqrt
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
@@ -10,7 +7,7 @@ from scipy.interpolate import make_interp_spline
 from tactiled.restore.modes import Floats, Image
 
 PHASES = 64  # places a pitch that are tabulated: between them, the slope
-ORDERS = (0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)  # of derivatives down and across, of each kind
+ORDERS = (0, 0), (1, 0), (0, 1)  # of derivatives down and across, of the first three kinds
 HALF = np.float32(0.5)
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
 
@@ -26,55 +23,37 @@ class PointResponse:
         self.shape, self.side = shape, 1 / refine
         U, s, Vt = np.linalg.svd(stencil * refine**2)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
-        self._parts = U[:, :parts] * s[:parts], Vt[:parts].T
-        self._down, self._across = (_Axis(part, n, refine) for part, n in zip(self._parts, shape, strict=True))
-        self._widened: dict[float, PointResponse] = {}
-
-    def widened(self, width: float) -> "PointResponse":
-        """The response to a Gaussian load whose variance along any axis is `width` (square pitches); made once."""
-        if width not in self._widened:
-            wide, cells = copy(self), sqrt(width) / self.side
-            smooth = (_smoothed(part, cells) for part in self._parts)
-            axes = (_Axis(part, n, round(1 / self.side)) for part, n in zip(smooth, self.shape, strict=True))
-            wide._down, wide._across = axes
-            self._widened[width] = wide
-        return self._widened[width]
+        along = U[:, :parts] * s[:parts], Vt[:parts].T
+        self._down, self._across = (_Axis(part, n, refine) for part, n in zip(along, shape, strict=True))
 
     def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
-        """Fill out (k, n, R C) with k of six kinds of frames of unit loads at `places` (n, 2), from `first` on.
+        """Fill out (k, n, R C) with k of four kinds of frames of unit loads at `places` (n, 2), from `first` on.
 
         These are the frames themselves, their slopes down and across, and what they gain for each square pitch of
-        the load's variance down, of that across, and of the covariance: half the second derivatives, and the mixed
-        one.
+        the load's variance along any axis: half the sum of the second derivatives.
         """
         nearest = (places * PHASES).round()
         ahead = (places - nearest / PHASES).astype(np.float32)
         rows, columns = nearest.astype(np.intp).T
         down, across = self._down(rows, ahead[:, 0]), self._across(columns, ahead[:, 1])
-        kinds = ORDERS[first : first + len(out)]
-        for (row, column), frames in zip(kinds, out.reshape(-1, len(places), *self.shape), strict=True):
-            np.matmul(down[row], across[column].swapaxes(1, 2), out=frames)
-            if 2 in (row, column):
-                np.multiply(frames, HALF, out=frames)
+        frames = out.reshape(-1, len(places), *self.shape)
+        for (row, column), each in zip(ORDERS[first:], frames, strict=False):
+            np.matmul(down[row], across[column].swapaxes(1, 2), out=each)
+        if first + len(out) > len(ORDERS):
+            wider = frames[-1]
+            np.matmul(down[2], across[0].swapaxes(1, 2), out=wider)
+            np.add(wider, down[0] @ across[2].swapaxes(1, 2), out=wider)
+            np.multiply(wider, HALF, out=wider)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
         middle = [(n - 1) // 2 for n in self.shape]
         places = np.add.outer([-0.125, 0.125], middle)
-        out = np.empty((6, 2, self.shape[0] * self.shape[1]), np.float32)
+        out = np.empty((1, 2, self.shape[0] * self.shape[1]), np.float32)
         self.jacobian(places, out)
         first, second = out[0].astype(float)
         across = second - first * (first @ second) / (first @ first)
         return float(np.linalg.norm(across) / np.linalg.norm(second))
-
-
-def _smoothed(parts: Floats, sigma: float) -> Floats:
-    """Columns (n, parts) convolved with a Gaussian of deviation `sigma` cells; ends go on as they are."""
-    reach = ceil(4 * sigma)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
-    padded = np.pad(parts, ((reach, reach), (0, 0)), mode="edge")
-    columns = [np.convolve(column, weights / weights.sum(), "valid") for column in padded.T]
-    return np.stack(columns, axis=1)
 
 
 class _Axis:

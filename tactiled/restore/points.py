@@ -1,10 +1,11 @@
-"""A few isolated indenters: where each of them is, below the pitch, and how hard it presses.
+"""A few isolated indenters: where each of them is, below the pitch, how hard it presses, and how wide it is.
 
-Their places are read off the non-negative image and refined, with the forces. The answer stands only if it leaves
-nothing but noise behind.
+Their places are read off a non-negative image and refined, with the forces. The answer stands only if it leaves
+nothing but noise behind, and all of it is certain.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,46 +14,54 @@ from tactiled.restore.point_fit import MAX_POINTS, Fit, Fitter
 from tactiled.restore.point_image import MIN_PLACE_ERROR, MODEL_ERROR, PointImage, PointLoads
 from tactiled.restore.scene import Scene
 
-# Chosen on the scenes of `python -m tests.study judge --family first` and on pairs of loads half a pitch apart.
+# Chosen on the scenes of `python -m tests.study judge --family first` and on those that the network is trained on.
 MIN_SIDE = 3  # taxels a side that tell a place on it
 MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a load's frame, or no place is known
-MAX_STEPS = 12  # of all fits from one start: on 156 frames, 31 of them fitted, as good as any number
+MAX_STEPS = 4  # of a fit: with 12 the error is the same
 MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
-MAX_NEIGHBOURS = 1.2  # that do, in the mean; a pair has one, a chain of three 4/3: that is one contact
+REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
+MAX_NEIGHBOURS = 1.2  # that touch, in the mean; a pair has one, a chain of three 4/3: that is one contact
 RESIDUAL_SIGMAS = 3.0  # standard deviations of the residual's square that noise may stray by
 NEIGHBOURHOOD_SIGMAS = 4.0  # the same about any one load: of so few taxels it strays further
-MAX_WIDTH = 0.05  # square pitches of a load's variance along an axis: a disc of 0.45 pitch has it, and is no point
-WIDTH_SIGMAS = 3.0  # standard deviations that the width must stay below that by
-MAX_WIDTH_SURPLUS = 0.03  # square pitches of width by which points may differ
-MAX_LENGTH_SURPLUS = 0.02  # square pitches of width that a point may have along one axis above the common one
-LENGTH_SIGMAS = 2.0  # standard deviations beyond these: one so wide is two
-PAIR_WIDTH = 0.0625  # square pitches of width, at most, that two loads half a pitch apart have
-MAX_CUTS = 4  # fits cut short one after the other: the time that there is does not do for one
-PAUSE_FRAMES = 64  # that follow without a fit
-RAW_ERROR = (
-    0.6  # of the points' image, that the raw one misses: if more, points hardly do worse, though one were two
-)
+OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches, and of the common width: what a load's own may differ by
+MAX_WIDTH = 0.12  # square pitches: wider loads change their frame by more than in proportion
+MAX_WIDTH_ERROR = 0.1  # square pitches, standard deviation of the common width
+PAIR_WIDTH = 0.02  # square pitches of width, in the mean of both axes: two loads half a pitch apart have more
+RAW_ERROR = 0.6  # of the points' image, that the raw one misses: if less, two that were fitted as one do worse
 MAX_LAST_SHIFT = 0.25  # pitches that the last step may move a point: it is linear, and holds no further
 MAX_LAST_STRETCH = 0.5  # of a force that it may change
 MAX_FORCE_ERROR = 0.2  # of a force
 MAX_PLACE_ERROR = 0.5  # pitches
-AXES = np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 1], [0.5, 0.5, -1]])  # of a width: down, across, between these
+MAX_CUTS = 4  # fits cut short one after the other: the time that there is does not do for one
+PAUSE_FRAMES = 64  # that follow without a fit
 NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
 TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
 
 
+class Estimate(NamedTuple):
+    """The last step of a fit's unknowns, with what is left and how certain it is."""
+
+    step: Floats  # (4 n,) of n times force, row, column and width
+    force: Floats
+    shift: Floats  # (n, 2) pitches
+    width: Floats  # (n,) square pitches: each load's own, a variance along any axis
+    own: Floats  # (n,) square pitches: the same, held near no other
+    own_variance: Floats  # of these, for a noise of 1
+    common_width: float  # square pitches
+    residual: float  # of the frame, squared
+    variance: Floats  # (n, 3) of force and place for a noise of 1
+    common_variance: float  # of the loads' common width, for a noise of 1
+
+
 class Points:
-    """Fits the frame that its scene last looked at; `loads` are those of a fit that stands, `drawing` their image.
+    """Fits the frame that its scene last looked at; `loads` are of a fit that stands, `drawing` is their image."""
 
-    If `wary`, one load that may be two half a pitch apart is drawn only where the raw image is much worse anyway.
-    """
-
-    def __init__(self, scene: Scene, wary: bool = False) -> None:
+    def __init__(self, scene: Scene) -> None:
         blur = scene.blur
-        self._scene, self._wary = scene, wary
+        self._scene = scene
         response = blur.response if min(blur.frame_shape) >= MIN_SIDE else None
         self.unavailable = NO_GRID if response is None else ""  # why no points are ever fitted
         self._fitter: Fitter | None = None
@@ -60,8 +69,6 @@ class Points:
             self.unavailable = TOO_THIN
         elif response is not None:
             self._fitter = Fitter(response, scene.noise, scene.cut)
-            self._load_width = response.side**2 / 6  # of a load itself, which is no point
-        self._frame: Image  # flat, the last
         self._unexplained = np.empty(scene.flat.size, np.float32)
         self._peeled = np.empty(blur.surface_shape, np.float32)
         self._ones = np.ones(self._peeled.size, np.float32)
@@ -69,56 +76,40 @@ class Points:
         self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
-        self._steps = 0  # made from the same start
         self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
-        self._before: tuple[Floats, float] | None = None  # places and width of a fit that stood or was cut short
+        self._before: Floats | None = None  # places of a fit that stood or was cut short
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
 
-        A fit is refused if it leaves more than noise, or if a point's place, force or smallness is uncertain.
+        A fit is refused if it leaves more than noise, or if a point's place, force or width is uncertain.
         """
         self.loads = None
         if self._fitter is None:
             return 0
-        y = self._frame = y.reshape(-1)
+        y = y.reshape(-1)
         self._model = MODEL_ERROR**2 * float(y.dot(y))
         if self._pause:
             self._pause -= 1
             return 0
         before, self._before = self._before, None
-        done = self._fits(*before, image) if before else 0
+        done = self._try(self._fitter, y, before) if before is not None else 0
         if self.loads is None and not self._scene.cut_short and (places := self._peaks(image)):
-            done += self._fits(np.array(places), 0.0, image)
+            done += self._try(self._fitter, y, np.array(places))
         self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
         if self._cuts == MAX_CUTS:
             self._cuts, self._pause = 0, PAUSE_FRAMES
         return done if self.loads else 0
 
-    def _fits(self, places: Floats, width: float, image: Image) -> int:
-        """Fit loads from places on; gives the steps made, MAX_STEPS at most."""
-        self._steps = 0
-        self._fit(places, width, image)
-        return self._steps
-
-    def _fit(self, places: Floats, width: float, image: Image) -> None:
-        """Fit as many points as there are places, or one more."""
-        del width
-        assert self._fitter is not None
-        fit = self._try(self._fitter, places, 0.0)
-        if fit is not None and len(fit.force) < MAX_POINTS:
-            self._try(self._fitter, self._split(self._fitter, fit, image), 0.0)
-
-    def _try(self, fitter: Fitter, places: Floats, width: float) -> Fit | None:
-        """Fit loads of a width at places and keep them if they stand; gives a fit that another may improve on."""
-        done, fit = fitter(self._frame, places, self._model, MAX_STEPS - self._steps)
-        self._steps += done
+    def _try(self, fitter: Fitter, y: Image, places: Floats) -> int:
+        """Fit loads from places on, and keep them if they stand; gives the steps made."""
+        done, fit = fitter(y, places, self._model, MAX_STEPS)
         cut = self._scene.cut()
         if fit is not None and not cut:
-            self.loads = self._accepted(fitter, fit, width)
+            self.loads = self._accepted(fitter, fit, y)
         if cut or self.loads:
-            self._before = self.loads.places if self.loads else fitter.places, width
-        return None if cut or self.loads else fit
+            self._before = self.loads.places if self.loads else fitter.places
+        return done
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
@@ -141,92 +132,54 @@ class Points:
             around[...] = 0
             remainder -= weight
             places.append(((row + 0.5) / k - 0.5, (column + 0.5) / k - 0.5))
-        if remainder > MAX_OUTSIDE * total or spread > len(places) or _neighbours(places) > MAX_NEIGHBOURS:
+        if remainder > MAX_OUTSIDE * total or spread > len(places) or _touching(places) > MAX_NEIGHBOURS:
             return []
         return places
 
-    def _split(self, fitter: Fitter, fit: Fit, image: Image) -> Floats:
-        """Give the places, the one that leaves most behind split in two along the image's longer axis there."""
-        k = self._refine
-        energy = fitter.residual.reshape(fitter.shape) ** 2
-        worst = int(np.argmax([_window(energy, each, 1).sum() for each in fit.places]))
-        window = _window(image, (fit.places[worst] + 0.5) * k - 0.5, k)
-        y, x = (each.astype(float) / k for each in np.mgrid[: window.shape[0], : window.shape[1]])
-        weight = window / max(float(window.sum()), 1e-30)
-        y -= (y * weight).sum()
-        x -= (x * weight).sum()
-        mixed = (x * y * weight).sum()
-        _, axes = np.linalg.eigh([[(y * y * weight).sum(), mixed], [mixed, (x * x * weight).sum()]])
-        pair = fit.places[worst] + 0.5 * np.array([axes[:, -1], -axes[:, -1]])
-        return fitter.within(np.concatenate([np.delete(fit.places, worst, axis=0), pair]))
-
-    def _accepted(self, fitter: Fitter, fit: Fit, width: float) -> PointLoads | None:
-        """Draw and give what stands, each load allowed a width of its own; None where anything is uncertain."""
-        del width
-        n = len(fit.force)
-        normal, right = fit.isotropic()
-        inverse = np.linalg.inv(normal)
-        noise, free = self._scene.noise**2, max(fitter.residual.size - 4 * n, 1)
-        widths = inverse[3 * n :] @ right
-        spread = np.maximum(inverse.diagonal()[3 * n :], 1e-30)
-        common = max(float(widths @ (1 / spread) / (1 / spread).sum()), 0.0)
-        last = self._last_step(normal, right, common)
-        residual = fit.residual + float(last @ (normal @ last - 2 * right))
-        if residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
+    def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
+        """Draw and give what stands of a fit; None where anything is uncertain."""
+        noise, last = self._scene.noise**2, _estimate(fit, self._scene.noise**2)
+        free = max(fitter.residual.size - 4 * len(fit.force), 1)
+        if last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
             return None
-        variance = max(residual / free, noise)
-        width_variance = variance / float((1 / spread).sum())
-        if common + WIDTH_SIGMAS * sqrt(width_variance) > MAX_WIDTH:
+        if np.abs(last.shift).max() > MAX_LAST_SHIFT or (np.abs(last.force) > MAX_LAST_STRETCH * fit.force).any():
             return None
-        if (widths - LENGTH_SIGMAS * np.sqrt(spread * variance)).max() > common + MAX_WIDTH_SURPLUS:
-            return None
-        own = fit.widths()
-        if _longest(*own, LENGTH_SIGMAS * sqrt(variance)) > common + MAX_LENGTH_SURPLUS:
-            return None
-        if self._leaves_signal(fitter, fit, last):
-            return None
-        force, *shift = last[: 3 * n].reshape(3, n)
-        if np.abs(shift).max() > MAX_LAST_SHIFT or (np.abs(force) > MAX_LAST_STRETCH * fit.force).any():
-            return None
-        errors = np.linalg.inv(normal[: 3 * n, : 3 * n]).diagonal().reshape(3, n).T * variance
+        variance = max(last.residual / free, noise)
+        errors = last.variance * variance
         too_uncertain = (errors[:, 0] > (MAX_FORCE_ERROR * fit.force) ** 2).any()
-        if too_uncertain or errors[:, 1:].max() > (MAX_PLACE_ERROR) ** 2:
+        if too_uncertain or errors[:, 1:].max() > MAX_PLACE_ERROR**2:
+            return None
+        if last.common_width > MAX_WIDTH or last.common_variance * variance > MAX_WIDTH_ERROR**2:
             return None
         loads = PointLoads(
-            places=fitter.within(fit.places + np.stack(shift, axis=1)),
-            force=np.maximum(fit.force + force, 0),
-            spread=np.asarray(np.sqrt(np.maximum(errors[:, 1:], MIN_PLACE_ERROR**2) + common)),
-            variance=np.asarray(errors),
-            width=width_variance,
+            places=fitter.within(fit.places + last.shift),
+            force=np.maximum(fit.force + last.force, 0),
+            spread=np.asarray(np.sqrt(np.maximum(errors[:, 1:], MIN_PLACE_ERROR**2) + last.width[:, None])),
+            variance=errors,
+            width=last.common_variance * variance,
             noise=noise / variance,
         )
+        crowded = _neighbours(loads.places, REACH**2 * (loads.spread**2).mean(axis=1)) > MAX_NEIGHBOURS
+        if crowded or self._leaves_signal(fitter, fit, last.step):
+            return None
         self.drawing(loads)
-        may_be_pair = _widest(*own, sqrt(variance)) > PAIR_WIDTH
-        return None if self._wary and may_be_pair and self._raw_is_near() else loads
+        widest = float((last.own + np.sqrt(last.own_variance * variance)).max())
+        return None if widest > PAIR_WIDTH and self._raw_is_near(y) else loads
 
-    def _last_step(self, normal: Floats, right: Floats, common: float) -> Floats:
-        """The last step of all unknowns, every width held near the common one."""
-        n, firm = len(right) // 4, self._scene.noise**2 / max(MAX_WIDTH_SURPLUS, self._load_width) ** 2
-        normal, right = normal.copy(), right.copy()
-        normal.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += firm
-        right[3 * n :] += firm * common
-        return np.asarray(np.linalg.solve(normal, right), float)
-
-    def _raw_is_near(self) -> bool:
+    def _raw_is_near(self, y: Image) -> bool:
         """Whether the raw image may be nearer to the truth than the points just drawn, were one of them two."""
-        y, image, k = self._frame, self.drawing.image, self._refine
+        image, k = self.drawing.image, self._refine
         rows, columns = self._scene.blur.frame_shape
         square = float(np.vdot(image, image))
         both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
-        missed = k**2 * float(y.dot(y)) - 2 * both + square
-        return missed < (RAW_ERROR) ** 2 * square
+        return k**2 * float(y.dot(y)) - 2 * both + square < RAW_ERROR**2 * square
 
     def _leaves_signal(self, fitter: Fitter, fit: Fit, last: Floats) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
         n = len(fit.force)
         moved = last * np.concatenate([np.ones(n), *[fit.force] * 3])
-        moved = np.concatenate([moved, moved[3 * n :]]).astype(np.float32)  # a width is the same down and across
-        np.subtract(fitter.residual, moved @ fitter.jacobian[: 5 * n], out=self._unexplained)
+        explained = moved.astype(np.float32) @ fitter.jacobian[: 4 * n]
+        np.subtract(fitter.residual, explained, out=self._unexplained)
         unexplained = self._unexplained.reshape(fitter.shape)
         noise = self._scene.noise**2
         about = (_window(unexplained, each, 1) for each in fit.places)
@@ -237,29 +190,44 @@ class Points:
         )
 
 
-def _neighbours(places: list[tuple[float, float]]) -> float:
+def _estimate(fit: Fit, noise: float) -> Estimate:
+    """The last step of all unknowns of a fit, each load's width held near the common one."""
+    n = len(fit.force)
+    inverse = np.linalg.inv(fit.normal)
+    own, own_variance = inverse[3 * n :] @ fit.right, np.maximum(inverse.diagonal()[3 * n :], 1e-30)
+    weight = 1 / own_variance
+    common = max(float(own @ weight) / float(weight.sum()), 0.0)
+    firm = noise / (OWN_WIDTH + OWN_SHARE * common) ** 2
+    stiff, pull = fit.normal.copy(), fit.right.copy()
+    stiff.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += firm
+    pull[3 * n :] += firm * common
+    inverse = np.linalg.inv(stiff)
+    last = inverse @ pull
+    force, row, column, width = last.reshape(4, n)
+    return Estimate(
+        step=last,
+        force=force,
+        shift=np.stack([row, column], axis=1),
+        width=np.maximum(width, 0),
+        own=own,
+        own_variance=own_variance,
+        common_width=common,
+        residual=fit.residual + float(last @ (fit.normal @ last - 2 * fit.right)),
+        variance=np.asarray(inverse.diagonal()[: 3 * n].reshape(3, n).T),
+        common_variance=1 / float(weight.sum()),
+    )
+
+
+def _neighbours(places: Floats, reach: Floats) -> float:
+    """How many others a load has that are nearer than the root of both squared reaches (n,), in the mean."""
+    apart = ((places[:, None] - places) ** 2).sum(axis=-1)
+    return float((apart <= reach[:, None] + reach).sum() / len(places) - 1)
+
+
+def _touching(places: list[tuple[float, float]]) -> float:
     """How many others a peak has whose neighbourhood touches its own, in the mean."""
     at = np.array(places)
-    touching = np.abs(at[:, None] - at).max(axis=-1) < TOUCHING
-    return float(touching.sum() / len(at) - 1)
-
-
-def _longest(own: Floats, covariance: Floats, sigmas: float) -> float:
-    """Width (square pitches) that a load surely has along its longest axis; much of it, and it may be two.
-
-    `sigmas`: how many deviations of a noise of 1 count as more than noise.
-    """
-    _, axes = np.linalg.eigh(own[[[0, 2], [2, 1]]].T)
-    u, v = axes[..., -1].T
-    along = np.stack([u * u, v * v, 2 * u * v])
-    error = np.sqrt(np.maximum(np.einsum("in,injn,jn->n", along, covariance, along), 1e-30))
-    return float(((own * along).sum(axis=0) - sigmas * error).max())
-
-
-def _widest(own: Floats, covariance: Floats, noise: float) -> float:
-    """Width (square pitches) that a load may have along an axis: what is estimated and a deviation of noise."""
-    error = np.sqrt(np.maximum(np.einsum("ai,injn,aj->an", AXES, covariance, AXES), 1e-30))
-    return float((AXES @ own + noise * error).max())
+    return float((np.abs(at[:, None] - at).max(axis=-1) < TOUCHING).sum() / len(at) - 1)
 
 
 def _window(image: Image, middle: Floats, reach: int) -> Image:

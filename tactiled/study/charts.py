@@ -23,6 +23,7 @@ OURS = {  # mark and colour of our methods, in the order of legends
     "nnls": ("^", GREEN),
     "tv": ("d", GREEN),
     "points": ("v", PINK),
+    "learned": ("h", PINK),
     "rl": ("s", RED),
     "rl-fast": ("P", SKY),
 }

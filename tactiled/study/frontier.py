@@ -20,7 +20,7 @@ from tactiled.study.results import write_csv, write_json
 from tactiled.study.skin import Clip, Skin, clips, into, nrmse, rubber
 
 BOUND = "best linear filter, given the truth's spectrum"
-SIZES = {"auto": 10, "nnls": 14}  # points: auto often selects nnls, and then both must show
+SIZES = {"auto": 10, "learned": 14}  # points: auto often selects learned, and then both must show
 FLOOR_DASHES = (0, (5, 3))
 RIGHT_END = 1e7  # µs, past the right edge
 STYLES = {  # start of the name -> label, mark, colour; the longest that fits counts
@@ -243,7 +243,7 @@ def _draw_panel(axes: Axes, panel: Panel, top: float) -> None:
 def _look(name: str) -> dict[str, Any]:
     """Mark of a method: hollow if another library's, or nnls, which is below auto's star."""
     _, shape, colour = STYLES[_style(name)]
-    fill = colour if name in METHODS and name != "nnls" else "white"
+    fill = colour if name in METHODS and name != "learned" else "white"
     return {"ls": "", "marker": shape, "color": colour, "mfc": fill, "ms": SIZES.get(name, 6.5)}
 
 

@@ -34,7 +34,7 @@ STYLES = {  # method -> label, mark, colour
     "skimage wiener": ("scikit-image wiener", "", COLOURS[0]),
     "skimage rl": ("scikit-image richardson_lucy", "", COLOURS[1]),
 }
-LARGE = ("auto", "nnls")  # auto often selects nnls, and then both must show
+LARGE = ("auto", "learned")  # auto often selects learned, and then both must show
 MAX_TICKS = 9  # whose texts have room at full length
 TOP = 2.0  # times the raw image's error: more is drawn at the edge
 COLUMNS = 3
@@ -205,7 +205,7 @@ def draw(path: Path, results: Results) -> None:
 
 def _look(name: str) -> dict[str, Any]:
     _, mark, colour = STYLES[name]
-    fill = "white" if name == "nnls" else colour
+    fill = "white" if name == "learned" else colour
     return {"color": colour, "marker": mark, "ls": DASHES.get(name, "-"), "mfc": fill}
 
 

@@ -68,7 +68,7 @@ def test_deviation_counts_that_small_spots_may_be_elsewhere(method, noise):
 @pytest.mark.parametrize("method", ["points", "auto"])
 def test_the_deviation_of_points_is_the_fits_own(method):
     values = ratios(method, 0.002, repeats=4, points=True, only="points")
-    assert len(values) > 4
+    assert len(values) > 3
     assert 0.25 < np.median(values) < 1.3
     assert max(values) < 2
 

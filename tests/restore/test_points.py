@@ -42,11 +42,11 @@ def touched(thickness, places=PLACES, forces=FORCES, share=0.01, seed=0):
     return noisy.reshape(SHAPE).astype(np.float32), sigma
 
 
-def fitted(thickness, frame, sigma, wary=False):
+def fitted(thickness, frame, sigma):
     """Places (mm) and forces (N) of the loads that a frame supports, from left to right."""
     scene = Scene(blur_of(thickness), sigma)
     scene.look(frame)
-    nonnegative, points = Nonnegative(scene), Points(scene, wary)
+    nonnegative, points = Nonnegative(scene), Points(scene)
     nonnegative(Wiener(scene)())
     if not points(frame, nonnegative.image):
         return np.empty((0, 2)), np.empty(0)
@@ -68,12 +68,9 @@ def truth_of(places, forces):
     return image
 
 
-@pytest.mark.parametrize(("thickness", "share"), [(0.5, 0.002), (1.0, 0.002), (1.0, 0.01), (2.0, 0.01)])
-@pytest.mark.parametrize("wary", [False, True])
-def test_points_are_placed_below_the_pitch(thickness, share, wary):
-    if wary and thickness < 1:
-        thickness = 1.5  # under a thin cover each may be two
-    places, forces = fitted(thickness, *touched(thickness, share=share), wary)
+@pytest.mark.parametrize(("thickness", "share"), [(0.7, 0.002), (1.0, 0.002), (1.0, 0.01), (2.0, 0.01)])
+def test_points_are_placed_below_the_pitch(thickness, share):
+    places, forces = fitted(thickness, *touched(thickness, share=share))
     order = np.argsort(PLACES[:, 0])
     np.testing.assert_allclose(places, PLACES[order], atol=0.1 * PITCH)
     np.testing.assert_allclose(forces, FORCES[order], rtol=0.05)
@@ -98,35 +95,38 @@ def test_two_that_touch_the_same_taxels_are_separated():
 
 
 CLOSE = {
-    "less than a pitch": (0.8, [21.0, 16.6], 0.28, 0.0, (0.3, 0.3, 0.4), 0.0025, False),
-    "less than a pitch, aslant": (0.8, [21.0, 16.6], 0.28, 0.8, (0.3, 0.3, 0.4), 0.0025, False),
-    "less than a pitch, upright": (0.8, [21.0, 16.6], 0.28, 1.6, (0.3, 0.3, 0.4), 0.0025, False),
-    "across a border": (0.6, [15.5, 14.5], 0.3, 0.0, (0.35, 0.25, 0.2), 0.002, True),
-    "half a pitch": (0.6, [14.7, 16.0], 0.25, 2.9, (0.3, 0.3, 0.2), 0.0015, True),
+    "less than a pitch": (0.8, [21.0, 16.6], 0.28, 0.0, (0.3, 0.3, 0.4), 0.0025, 1.0),
+    "less than a pitch, aslant": (0.8, [21.0, 16.6], 0.28, 0.8, (0.3, 0.3, 0.4), 0.0025, 1.0),
+    "less than a pitch, upright": (0.8, [21.0, 16.6], 0.28, 1.6, (0.3, 0.3, 0.4), 0.0025, 1.0),
+    "across a border": (0.6, [15.5, 14.5], 0.3, 0.0, (0.35, 0.25, 0.2), 0.002, 1.25),
 }
 
 
 @pytest.mark.parametrize("case", CLOSE)
-def test_two_close_together_are_not_taken_for_one(case):
-    thickness, middle, half, turn, forces, share, wary = CLOSE[case]
-    for seed in range(8 if wary else 1):
-        frame, sigma = touched(thickness, pair(np.array(middle), half * PITCH, turn), forces, share, seed)
-        assert len(fitted(thickness, frame, sigma, wary)[1]) != 2
+def test_two_close_together_are_hardly_worse_than_raw(case):
+    """Whether they are fitted as one wide load, or not at all."""
+    thickness, middle, half, turn, forces, share, bound = CLOSE[case]
+    places, forces = pair(np.array(middle), half * PITCH, turn), np.array(forces)
+    truth, ratios = truth_of(places, forces), []
+    for seed in range(8):
+        frame, sigma = touched(thickness, places, forces, share, seed)
+        image = make("auto", blur_of(thickness), sigma)(frame).image
+        ratios.append(np.linalg.norm(image - truth) / np.linalg.norm(frame - truth))
+    assert max(ratios) < bound
 
 
 @pytest.mark.parametrize("thickness", [0.5, 0.6])
-def test_auto_draws_no_load_as_one_that_may_be_two(thickness):
+def test_two_that_look_like_one_are_hardly_worse_than_raw_in_the_mean(thickness):
     """Half a pitch apart across a taxel's border: as one, they land in the taxel that has the more of them."""
-    forces, ratios = np.array([0.3, 0.3, 0.2]), {"points": [], "auto": []}
+    forces, ratios = np.array([0.3, 0.3, 0.2]), []
     for at, seed in product(np.arange(0.05, 0.5, 0.1), range(4)):
         row = 14.1 + 0.05 * seed
         places = np.array([[PITCH * (7.5 - at), row], [PITCH * (8 - at), row], APART])
         frame, sigma = touched(thickness, places, forces, 0.01, seed)
         truth = truth_of(places, forces)
-        for method, of_method in ratios.items():
-            image = make(method, blur_of(thickness), sigma)(frame).image
-            of_method.append(np.linalg.norm(image - truth) / np.linalg.norm(frame - truth))
-    assert max(ratios["auto"]) < 1.25 < max(ratios["points"])
+        image = make("auto", blur_of(thickness), sigma)(frame).image
+        ratios.append(np.linalg.norm(image - truth) / np.linalg.norm(frame - truth))
+    assert np.mean(ratios) < 1.1
 
 
 def test_the_residual_is_the_best_fits_though_a_further_step_was_tried(monkeypatch):
@@ -176,18 +176,15 @@ def test_no_points_are_placed_under_a_cover_too_thin_for_them(thickness):
 
 def test_slopes_are_the_responses_own():
     step = 1 / 32
-    moves = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)])
-    out = np.empty((6, len(moves), SHAPE[0] * SHAPE[1]), np.float32)
+    moves = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+    out = np.empty((4, len(moves), SHAPE[0] * SHAPE[1]), np.float32)
     blur_of(1.0).response.jacobian(np.array([7.21, 8.83]) + step * moves, out)
-    value, row, column, down, across, both = out[:, 0]
-    _, below, above, right, before, *corners = out[0]
+    value, row, column, wider = out[:, 0]
+    _, below, above, right, before = out[0]
     for slope, more, less in ((row, below, above), (column, right, before)):
         np.testing.assert_allclose((more - less) / (2 * step), slope, atol=0.02 * np.abs(slope).max())
-    for curve, more, less in ((down, below, above), (across, right, before)):
-        second = (more + less - 2 * value) / (2 * step**2)
-        np.testing.assert_allclose(second, curve, atol=0.1 * np.abs(curve).max())
-    mixed = (corners[0] + corners[1] - corners[2] - corners[3]) / (4 * step**2)
-    np.testing.assert_allclose(mixed, both, atol=0.1 * np.abs(both).max())
+    second = (below + above + right + before - 4 * value) / (2 * step**2)
+    np.testing.assert_allclose(second, wider, atol=0.1 * np.abs(wider).max())
 
 
 @pytest.mark.parametrize("share", [0.002, 0.01])

@@ -63,7 +63,7 @@ def test_in_a_window_a_contact_is_what_it_is_on_the_full_grid(sensed, both, plac
     for _ in range(5):
         in_window, full_grid, windowed = both(sensed(truth))
         assert windowed.used
-        assert in_window.method == full_grid.method == "tv"
+        assert in_window.method == full_grid.method == "learned"
         assert error(in_window.image, truth) < 1.1 * error(full_grid.image, truth)
         assert np.sqrt(np.mean((in_window.image - full_grid.image) ** 2)) < SIGMA
         assert in_window.image.sum() == pytest.approx(truth.sum(), rel=0.02)

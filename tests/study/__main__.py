@@ -10,11 +10,13 @@ from tests.study import (
     eflesh,
     frame_times,
     health,
+    invented,
     judge,
     restart,
     restore,
     sensors,
     soak,
+    train,
     transitions,
     zenoh,
 )
@@ -22,8 +24,8 @@ from tests.study import (
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times, health.health,
-    judge.judge, restart.restart, restore.restore, sensors.sensors, soak.soak, transitions.transitions,
-    zenoh.zenoh,
+    invented.invented, judge.judge, restart.restart, restore.restore, sensors.sensors, soak.soak, train.train,
+    transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

@@ -15,7 +15,8 @@ import { Alerts } from "./warnings.js";
 const METHOD_TITLES = {
   auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
   "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)",
-  tv: "Non-negative, total variation", points: "A few points", idle: "idle",
+  tv: "Non-negative, total variation", points: "A few points", learned: "Learned network",
+  idle: "idle",
 };
 
 /** What is counted, by unit. */

@@ -14,7 +14,7 @@ export const OUT_OF_RANGE = 16;
 export const FAULTY = 32;
 
 /** Methods by their number in a message; "" any other. */
-export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points"];
+export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points", "learned"];
 
 const MAGIC = 0x4c544354; // "TCTL" read as a little-endian word
 const VERSION = 1;

@@ -5,18 +5,16 @@ from itertools import product
 import numpy as np
 import pytest
 
-from tactiled.restore.bumps import Bumps
 from tactiled.restore.methods import make
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Scene
-from tactiled.simulate.array import FINER
 from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import draw, nrmse, rubber, sense
 from tests.plans import plan
 
 SIZE = 20
 PLACES = np.array([[4.2, 5.1], [5.4, 12.3], [13.3, 8.6]])  # row, column in pitches
-DEVIATIONS = np.array([0.45, 0.6, 0.5])  # pitches
+DEVIATIONS = np.array([0.25, 0.32, 0.28])  # pitches
 PEAKS_KPA = np.array([60.0, 100.0, 80.0])
 
 
@@ -28,7 +26,7 @@ def fields(skin, places=PLACES, deviations=DEVIATIONS, peaks=PEAKS_KPA):
     return sum(peak * shape for peak, shape in zip(peaks, shapes, strict=False))
 
 
-def fitted(skin, fine, share, seed, kind=Bumps, start=None):
+def fitted(skin, fine, share, seed, start=None):
     """The fit of a frame with noise of a share of its peak, the image it started from, and the truth."""
     clean, truth = sense(skin, fine)
     sigma = share * clean.max()
@@ -36,27 +34,27 @@ def fitted(skin, fine, share, seed, kind=Bumps, start=None):
     image = make("nnls", skin.blur, sigma)(frame).image.copy() if start is None else start.astype(np.float32)
     scene = Scene(skin.blur, sigma)
     scene.look(frame)
-    fit = kind(scene)
+    fit = Points(scene)
     fit(frame, image)
     return fit, image, truth
 
 
-@pytest.mark.parametrize(("thickness", "share"), [(0.5, 0.003), (0.5, 0.01), *product((1.0, 2.0), (0.01, 0.03))])
-def test_bumps_have_their_places_forces_and_widths(thickness, share):
+@pytest.mark.parametrize(("thickness", "share"), [(2.0, 0.01), (2.0, 0.03), (3.0, 0.01)])
+def test_wide_loads_have_their_places_forces_and_widths(thickness, share):
     skin = rubber(thickness, SIZE)
     fit, image, truth = fitted(skin, fields(skin), share, 11)
     order = np.argsort(fit.loads.places[:, 0])
     np.testing.assert_allclose(fit.loads.places[order], PLACES, atol=0.1)
     np.testing.assert_allclose(fit.loads.force[order], 2 * np.pi * DEVIATIONS**2 * PEAKS_KPA, rtol=0.1)
-    np.testing.assert_allclose(fit.loads.spread[order].mean(axis=1), DEVIATIONS, rtol=0.2)
+    np.testing.assert_allclose(fit.loads.spread[order].mean(axis=1), DEVIATIONS, atol=0.1)
     assert nrmse(fit.drawing.image, truth) < min(0.15, 0.7 * nrmse(image, truth))
 
 
-def test_a_bump_is_as_wide_as_it_is_drawn():
+def test_a_load_is_as_wide_as_it_is_drawn():
     skin = rubber(2.0, SIZE)
-    for deviation in (0.3, 0.45, 0.6):
+    for deviation in (0.2, 0.25, 0.3):
         fit, _, truth = fitted(skin, fields(skin, PLACES[:1], [deviation], [90.0]), 0.01, 12)
-        assert fit.loads.spread.mean() == pytest.approx(deviation, rel=0.1)
+        assert fit.loads.spread.mean() == pytest.approx(deviation, rel=0.15)
         assert nrmse(fit.drawing.image, truth) < 0.1
 
 
@@ -69,18 +67,8 @@ def test_deviation_covers_the_error():
     assert np.mean(np.concatenate(scores) < 2) > 0.95
 
 
-def test_points_remain_points():
-    skin = rubber(2.0, SIZE)
-    fine = np.zeros_like(skin.surface.x * skin.surface.y)
-    for row, column in PLACES:
-        fine[round(FINER * row), round(FINER * column)] = 1000.0
-    bumps, points = (fitted(skin, fine, 0.01, 13, kind)[0] for kind in (Bumps, Points))
-    for ours, theirs in zip(bumps.loads, points.loads, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-
-
 @pytest.mark.parametrize("scene", [name for name in TEST_SCENES if name not in ("points", "braille")])
-def test_what_is_no_bump_is_refused(scene):
+def test_what_is_no_load_is_refused(scene):
     for thickness, share, seed in product((1.0, 3.0), (0.01, 0.05), (301, 302)):
         skin = rubber(thickness, SIZE)
         fit, image, truth = fitted(skin, draw(skin, scene, [seed]), share, seed)
@@ -92,7 +80,7 @@ def test_what_is_no_bump_is_refused(scene):
     ("thickness", "scene", "seed"),
     [(2.0, "rings", 312), (2.0, "rings", 318), (2.0, "rings", 327), (3.0, "rings", 324), (3.0, "punches", 317)],
 )
-def test_what_a_frame_cannot_tell_from_bumps_is_refused(thickness, scene, seed):
+def test_what_a_frame_cannot_tell_from_loads_is_refused(thickness, scene, seed):
     """A chain of neighbours; another image than the non-negative one; a width that nothing tells."""
     skin = rubber(thickness, SIZE)
     fine = draw(skin, scene, [seed])
@@ -113,8 +101,7 @@ def test_under_a_thin_cover_no_narrow_load_is_placed():
     assert fit.loads is None or nrmse(fit.drawing.image, truth) < nrmse(image, truth)
 
 
-def test_a_layout_without_a_grid_has_no_bumps():
-    bumps = Bumps(Scene(plan((2, 8), 1.0).blur, 0.1))
-    bumps.prepare()
-    assert bumps.unavailable
-    assert bumps(np.ones((2, 8), np.float32), np.ones((2, 8), np.float32)) == 0
+def test_an_array_of_two_rows_has_no_points():
+    points = Points(Scene(plan((2, 8), 1.0).blur, 0.1))
+    assert points.unavailable
+    assert points(np.ones((2, 8), np.float32), np.ones((2, 8), np.float32)) == 0
