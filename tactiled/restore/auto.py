@@ -15,7 +15,7 @@ from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.points import TOO_THIN, Points
-from tactiled.restore.scene import Restored, Scene
+from tactiled.restore.scene import Restored, Scene, pressed_noise_gain
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Filter, Wiener
 
@@ -45,6 +45,7 @@ class Auto:
         self._peak = detection_threshold(scene.noise, size)
         self._sum = SUM_SIGMAS * scene.noise * sqrt(size)
         self._unrefined = scene.blur.frame_shape == scene.blur.surface_shape
+        self._too_thin = self._unrefined and self.loads.unavailable == TOO_THIN
         self._below = np.empty(scene.blur.surface_shape, np.float32)
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
@@ -84,7 +85,7 @@ class Auto:
         spared = self._spared(filter_) if self._unrefined else 1.0
         if spared < RAW_WORTH:
             return Restored(y, "raw", RAW.format(spared), 0, 1.0, resolution)
-        if self._unrefined and self.loads.unavailable == TOO_THIN and self._scene.spotted:
+        if self._too_thin and self._scene.spotted:
             return Restored(y, "raw", SPOTS, 0, 1.0, resolution)
         linear = self._wiener()
         negative = self._negative(linear)
@@ -96,7 +97,7 @@ class Auto:
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        gain = sharp.noise_gain(filter_.noise_gain)
+        gain = pressed_noise_gain(sharp.image, filter_.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
 
     def _spared(self, filter_: Filter) -> float:

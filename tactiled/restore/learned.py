@@ -21,12 +21,14 @@ from tactiled.restore.wiener import Wiener
 WEIGHTS = Path(__file__).with_name("learned.npz")
 WARY_WEIGHTS = Path(__file__).with_name("learned_wary.npz")  # of a skin that is not quite as its model
 MISFIT = 3.0  # times what noise leaves of a frame, squared: more shows that the model is wrong
-MODEL_ERROR = 0.05  # of a frame's norm, which the model may miss anyway
+UNEXPLAINED = 0.05  # of a frame's norm, that the image of a right model may leave anyway
 KERNEL = 3  # cells along each side of a filter's kernel
 INPUTS = 3  # images that a stage redraws from: held to the frame, as last redrawn, linear
 GAINS = np.array([2, 4, 8, 12, 16, 22, 28]) / 32  # of an axis' modes: where the cover's gain is looked at
 MIN_GAIN = 1e-4  # at those: less is not told apart
 SLACK = 0.02  # by which their roots may be outside those in training
+OF_FRAME = 5  # conditions of the frame; those of the cover follow
+FIRMNESS = 5.0, 3.0  # a firmness is the noise's variance times exp(5 tuned + 3)
 MIN_SIDE = 8  # taxels: on a smaller array most of a kernel's surroundings are its border
 
 
@@ -113,7 +115,7 @@ class Conditions:
     """What the network is told of a frame besides its image: noise, spectrum and cover, (c,)."""
 
     def __init__(self, scene: Scene) -> None:
-        self.values = np.concatenate([np.ones(5, np.float32), cover_gains(scene.blur)])
+        self.values = np.concatenate([np.ones(OF_FRAME, np.float32), cover_gains(scene.blur)])
         self._scene = scene
         self._ones, self._pressed = (np.ones(scene.blur.surface_shape, np.float32) for _ in range(2))
         self._zero = np.zeros((), np.float32)
@@ -163,10 +165,6 @@ class Learned:
     def prepare(self) -> None:
         """Nothing is needed beforehand."""
 
-    def noise_gain(self, linear: float) -> float:
-        """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
-        return linear * (np.count_nonzero(self.image) / self.image.size) ** 0.5
-
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives the stages run."""
         scene, factor = self._scene, self._factor
@@ -186,7 +184,7 @@ class Learned:
 
     def _run(self, trained: Weights, conditions: NDArray[np.float32], noise: float) -> int:
         """Make the image, over its scale, by all stages that there is time for; gives their number."""
-        image, done = self.image, 0
+        image, done, (span, middle) = self.image, 0, FIRMNESS
         consistent, redrawn, start = self._convolve.images
         self._tune(trained, conditions)
         np.copyto(redrawn, start)
@@ -194,7 +192,7 @@ class Learned:
         while done < len(self._tuned) and not self._scene.cut():
             if done:
                 np.copyto(redrawn, image)
-                self._hold(noise**2 * exp(5 * self._tuned.item(done - 1, -1) + 3))
+                self._hold(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
             np.copyto(consistent, image)
             self._convolve(trained.redraw[done], trained.draw[done], self._tuned[done, :-1], self._addend)
             np.add(image, self._addend, out=image)
@@ -212,7 +210,7 @@ class Learned:
     def _misfit(self) -> float:
         """Square of what the image leaves of the frame, over its scale, beyond the error of a right model."""
         missed, frame = self._missed().reshape(-1), self._c.reshape(-1)
-        return float(missed.dot(missed)) - MODEL_ERROR**2 * float(frame.dot(frame))
+        return float(missed.dot(missed)) - UNEXPLAINED**2 * float(frame.dot(frame))
 
     def _missed(self) -> Image:
         """What the image leaves of the frame's coefficients."""

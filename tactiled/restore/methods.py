@@ -7,18 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
+from tactiled.restore import learned
 from tactiled.restore.auto import LOADS, Auto
 from tactiled.restore.blur import Blur
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
-from tactiled.restore.learned import Learned
-from tactiled.restore.learned import fits as is_learned
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.points import Points
 from tactiled.restore.richardson_lucy import RichardsonLucy
-from tactiled.restore.scene import Restored, Scene, never
+from tactiled.restore.scene import Restored, Scene, never, pressed_noise_gain
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Wiener
 from tactiled.restore.window import Windowed, fits
@@ -153,16 +152,16 @@ class _Nonnegative(Linear):
     def __init__(self, scene: Scene, name: str = "nnls", why: str = BY_HAND) -> None:
         super().__init__(scene)
         self._name, self._why = name, why
-        self._solver: Learned | TotalVariation | Nonnegative = Nonnegative(scene)
+        self._solver: learned.Learned | TotalVariation | Nonnegative = Nonnegative(scene)
         if name == "tv":
             self._solver = TotalVariation(scene)
         elif name == "learned":
-            self._solver = Learned(scene, self._wiener)
+            self._solver = learned.Learned(scene, self._wiener)
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
         done = self._solver(self._wiener())
-        gain = self._solver.noise_gain(self._wiener.filter().noise_gain)
+        gain = pressed_noise_gain(self._solver.image, self._wiener.filter().noise_gain)
         return self._done(self._solver.image, self._name, done, gain, self._why)
 
     def prepare(self) -> None:
@@ -170,7 +169,7 @@ class _Nonnegative(Linear):
 
 
 def _learned(scene: Scene) -> Linear:
-    return _Nonnegative(scene, "learned") if is_learned(scene.blur) else _Nonnegative(scene, why=NOT_TRAINED)
+    return _Nonnegative(scene, "learned") if learned.fits(scene.blur) else _Nonnegative(scene, why=NOT_TRAINED)
 
 
 def _total_variation(scene: Scene) -> Linear:

@@ -67,10 +67,6 @@ class Nonnegative:
         if self._scene.spectrum not in self._smooth:
             self._smooth[self._scene.spectrum] = Smooth(self._scene)
 
-    def noise_gain(self, linear: float) -> float:
-        """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
-        return linear * (np.count_nonzero(self._flat) / self._flat.size) ** 0.5
-
     def __call__(self, linear: Image) -> int:
         """Iterate from the linear image until the share of pressed cells has settled; gives how often."""
         scene = self._scene

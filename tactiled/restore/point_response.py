@@ -20,7 +20,7 @@ class PointResponse:
     """
 
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
-        self.shape, self.side = shape, 1 / refine
+        self.shape = shape
         U, s, Vt = np.linalg.svd(stencil * refine**2)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         along = U[:, :parts] * s[:parts], Vt[:parts].T

@@ -182,7 +182,7 @@ class Points:
         np.subtract(fitter.residual, explained, out=self._unexplained)
         unexplained = self._unexplained.reshape(fitter.shape)
         noise = self._scene.noise**2
-        about = (_window(unexplained, each, 1) for each in fit.places)
+        about = (_around(unexplained, each) for each in fit.places)
         return any(
             float(np.vdot(each, each))
             > noise * (each.size + NEIGHBOURHOOD_SIGMAS * sqrt(2 * each.size)) + self._model
@@ -230,7 +230,7 @@ def _touching(places: list[tuple[float, float]]) -> float:
     return float((np.abs(at[:, None] - at).max(axis=-1) < TOUCHING).sum() / len(at) - 1)
 
 
-def _window(image: Image, middle: Floats, reach: int) -> Image:
-    """Give the part of an image within `reach` cells of a place, as far as it lies inside."""
+def _around(image: Image, middle: Floats) -> Image:
+    """Give the taxel at a place and its neighbours, as far as they lie inside."""
     i, j = (min(max(round(at), 0), n - 1) for at, n in zip(middle.tolist(), image.shape, strict=True))
-    return image[max(i - reach, 0) : i + reach + 1, max(j - reach, 0) : j + reach + 1]
+    return image[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]

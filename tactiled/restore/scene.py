@@ -36,6 +36,11 @@ class Restored(NamedTuple):
     cut_short: bool = False  # whether the time for it was over before the method was done
 
 
+def pressed_noise_gain(image: Image, linear: float) -> float:
+    """Give a non-negative image's noise over the frame's: `linear`, the filter's, and 0 where nothing presses."""
+    return linear * (np.count_nonzero(image) / image.size) ** 0.5
+
+
 class Scene:
     """Holds the newest frame's modes, the spectrum picked for it, and its force; allocates nothing a frame."""
 

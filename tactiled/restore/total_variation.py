@@ -92,9 +92,9 @@ class TotalVariation:
 
     name = "tv"
 
-    def __init__(self, scene: Scene, nonnegative: Nonnegative | None = None) -> None:
+    def __init__(self, scene: Scene) -> None:
         rows, columns = scene.blur.surface_shape
-        self._scene, self._nonnegative = scene, nonnegative or Nonnegative(scene)
+        self._scene, self._nonnegative = scene, Nonnegative(scene)
         self._square, self._gain = self._nonnegative.square, self._nonnegative.gain
         self._variance: dict[Spectrum, float] = {}  # v
         self._analyse, self._synthesise = scene.modes.to_surface_modes(), scene.modes.to_surface()
@@ -115,10 +115,6 @@ class TotalVariation:
         """Make what the spectrum picked for the scene needs."""
         self._nonnegative.prepare()
         self._cell_variance()
-
-    def noise_gain(self, linear: float) -> float:
-        """Give the image's noise over the frame's: `linear`, the filter's, where pressed, and none elsewhere."""
-        return linear * (np.count_nonzero(self._flat) / self._flat.size) ** 0.5
 
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives how often was iterated."""

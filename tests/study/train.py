@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from tactiled.restore.learned import GAINS, INPUTS, KERNEL, WEIGHTS, Conditions, Weights
+from tactiled.restore.learned import FIRMNESS, GAINS, INPUTS, KERNEL, OF_FRAME, WEIGHTS, Conditions, Weights
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
 from tactiled.study.skin import cell_means, rubber
@@ -135,7 +135,7 @@ def network(w, inputs, xp=np):
     consistent, redrawn, images = xp.maximum(linear, 0), linear, []
     for stage in range(stages):
         if stage:
-            firm = (noise**2 * xp.exp(5 * tuned[:, stage - 1, -1] + 3))[:, None, None]
+            firm = (noise**2 * xp.exp(FIRMNESS[0] * tuned[:, stage - 1, -1] + FIRMNESS[1]))[:, None, None]
             missed = c - gain * (V.swapaxes(1, 2) @ redrawn @ W)
             consistent = redrawn + V @ (gain * missed / (gain**2 + firm)) @ W.swapaxes(1, 2)
         padded = xp.pad(xp.stack([consistent, redrawn, linear]), ((0, 0), (0, 0), (1, 1), (1, 1)))
@@ -168,7 +168,7 @@ def _with_ones(values, xp):
 
 def _start(random):
     """Give weights to begin from: filters that differ, and drawings and tunings near none."""
-    conditions, tuned = 5 + len(GAINS), STAGES * (2 * FILTERS + 1)
+    conditions, tuned = OF_FRAME + len(GAINS), STAGES * (2 * FILTERS + 1)
     w = {
         "redraw": random.normal(0, np.sqrt(2 / (KERNEL**2 * INPUTS)), (STAGES, FILTERS, KERNEL**2 * INPUTS)),
         "draw": random.normal(0, 0.1 / np.sqrt(KERNEL**2 * FILTERS), (STAGES, KERNEL**2, FILTERS)),
