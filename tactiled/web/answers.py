@@ -59,12 +59,9 @@ def health(service: ServiceView) -> schemas.Health:
     return schemas.Health(status="ok" if live and not faults else "degraded", sensors=sensors, faults=faults)
 
 
-def numbers(values: NDArray[np.float32]) -> list[list[float | None]] | list[float | None]:
-    """Round to DECIMALS; null for what JSON has no number for."""
-    rounded = np.round(values.astype(float), DECIMALS).astype(object)
-    rounded[~np.isfinite(values)] = None
-    listed: list[list[float | None]] = rounded.tolist()
-    return listed
+def numbers(values: NDArray[np.float32]) -> Any:
+    """A list, or lists, of numbers rounded to DECIMALS; NaN becomes null in JSON."""
+    return np.round(values.astype(float), DECIMALS).tolist()
 
 
 def npy(values: NDArray[np.float32]) -> bytes:
@@ -160,7 +157,7 @@ def kernel(sensor: Sensor) -> schemas.CoverKernel:
         gain=kernel.gain.tolist(),
         nyquist_per_mm=summary.nyquist,
         nyquist_gain=summary.nyquist_gain,
-        smallest_gap_mm=summary.smallest_gap if np.isfinite(summary.smallest_gap) else None,
+        smallest_gap_mm=summary.smallest_gap,
     )
 
 
@@ -231,10 +228,8 @@ def taxel_health(sensor: Sensor) -> calibration_schemas.TaxelHealth:
             for at, fault in faulty
         ],
         map=(", ".join(taxel_map.wrong) or "as configured") if taxel_map.judged else None,
-        noise_counts=np.round(state.noise_counts.astype(float), DECIMALS).tolist(),
-        drift_counts=None
-        if state.drift_counts is None
-        else np.round(state.drift_counts.astype(float), DECIMALS).tolist(),
+        noise_counts=numbers(state.noise_counts),
+        drift_counts=None if state.drift_counts is None else numbers(state.drift_counts),
         drift_states=None if counts is None else {each.name.lower(): int(counts[each]) for each in DriftState},
-        creep=None if state.creep is None else calibration_schemas.Creep.model_validate(state.creep),
+        creep=state.creep,
     )

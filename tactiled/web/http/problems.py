@@ -24,6 +24,10 @@ from tactiled.errors import (
 )
 from tactiled.web import schemas
 
+STATUSES: dict[type[TactileError], int] = {
+    ConfigError: 422, UnknownSensorError: 404, NoShearError: 404, NoCalibrationError: 404, NotLiveError: 409,
+    LoadedError: 409, CalibrationStateError: 409, TareStateError: 409, ReloadError: 409, ReaderError: 503,
+}  # fmt: skip
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 
@@ -64,26 +68,8 @@ def install(app: FastAPI) -> None:
             detail = f"{request.method} {request.url.path:.200}: {detail.lower()}"
         return response(error.status_code, detail, headers)
 
-    @app.exception_handler(UnknownSensorError)
-    @app.exception_handler(NoShearError)
-    @app.exception_handler(NoCalibrationError)
-    async def _unknown(_: Request, error: TactileError) -> Response:
-        return response(404, str(error))
-
-    @app.exception_handler(NotLiveError)
-    @app.exception_handler(LoadedError)
-    @app.exception_handler(CalibrationStateError)
-    @app.exception_handler(TareStateError)
-    @app.exception_handler(ReloadError)
-    async def _not_now(_: Request, error: TactileError) -> Response:
-        loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
-        return response(409, str(error), **loaded)
-
-    app.add_exception_handler(ReaderError, _no_reader)
-
-    @app.exception_handler(ConfigError)
-    async def _config(_: Request, error: ConfigError) -> Response:
-        return response(422, str(error))
+    for kind in STATUSES:
+        app.add_exception_handler(kind, _refused)
 
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> Response:
@@ -95,8 +81,11 @@ def install(app: FastAPI) -> None:
         return response(status, "; ".join(_describe(each) for each in wrong))
 
 
-async def _no_reader(_: Request, error: Exception) -> Response:
-    return response(503, str(error), {"Retry-After": "1"})
+async def _refused(_: Request, error: Exception) -> Response:
+    """The answer to an error of STATUSES."""
+    status = next(status for kind, status in STATUSES.items() if isinstance(error, kind))
+    loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
+    return response(status, str(error), {"Retry-After": "1"} if status == 503 else None, **loaded)
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:

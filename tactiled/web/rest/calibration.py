@@ -3,9 +3,8 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import numpy as np
 from fastapi import APIRouter, Depends, FastAPI, Request
 from pydantic import Field
 
@@ -150,12 +149,8 @@ class CalibrationSession(schemas.Schema):
     cover: CoverResult | None
 
 
-def _numbers(values: Any) -> list[float | None]:
-    return [float(each) if np.isfinite(each) else None for each in values]
-
-
 def _gain(outcome: GainOutcome) -> GainResult:
-    counts, measured, fitted = map(_numbers, outcome.line)
+    counts, measured, fitted = outcome.line.tolist()
     line = GainLine(counts=counts, measured_kpa=measured, fitted_kpa=fitted)
     return GainResult(**GainResult.shared(outcome) | {"line": line})
 
@@ -165,11 +160,9 @@ def _cover(outcome: CoverOutcome) -> CoverResult:
     line = None
     if fit.line is not None:
         every = -(-fit.line.shape[1] // MAX_LINE_POINTS)
-        x, measured, fitted = map(_numbers, fit.line[:, ::every])
+        x, measured, fitted = fit.line[:, ::every].tolist()
         line = CoverLine(x_mm=x, measured=measured, fitted=fitted)
-    residual = fit.residual if np.isfinite(fit.residual) else None
-    shared = CoverResult.shared(fit) | {"line": line, "residual": residual}
-    return CoverResult(**shared, before_mm=outcome.before_mm)
+    return CoverResult(**CoverResult.shared(fit) | {"line": line, "before_mm": outcome.before_mm})
 
 
 def _answer(session: Session) -> CalibrationSession:
@@ -185,7 +178,7 @@ def _answer(session: Session) -> CalibrationSession:
         seconds_limit=collector.max_s,
         full=collector.full,
         load=session.sensor.pipeline.load_description(),
-        quality=Quality.model_validate(session.quality()),
+        quality=session.quality(),
         error=session.error,
         gain=_gain(outcome) if isinstance(outcome, GainOutcome) else None,
         cover=_cover(outcome) if isinstance(outcome, CoverOutcome) else None,

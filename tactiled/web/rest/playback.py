@@ -210,7 +210,7 @@ def _frame(
         "force_unit": FORCE_UNITS[image.unit],
         "contacts": answers.listed(playback.contacts(image), image.unit),
         "regions": [
-            PlayedRegion(name=name, **RegionMeasures.of(each.measure(image)).model_dump())
+            PlayedRegion(name=name, **each.measure(image)._asdict())
             for name, each in sensor.regions.series.items()
         ],
     }

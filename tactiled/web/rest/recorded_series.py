@@ -19,7 +19,7 @@ from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
-from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, or_null, watched
+from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, watched
 
 TOTAL = "total"
 CSV_ROWS = 500  # that are written at once
@@ -128,16 +128,16 @@ def _json(run: RecordedSeries, recorded: RecordedFrames, running: bool, measured
 
 def _area(name: str, k: int, summary: Summary) -> AreaSeries:
     """The series of the array or the region of number `k`."""
-    columns = zip(Measures._fields, summary.values[:, k].T.tolist(), strict=True)
+    columns = dict(zip(Measures._fields, summary.values[:, k].T.tolist(), strict=True))
     highest = {
         key: Highest(
-            value=or_null(float(summary.highest[k, n])),
+            value=float(summary.highest[k, n]),
             number=int(summary.number[k, n]),
             position_s=float(summary.highest_s[k, n]),
         )
         for n, key in enumerate(Measures._fields)
     }
-    return AreaSeries(name=name, highest=highest, **{key: list(map(or_null, each)) for key, each in columns})
+    return AreaSeries(name=name, highest=highest, **columns)
 
 
 def _csv(job: SeriesJob, rows: NDArray[Any]) -> Iterator[str]:

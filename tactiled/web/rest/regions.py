@@ -3,9 +3,9 @@
 import csv
 import io
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
@@ -25,11 +25,6 @@ RegionName = Annotated[str, Path(pattern=NAME, description="a region of the sens
 router = APIRouter(prefix="/api/v1/sensors/{name}/regions", tags=["regions"])
 
 
-def or_null(value: float) -> float | None:
-    """A number for JSON, which has no NaN."""
-    return None if value != value else value
-
-
 class RegionMeasures(schemas.Schema):
     """What a region holds; null: not known."""
 
@@ -37,11 +32,6 @@ class RegionMeasures(schemas.Schema):
     mean: float | None = Field(examples=[31.0], description="pressure, in `unit`")
     peak: float | None = Field(examples=[98.5], description="pressure, in `unit`")
     area: float | None = Field(examples=[64.0], description="mm2 in contact")
-
-    @classmethod
-    def of(cls, measures: Measures) -> "RegionMeasures":
-        """Those of an image."""
-        return cls(**{key: or_null(value) for key, value in measures._asdict().items()})
 
 
 class WatchedRegion(Region):
@@ -59,20 +49,8 @@ class WatchedRegion(Region):
     @classmethod
     def of(cls, series: RegionSeries) -> "WatchedRegion":
         """As it is now."""
-        summary, own = series.summary(), dict(series.region)
-        if summary is None:
-            return cls(name=series.name, **own)
-        return cls(
-            name=series.name,
-            unit=summary.unit,
-            now=RegionMeasures.of(summary.now),
-            highest=RegionMeasures.of(summary.highest),
-            impulse=summary.impulse,
-            pressure_time=summary.pressure_time,
-            since=None if np.isnan(summary.since) else summary.since,
-            exceeded=summary.exceeded,
-            **own,
-        )
+        summary = series.summary()
+        return cls(name=series.name, **dict(series.region), **(asdict(summary) if summary else {}))
 
 
 class WatchedRegions(schemas.Schema):
@@ -151,9 +129,7 @@ def series(
     time, values, unit = watched(sensor, region).series(seconds, points)
     if form == "csv":
         return Response(_csv(time.tolist(), values.tolist(), unit), media_type="text/csv")
-    columns = {
-        key: list(map(or_null, column)) for key, column in zip(Measures._fields, values.T.tolist(), strict=True)
-    }
+    columns = dict(zip(Measures._fields, values.T.tolist(), strict=True))
     content = Series(unit=unit, time=time.tolist(), **columns).model_dump_json()
     return Response(content, media_type="application/json")
 
