@@ -1,9 +1,10 @@
 """The ASGI application: REST, streams and the viewer's files."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
-from fastapi import Depends, FastAPI
+from fastapi import Depends, FastAPI, Request
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
@@ -96,7 +97,7 @@ def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
     _set_state(app, service, server)
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))
-    app.include_router(asyncapi.make())
+    app.include_router(asyncapi.router)
     return app, feeds
 
 
@@ -130,13 +131,10 @@ def _set_state(app: FastAPI, service: ServiceView, server: Server) -> None:
 def _add_pages(app: FastAPI) -> None:
     """The viewer, the page of the REST API, and their files."""
 
-    @app.get("/", include_in_schema=False)
-    def viewer() -> FileResponse:
-        return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
+    def page(name: str) -> Callable[[Request], FileResponse]:
+        return lambda _: FileResponse(STATIC / name, headers={"Cache-Control": "no-cache"})
 
-    @app.get("/docs", include_in_schema=False)
-    def docs() -> FileResponse:
-        return FileResponse(STATIC / "docs.html", headers={"Cache-Control": "no-cache"})
-
+    app.add_route("/", page("index.html"), include_in_schema=False)
+    app.add_route("/docs", page("docs.html"), include_in_schema=False)
     app.mount("/static/swagger", StaticFiles(packages=[API_PAGE_FILES]), name="swagger")
     app.mount("/static", StaticFiles(directory=STATIC), name="static")

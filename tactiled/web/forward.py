@@ -1,13 +1,12 @@
 """What a server of other processes' sensors forwards to their readers, and how a reader answers."""
 
-import asyncio
 import json
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import parse_qsl, quote, unquote, urlencode
 
+from anyio.from_thread import start_blocking_portal
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import JSONResponse
 from starlette.concurrency import run_in_threadpool
@@ -23,9 +22,10 @@ from tactiled.interop.zenoh_publisher import Publisher
 from tactiled.interop.zenoh_session import REQUEST_S, Answer
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers
+from tactiled.web.http import problems
 from tactiled.web.http.auth import SAFE_METHODS, token_of
+from tactiled.web.rest import openapi
 from tactiled.web.rest.config import Config, server_settings
-from tactiled.web.rest.openapi import EVERY_RESOURCE, problems
 
 ROOT, SENSORS = "/api/v1", "/api/v1/sensors/"
 LOCAL = {"", "stream", "contacts", "frames", "frames/raw", "frames/restored", "frames/deviation", "frames/shear"}
@@ -83,7 +83,7 @@ def _renamed(answer: Answer, name: str) -> bytes:
 
 def config_of(fleet: Fleet) -> APIRouter:
     """`/api/v1/config` of a fleet: the server's own, and what the readers run with."""
-    router = APIRouter(prefix=ROOT, tags=["service"], responses=problems(*EVERY_RESOURCE))
+    router = APIRouter(prefix=ROOT, tags=["service"], responses=openapi.problems(*openapi.EVERY_RESOURCE))
 
     @router.get("/config", responses={200: {"model": Config}})
     def config(request: Request) -> JSONResponse:
@@ -111,22 +111,13 @@ class Requests:
         token = server.control_token
         self._app, self._token = app, token and token.get_secret_value()
         self._open = self._token is not None or settings.loopback  # to changes
-        self._loop = asyncio.new_event_loop()
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Answer meanwhile."""
-        thread = threading.Thread(target=self._loop.run_forever, name="requests", daemon=True)
-        thread.start()
         lifespan = self._app.router.lifespan_context(self._app)
-        asyncio.run_coroutine_threadsafe(lifespan.__aenter__(), self._loop).result()
-        try:
+        with start_blocking_portal() as self._portal, self._portal.wrap_async_context_manager(lifespan):
             yield
-        finally:
-            asyncio.run_coroutine_threadsafe(lifespan.__aexit__(None, None, None), self._loop).result()
-            self._loop.call_soon_threadsafe(self._loop.stop)
-            thread.join()
-            self._loop.close()
 
     def __call__(self, request: zenoh_session.Request) -> Answer:
         """Answer one request; whoever is on the network may read, and changes need the control token."""
@@ -134,11 +125,10 @@ class Requests:
         if request.method in SAFE_METHODS:
             headers |= {"authorization": f"Bearer {self._token}"} if self._token else {}
         elif not self._open:
-            body = json.dumps({"type": "about:blank", "title": "Forbidden", "status": 403, "detail": NO_TOKEN})
-            return Answer(403, {"content-type": "application/problem+json"}, body.encode())
+            refused = problems.response(403, NO_TOKEN)
+            return Answer(403, {"content-type": str(refused.media_type)}, bytes(refused.body))
         headers |= {"host": "localhost", "content-length": str(len(request.body))}
-        answering = self._answer(request, headers)
-        return asyncio.run_coroutine_threadsafe(answering, self._loop).result(REQUEST_S)
+        return self._portal.start_task_soon(self._answer, request, headers).result(REQUEST_S)
 
     async def _answer(self, request: zenoh_session.Request, headers: dict[str, str]) -> Answer:
         messages: list[Message] = []

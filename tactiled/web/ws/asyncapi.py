@@ -15,6 +15,7 @@ from tactiled.web.ws.query import SensorsQuery, StreamQuery
 from tactiled.wire import LAYOUT
 
 Json = dict[str, Any]
+router = APIRouter()
 
 ABOUT = """Live images of covered tactile arrays, and how their sensors are doing.
 
@@ -44,21 +45,11 @@ def parameters(form: type[StreamQuery]) -> Json:
     return described
 
 
-def make() -> APIRouter:
-    """The route."""
-    router = APIRouter(prefix="/api/v1")
-
-    @router.get("/asyncapi.json", include_in_schema=False)  # a description is no resource
-    def asyncapi(request: Request) -> JSONResponse:
-        """The WebSockets of this service in AsyncAPI 3.0."""
-        return JSONResponse(document(request.url.netloc, secure=request.url.scheme == "https"))
-
-    return router
-
-
-def document(host: str, secure: bool = False) -> Json:
-    """The description of the service at `host`."""
-    return _anywhere() | {"servers": {"here": {"host": host, "protocol": "wss" if secure else "ws"}}}
+@router.get("/api/v1/asyncapi.json", include_in_schema=False)  # a description is no resource
+def asyncapi(request: Request) -> JSONResponse:
+    """The WebSockets of this service in AsyncAPI 3.0."""
+    server = {"host": request.url.netloc, "protocol": "wss" if request.url.scheme == "https" else "ws"}
+    return JSONResponse(_anywhere() | {"servers": {"here": server}})
 
 
 @cache
