@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -203,12 +203,10 @@ def publishing(service: "Service", config: Server, settings: Zenoh) -> Iterator[
         yield
 
 
-@contextmanager
-def running(service: "Service | Fleet", config: Server | None = None) -> Iterator[str]:
+def running(service: "Service | Fleet", config: Server | None = None) -> AbstractContextManager[str]:
     """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
     config = config or Server(port=0)
-    with _on_thread(_application(service, config), config) as url:
-        yield url
+    return _on_thread(_application(service, config), config)
 
 
 @contextmanager

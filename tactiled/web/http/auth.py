@@ -123,7 +123,7 @@ class AccessControl:
             except Problem as error:
                 await receive()
                 await send({"type": "websocket.accept"})
-                code, reason = problems.close_code(error.status_code), problems.close_reason(error.detail)
+                code, reason = 4000 + error.status_code, problems.close_reason(error.detail)
                 await send({"type": "websocket.close", "code": code, "reason": reason})
             else:
                 await self._app(scope, receive, send)

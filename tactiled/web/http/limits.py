@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import Scope
 
-from tactiled.web.http.problems import Problem
+from tactiled.web.http.problems import SOON, Problem
 
 MAX_CLIENTS = 1024  # that are remembered; who is forgotten begins with a full bucket
 MAX_WAITING = 64  # costly answers of one kind
@@ -79,7 +79,7 @@ class ConcurrencyLimit:
 
     def _refuse(self, status: int, limit: str, why: str) -> NoReturn:
         self.refused[limit] += 1
-        raise Problem(status, f"{limit} = {why}", {"Retry-After": "1"})
+        raise Problem(status, f"{limit} = {why}", SOON)
 
 
 class Turns:
@@ -98,9 +98,9 @@ class Turns:
         client = client_of(request.scope)
         if self._waiting[client] >= MAX_WAITING_PER_CLIENT:
             who = client or "this client"
-            raise _queue_full(f"{MAX_WAITING_PER_CLIENT} such answers are waited for by {who} already")
+            raise busy(f"{MAX_WAITING_PER_CLIENT} such answers are waited for by {who} already")
         if self._waiting.total() >= MAX_WAITING:
-            raise _queue_full(f"{MAX_WAITING} such answers are waited for already")
+            raise busy(f"{MAX_WAITING} such answers are waited for already")
         self._rates.count(request.scope)
         self._waiting[client] += 1
         try:
@@ -115,8 +115,9 @@ class Turns:
             self._lock.release()
 
 
-def _queue_full(why: str) -> Problem:
-    return Problem(429, f"{why}: wait", {"Retry-After": "1"})
+def busy(why: str) -> Problem:
+    """A refusal of what can be had as soon as others are done."""
+    return Problem(429, f"{why}: wait", SOON)
 
 
 def client_of(scope: Scope) -> str:

@@ -28,6 +28,7 @@ STATUSES: dict[type[TactileError], int] = {
     ConfigError: 422, UnknownSensorError: 404, NoShearError: 404, NoCalibrationError: 404, NotLiveError: 409,
     LoadedError: 409, CalibrationStateError: 409, TareStateError: 409, ReloadError: 409, ReaderError: 503,
 }  # fmt: skip
+SOON = {"Retry-After": "1"}
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 
@@ -42,11 +43,6 @@ def response(status: int, detail: str, headers: Mapping[str, str] | None = None,
     return Response(
         body.model_dump_json(exclude_none=True), status, dict(headers or {}), "application/problem+json"
     )
-
-
-def close_code(status: int) -> int:
-    """The code of a WebSocket's close frame for an HTTP status."""
-    return 4000 + status
 
 
 def close_reason(reason: str) -> str:
@@ -85,7 +81,7 @@ async def _refused(_: Request, error: Exception) -> Response:
     """The answer to an error of STATUSES."""
     status = next(status for kind, status in STATUSES.items() if isinstance(error, kind))
     loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
-    return response(status, str(error), {"Retry-After": "1"} if status == 503 else None, **loaded)
+    return response(status, str(error), SOON if status == 503 else None, **loaded)
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:

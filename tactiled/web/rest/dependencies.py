@@ -1,6 +1,7 @@
 """What routes take from a request: the service, a sensor, the format; and the checks of every request."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from urllib.parse import unquote
@@ -9,11 +10,12 @@ from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
 from starlette.requests import HTTPConnection
 
+from tactiled.errors import StateError
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.sensor_view import PlanView, SensorView
 from tactiled.units import PRESSURE
 from tactiled.web.http.limits import Turns
-from tactiled.web.http.problems import Problem
+from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.negotiation import like
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
@@ -96,12 +98,23 @@ def in_unit(plan: PlanView, name: str, value: float | None, value_kpa: float | N
 
 def no_frame(sensor: SensorView) -> Problem:
     """Why there is no image yet."""
-    return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", {"Retry-After": "1"})
+    return Problem(503, f"sensor {sensor.name!r}: {sensor.status().detail}", SOON)
 
 
-def without_path(error: Exception, path: FilePath) -> str:
+def without_path(error: Exception | str, path: FilePath) -> str:
     """An error's text without a path: clients do not see where the service keeps its files."""
     return str(error).replace(f" {path}", "").replace(str(path), "").lstrip(": ")
+
+
+@contextmanager
+def keeping(service: Service) -> Iterator[None]:
+    """Problem 409 in the block where the service keeps no state, 503 where its file cannot be written."""
+    try:
+        yield
+    except StateError as error:
+        if service.state is None:
+            raise Problem(409, str(error)) from error
+        raise Problem(503, without_path(error, service.state.path)) from error
 
 
 async def in_turn(request: Request, make: Callable[[], Response], kind: Costly = "numbers") -> Response:

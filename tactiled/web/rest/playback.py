@@ -11,7 +11,6 @@ from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
 
-from tactiled.errors import TactileError
 from tactiled.frames import Loss
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.runtime.playback import Playback
@@ -21,7 +20,7 @@ from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
 from tactiled.web import answers, schemas
-from tactiled.web.http.problems import Problem
+from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest import recorded_series
 from tactiled.web.rest.dependencies import in_turn, without_path
 from tactiled.web.rest.openapi import EVERY_RESOURCE, MEDIA, problems, success
@@ -150,8 +149,8 @@ def need_frame(sensor: Sensor, recorded: RecordedFrames, number: int) -> None:
     if number < count:
         return
     if recorded.reading:
-        raise Problem(409, f"recording {name}: frame {number} is not read yet", {"Retry-After": "1"})
-    why = recorded.error.replace(f" {recorded.path}", "") or f"it has {count} frames of sensor {sensor.name}"
+        raise Problem(409, f"recording {name}: frame {number} is not read yet", SOON)
+    why = without_path(recorded.error, recorded.path) or f"it has {count} frames of sensor {sensor.name}"
     raise Problem(404, f"recording {name}: no frame {number}: {why}")
 
 
@@ -161,7 +160,7 @@ def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Re
     fields: dict[str, Any] = {
         "name": recorded.path.name, "sensor": sensor.name, "reading": reading, "unit": plan.unit,
         "force_unit": FORCE_UNITS[plan.unit], "calibration": plan.calibration_id,
-        "error": without_path(TactileError(recorded.error), recorded.path) or None,
+        "error": without_path(recorded.error, recorded.path) or None,
     }  # fmt: skip
     if frames := recorded.count(sensor.name):
         playback = playbacks.playback(sensor, recorded)

@@ -8,7 +8,6 @@ from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
 from tactiled.contacts.regions import Measures, Region
-from tactiled.errors import TactileError
 from tactiled.restore.methods import require
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.recorded_frames import RecordedFrames
@@ -16,14 +15,13 @@ from tactiled.runtime.recorded_series import RecordedSeries, SeriesJob, SeriesRu
 from tactiled.runtime.sensor import Sensor
 from tactiled.units import FORCE_UNITS, ForceUnit
 from tactiled.web import schemas
-from tactiled.web.http.problems import Problem
+from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, watched
 
 TOTAL = "total"
 CSV_ROWS = 500  # that are written at once
-SOON = {"Retry-After": "1"}
 
 
 class SensorQuery(BaseModel):
@@ -118,7 +116,7 @@ def _json(run: RecordedSeries, recorded: RecordedFrames, running: bool, measured
     fields: dict[str, Any] = {
         "name": recorded.path.name, "sensor": job.plan.name, "method": job.method, "frames": run.frames,
         "measured": measured, "running": running, "unit": unit, "force_unit": FORCE_UNITS[unit],
-        "error": without_path(TactileError(run.error), recorded.path) or None,
+        "error": without_path(run.error, recorded.path) or None,
     }  # fmt: skip
     if not running and not run.error:
         total, *regions = (_area(name, k, run.summary) for k, name in enumerate((TOTAL, *job.regions)))

@@ -11,12 +11,11 @@ from pydantic import Field
 
 from tactiled import units
 from tactiled.contacts.regions import Measures, Region, measure_units
-from tactiled.errors import StateError
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
-from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
+from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 MAX_POINTS = 60_000
@@ -91,11 +90,10 @@ def regions(sensor: NamedSensor, service: CurrentService) -> WatchedRegions:
 def put_region(sensor: NamedSensor, service: CurrentService, region: RegionName, body: Region) -> WatchedRegion:
     """Watch a region, or replace one; it is there after a restart, too, if the service keeps a state."""
     try:
-        service.regions.put(sensor, region, body)
+        with keeping(service):
+            service.regions.put(sensor, region, body)
     except ValueError as error:
         raise Problem(409, str(error)) from error
-    except StateError as error:
-        raise _not_kept(error, service) from error
     return WatchedRegion.of(watched(sensor, region))
 
 
@@ -103,10 +101,8 @@ def put_region(sensor: NamedSensor, service: CurrentService, region: RegionName,
 def remove_region(sensor: NamedSensor, service: CurrentService, region: RegionName) -> None:
     """Watch a region no longer."""
     watched(sensor, region)
-    try:
+    with keeping(service):
         service.regions.remove(sensor, region)
-    except StateError as error:
-        raise _not_kept(error, service) from error
 
 
 @router.post("/{region}/reset", status_code=204, responses=problems(404, *CONTROL))
@@ -155,8 +151,3 @@ def csv_lines(rows: Iterable[list[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
-
-
-def _not_kept(error: StateError, service: CurrentService) -> Problem:
-    assert service.state is not None
-    return Problem(503, without_path(error, service.state.path))

@@ -17,7 +17,7 @@ from starlette.types import Message, Receive, Scope, Send
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.runtime.offline import Offline, open_frames
-from tactiled.web.http.limits import client_of
+from tactiled.web.http.limits import busy, client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, in_unit, without_path
 from tactiled.web.rest.openapi import CONTROL, MEDIA, problems, success
@@ -43,9 +43,11 @@ class Transfers:
     def one(self, scope: Scope) -> Iterator[None]:
         """One request from its body to the end of its answer; Problem 429 where it is one too many."""
         address = client_of(scope)
-        self._refuse(self._restoring, "other frames are being restored")
-        self._refuse(address in self.clients, f"frames of {address or 'this client'} are in transfer")
-        self._refuse(len(self.clients) >= MAX_TRANSFERS, f"frames of {MAX_TRANSFERS} clients are in transfer")
+        self._need_none_restored()
+        if address in self.clients:
+            raise busy(f"frames of {address or 'this client'} are in transfer")
+        if len(self.clients) >= MAX_TRANSFERS:
+            raise busy(f"frames of {MAX_TRANSFERS} clients are in transfer")
         self.clients.add(address)
         try:
             yield
@@ -55,17 +57,16 @@ class Transfers:
     @contextmanager
     def restoring(self) -> Iterator[None]:
         """Restore what has come in; Problem 429 while other frames are being restored."""
-        self._refuse(self._restoring, "other frames are being restored")
+        self._need_none_restored()
         self._restoring = True
         try:
             yield
         finally:
             self._restoring = False
 
-    @staticmethod
-    def _refuse(busy: bool, why: str) -> None:
-        if busy:
-            raise Problem(429, f"{why}: wait", {"Retry-After": "1"})
+    def _need_none_restored(self) -> None:
+        if self._restoring:
+            raise busy("other frames are being restored")
 
 
 class _TransferredFile(FileResponse):

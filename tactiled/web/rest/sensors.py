@@ -4,12 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from tactiled.errors import StateError
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.web import answers, calibration_schemas, schemas
-from tactiled.web.http.problems import Problem
 from tactiled.web.rest import drawing
-from tactiled.web.rest.dependencies import AnySensor, CurrentService, NamedSensor, no_frame, without_path
+from tactiled.web.rest.dependencies import AnySensor, CurrentService, NamedSensor, keeping, no_frame
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 router = APIRouter(prefix="/api/v1")
@@ -62,12 +60,8 @@ def get_method(sensor: NamedSensor, service: CurrentService) -> schemas.Method:
 @router.put("/sensors/{name}/method", tags=["sensors"], responses=problems(404, 409, 503, *CONTROL, *JSON_BODY))
 def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.MethodSelection) -> schemas.Method:
     """Select a method: it applies from the next frame on, with `keep` also after a restart."""
-    try:
+    with keeping(service):
         service.set_method(sensor.name, selection.method, selection.keep)
-    except StateError as error:
-        if service.state is None:
-            raise Problem(409, str(error)) from error
-        raise Problem(503, without_path(error, service.state.path)) from error
     return answers.method(service, sensor)
 
 
