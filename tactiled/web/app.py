@@ -30,7 +30,6 @@ from tactiled.web.rest import (
     regions,
     restore,
     sensors,
-    shear,
     trace,
 )
 from tactiled.web.rest.dependencies import Costly, check_parameters
@@ -54,7 +53,7 @@ Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, describ
 def create(service: "Service", server: Server) -> FastAPI:
     """Make the application of a service."""
     app, feeds = _application(service, server)
-    for resource in (shear, sensors, regions, calibration_file, frames, trace, events, config, restore):
+    for resource in (sensors, regions, calibration_file, frames, trace, events, config, restore):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         from tactiled.web.rest import playback, recordings  # which import python-can
@@ -71,7 +70,7 @@ def create(service: "Service", server: Server) -> FastAPI:
 def create_for_fleet(fleet: Fleet, server: Server) -> FastAPI:
     """Make the application of the sensors of other processes, by names `robot/sensor`."""
     app, _ = _application(fleet, server)
-    for resource in (shear, sensors, regions, calibration_file, frames, trace, events):
+    for resource in (sensors, regions, calibration_file, frames, trace, events):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     app.include_router(calibration.router)
     app.include_router(forward.config_of(fleet))

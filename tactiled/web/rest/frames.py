@@ -1,4 +1,4 @@
-"""`/api/v1/sensors/{name}/frames`: the newest image, and the images of the last seconds."""
+"""`/api/v1/sensors/{name}/frames`: the newest image or shear, and those of the last seconds."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -26,6 +26,7 @@ from tactiled.web.schemas import PressureKind
 from tactiled.wire import Kind
 
 NewestFormat = Literal["json", "npy", "png"]
+ShearFormat = Literal["json", "npy"]
 PageFormat = Literal["json", "npy", "npz"]
 MAX_IMAGES = 1000  # an answer
 WINDOW = r"^[0-9]{1,6}(\.[0-9]{1,6})?s$"
@@ -48,6 +49,9 @@ IMAGE_HEADERS = SERIES_HEADERS | {
 TAGGED = {"ETag": "for If-None-Match: the image in its present state"} | IMAGE_HEADERS
 NEWEST = success("the newest image", "npy", "png", headers=TAGGED) | success(
     "If-None-Match names the newest image in its present state", status=304, headers=TAGGED
+)
+NEWEST_SHEAR = success(
+    "the newest frame's shear; .npy: (2, rows, columns), or (2, taxels), float32", "npy", headers=IMAGE_HEADERS
 )
 PAGE = success(
     "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
@@ -194,6 +198,19 @@ def _ranges(numbers: NDArray[np.int64]) -> str:
     """Ascending numbers, those in a row written as first-last."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else []
     return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+@router.get("/shear", response_model=schemas.Shear, responses=problems(404, 406, 503) | NEWEST_SHEAR)
+def shear(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)]) -> Response:
+    """Shear of the newest frame along the skin's x and y axes, in counts; 404 if the skin has none."""
+    sensor.need_shear()
+    image = sensor.hub.latest()
+    if image is None or image.shear is None:
+        raise no_frame(sensor)
+    headers = image_headers(image, sensor.status(), SHEAR)
+    if form == "npy":
+        return Response(answers.npy(image.shear), media_type=MEDIA[form], headers=headers)
+    return Response(answers.shear(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)
 
 
 @router.get(
