@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from tactiled.config import Server, Zenoh
 from tactiled.errors import ReaderError, UnknownSensorError
 from tactiled.frames import FrameWarning
-from tactiled.interop.zenoh_sensor import MAX_SKEW_S, Line, RemoteSensor
+from tactiled.interop.zenoh_sensor import MAX_SKEW_S, Frame, Line, Parts, RemoteSensor
 from tactiled.interop.zenoh_session import (
     HEARTBEAT_S,
     REQUEST_S,
@@ -51,14 +51,8 @@ class Fleet:
         self.faults = Faults(self.events)
         self.sensors: dict[str, RemoteSensor] = {}  # replaced when one comes, never changed
         self._lines: dict[str, Line] = {}
-        self._described: dict[str, str] = {}  # by name: the session of which state and geometry came
-        self._due: dict[str, float] = {}  # s, monotonic: when a line's description, then its clock, is asked for
-        self._waiting: dict[str, Any] = {}  # the newest frame of a line that is not described yet
-        self._history: dict[str, tuple[float, int]] = {}  # s and bytes of a sensor's past images
         self._history_left = server.history_mb * 1e6  # bytes
         self._look_at = 0.0  # s, monotonic: when states are looked at next
-        self._states: dict[str, str] = {}  # at the last look
-        self._skewed: set[str] = set()
         self._inbox: deque[Callable[[], None]] = deque()  # for the thread
         self._ready: deque[Line] = deque()
         self._wake, self._stopping = threading.Event(), threading.Event()
@@ -208,8 +202,7 @@ class Fleet:
         else:
             changed = line.vanish(session, time.monotonic())
         if changed:
-            self._due[name] = 0.0
-            self._waiting.pop(name, None)
+            line.due, line.waiting = 0.0, None
         if came:
             line.heard_at = time.monotonic()
 
@@ -226,22 +219,23 @@ class Fleet:
         while self._ready:
             line = self._ready.popleft()
             if (frame := line.parts.pop()) is not None:
-                self._show(line, *frame)
+                self._show(line, frame)
         if not looks:
             return
         self._look_at = now + LOOK_S
         linked = self._session is not None and connected(self._session)
-        for name, line in self._lines.items():
+        for line in self._lines.values():
             line.look_at_link(linked)
-            if line.down is None and now >= self._due.get(name, 0.0):
-                self._due[name] = now + CLOCK_S
-                ask = self._compare_clock if self._described.get(name) == line.session else self._describe
+            if line.down is None and now >= line.due:
+                line.due = now + CLOCK_S
+                ask = self._compare_clock if line.described == line.session else self._describe
                 self._questions.submit(ask, line, str(line.session))
         self._look()
 
-    def _show(self, line: Line, head: Head, messages: Mapping[str, tuple[bytes, bytes]]) -> None:
-        if self._described.get(line.name) != head.session:
-            self._waiting[line.name] = head, messages
+    def _show(self, line: Line, frame: Frame) -> None:
+        head, messages = frame
+        if line.described != head.session:
+            line.waiting = frame
             return
         with self.faults.turn(f"images of {line.name}"):
             self.sensors[line.name].take(messages, time.monotonic(), time.time())
@@ -249,26 +243,28 @@ class Fleet:
     def _describe(self, line: Line, session: str) -> None:
         """Ask a new publisher for its sensor's state, geometry and newest frame, on a thread of `questions`."""
         with self.faults.turn(f"description of {line.name}"):
-            states = self._get(line, "state", session)
-            answer = self._ask(line, f"{session}/rest/geometry")
-            if not states or answer is None:
-                self._due[line.name] = time.monotonic() + HEARTBEAT_S
+            state = next(self._get(line, "state", session), None)
+            geometry = self._ask(line, f"{session}/rest/geometry")
+            if state is None or geometry is None:
+                line.due = time.monotonic() + HEARTBEAT_S
                 return
-            state, geometry = json.loads(states[0][1]), json.loads(answer)
-            newest: dict[str, Any] = {kind: each[0] for kind in KINDS if (each := self._get(line, kind, session))}
+            parts = Parts()
+            for kind in KINDS:
+                for head, message, detail in self._get(line, kind, session):
+                    parts.add(head, kind, message, detail)
             self._compare_clock(line, session)
-            self._later(partial(self._set_description, line, session, state, geometry, newest))
+            description = json.loads(state[1]), json.loads(geometry)
+            self._later(partial(self._set_description, line, session, *description, parts.pop()))
 
-    def _get(self, line: Line, kind: str, session: str) -> list[tuple[Head, bytes, bytes]]:
+    def _get(self, line: Line, kind: str, session: str) -> Iterator[tuple[Head, bytes, bytes]]:
         """The newest message of a kind, of a publisher, with its head and detail."""
         assert self._session is not None
         replies = self._session.get(f"{self._base(line)}/{kind}", timeout=REQUEST_S)
-        newest = []
         for sample in (each.ok for each in replies if each.ok):
             if sample.attachment:
                 head, detail = unpack(sample.attachment.to_bytes())
-                newest += [(head, sample.payload.to_bytes(), detail)] if head.session == session else []
-        return newest
+                if head.session == session:
+                    yield head, sample.payload.to_bytes(), detail
 
     def _ask(self, line: Line, resource: str) -> bytes | None:
         assert self._session is not None
@@ -282,7 +278,7 @@ class Fleet:
             line.offset.add(start, float(answer), start + time.monotonic() - began)
 
     def _set_description(
-        self, line: Line, session: str, state: dict[str, Any], geometry: dict[str, Any], newest: Mapping[str, Any]
+        self, line: Line, session: str, state: dict[str, Any], geometry: dict[str, Any], newest: Frame | None
     ) -> None:
         """Take what a publisher has answered: the same sensor goes on where its geometry is the same."""
         if session != line.session:
@@ -291,37 +287,28 @@ class Fleet:
         if sensor is None or sensor.geometry != geometry or sensor.state_fields["shear"] != state["shear"]:
             if sensor is None:
                 self._history_left -= (share := self._history_left / HISTORY_SHARE)
-                self._history[name] = self._server.history_s, int(share)
-            request = partial(self.request, name)
-            made = RemoteSensor(line, state, geometry, self._history[name], request)
+                line.history_bytes = int(share)
+            history = self._server.history_s, line.history_bytes
+            made = RemoteSensor(line, state, geometry, history, partial(self.request, name))
             self.sensors = self.sensors | {name: made}
             if sensor:
                 sensor.stop()
         self.sensors[name].state_fields = state
-        self._described[name] = session
-        waiting = self._waiting.pop(name, None)
-        if waiting is None and newest and len(newest) == newest["raw"][0].kinds:
-            numbers = {head.number for head, _, _ in newest.values()}
-            waiting = (
-                (newest["raw"][0], {kind: each[1:] for kind, each in newest.items()})
-                if len(numbers) == 1
-                else None
-            )
-        if waiting is not None and waiting[0].session == session:
-            self._show(line, *waiting)
+        line.described, frame, line.waiting = session, line.waiting or newest, None
+        if frame is not None and frame[0].session == session:
+            self._show(line, frame)
 
     def _look(self) -> None:
         """Add an event for every change of a state, and for a clock that is wrong."""
         for name, sensor in self.sensors.items():
-            status = sensor.status()
-            if time.monotonic() - sensor.line.down_at < LINK_S:
+            line, status = sensor.line, sensor.status()
+            if time.monotonic() - line.down_at < LINK_S:
                 continue
-            if self._states.get(name, "silent") != status.state:
+            if line.state != status.state:
                 self.events.add(STATE_EVENTS[status.state], status.detail or "frames come", name)
-            self._states[name] = status.state
-            offset = sensor.line.offset
+            offset = line.offset
             skewed = offset.offset_s is not None and abs(offset.offset_s) - offset.error_s > MAX_SKEW_S
-            if skewed and name not in self._skewed:
+            if skewed and not line.clock_skewed:
                 self.events.add("clock_skewed", f"its reader's clock is {offset}", name)
-            (self._skewed.add if skewed else self._skewed.discard)(name)
+            line.state, line.clock_skewed = status.state, skewed
         self.faults.clear()

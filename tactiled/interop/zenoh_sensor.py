@@ -28,6 +28,7 @@ from tactiled.wire import unpack
 STOPPED = "its reader was stopped"
 NO_LINK = "this server has no connection to the Zenoh network"
 SILENT_AFTER_S = 3 * HEARTBEAT_S  # without a message, from which a reader is not believed to be live
+Frame = tuple[Head, dict[str, tuple[bytes, bytes]]]  # its messages and their details, by kind
 MAX_SKEW_S = 0.1  # between two clocks, from which an event names it: NTP keeps a local network below 1 ms
 
 
@@ -68,17 +69,15 @@ class Parts:
     def __init__(self) -> None:
         self.number = 0  # of the newest frame of which a message came
         self.lost = 0  # frames that did not come whole, or were overtaken here
-        self.repeated = 0  # messages of frames that were not new
         self._first = 0  # number of the first frame
         self._messages: dict[str, tuple[bytes, bytes]] = {}  # of the newest frame, by kind
-        self._complete: tuple[Head, dict[str, tuple[bytes, bytes]]] | None = None
+        self._complete: Frame | None = None
         self._lock = threading.Lock()
 
     def add(self, head: Head, kind: str, message: bytes, detail: bytes) -> bool:
         """Take a message; whether it completes a frame."""
         with self._lock:
             if head.number < self.number or (head.number == self.number and kind in self._messages):
-                self.repeated += 1
                 return False
             if head.number > self.number:
                 if self.number:
@@ -94,7 +93,7 @@ class Parts:
             self._complete = head, self._messages
             return True
 
-    def pop(self) -> tuple[Head, dict[str, tuple[bytes, bytes]]] | None:
+    def pop(self) -> Frame | None:
         """The newest complete frame, once."""
         with self._lock:
             complete, self._complete = self._complete, None
@@ -114,6 +113,12 @@ class Line:
         self.down: str | None = "no reader"  # why there is no session
         self.down_at = -inf  # s, monotonic: since when
         self.closing = False  # whether the reader published that it stops
+        self.due = 0.0  # s, monotonic: when its description, then its clock, is asked for
+        self.described: str | None = None  # the session of which state and geometry came
+        self.waiting: Frame | None = None  # the newest one, while it is not described yet
+        self.history_bytes = 0  # for its sensor's past images
+        self.state: State = "silent"  # and whether the clock was wrong, when they were last looked at
+        self.clock_skewed = False
 
     @property
     def lost(self) -> int:

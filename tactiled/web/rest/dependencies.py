@@ -16,7 +16,6 @@ from tactiled.runtime.sensor_view import PlanView, SensorView
 from tactiled.units import PRESSURE
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.problems import SOON, Problem
-from tactiled.web.rest.negotiation import like
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
 
@@ -78,12 +77,19 @@ def format_of(formats: Any) -> Any:
 def _accepted(request: Request, offered: tuple[str, ...]) -> str:
     """The format that a request's Accept header prefers; Problem 406 where it accepts none."""
     header = request.headers.get("accept", "*/*")
-    for weight, media_range in sorted(map(like, header.split(",")), key=lambda each: -each[0]):
+    for weight, media_range in sorted(map(_weighed, header.split(",")), key=lambda each: -each[0]):
         for form in offered:
             media = MEDIA[form]
             if weight > 0 and media_range in (media, f"{media.partition('/')[0]}/*", "*/*"):
                 return form
     raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
+
+
+def _weighed(part: str) -> tuple[float, str]:
+    """How much a part of an Accept header likes which media type."""
+    media, *parameters = (each.strip().lower() for each in part.split(";"))
+    weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
+    return (float(weight) if weight.isascii() and weight.replace(".", "", 1).isdigit() else 0.0), media
 
 
 def in_unit(plan: PlanView, name: str, value: float | None, value_kpa: float | None) -> float | None:

@@ -19,7 +19,6 @@ from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
-from tactiled.web.rest.negotiation import named
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.rest.picture import picture
 from tactiled.web.schemas import PressureKind
@@ -236,13 +235,19 @@ async def newest(
     """
     top = in_unit(sensor.plan, "top", top, top_kpa)
     _, headers = _newest(sensor, kind, form, top)
-    if named(headers["ETag"], request.headers.get("if-none-match", "")):
+    if _names(request.headers.get("if-none-match", ""), headers["ETag"]):
         return Response(status_code=304, headers=headers)  # polling an unchanged image costs nothing
     png = partial(request.app.state.drawing.run, drawing.png)
     answer = partial(_newest_image, sensor, kind, form, top, png)
     if form == "png" or kind == "deviation":
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
+
+
+def _names(header: str, tag: str) -> bool:
+    """Whether an If-None-Match header names a tag; weak and strong ones are the same there."""
+    tags = {each.strip().removeprefix("W/") for each in header.split(",")}
+    return bool(tags & {tag.removeprefix("W/"), "*"})
 
 
 def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:

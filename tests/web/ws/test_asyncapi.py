@@ -1,7 +1,6 @@
 import json
 import re
 from contextlib import ExitStack
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -16,8 +15,6 @@ from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse
 from tests.conftest import BUSY_S, ask, pressed
 from tests.web.http.raw import UPGRADE, plug, read_all
 from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, stream, text
-
-GUIDE = Path(__file__).parents[3] / "tactiled/docs/streams.md"
 
 
 @pytest.fixture
@@ -115,8 +112,3 @@ def test_a_failure_and_the_end_of_the_service_close_a_stream(rig, monkeypatch):
     monkeypatch.setattr(Feed, "status", lambda _: 1 / 0)
     with running(rig.service) as url, stream(url) as client:
         assert closed(client) == (1011, "the service failed: see its log")
-
-
-def test_the_guide_has_the_same_codes():
-    rows = re.findall(r"^\| (\d{4}) \| (.+) \|$", GUIDE.read_text(), re.M)
-    assert dict(rows) == {str(code): reason for code, reason in session.CLOSES.items()}
