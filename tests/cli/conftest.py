@@ -5,6 +5,7 @@ import pytest
 
 from tactiled.bus.reader import open_bus
 from tactiled.frames import Message
+from tactiled.runtime.state import StateFile
 from tests.cli.recordings import CONFIG, traffic, write
 
 
@@ -19,6 +20,14 @@ def config(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('[server]\ncontrol_token = "0123456789abcdef"  # secret\n' + CONFIG)
     return path
+
+
+@pytest.fixture
+def keep_regions(config, tmp_path):
+    """Keeps regions of the palm in the state that the configuration names from now on."""
+    state = tmp_path / "state.json"
+    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
+    return lambda **regions: StateFile(state).keep_regions("palm", regions)
 
 
 @pytest.fixture

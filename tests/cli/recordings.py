@@ -6,6 +6,7 @@ import numpy as np
 from tactiled.build import make_codec
 from tactiled.bus.recorder import Recorder
 from tactiled.config import parse
+from tactiled.contacts.regions import Region
 from tactiled.frames import Message
 
 CONFIG = """
@@ -23,6 +24,7 @@ cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
 kernel = { model = "layered" }
 calibration = { kpa_per_count = 0.5, no_load = 100, saturation = 4000 }
 """
+HEEL = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])  # four of eight columns, pitch 1 mm
 FRAMES = 60
 CODEC = make_codec(parse(CONFIG).sensor["palm"])
 

@@ -1,18 +1,10 @@
 """`tactiled calibrate map` on recordings of a finger that rolls over 12 x 12 taxels."""
 
 import numpy as np
-import pytest
 
 from tests.cli.commands import refusal, run
 from tests.cli.recordings import write
-from tests.cli.test_calibrate_cover import ARRAY, CODEC, TEXT
-
-
-@pytest.fixture
-def config(tmp_path):
-    path = tmp_path / "palm.toml"
-    path.write_text(TEXT)
-    return path
+from tests.cli.test_calibrate_cover import ARRAY, CODEC, config  # noqa: F401  # a fixture
 
 
 def recording(path, order, part=1.0):
@@ -27,7 +19,7 @@ def recording(path, order, part=1.0):
     return write(path, (each for n, frame in enumerate(counts) for each in CODEC.encode(frame, n, 0.02 * n)))
 
 
-def test_a_swap_is_named_and_a_right_map_is_not(config, tmp_path):
+def test_a_swap_is_named_and_a_right_map_is_not(config, tmp_path):  # noqa: F811
     order = np.arange(144)
     right = run("calibrate", "map", recording(tmp_path / "right.log", order), "--config", config)
     assert right.exit_code == 0, right.output
@@ -38,6 +30,6 @@ def test_a_swap_is_named_and_a_right_map_is_not(config, tmp_path):
     assert "palm: taxels 30 and 77 swapped" in wrong.output
 
 
-def test_a_roll_over_half_of_the_array_is_refused(config, tmp_path):
+def test_a_roll_over_half_of_the_array_is_refused(config, tmp_path):  # noqa: F811
     log = recording(tmp_path / "half.log", np.arange(144), part=0.1)
     assert "roll over all of them" in refusal("calibrate", "map", log, "--config", config)

@@ -21,9 +21,8 @@ from tactiled.config.example import GRASP
 from tactiled.contacts.regions import Region
 from tactiled.frames import MISSING
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.state import StateFile
 from tests.cli.commands import refusal, succeed
-from tests.cli.recordings import CONFIG, FRAMES, write
+from tests.cli.recordings import CONFIG, FRAMES, HEEL, write
 from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
 from tests.conftest import BUSY_S
@@ -73,12 +72,8 @@ def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, c
     assert about["config"]["bus"] == {"can0": bus}
 
 
-def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, config, lossy):
-    state = tmp_path / "state.json"
-    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
-    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])  # four of eight columns, pitch 1 mm
-    everything = Region(shape="ellipse", points_mm=[[-9, -9], [16, 16]])
-    StateFile(state).keep_regions("palm", {"all": everything, "heel": heel})
+def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, config, lossy, keep_regions):
+    keep_regions(all=Region(shape="ellipse", points_mm=[[-9, -9], [16, 16]]), heel=HEEL)
     with np.load(exported(lossy, config, tmp_path / "a.npz")) as got:
         heels = got["restored"][:, :, :4].astype(float)
         assert got["regions"].shape == (FRAMES, 2, 4)
@@ -99,7 +94,7 @@ def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, 
     content = [each.decoded_message for each in got["/palm/regions"]]
     np.testing.assert_allclose([each["regions"]["heel"]["peak"] for each in content], heels.max((1, 2)), rtol=1e-6)
     assert (content[0]["unit"], content[0]["force_unit"]) == ("kPa", "N")
-    StateFile(state).keep_regions("palm", {"far": Region(shape="rectangle", points_mm=[[90, 90], [91, 91]])})
+    keep_regions(far=Region(shape="rectangle", points_mm=[[90, 90], [91, 91]]))
     text = refusal("export", lossy, "--config", config, "-o", tmp_path / "b.npz")
     assert "regions of sensor palm: points_mm: no cell of the image has its centre in it" in text
 

@@ -11,11 +11,10 @@ from rosbags.highlevel import AnyReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
-from tactiled.contacts.regions import Region
 from tactiled.frames import FLAG_BITS, MISSING
 from tactiled.interop.ros import ros_name
-from tactiled.runtime.state import StateFile
 from tests.cli.commands import refusal
+from tests.cli.recordings import HEEL
 from tests.cli.test_export import exported
 
 ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
@@ -98,11 +97,8 @@ def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, 
     assert (last["x_mm"], last["y_mm"]) == pytest.approx((3.5, 4.5), abs=0.05)
 
 
-def test_what_the_sensor_s_regions_hold_has_a_topic(tmp_path, config, lossy):
-    state = tmp_path / "state.json"
-    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
-    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])  # four of eight columns, pitch 1 mm
-    StateFile(state).keep_regions("palm", {"heel": heel})
+def test_what_the_sensor_s_regions_hold_has_a_topic(tmp_path, config, lossy, keep_regions):
+    keep_regions(heel=HEEL)
     file = bag(lossy, config, tmp_path / "grasp")
     heels = pictures(columns(file)["/palm/restored"])[:, :, :4].astype(float)
     got = messages(file, "/palm/regions")

@@ -9,8 +9,7 @@ from rerun.chunk import RrdReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
-from tactiled.contacts.regions import Region
-from tactiled.runtime.state import StateFile
+from tests.cli.recordings import HEEL
 from tests.cli.test_export import exported
 from tests.cli.test_export_rosbag2 import pictures, values
 from tests.conftest import BUSY_S
@@ -59,11 +58,8 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
     assert json.loads(static["/__properties/provenance", "json"][0]) == json.loads(npz["provenance"].item())
 
 
-def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy):
-    state = tmp_path / "state.json"
-    config.write_text(config.read_text().replace("[server]\n", f'[server]\nstate = "{state}"\n'))
-    heel = Region(shape="rectangle", points_mm=[[-0.5, -0.5], [3.5, 7.5]])
-    StateFile(state).keep_regions("palm", {"left heel": heel})
+def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy, keep_regions):
+    keep_regions(**{"left heel": HEEL})
     expected = np.load(exported(lossy, config, tmp_path / "a.npz"))["regions"]
     got, _ = columns(exported(lossy, config, tmp_path / "a.rrd"))
     for k, key in enumerate(("force", "mean", "peak", "area")):
