@@ -74,9 +74,9 @@ def _interrupt(*_: object) -> None:
 
 
 @contextmanager
-def _handled(handler: Callable[..., object]) -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM call `handler` meanwhile."""
-    before = {each: signal.signal(each, handler) for each in STOP_SIGNALS}
+def handled(handler: Callable[..., object], *signals: signal.Signals) -> Iterator[None]:
+    """Have these signals call `handler` meanwhile."""
+    before = {each: signal.signal(each, handler) for each in signals}
     try:
         yield
     finally:
@@ -88,12 +88,12 @@ def _handled(handler: Callable[..., object]) -> Iterator[None]:
 def interrupted() -> Iterator[Event]:
     """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
     stop = Event()
-    with _handled(lambda *_: stop.set()):
+    with handled(lambda *_: stop.set(), *STOP_SIGNALS):
         yield stop
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
     """A block that Ctrl-C and SIGTERM end alike, which is no failure."""
-    with _handled(_interrupt), suppress(KeyboardInterrupt):
+    with handled(_interrupt, *STOP_SIGNALS), suppress(KeyboardInterrupt):
         yield

@@ -4,8 +4,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Annotated
 
 import typer
@@ -13,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tactiled import logs
 from tactiled.cli import options
-from tactiled.cli.app import stoppable
+from tactiled.cli.app import handled, stoppable
 from tactiled.cli.check import findings_of, prepared
 from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
@@ -50,8 +49,7 @@ def run(
                 serve(service, server)
 
 
-@contextmanager
-def _reloadable(service: Service) -> Iterator[None]:
+def _reloadable(service: Service) -> AbstractContextManager[None]:
     """Reload the configuration at SIGHUP meanwhile, unless it comes because the terminal was closed."""
     on_terminal = sys.stdin is not None and sys.stdin.isatty()
 
@@ -61,8 +59,4 @@ def _reloadable(service: Service) -> Iterator[None]:
         else:
             service.start_reload()  # the log has its outcome
 
-    before = signal.signal(signal.SIGHUP, reload)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    return handled(reload, signal.SIGHUP)

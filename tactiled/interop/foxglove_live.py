@@ -28,7 +28,7 @@ BACKLOG = 32  # messages that wait for one client of the server; the oldest is d
 class _SensorChannels:
     """One sensor's topics on the server."""
 
-    def __init__(self, context: "sdk.Context", sensor: Sensor) -> None:
+    def __init__(self, context: "sdk.Context", sensor: Sensor, wake: Callable[[], None]) -> None:
         def channel(topic: foxglove.Topic) -> "sdk.Channel":
             schema = sdk.Schema(name=topic.schema, encoding=topic.schema_encoding, data=topic.schema_data)
             return sdk.Channel(topic.name, schema=schema, message_encoding=topic.encoding, context=context)
@@ -41,6 +41,7 @@ class _SensorChannels:
         self._image: Image | None = None  # the last one sent
         self._state_sent = ""
         self._state_sent_at = self._contacts_sent_at = -STATE_EVERY_S
+        self.unsubscribe = sensor.hub.subscribe(lambda _: wake())
 
     def _advertise_images(self, unit: Unit) -> None:
         """Advertise the topics of images, whose schemas name the unit of pressure."""
@@ -51,6 +52,7 @@ class _SensorChannels:
 
     def close(self) -> None:
         """Take the topics back."""
+        self.unsubscribe()
         for each in (*self._images, self._state, self._contacts):
             each.close()
 
@@ -105,18 +107,15 @@ def bridge(service: "Service", port: int | None) -> Iterator[int | None]:
     except RuntimeError as error:
         raise TactileError(f"server.foxglove = {port}: {error}: choose another port, or 0 for any") from error
     sensors: dict[str, _SensorChannels] = {}
-    unsubscribe: dict[str, Callable[[], None]] = {}
     new, ended = threading.Event(), threading.Event()
 
     def follow() -> None:
         """Have the topics of the sensors that there are now."""
         present = service.sensors
         for name in [name for name, each in sensors.items() if present.get(name) is not each.sensor]:
-            unsubscribe.pop(name)()
             sensors.pop(name).close()
         for name in [name for name in present if name not in sensors]:
-            sensors[name] = _SensorChannels(context, present[name])
-            unsubscribe[name] = present[name].hub.subscribe(lambda _: new.set())
+            sensors[name] = _SensorChannels(context, present[name], new.set)
 
     def work() -> None:
         while not ended.is_set():
@@ -137,6 +136,6 @@ def bridge(service: "Service", port: int | None) -> Iterator[int | None]:
         ended.set()
         new.set()
         thread.join()
-        for each in unsubscribe.values():
-            each()
+        for each in sensors.values():
+            each.unsubscribe()
         server.stop()

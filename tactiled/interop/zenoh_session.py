@@ -60,11 +60,7 @@ def configuration(settings: Zenoh, users: Path) -> "zenoh.Config":
     """
     import zenoh
 
-    def paths(one: str) -> str | None:
-        path = getattr(settings, one)
-        return None if path is None else str(path)
-
-    certificate, key = paths("tls_certificate"), paths("tls_key")
+    certificate, key, root = settings.tls_certificate, settings.tls_key, settings.tls_root_certificate
     is_client = settings.mode == "client"
     values = {
         "mode": settings.mode,
@@ -76,12 +72,12 @@ def configuration(settings: Zenoh, users: Path) -> "zenoh.Config":
         "transport/link/tx/lease": round(1000 * LEASE_S),
         "transport/link/tx/queue/size/data": QUEUE_BATCHES,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(1e6 * MAX_WAIT_S),
-        "transport/link/tls/root_ca_certificate": paths("tls_root_certificate"),
+        "transport/link/tls/root_ca_certificate": root,
         "transport/link/tls/listen_certificate": certificate,
         "transport/link/tls/listen_private_key": key,
         "transport/link/tls/connect_certificate": certificate,
         "transport/link/tls/connect_private_key": key,
-        "transport/link/tls/enable_mtls": bool(certificate and settings.tls_root_certificate),
+        "transport/link/tls/enable_mtls": bool(certificate and root),
         "transport/auth/usrpwd/user": settings.user,
     }
     if settings.password:
@@ -92,7 +88,7 @@ def configuration(settings: Zenoh, users: Path) -> "zenoh.Config":
     made = zenoh.Config()
     for name, value in values.items():
         if value is not None:
-            made.insert_json5(name, json.dumps(value))
+            made.insert_json5(name, json.dumps(value, default=str))
     return made
 
 

@@ -7,6 +7,7 @@ import secrets
 from contextlib import ExitStack
 from typing import Literal
 
+from pydantic import SecretStr
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.requests import ClientDisconnect, cookie_parser
 from starlette.responses import Response
@@ -37,12 +38,8 @@ class Tokens:
     """What the token of a request allows: `Authorization: Bearer`, the viewer's cookie, or `?token=`."""
 
     def __init__(self, server: Server) -> None:
-        configured: dict[Right, str] = {}
-        if server.read_token:
-            configured["read"] = server.read_token.get_secret_value()
-        if server.control_token:
-            configured["control"] = server.control_token.get_secret_value()
-        self._tokens = {right: token.encode() for right, token in configured.items()}
+        tokens: dict[Right, SecretStr | None] = {"read": server.read_token, "control": server.control_token}
+        self._tokens = {right: each.get_secret_value().encode() for right, each in tokens.items() if each}
 
     @property
     def required(self) -> bool:

@@ -37,13 +37,13 @@ class Transfers:
 
     def __init__(self) -> None:
         self.clients: set[str] = set()  # from the body's first byte to the answer's last
-        self._restoring = False
+        self.restoring = asyncio.Lock()
 
     @contextmanager
     def one(self, scope: Scope) -> Iterator[None]:
         """One request from its body to the end of its answer; Problem 429 where it is one too many."""
         address = client_of(scope)
-        self._need_none_restored()
+        self.need_none_restored()
         if address in self.clients:
             raise busy(f"frames of {address or 'this client'} are in transfer")
         if len(self.clients) >= MAX_TRANSFERS:
@@ -54,18 +54,9 @@ class Transfers:
         finally:
             self.clients.remove(address)
 
-    @contextmanager
-    def restoring(self) -> Iterator[None]:
-        """Restore what has come in; Problem 429 while other frames are being restored."""
-        self._need_none_restored()
-        self._restoring = True
-        try:
-            yield
-        finally:
-            self._restoring = False
-
-    def _need_none_restored(self) -> None:
-        if self._restoring:
+    def need_none_restored(self) -> None:
+        """Problem 429 while other frames are being restored."""
+        if self.restoring.locked():
             raise busy("other frames are being restored")
 
 
@@ -121,7 +112,8 @@ async def restore(
         with frames.open("wb") as file:
             async for chunk in request.stream():
                 file.write(chunk)
-        with transfers.restoring():
+        transfers.need_none_restored()
+        async with transfers.restoring:
             headers = await asyncio.to_thread(_restore, plan, frames, images, query)
         frames.unlink()
         transfer = stack.pop_all()

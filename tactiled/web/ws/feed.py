@@ -166,25 +166,16 @@ class _NewImages:
                     loop.call_exception_handler({"message": f"stream of {feed.sensor.name}", "exception": error})
 
 
-class Feeds(Mapping[str, Feed]):
+class Feeds(dict[str, Feed]):
     """The feed of every sensor of a service, also after a reload; lives on one event loop."""
 
     def __init__(self, service: ServiceView) -> None:
+        super().__init__()
         self._service = service
         self._sensors: Mapping[str, SensorView] = {}
-        self._feeds: dict[str, Feed] = {}
         self._images = _NewImages()
         self._listeners: set[Callable[[], None]] = set()
         self.follow()
-
-    def __getitem__(self, name: str) -> Feed:
-        return self._feeds[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._feeds)
-
-    def __len__(self) -> int:
-        return len(self._feeds)
 
     @contextmanager
     def listen(self, changed: Callable[[], None]) -> Iterator[None]:
@@ -200,11 +191,11 @@ class Feeds(Mapping[str, Feed]):
         sensors = self._service.sensors
         if sensors is self._sensors:
             return
-        before, self._sensors = self._feeds, sensors
-        self._feeds = {
-            name: before[name] if name in before and before[name].sensor is sensor else Feed(sensor, self._images)
-            for name, sensor in sensors.items()
-        }
+        before, self._sensors = self.copy(), sensors
+        self.clear()
+        for name, sensor in sensors.items():
+            goes_on = name in before and before[name].sensor is sensor
+            self[name] = before[name] if goes_on else Feed(sensor, self._images)
         for changed in tuple(self._listeners):
             changed()
 

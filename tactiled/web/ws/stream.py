@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import NamedTuple
 from urllib.parse import unquote
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
@@ -34,11 +33,17 @@ def make(feeds: Feeds, faults: Faults) -> APIRouter:
 
     @router.websocket("/sensors/{name}/stream")
     async def _one(socket: WebSocket, name: str) -> None:
-        await _serve(socket, lambda: Stream(socket, feeds, _one_sensor(socket, unquote(name)), faults))
+        def make_stream() -> Stream:
+            query = parse(socket.query_params, StreamQuery)
+            return Stream(
+                socket, feeds, SensorsQuery(**dict(query), sensors=(unquote(name),)), faults, named=False
+            )
+
+        await _serve(socket, make_stream)
 
     @router.websocket("/stream")
     async def _several(socket: WebSocket) -> None:
-        await _serve(socket, lambda: Stream(socket, feeds, _several_sensors(socket), faults))
+        await _serve(socket, lambda: Stream(socket, feeds, parse(socket.query_params, SensorsQuery), faults))
 
     return router
 
@@ -101,32 +106,6 @@ class _Line:
         self.search: asyncio.Task[ContactsFrame | None] | None = None
 
 
-class _Request(NamedTuple):
-    """What a client wants of which sensors."""
-
-    query: StreamQuery
-    names: tuple[str, ...] | None  # None: all, whichever there are
-    named: bool
-    shear: tuple[str, ...] = ()
-
-    def line(self, feeds: Feeds, name: str) -> _Line:
-        """The line of a sensor; UnknownSensorError or NoShearError where there is none."""
-        if name not in feeds:
-            raise UnknownSensorError.among(name, feeds)
-        query = self.query
-        kinds = (*query.kinds, "shear") if name in self.shear and "shear" not in query.kinds else query.kinds
-        return _Line(feeds[name], Format(kinds, query.format == "json", self.named, query.together == "1"))
-
-
-def _one_sensor(socket: WebSocket, name: str) -> _Request:
-    return _Request(parse(socket.query_params, StreamQuery), (name,), named=False)
-
-
-def _several_sensors(socket: WebSocket) -> _Request:
-    query = parse(socket.query_params, SensorsQuery)
-    return _Request(query, query.sensors, True, query.shear)
-
-
 def due_after(due: float, now: float, rate_hz: float) -> float:
     """When the next image is due (s), if one due at `due` is sent now: a late one delays no other."""
     return max(due, now - min(MAX_LATE_S, 1 / rate_hz)) + 1 / rate_hz
@@ -139,18 +118,29 @@ class Stream:
     on with the sensors of the same names, and, where it is of all, with new ones too.
     """
 
-    def __init__(self, socket: WebSocket, feeds: Feeds, request: _Request, faults: Faults) -> None:
+    def __init__(
+        self, socket: WebSocket, feeds: Feeds, query: SensorsQuery, faults: Faults, named: bool = True
+    ) -> None:
         feeds.follow()
-        self._socket, self._feeds, self._request, self._faults = socket, feeds, request, faults
-        self._query, self._protocol, self._loop = request.query, protocol(socket), asyncio.get_running_loop()
-        names = tuple(feeds) if request.names is None else request.names
-        if not set(request.shear) <= set(names):
-            raise ValueError(f"shear={','.join(request.shear)}: give some of {','.join(names)}")
-        self._lines = {name: request.line(feeds, name) for name in names}
+        self._socket, self._feeds, self._query, self._faults, self._named = socket, feeds, query, faults, named
+        self._protocol, self._loop = protocol(socket), asyncio.get_running_loop()
+        names = tuple(feeds) if query.sensors is None else query.sensors
+        if not set(query.shear) <= set(names):
+            raise ValueError(f"shear={','.join(query.shear)}: give some of {','.join(names)}")
+        self._lines = {name: self._line(name) for name in names}
         self._credit = dict.fromkeys(names, 0)  # images of each kind that the client has requested
         self._due: dict[_Line, None] = {}  # lines that may have something to send
         self._error: Exception | None = None  # that a line raised where no task could
         self._wake = asyncio.Event()
+
+    def _line(self, name: str) -> _Line:
+        """The line of a sensor; UnknownSensorError or NoShearError where there is none."""
+        if name not in self._feeds:
+            raise UnknownSensorError.among(name, self._feeds)
+        query = self._query
+        kinds = (*query.kinds, "shear") if name in query.shear and "shear" not in query.kinds else query.kinds
+        form = Format(kinds, query.format == "json", self._named, query.together == "1")
+        return _Line(self._feeds[name], form)
 
     async def run(self) -> None:
         """Serve until the client leaves or sends a wrong message."""
@@ -174,7 +164,7 @@ class Stream:
             for name, line in list(self._lines.items()):
                 if self._feeds.get(name) is not line.feed:
                     self._leave(name, line)
-            for name in self._feeds if self._request.names is None else self._request.names:
+            for name in self._feeds if self._query.sensors is None else self._query.sensors:
                 if name in self._feeds and name not in self._lines:
                     self._enter(name)
             if not self._lines:
@@ -194,7 +184,7 @@ class Stream:
     def _enter(self, name: str) -> None:
         """Send what comes of a sensor; NoShearError where it has not what is wanted."""
         self._credit.setdefault(name, 0)
-        self._lines[name] = line = self._request.line(self._feeds, name)
+        self._lines[name] = line = self._line(name)
         self._listen_to(line)
 
     def _add(self, line: _Line) -> None:
