@@ -31,10 +31,8 @@ class RrdWriter:
         self._copying.start()
         self._stream = rerun_images.new_stream()
         self._stream.save(pipe, default_blueprint=rerun_images.blueprint([plan]))
-        self._log, self._contacts = (
-            rerun_images.SensorLog(self._stream, plan),
-            ImageContacts(plan.array, plan.cells),
-        )
+        self._log = rerun_images.SensorLog(self._stream, plan)
+        self._contacts = ImageContacts(plan.array, plan.cells)
 
     def _copy(self, pipe: Path) -> None:
         """Copy what comes through the pipe into the file; after an error go on without."""

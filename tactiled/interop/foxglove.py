@@ -39,11 +39,7 @@ STATUS = {
     "noise_gain": NUMBER, "resolution_mm": NUMBER, "force": NUMBER, "peak": NUMBER, "unit": STRING,
     "force_unit": STRING, "loss": OBJECT, "warnings": {"type": "array", "items": WARNING}, "calibration": STRING,
 }  # fmt: skip
-CALIBRATED = {
-    "noise_kpa": "noise",
-    "force_n": "force",
-    "peak_kpa": "peak",
-}  # more keys of the status, in kPa and N
+CALIBRATED = {"noise_kpa": "noise", "force_n": "force", "peak_kpa": "peak"}  # more keys of the status
 STATE = {
     "state": STRING, "detail": STRING, "age_s": NUMBER, "rate_hz": NUMBER, "method": STRING, "loss": OBJECT
 }  # fmt: skip

@@ -134,10 +134,8 @@ def _tab(plan: SensorPlan) -> rrb.Vertical:
     root, (x, y) = f"/{plan.name}", _ranges(plan)
     maps, bounds = [], rrb.VisualBounds2D(x_range=x, y_range=y)
     for name in ("raw", "restored"):
-        contents, title = (
-            [f"{root}/{each}" for each in (f"{name}/**", "contacts", "scale")],
-            f"{name}, {plan.unit}",
-        )
+        contents = [f"{root}/{each}" for each in (f"{name}/**", "contacts", "scale")]
+        title = f"{name}, {plan.unit}"
         maps.append(rrb.Spatial2DView(origin=root, contents=contents, name=title, visual_bounds=bounds))
     series = [rrb.TimeSeriesView(origin=f"{root}/{name}", name=f"{name}, {unit}") for name, unit in _series(plan)]
     log = rrb.TextLogView(origin=f"{root}/warnings", name="warnings")

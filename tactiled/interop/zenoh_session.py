@@ -18,9 +18,7 @@ HEARTBEAT_S = 1.0  # from one state message of a sensor to the next
 LOST_AFTER_S = 3.5  # of silence before a token ends, from which the way was cut: a process that dies ends its
 # token at once, at most HEARTBEAT_S after its last message; a cut takes LEASE_S
 QUEUE_BATCHES = 4  # that wait for a link, a frame each: what waits longer is old
-MAX_WAIT_S = (
-    0.02  # that a publisher waits for a link before Zenoh drops; newer images take the place of older ones
-)
+MAX_WAIT_S = 0.02  # that a publisher waits for a link before Zenoh drops: newer images replace older ones
 REQUEST_S = 10.0  # until a reader must have answered
 HEAD = Struct("<8sQBx")  # of an attachment: session, number, kinds of the frame
 

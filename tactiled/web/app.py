@@ -1,12 +1,14 @@
 """The ASGI application: REST, streams and the viewer's files."""
 
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
 from fastapi import Depends, FastAPI, Request
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from tactiled import __version__
@@ -53,16 +55,17 @@ Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, describ
 def create(service: "Service", server: Server) -> FastAPI:
     """Make the application of a service."""
     app, feeds = _application(service, server)
-    for resource in (sensors, regions, calibration_file, frames, trace, events, config, restore):
+    for resource in (config, restore):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
         from tactiled.web.rest import playback, recordings  # which import python-can
 
         buses = {} if service.replayed else service.buses
         folder = recordings.Recordings(server.recordings, buses, service.events, server.recordings_leave_mb)
-        app.include_router(playback.make(folder, server.recordings_leave_mb))
+        playbacks = playback.Playbacks(server.recordings_leave_mb)
+        app.state.closing += [folder.close, playbacks.close]
+        app.include_router(playback.make(folder, playbacks))
         app.include_router(recordings.make(folder))
-    app.include_router(calibration.router)
     app.include_router(xela.make(feeds))
     return _complete(app, server)
 
@@ -70,22 +73,19 @@ def create(service: "Service", server: Server) -> FastAPI:
 def create_for_fleet(fleet: Fleet, server: Server) -> FastAPI:
     """Make the application of the sensors of other processes, by names `robot/sensor`."""
     app, _ = _application(fleet, server)
-    for resource in (sensors, regions, calibration_file, frames, trace, events):
-        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
-    app.include_router(calibration.router)
     app.include_router(forward.config_of(fleet))
     app.add_middleware(forward.Forward, fleet=fleet)
     return _complete(app, server)
 
 
 def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
-    """An application without resources, and the feeds of its streams."""
+    """An application with the resources of sensors, and the feeds of its streams."""
     feeds = Feeds(service)
     app = FastAPI(
         title="tactiled",
         version=__version__,
         description=DESCRIPTION,
-        lifespan=lambda _: ticking(feeds),
+        lifespan=lambda app: _lifespan(app, feeds),
         openapi_url="/api/v1/openapi.json",
         docs_url=None,  # FastAPI's own page needs the internet and a script inside it
         redoc_url=None,
@@ -97,7 +97,18 @@ def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.router)
+    for resource in (sensors, regions, calibration, calibration_file, frames, trace, events):
+        app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     return app, feeds
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI, feeds: Feeds) -> AsyncIterator[None]:
+    """Wake the clients of streams meanwhile; close at the end what resources have open."""
+    async with ticking(feeds):
+        yield
+    for close in app.state.closing:
+        await run_in_threadpool(close)
 
 
 def _complete(app: FastAPI, server: Server) -> FastAPI:
@@ -119,6 +130,7 @@ def _set_state(app: FastAPI, service: ServiceView, server: Server) -> None:
     """What routes find in `request.app.state`."""
     app.state.service, app.state.server = service, server
     app.state.calibrations = GuidedCalibrations(cast("Service", service))  # a fleet's are its readers'
+    app.state.closing = [app.state.calibrations.close]  # what is called at the end
     app.state.transfers = restore.Transfers()
     app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.state.waiting = ConcurrencyLimit(events.MAX_WAITING_PER_CLIENT, events.MAX_WAITING, "events_waiting")

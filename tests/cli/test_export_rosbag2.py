@@ -102,9 +102,8 @@ def test_what_the_sensor_s_regions_hold_has_a_topic(tmp_path, config, lossy, kee
     file = bag(lossy, config, tmp_path / "grasp")
     heels = pictures(columns(file)["/palm/restored"])[:, :, :4].astype(float)
     got = messages(file, "/palm/regions")
-    assert {(each["pressure_unit"], each["force_unit"], each["regions"][0]["name"]) for each in got} == {
-        ("kPa", "N", "heel")
-    }
+    names = {(each["pressure_unit"], each["force_unit"], each["regions"][0]["name"]) for each in got}
+    assert names == {("kPa", "N", "heel")}
     for name, values in (("force", heels.sum((1, 2)) * 1e-3), ("peak", heels.max((1, 2)))):
         np.testing.assert_allclose([each["regions"][0][name] for each in got], values, rtol=1e-5, atol=1e-6)
 
@@ -156,10 +155,8 @@ def test_the_file_is_sound_and_defines_its_messages(layout):
         qos = {each.topic: each.ext.offered_qos_profiles[0] for each in reader.connections}
         assert {reader.deserialize(data, each.msgtype).header.frame_id for each, _, data in reader.messages()
                 if each.topic == "/hand/tactile"} == {"hand"}  # fmt: skip
-    assert (qos["/hand/raw"].reliability.name, qos["/hand/restored"].reliability.name) == (
-        "BEST_EFFORT",
-        "RELIABLE",
-    )
+    reliability = [qos[f"/hand/{name}"].reliability.name for name in ("raw", "restored")]
+    assert reliability == ["BEST_EFFORT", "RELIABLE"]
     assert qos["/hand/layout"].durability.name == "TRANSIENT_LOCAL"
     check = subprocess.run([Path(sys.executable).with_name("rerun"), "mcap", "check", "--full", file],
                            capture_output=True, text=True)  # fmt: skip

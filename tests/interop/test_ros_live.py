@@ -112,10 +112,8 @@ def test_what_the_regions_hold_is_published_to_whom_subscribes(rig, network):
     heel = Region(shape="rectangle", points_mm=[[2.5, 2.5], [4.5, 4.5]])
     rig.sensor.regions.put("heel", heel)
     data = subscribed(rig, network(), "7/palm/regions/**")[-1].payload.to_bytes()
-    message, image = (
-        Types().store.deserialize_cdr(data, "tactiled_msgs/msg/TactileRegions"),
-        rig.sensor.hub.latest(),
-    )
+    message = Types().store.deserialize_cdr(data, "tactiled_msgs/msg/TactileRegions")
+    image = rig.sensor.hub.latest()
     ((name, force, peak),) = [(each.name, each.force, each.peak) for each in message.regions]
     inside = image.restored[3:5, 3:5]
     assert (name, message.pressure_unit, message.force_unit) == ("heel", "kPa", "N")

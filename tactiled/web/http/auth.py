@@ -148,9 +148,7 @@ class AccessControl:
     def _check_origin(self, scope: Scope, headers: Headers) -> None:
         """Problem 403 where a request comes from a page of another site."""
         hosts, host = headers.getlist("host"), headers.get("host", "")
-        rebinding = (
-            self._server.loopback and not self._tokens.required
-        )  # a page that rebinds its name has no token
+        rebinding = self._server.loopback and not self._tokens.required  # a page that rebinds has no token
         if rebinding and (len(hosts) != 1 or not LOOPBACK_HOST.fullmatch(host)):
             raise Problem(403, f"Host: {host:.80}: this service answers to localhost only")
         origin = headers.get("origin")

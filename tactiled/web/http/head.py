@@ -24,7 +24,5 @@ class Head:
                 ended = True
                 await send({"type": "http.response.body"})
 
-        headers = [
-            (name, value) for name, value in scope["headers"] if name != b"range"
-        ]  # RFC 9110, 14.2: GET only
+        headers = [each for each in scope["headers"] if each[0] != b"range"]  # RFC 9110, 14.2: GET only
         await self._app({**scope, "method": "GET", "headers": headers}, receive, send_without_body)

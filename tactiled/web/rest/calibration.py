@@ -1,11 +1,8 @@
 """`/api/v1/sensors/{name}/calibration/session`: a guided calibration, as the viewer's page does it."""
 
-import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, FastAPI, Request
+from fastapi import APIRouter, Depends, Request
 from pydantic import Field
 
 from tactiled.errors import CalibrationStateError
@@ -16,7 +13,7 @@ from tactiled.runtime.gain_procedure import GainOutcome
 from tactiled.runtime.guided_calibration import GuidedCalibrations, Session
 from tactiled.web import schemas
 from tactiled.web.rest.dependencies import NamedSensor
-from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, problems
+from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 MAX_LINE_POINTS = 400  # of a plotted line: it is part of every answer
 Numbers = Annotated[list[float | None], Field(examples=[[0.0, 0.4, 1.0]])]
@@ -185,24 +182,14 @@ def _answer(session: Session) -> CalibrationSession:
     )
 
 
-@asynccontextmanager
-async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    yield
-    await asyncio.to_thread(app.state.calibrations.close)
-
-
 async def _calibrations(request: Request) -> GuidedCalibrations:
     calibrations: GuidedCalibrations = request.app.state.calibrations
     return calibrations
 
 
 Calibrations = Annotated[GuidedCalibrations, Depends(_calibrations)]
-router = APIRouter(
-    prefix="/api/v1/sensors/{name}/calibration/session",
-    tags=["calibration"],
-    lifespan=_lifespan,
-    responses=problems(*EVERY_RESOURCE, 404),
-)
+PATH = "/api/v1/sensors/{name}/calibration/session"
+router = APIRouter(prefix=PATH, tags=["calibration"], responses=problems(404))
 
 
 @router.post("", status_code=201, responses=problems(409, *CONTROL, *JSON_BODY))

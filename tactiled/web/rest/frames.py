@@ -212,11 +212,7 @@ def shear(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)
     return Response(answers.shear(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)
 
 
-@router.get(
-    "/{kind}",
-    response_model=schemas.Frame,
-    responses=problems(404, 406, 409, 429, 503) | NEWEST,
-)
+@router.get("/{kind}", response_model=schemas.Frame, responses=problems(404, 406, 409, 429, 503) | NEWEST)
 async def newest(
     sensor: AnySensor,
     kind: PressureKind,

@@ -1,13 +1,12 @@
 """`/api/v1/recordings/{name}/playback` and `/frames`: any frame of a recording, raw and restored, in any order."""
 
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import APIRouter, FastAPI, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
 
@@ -222,16 +221,9 @@ def _series(playbacks: Playbacks, query: SeriesQuery, sensor: Sensor, recorded: 
     return recorded_series.answer(playbacks.series, query, sensor, recorded, playback)
 
 
-def make(recordings: Recordings, leave_mb: float) -> APIRouter:
+def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
     """The routes of the recordings of a folder."""
-    playbacks = Playbacks(leave_mb)
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        yield
-        playbacks.close()
-
-    router = APIRouter(prefix="/api/v1/recordings/{name}", tags=["recordings"], lifespan=lifespan)
+    router = APIRouter(prefix="/api/v1/recordings/{name}", tags=["recordings"])
     faults = problems(*EVERY_RESOURCE, 404, 409, 429, 503)
 
     async def answer(

@@ -5,14 +5,13 @@ import re
 import stat
 from asyncio import to_thread
 from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from shutil import disk_usage
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
 
-from fastapi import APIRouter, FastAPI, Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
@@ -263,15 +262,7 @@ def _status(path: Path) -> os.stat_result | None:
 
 def make(recordings: Recordings) -> APIRouter:
     """The routes of a folder."""
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        yield
-        recordings.close()
-
-    router = APIRouter(
-        prefix="/api/v1/recordings", tags=["recordings"], lifespan=lifespan, responses=problems(*EVERY_RESOURCE)
-    )
+    router = APIRouter(prefix="/api/v1/recordings", tags=["recordings"], responses=problems(*EVERY_RESOURCE))
 
     @router.get("")
     def page(query: Annotated[PageQuery, Query()]) -> RecordingPage:

@@ -27,22 +27,16 @@ def test_an_uploaded_file_applies_is_downloaded_again_and_is_in_the_history(palm
     file, other = calibration_file(), calibration_file(gain=calibration_file().gain)
     assert problem(ask("GET", f"{palm}/file"), 404) == "sensor 'palm': no calibration file is in force"
     before = ask("GET", palm).json()
-    assert (before["id"], before["created"], before["sections"], before["unit"]) == (
-        "configured",
-        None,
-        {},
-        "counts",
-    )
+    keys = ("id", "created", "sections", "unit")
+    assert [before[key] for key in keys] == ["configured", None, {}, "counts"]
     after = ask("PUT", f"{palm}/file", content=file.text).json()
     assert after == ask("GET", palm).json()
     assert (after["id"], after["created"], after["unit"], after["dead"]) == (file.id, CREATED, "kPa", [3])
     assert after["sections"].keys() == {"no_load", "gain", "cover", "health"}
     assert after["sections"]["gain"] == ORIGIN
     download = ask("GET", f"{palm}/file")
-    assert (download.text, download.headers["content-type"]) == (
-        file.text,
-        "application/vnd.tactiled.calibration+json",
-    )
+    assert download.text == file.text
+    assert download.headers["content-type"] == "application/vnd.tactiled.calibration+json"
     assert 'filename="palm.json"' in download.headers["content-disposition"]
     assert ask("GET", f"{palm}/history").json() == {"files": []}
     ask("PUT", f"{palm}/file", content=other.text)
@@ -53,9 +47,8 @@ def test_an_uploaded_file_applies_is_downloaded_again_and_is_in_the_history(palm
     }  # fmt: skip
     assert ask("POST", f"{palm}/history/1").json()["id"] == file.id
     (tmp_path / "palm.json.2").write_text("{")
-    assert problem(ask("POST", f"{palm}/history/2"), 422).startswith(
-        "former calibration 2: truncated, or not JSON"
-    )
+    refused = problem(ask("POST", f"{palm}/history/2"), 422)
+    assert refused.startswith("former calibration 2: truncated, or not JSON")
     assert ask("GET", f"{palm}/history").json()["files"][1]["error"].startswith("truncated")
     assert problem(ask("POST", f"{palm}/history/3"), 404) == "sensor 'palm': no former calibration 3"
 
