@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactiled.contacts.detection import Contact
 from tactiled.errors import NoShearError, ReaderError
 from tactiled.frames import FrameWarning, Image, Loss
-from tactiled.geometry import Array, Cells, tiling
+from tactiled.geometry import Array, tiling
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
 from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
@@ -41,7 +41,6 @@ class RemotePlan:
     codec_name: str
     shears: bool
     unit: Unit
-    cells: Cells
 
 
 class ClockOffset:
@@ -189,7 +188,7 @@ class RemoteSensor:
             geometry["aperture"], tuple(geometry["shape"]) if geometry["shape"] else None,
         )  # fmt: skip
         restored = geometry["restored"]
-        self._cells = tiling(self.array, restored["rows"] // geometry["raw"]["rows"])
+        cells = tiling(self.array, restored["rows"] // geometry["raw"]["rows"])
         shape = (restored["rows"], restored["columns"])
         self._shapes = {"raw": self.array.frame_shape, "restored": shape if self.array.shape else shape[1:]}
         self._shapes["shear"] = (2, *self.array.frame_shape)
@@ -198,16 +197,15 @@ class RemoteSensor:
         self._image_at: float | None = None  # s, monotonic: the newest image
         self._transit = 0.0, 0.0  # s, Unix: when that was made, by the reader's clock, and came, by ours
         self._detail: tuple[bytes, dict[str, Any]] = b"", {}
-        self._tracking = ContactTracking(self.name, self.hub, self.array, self._cells)
+        self._tracking = ContactTracking(self.name, self.hub, self.array, cells)
         self._tracking.start()
 
     @property
     def plan(self) -> RemotePlan:
         """How it is made."""
         values, robot = self.state_fields, self.name.partition("/")[0]
-        return RemotePlan(
-            self.name, f"{robot}/{values['bus']}", values["codec"], values["shear"], values["unit"], self._cells
-        )
+        bus = f"{robot}/{values['bus']}"
+        return RemotePlan(self.name, bus, values["codec"], values["shear"], values["unit"])
 
     @property
     def method(self) -> str:

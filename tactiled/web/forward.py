@@ -116,8 +116,12 @@ class Requests:
     def running(self) -> Iterator[None]:
         """Answer meanwhile."""
         lifespan = self._app.router.lifespan_context(self._app)
-        with start_blocking_portal() as self._portal, self._portal.wrap_async_context_manager(lifespan):
-            yield
+        with start_blocking_portal() as self._portal:
+            self._portal.call(lifespan.__aenter__)
+            try:
+                yield
+            finally:
+                self._portal.call(lifespan.__aexit__, None, None, None)
 
     def __call__(self, request: zenoh_session.Request) -> Answer:
         """Answer one request; whoever is on the network may read, and changes need the control token."""

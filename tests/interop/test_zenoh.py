@@ -163,6 +163,15 @@ def test_a_reader_without_a_token_lets_nothing_change_beyond_its_machine(rig):
             assert requests(Request("GET", "/sensors/palm/method")).status == 200
 
 
+def test_an_interrupted_reader_closes_what_its_resources_have_open(rig):
+    app, closed = create(rig.service, Server()), []
+    app.state.closing.append(lambda: closed.append(True))
+    settings = Zenoh(connect=["tcp/127.0.0.1:7447"], robot="r1")
+    with pytest.raises(KeyboardInterrupt), Requests(app, Server(), settings).running():
+        raise KeyboardInterrupt
+    assert closed
+
+
 @pytest.mark.parametrize(
     ("table", "error"),
     [
