@@ -27,6 +27,20 @@ class Need:
     per_zone: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """What the frames of a calibration under way are good for."""
+
+    advice: str  # one line: how many presses, where more are needed
+    enough: bool
+    presses: int = 0
+    presses_needed: int = 0
+    presses_saturated: int = 0
+    last_unused: str = ""  # why the last press is not used
+    zones: tuple[tuple[int, ...], ...] = ()  # presses in 3 x 3 zones of the array, rows from the top
+    zone_presses_needed: int = 0
+
+
 def zone_counts(places: Floats, array: Array) -> NDArray[np.int64]:
     """How many `places` (P, 2) in mm lie in each of 3 x 3 zones of an array; one beside it is in the nearest."""
     low, high = array.positions.min(axis=0), array.positions.max(axis=0)

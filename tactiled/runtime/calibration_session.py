@@ -3,14 +3,16 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Literal
 
 from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.quality import Quality
 from tactiled.errors import CalibrationStateError, TactileError
 from tactiled.frames import RawFrame
+from tactiled.runtime.cover_procedure import CoverOutcome, CoverProcedure
 from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
+from tactiled.runtime.gain_procedure import GainOutcome, GainProcedure
 from tactiled.runtime.sensor import Sensor
 
 Way = Literal["uniform", "weight", "tip", "edge", "blind"]
@@ -33,57 +35,14 @@ IDLE_S = 300.0  # without a request until a session ends: a client has gone away
 QUALITY_PERIOD_S = 1.0  # between two looks for presses
 MARK_S = 2.0  # of frames at most, whose mean is taken as a known load
 
-Outcome = TypeVar("Outcome", covariant=True)
+Procedure = GainProcedure | CoverProcedure
+Outcome = GainOutcome | CoverOutcome
 
 
-@dataclass(frozen=True, slots=True)
-class Quality:
-    """What the frames so far are good for."""
-
-    advice: str  # one line: how many presses, where more are needed
-    enough: bool
-    presses: int = 0
-    presses_needed: int = 0
-    presses_saturated: int = 0
-    last_unused: str = ""  # why the last press is not used
-    zones: tuple[tuple[int, ...], ...] = ()  # presses in 3 x 3 zones of the array, rows from the top
-    zone_presses_needed: int = 0
-
-
-class Procedure(Protocol[Outcome]):
-    """One way to calibrate: what it looks for in the frames, and what it makes of them."""
-
-    @property
-    def way(self) -> Way:
-        """Which one."""
-
-    @property
-    def size_mm(self) -> float | None:
-        """Diameter of the tip, or width of the ridge; None: unknown, an edge, or neither."""
-
-    @property
-    def mark_key(self) -> Literal["pressure_kpa", "weight_n"] | None:
-        """What is entered with `mark`; None: nothing."""
-
-    def mark(self, series: FrameSeries, value: float) -> None:
-        """Note that the newest frames are under a known load; CalibrationStateError where they cannot be."""
-
-    def quality(self, collector: FrameCollector) -> Quality:
-        """Look at the frames so far."""
-
-    def fit(self, series: FrameSeries, process: FitProcess) -> Outcome:
-        """Make a calibration of the frames, what takes long in a process; a TactileError says why it cannot be."""
-
-
-class CalibrationSession(Generic[Outcome]):
+class CalibrationSession:
     """One session; any thread may call it."""
 
-    def __init__(
-        self,
-        sensor: Sensor,
-        procedure: Procedure[Outcome],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, sensor: Sensor, procedure: Procedure, clock: Callable[[], float] = time.monotonic) -> None:
         self.sensor, self.procedure = sensor, procedure
         self.collector = FrameCollector(sensor.array.size)
         self.state: State = "collecting"

@@ -8,11 +8,10 @@ from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.quality import Need, advice, enough, zone_counts
+from tactiled.calibrate.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
-from tactiled.runtime.calibration_session import Quality
 from tactiled.runtime.fit_process import FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_presses import LiveContact, LivePresses

@@ -11,11 +11,10 @@ from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
-from tactiled.calibrate.quality import Need, advice, enough, zone_counts
+from tactiled.calibrate.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection
 from tactiled.errors import CalibrationStateError, ConfigError
 from tactiled.restore.noise import NORMAL_95
-from tactiled.runtime.calibration_session import Quality
 from tactiled.runtime.fit_process import FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_sections import origin, with_sections

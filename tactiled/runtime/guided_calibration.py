@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING
 
 from tactiled.build import make_stack
 from tactiled.errors import CalibrationStateError, NoCalibrationError, NotLiveError
-from tactiled.runtime.calibration_session import CalibrationSession, Way
-from tactiled.runtime.cover_procedure import CoverOutcome, CoverProcedure
-from tactiled.runtime.gain_procedure import GainOutcome, GainProcedure
+from tactiled.runtime.calibration_session import CalibrationSession, Outcome, Procedure, Way
+from tactiled.runtime.cover_procedure import CoverProcedure
+from tactiled.runtime.gain_procedure import GainProcedure
 from tactiled.runtime.sensor import Sensor
 
 if TYPE_CHECKING:
     from tactiled.runtime.service import Service
 
-Session = CalibrationSession[GainOutcome | CoverOutcome]
+Session = CalibrationSession
 
 
 class GuidedCalibrations:
@@ -31,12 +31,12 @@ class GuidedCalibrations:
         with self._lock:
             if self._open(name):
                 raise CalibrationStateError(f"sensor {name!r}: a calibration is open: apply or discard it first")
-            session: Session = CalibrationSession(sensor, self._procedure(sensor, way, size_mm))
+            session = Session(sensor, self._procedure(sensor, way, size_mm))
             self._sessions[name] = session
         self._service.events.add("calibration_started", way, name)
         return session
 
-    def _procedure(self, sensor: Sensor, way: Way, size_mm: float | None) -> GainProcedure | CoverProcedure:
+    def _procedure(self, sensor: Sensor, way: Way, size_mm: float | None) -> Procedure:
         if way == "uniform" or way == "weight":
             return GainProcedure(sensor, way)
         return CoverProcedure(sensor, make_stack(self._service.config.sensor[sensor.name]), way, size_mm)
@@ -73,7 +73,7 @@ class GuidedCalibrations:
     def apply(self, name: str) -> None:
         """Apply the outcome of a sensor's session from the next frame on, and end the session."""
 
-        def apply(outcome: GainOutcome | CoverOutcome) -> None:
+        def apply(outcome: Outcome) -> None:
             if outcome.file is None:
                 raise CalibrationStateError(f"sensor {name!r}: apply: the frames cannot tell the thickness")
             self._service.apply_calibration(name, outcome.file)

@@ -5,8 +5,9 @@ import time
 import numpy as np
 import pytest
 
+from tactiled.calibrate.quality import Quality
 from tactiled.errors import CalibrationStateError, ConfigError, PhysicsError
-from tactiled.runtime.calibration_session import IDLE_S, NEXT_STATE, CalibrationSession, Quality
+from tactiled.runtime.calibration_session import IDLE_S, NEXT_STATE, CalibrationSession
 from tests.conftest import Clock, pressed, until
 
 
