@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -18,6 +18,7 @@ from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write
 
 VERSION = 1
+Value = TypeVar("Value")
 REGIONS = TypeAdapter(dict[str, dict[str, Region]])
 
 
@@ -76,43 +77,27 @@ class StateFile:
     def keep(self, sensor: str, method: str | None) -> None:
         """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""
         with self._lock:
-            methods = {name: each for name, each in self.methods.items() if name != sensor}
-            if method is not None:
-                methods[sensor] = method
-            if methods != self.methods:
-                self._write(methods, self.tares, self.regions)
-            self.methods = methods
+            if method != self.methods.get(sensor):
+                self._write(methods=_with(self.methods, sensor, method))
 
     def keep_tare(self, sensor: str, tare: KeptTare | None) -> None:
         """Keep a sensor's tare (None: as configured); StateError, and nothing kept, where that fails."""
         with self._lock:
-            tares = {name: each for name, each in self.tares.items() if name != sensor}
-            if tare is not None:
-                tares[sensor] = tare
-            self._write(self.methods, tares, self.regions)
-            self.tares = tares
+            self._write(tares=_with(self.tares, sensor, tare))
 
     def keep_regions(self, sensor: str, regions: Mapping[str, Region]) -> None:
         """Keep a sensor's regions; StateError, and nothing kept, where that fails."""
         with self._lock:
-            others = {name: each for name, each in self.regions.items() if name != sensor}
-            kept = others | ({sensor: dict(regions)} if regions else {})
-            self._write(self.methods, self.tares, kept)
-            self.regions = kept
+            self._write(regions=_with(self.regions, sensor, dict(regions) or None))
 
-    def _write(
-        self,
-        methods: Mapping[str, str],
-        tares: Mapping[str, KeptTare | None],
-        regions: Mapping[str, Mapping[str, Region]],
-    ) -> None:
+    def _write(self, **changed: Any) -> None:
+        """Write the file with another table, which is then this one's, too."""
+        methods, tares, regions = (changed.get(key, getattr(self, key)) for key in ("methods", "tares", "regions"))
         content = {
             "version": VERSION,
             "methods": methods,
             "tares": {name: each.model_dump() for name, each in tares.items() if each is not None},
-            "regions": {
-                name: {key: each.model_dump() for key, each in own.items()} for name, own in regions.items()
-            },
+            "regions": REGIONS.dump_python(regions),
         }
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -120,6 +105,13 @@ class StateFile:
                 part.write_text(json.dumps(content, indent=1), "utf-8")
         except OSError as error:
             raise StateError(f"state {self.path}: {error.strerror}: nothing was kept") from error
+        self.methods, self.tares, self.regions = methods, tares, regions
+
+
+def _with(table: Mapping[str, Value], name: str, value: Value | None) -> dict[str, Value]:
+    """The same with another value of a name, or without it."""
+    others = {key: each for key, each in table.items() if key != name}
+    return others if value is None else {**others, name: value}
 
 
 Regions = dict[str, dict[str, Region]]  # by sensor and name
