@@ -4,7 +4,8 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -17,11 +18,6 @@ CANDUMP_LINE = re.compile(
     r"\(([0-9]+\.[0-9]+)\) [^\s]+ ([0-9A-Fa-f]{3}|[01][0-9A-Fa-f]{7})"
     r"#(?:(#)[0-9])?((?:[0-9A-Fa-f]{2})*)(?: [RT])?\n"
 )
-TEXT_READERS = {
-    ".asc": formats.ASCReader,
-    ".csv": formats.CSVReader,
-    ".trc": formats.TRCReader,
-}
 WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
 
 
@@ -42,23 +38,12 @@ class Lines(io.TextIOWrapper):
         return line
 
 
-class CandumpLog:
-    """The messages of a candump log, with the errors and remote frames that python-can reads in it."""
+class CandumpLog(formats.CanutilsLogReader):
+    """Data frames as candump and python-can write them are read here, any other line by python-can."""
 
-    def __init__(self, lines: Lines) -> None:
-        self._lines = lines
-
-    def __enter__(self) -> "CandumpLog":
-        """It is open."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        self._lines.close()
-
-    def __iter__(self) -> Iterator[Message | CanMessage]:
-        """Data frames as candump and python-can write them are read here, any other line by python-can."""
-        for line in self._lines:
+    def __iter__(self) -> Iterator[Message | CanMessage]:  # type: ignore[override]
+        """Every message, error and remote frame."""
+        for line in self.file:
             if (match := CANDUMP_LINE.fullmatch(line)) is None:
                 yield from formats.CanutilsLogReader(io.StringIO(line))
                 continue
@@ -120,19 +105,26 @@ def _unpacked(container: bytes) -> bytes:
     return data
 
 
-def open_log(path: Path) -> MessageReader | CandumpLog:
+TEXT_READERS: dict[str, Callable[[Any], MessageReader]] = {
+    ".asc": formats.ASCReader,
+    ".csv": formats.CSVReader,
+    ".log": CandumpLog,
+    ".trc": formats.TRCReader,
+}
+
+
+def open_log(path: Path) -> AbstractContextManager[Iterable[Message | CanMessage]]:
     """Open a recording in any format that python-can reads; errors are its own, those above, and OSError."""
     suffixes = [each.lower() for each in path.suffixes]
     packed = len(suffixes) == 2 and suffixes[1] == ".gz"
     kind = "".join(suffixes[:1] if packed else suffixes[-1:])
-    if kind not in (*TEXT_READERS, ".blf", ".log"):
+    if kind not in (*TEXT_READERS, ".blf"):
         return formats.LogReader(path)  # no stream of bytes, or no recording, which it says
     source = gzip.GzipFile(path) if packed else path.open("rb")
     try:
         if kind == ".blf":
             return BoundedBlf(Blocks(cast(io.RawIOBase, source)))
-        lines = Lines(cast(BinaryIO, source), kind in WITH_LAST_END)
-        return CandumpLog(lines) if kind == ".log" else cast(MessageReader, TEXT_READERS[kind](lines))
+        return TEXT_READERS[kind](Lines(cast(BinaryIO, source), kind in WITH_LAST_END))
     except BaseException:
         source.close()
         raise
