@@ -6,13 +6,13 @@ import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from threading import Lock
-from typing import ParamSpec, TypeVar, cast
+from typing import TypeVar, TypeVarTuple, cast
 
 from threadpoolctl import threadpool_limits
 
 SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the service's threads' locks as they are
 NICENESS = 10
-Arguments = ParamSpec("Arguments")
+Arguments = TypeVarTuple("Arguments")
 Outcome = TypeVar("Outcome")
 
 
@@ -27,19 +27,14 @@ class FitProcess:
         self._lock, self._cancelled = Lock(), False
         self._process: multiprocessing.process.BaseProcess | None = None
 
-    def run(
-        self,
-        function: Callable[Arguments, Outcome],
-        *arguments: Arguments.args,
-        **named: Arguments.kwargs,
-    ) -> Outcome:
+    def run(self, function: Callable[[*Arguments], Outcome], *arguments: *Arguments) -> Outcome:
         """The outcome of a module's function, or what it raises; Cancelled where it is, or has been."""
         receiver, sender = SPAWN.Pipe(duplex=False)
         with receiver:
             with sender, self._lock:
                 if self._cancelled:
                     raise Cancelled
-                work = SPAWN.Process(target=_work, args=(sender, function, arguments, named), daemon=True)
+                work = SPAWN.Process(target=_work, args=(sender, function, *arguments), daemon=True)
                 work.start()
                 self._process = work
             try:
@@ -66,24 +61,20 @@ def start(function: Callable[..., object], *arguments: object) -> Connection:
     """Run a module's function that nobody waits for; its outcome and error (one None) come together."""
     receiver, sender = SPAWN.Pipe(duplex=False)
     with sender:
-        SPAWN.Process(target=_work, args=(sender, function, arguments, {}), daemon=True).start()
+        SPAWN.Process(target=_work, args=(sender, function, *arguments), daemon=True).start()
     return receiver
 
 
-def _work(
-    sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
-) -> None:
+def _work(sender: Connection, function: Callable[..., object], *arguments: object) -> None:
     """Run one function in a process of its own."""
     with be_patient():
-        send_outcome(sender, function, arguments, named)
+        send_outcome(sender, function, *arguments)
 
 
-def send_outcome(
-    sender: Connection, function: Callable[..., object], arguments: tuple[object, ...], named: dict[str, object]
-) -> None:
+def send_outcome(sender: Connection, function: Callable[..., object], *arguments: object) -> None:
     """Send what a function gives, or the error that it raises."""
     try:
-        sender.send((function(*arguments, **named), None))
+        sender.send((function(*arguments), None))
     except Exception as error:
         sender.send((None, error))
 

@@ -5,12 +5,12 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from threading import Lock
-from typing import ParamSpec, TypeVar, cast
+from typing import TypeVar, TypeVarTuple, cast
 
 from tactiled.runtime.fit_process import SPAWN, be_patient, send_outcome
 
 IDLE_S = 60.0  # without work until it ends
-Arguments = ParamSpec("Arguments")
+Arguments = TypeVarTuple("Arguments")
 Outcome = TypeVar("Outcome")
 
 
@@ -22,17 +22,15 @@ class SideProcess:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
 
-    def run(
-        self, function: Callable[Arguments, Outcome], *arguments: Arguments.args, **named: Arguments.kwargs
-    ) -> Outcome:
+    def run(self, function: Callable[[*Arguments], Outcome], *arguments: *Arguments) -> Outcome:
         """What a module's function gives, or raises; RuntimeError where its process ended twice."""
         with self._lock:
             try:
-                outcome, error = self._exchange((function, arguments, named))
+                outcome, error = self._exchange(function, *arguments)
             except (EOFError, OSError):  # it had ended: nobody had needed it
                 self._end()
                 try:
-                    outcome, error = self._exchange((function, arguments, named))
+                    outcome, error = self._exchange(function, *arguments)
                 except (EOFError, OSError) as reason:
                     code = self._end()
                     raise RuntimeError(f"the process for {function.__name__} ended with code {code}") from reason
@@ -40,7 +38,7 @@ class SideProcess:
             raise error
         return cast(Outcome, outcome)
 
-    def _exchange(self, work: object) -> tuple[object, Exception | None]:
+    def _exchange(self, *work: object) -> tuple[object, Exception | None]:
         if self._pipe is None:
             self._pipe, other = SPAWN.Pipe()
             with other:
