@@ -84,7 +84,13 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
     form, scores = choose_form(alive, end[live])
     fitted = fit(alive, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
-    spread_over = _Spread(end.size, live)
+
+    def spread_over(values: Floats, other: Floats | float) -> Floats:
+        """`values` (L, ...) in the places of the live taxels of (N, ...), `other` elsewhere."""
+        full = np.empty((end.size, *values.shape[1:]))
+        full[:], full[live] = other, values
+        return full
+
     curves = assembled(
         form,
         spread_over(fitted.parameters, fitted.parameters.mean(axis=0)),
@@ -104,21 +110,6 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
         residuals=spread_over(fitted.residuals.T, np.nan).T,
         alignment=alignment,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Spread:
-    """Values of the live taxels among all."""
-
-    size: int
-    live: NDArray[np.int64]
-
-    def __call__(self, values: Floats, other: Floats | float) -> Floats:
-        """`values` (L, ...) in the places of the live taxels of (N, ...), `other` elsewhere."""
-        full = np.empty((self.size, *values.shape[1:]))
-        full[:] = other
-        full[self.live] = values
-        return full
 
 
 def assembled(

@@ -7,7 +7,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import (
     AfterValidator,
+    BaseModel,
     BeforeValidator,
+    ConfigDict,
     Field,
     InstanceOf,
     SecretStr,
@@ -22,8 +24,8 @@ from pydantic import (
 from tactiled.bounds import Bounds, Counts, FileBeside, Pitch, Place, Port
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
-from tactiled.bus.redact import HARMLESS, reveal
-from tactiled.config.section import Foreign, Redacted, Section
+from tactiled.bus.redact import HARMLESS, reveal, seal
+from tactiled.config.section import Redacted, Section
 from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
@@ -113,15 +115,21 @@ def _channel(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
     return value
 
 
-class Bus(Foreign):
+class Bus(BaseModel):
     """A CAN interface: these keys and all that python-can's interface takes besides."""
 
-    harmless = HARMLESS
+    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
+    __pydantic_extra__: dict[str, Annotated[Any, Redacted]]
 
     interface: str
     """Interface of python-can: `socketcan`, `slcan`, `pcan`, `kvaser`, `udp_multicast`, `virtual`, ..."""
     channel: Annotated[str | int | None, WrapValidator(_channel), Redacted] = None
     """Channel of that interface, such as `can0` or `/dev/ttyUSB0`."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _seal(cls, table: Any) -> Any:
+        return seal(table, HARMLESS) if isinstance(table, dict) else table
 
     def settings(self) -> dict[str, Any]:
         """All of it, by python-can's names."""

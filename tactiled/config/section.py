@@ -1,10 +1,10 @@
 """What tables of the configuration file have in common."""
 
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, PlainSerializer, SerializationInfo, model_validator
+from pydantic import BaseModel, ConfigDict, PlainSerializer, SerializationInfo
 
-from tactiled.bus.redact import seal, show
+from tactiled.bus.redact import show
 
 
 class Section(BaseModel):
@@ -19,16 +19,3 @@ def _serialize(value: Any, info: SerializationInfo) -> Any:
 
 
 Redacted = PlainSerializer(_serialize)
-
-
-class Foreign(BaseModel):
-    """A table whose other keys another package knows, passed on as they are; its texts are secrets."""
-
-    model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
-    __pydantic_extra__: dict[str, Annotated[Any, Redacted]]
-    harmless: ClassVar[frozenset[str]] = frozenset({"name"})  # keys whose texts are none
-
-    @model_validator(mode="before")
-    @classmethod
-    def _seal(cls, table: Any) -> Any:
-        return seal(table, cls.harmless) if isinstance(table, dict) else table

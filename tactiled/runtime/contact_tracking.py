@@ -78,10 +78,7 @@ class ContactTracking:
         with self._wake:
             while not self._stopping:
                 now = time.monotonic()
-                if now >= self._until:
-                    self._wake.wait()
-                elif now < self._due:
-                    self._wake.wait(self._due - now)
-                else:
+                if self._due <= now < self._until:
                     return True
+                self._wake.wait(self._due - now if now < self._until else None)
         return False

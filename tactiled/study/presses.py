@@ -4,7 +4,6 @@ What taxels feel is integrated from the exact solution of the true cover, off ev
 calibration fits with tables of its own.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -69,24 +68,16 @@ def simulated_skin(
     )
 
 
-class Shape(ABC):
-    """What presses, evenly: its place in mm from the array's middle."""
-
-    @abstractmethod
-    def readings(self, array: Array, cover: Kernel) -> Floats:
-        """What taxels (N,) feel of unit pressure under the shape: a Fourier integral, without cells."""
-
-
 @dataclass(frozen=True, slots=True)
-class Disc(Shape):
-    """A flat round tip."""
+class Disc:
+    """A flat round tip, its place in mm from the array's middle."""
 
     x_mm: float
     y_mm: float
     radius_mm: float
 
     def readings(self, array: Array, cover: Kernel) -> Floats:
-        """The integral over the plane's waves, one axis after the other."""
+        """What taxels (N,) feel of unit pressure: the integral over the plane's waves, axis after axis."""
         x, y = (array.positions - middle(array) - (self.x_mm, self.y_mm)).T
         waves = np.arange(-cover.q[-1], cover.q[-1], 1 / PERIOD_MM)
         u, v = waves, waves[:, None]
@@ -99,20 +90,23 @@ class Disc(Shape):
 
 
 @dataclass(frozen=True, slots=True)
-class HalfPlane(Shape):
+class HalfPlane:
     """All that lies on one side of a straight edge."""
 
     offset_mm: float  # of the edge from the array's middle
     angle_rad: float  # of its normal, which points to the pressed side, from x
 
     def readings(self, array: Array, cover: Kernel) -> Floats:
-        """The integral over the waves along the normal."""
+        """What taxels (N,) feel of unit pressure: the integral over the waves along the normal."""
         normal = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
         depth = (array.positions - middle(array)) @ normal - self.offset_mm
         k = (np.arange(round(cover.q[-1] * PERIOD_MM * EDGE_WAVES)) + 0.5) / (PERIOD_MM * EDGE_WAVES)
         passed = cover.gain_at(k) * aperture_mean(array, *(k * normal[:, None])) / k
         waves = np.sin(2 * np.pi * np.outer(depth, k)) @ passed / (np.pi * PERIOD_MM * EDGE_WAVES)
         return np.asarray(0.5 + waves)
+
+
+Shape = Disc | HalfPlane  # that presses evenly
 
 
 def middle(array: Array) -> Floats:
