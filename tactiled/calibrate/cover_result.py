@@ -99,7 +99,7 @@ def _explained(fit: CoverFit, fitted: Fitted, misfits: Floats) -> CoverFit:
 def _other_parameters(fitted: Fitted, dispersion: float) -> list[str]:
     """What the presses tell of the cover's modulus and compressibility apart from its thickness."""
     likelihood, touch = fitted.likelihood, fitted.touch
-    nodes, count = touch.nodes(likelihood), len(fitted.solution.shared)
+    nodes, count = likelihood.model.response.nodes, len(fitted.solution.shared)
 
     def spectrum(shared: Floats) -> Floats:
         stack = _changed(touch.family, float(np.exp(np.clip(shared[0], *ENDS))), *shared[count:])

@@ -48,10 +48,6 @@ class Touch:
         """Readings (K, N) that the model holds for; a response ends at `reach` under a cover of `depth` (mm)."""
         raise NotImplementedError
 
-    def nodes(self, likelihood: Likelihood) -> Quadrature:
-        """The quadrature of a likelihood of this touch."""
-        return likelihood.model.response.nodes
-
     def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
         """Each reading's distance (M,) in mm from the load, and what the load is there (kPa): the plot's units."""
         raise NotImplementedError

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
-from tactiled.calibrate.presses import Press
+from tactiled.calibrate.presses import Press, usable_presses
 from tactiled.calibrate.touch_response import EdgeResponse, Quadrature, TipResponse, quadrature
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
@@ -145,13 +145,8 @@ def edge_touch(
     width_mm: float | None = None,
 ) -> EdgeTouch:
     """Make the usable `presses` ready to be fitted as edges, or ridges of `width_mm`; ConfigError for too few."""
-    usable = [each for each in presses if not each.reason]
-    if len(usable) < MIN_EDGES:
-        reasons = "; ".join(sorted({each.reason for each in presses if each.reason}))
-        raise ConfigError(
-            f"{len(usable)} of {len(presses)} presses can be used{f' ({reasons})' if reasons else ''}: "
-            f"lay the edge at least {MIN_EDGES} times, better 5"
-        )
+    advice = f"lay the edge at least {MIN_EDGES} times, better 5"
+    usable = [presses[at] for at in usable_presses(presses, MIN_EDGES, advice)]
     if np.linalg.matrix_rank(array.positions - array.positions[0], tol=1e-6) < 2:
         raise ConfigError("array is one line of taxels: an edge needs two dimensions")
     if width_mm is not None and not width_mm > 0:

@@ -39,8 +39,8 @@ def free_kernel(fitted: Fitted, misfits: Floats) -> FreeKernel | None:
     are a pair. The free gain is taken if it explains MIN_EXPLAINED of what is above 1 in their mean, and the mean
     of the pairs' differences is MIN_T standard errors above 0.
     """
-    touch, solution = fitted.touch, fitted.solution
-    nodes, stack = touch.nodes(fitted.likelihood), touch.spectrum(touch.nodes(fitted.likelihood))
+    touch, solution, nodes = fitted.touch, fitted.solution, fitted.likelihood.model.response.nodes
+    stack = touch.spectrum(nodes)
     factor, count = float(np.exp(solution.shared[0])), len(solution.shared)
     wide = np.geomspace(nodes.q[0], nodes.q[-1], KERNEL_SIZE)
     end = float(wide[np.flatnonzero(touch.family.gain(wide, factor) >= GAIN_END)[-1]])

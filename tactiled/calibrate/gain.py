@@ -187,11 +187,11 @@ def check_pressure(source: str, largest_kpa: float) -> None:
 
 
 def log_points(
-    series: FrameSeries, log: Reference, alignment: Alignment, rails: Rails, blocks: int = BLOCKS
+    series: FrameSeries, log: Reference, alignment: Alignment, rails: Rails
 ) -> tuple[Points, Means, NDArray[np.bool_]]:
     """Points of a recording cut into blocks of even time, the means of all blocks, and those that are points."""
     values = resampled(log, series.times + alignment.offset_s)
-    full, width = float(np.nanmax(values)), max(1, -(-values.size // blocks))
+    full, width = float(np.nanmax(values)), max(1, -(-values.size // BLOCKS))
     starts = np.arange(0, values.size - width + 1, width)
     within = values[: starts.size * width].reshape(-1, width)
     level, ramp = within.mean(axis=1), np.ptp(within, axis=1)

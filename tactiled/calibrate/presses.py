@@ -1,5 +1,6 @@
 """The presses in a recording: contact rises above the noise, stays, and falls."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -74,6 +75,17 @@ def find_presses(
         force = float(np.nansum(mean)) * area / 1e3
         presses.append(Press(first, last + 1, mean, error, force, (float(x), float(y)), reason))
     return presses
+
+
+def usable_presses(presses: Sequence[Press], least: int, advice: str) -> list[int]:
+    """Numbers of the presses that can be used; ConfigError with `advice` where they are fewer than `least`."""
+    usable = [at for at, each in enumerate(presses) if not each.reason]
+    if len(usable) < least:
+        reasons = "; ".join(sorted({each.reason for each in presses if each.reason}))
+        raise ConfigError(
+            f"{len(usable)} of {len(presses)} presses can be used{f' ({reasons})' if reasons else ''}: {advice}"
+        )
+    return usable
 
 
 def _zero(frames: NDArray[np.float32], noise: float) -> Floats:

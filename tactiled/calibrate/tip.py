@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
-from tactiled.calibrate.presses import Press
+from tactiled.calibrate.presses import Press, usable_presses
 from tactiled.calibrate.touch_response import HARMONICS, Quadrature, TipResponse, tip_transform
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
@@ -18,7 +18,7 @@ from tactiled.geometry import Array
 Floats = NDArray[np.float64]
 
 UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
-PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given, by default
+PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given
 CALIPER_ERROR_MM = 0.02  # standard deviation of a measured diameter
 MIN_PRESSES = 3
 
@@ -91,20 +91,13 @@ def tip_touch(
     tip: Tip,
     gain_error: Floats | float,
     places_mm: Floats | None = None,
-    place_error_mm: float | None = None,
 ) -> TipTouch:
     """Make the usable `presses` ready to be fitted; ConfigError for too few, or a tip wider than the array.
 
     `gain_error`: relative standard deviation of taxels' gains, (N,) or of all. `places_mm` (K, 2), of all presses,
-    where they are known to a standard deviation of `place_error_mm`.
+    where they are known to a standard deviation of PLACE_ERROR_PITCHES.
     """
-    usable = [at for at, each in enumerate(presses) if not each.reason]
-    if len(usable) < MIN_PRESSES:
-        reasons = "; ".join(sorted({each.reason for each in presses if each.reason}))
-        raise ConfigError(
-            f"{len(usable)} of {len(presses)} presses can be used{f' ({reasons})' if reasons else ''}: "
-            f"press at least {MIN_PRESSES} times, better 20"
-        )
+    usable = usable_presses(presses, MIN_PRESSES, f"press at least {MIN_PRESSES} times, better 20")
     width = float(np.ptp(array.positions, axis=0).min()) + array.pitch
     if tip.diameter_mm is not None and not 0 < tip.diameter_mm < width:
         raise ConfigError(
@@ -116,7 +109,7 @@ def tip_touch(
         if len(places_mm) != len(presses):
             raise ConfigError(f"{len(places_mm)} places are given, and there are {len(presses)} presses")
         own[:, 1:] = places_mm[usable]
-        deviation[:, 1:] = place_error_mm or PLACE_ERROR_PITCHES * array.pitch
+        deviation[:, 1:] = PLACE_ERROR_PITCHES * array.pitch
     radius, uncertainty = tip.radius_prior(array.pitch)
     prior = Prior(np.array([0.0, radius]), np.array([np.inf, uncertainty]), own, deviation)
     gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))

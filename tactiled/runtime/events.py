@@ -57,10 +57,9 @@ class Event:
 class Events(Publisher[Event]):
     """The newest events; any thread may call it."""
 
-    def __init__(self, max_kept: int = MAX_EVENTS_KEPT, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._events: deque[Event] = deque(maxlen=max_kept)
-        self._clock = clock
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS_KEPT)
         self.newest = 0  # id
 
     def add(
@@ -74,7 +73,7 @@ class Events(Publisher[Event]):
     ) -> None:
         """Note and log what happened, with the traceback of an error, and call the listeners."""
         with self._lock:
-            event = Event(self.newest + 1, self._clock(), kind, sensor, bus, text, warning)
+            event = Event(self.newest + 1, time.time(), kind, sensor, bus, text, warning)
             self._events.append(event)
             self.newest = event.id
         level = logging.WARNING if kind in LOGGED_AS_WARNINGS else logging.INFO

@@ -57,12 +57,11 @@ def player(
     calibration: Calibration,
     scene: str = "tour",
     noise_kpa: float = 0.1,
-    seed: int = 0,
 ) -> Player:
     """Make a player of one scene, or of a tour through them; ConfigError for an unknown scene."""
     if scene != "tour" and scene not in SCENES:
         raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
-    taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed)
+    taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed=0)
     return Player(codec, Surface(kernel, array), taxels, TOUR if scene == "tour" else (scene,))
 
 

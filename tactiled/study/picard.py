@@ -10,6 +10,7 @@ from tactiled.study.charts import BLUE, COLOURS, GREEN, RED, WORSE_COLOUR, figur
 from tactiled.study.scenes import TEST_SCENES, Floats
 from tactiled.study.skin import Skin, draw, into, rubber, sense, touches
 
+SCENE = "punches"
 RUBBERS = (0.5, 1.0, 2.0, 3.0)  # t/pitch, where no skin is given
 
 
@@ -44,9 +45,9 @@ def measure(skins: Sequence[Skin], noise: float, seed: int) -> list[Picard]:
     return [analyse(skin, noise, seed) for skin in skins or [rubber(thickness, 32) for thickness in RUBBERS]]
 
 
-def analyse(skin: Skin, noise: float, seed: int, scene: str = "punches") -> Picard:
-    """Analyse a scene, or the first that touches the skin, with white noise of `noise` of the peak."""
-    scenes = ((name, *sense(skin, draw(skin, name, [seed, 0]))) for name in (scene, *TEST_SCENES))
+def analyse(skin: Skin, noise: float, seed: int) -> Picard:
+    """Analyse SCENE, or the first that touches the skin, with white noise of `noise` of the peak."""
+    scenes = ((name, *sense(skin, draw(skin, name, [seed, 0]))) for name in (SCENE, *TEST_SCENES))
     scene, clean, cells = next(each for each in scenes if touches(each[2]))
     sigma = noise * float(clean.max())
     noisy = clean + np.random.default_rng([seed, 7]).normal(0, sigma, clean.shape)
