@@ -26,12 +26,8 @@ MAX_POINTS = 2000  # of the plotted line
 
 
 def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFit:
-    """Fit the thickness to a touch made of `presses`, those that cannot be used among them."""
-    return result(search(touch), method, presses)
-
-
-def result(fitted: Fitted, method: Method, presses: Sequence[Press] = ()) -> CoverFit:
-    """What came out of a search; its notes name those of `presses` that were not used."""
+    """Fit the thickness to a touch made of `presses`; notes name those of them that were not used."""
+    fitted = search(touch)
     likelihood, solution, family = fitted.likelihood, fitted.solution, fitted.touch.family
     dispersion = max(1.0, pooled(likelihood.misfits(solution))) ** 2
     ends = interval(likelihood, solution, dispersion, ENDS)

@@ -7,7 +7,6 @@ drift.
 """
 
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +44,11 @@ Mask = NDArray[np.bool_]
 
 
 class State(IntEnum):
-    """What is known of a taxel's load: the first that applies."""
+    """What is known of a taxel's load: the first that applies.
+
+    The zeros of free taxels and of those that read too little follow their readings, all others the common mode,
+    which is the motion of the free ones.
+    """
 
     UNREAD = 0  # missing, bad, dead or faulty
     LOADED = 1  # reads more than noise and drift explain, or is not quiet
@@ -53,25 +56,6 @@ class State(IntEnum):
     BELOW = 3  # reads less than zero: nothing pulls, so its zero is too high
     SETTLING = 4  # free for less than SETTLE_S
     FREE = 5
-
-
-class Rule(NamedTuple):
-    """How the zero of a taxel in a state moves."""
-
-    follows: str  # "reading" or "common mode"
-    votes: bool  # its motion is part of the common mode
-
-
-RULES = {
-    State.UNREAD: Rule("common mode", False),
-    State.LOADED: Rule("common mode", False),
-    State.NEAR: Rule("common mode", False),
-    State.BELOW: Rule("reading", False),
-    State.SETTLING: Rule("common mode", False),
-    State.FREE: Rule("reading", True),
-}
-FOLLOWS_READING = np.array([RULES[state].follows == "reading" for state in State])
-VOTES = np.array([RULES[state].votes for state in State])
 
 
 def reach_mm(kernel: Kernel) -> float:
@@ -210,7 +194,7 @@ class DriftTracker:
 
     def _votes(self) -> Mask | None:
         """Which taxels (N,) make up the common mode; None where they are too few."""
-        voters = VOTES[self.state]
+        voters = self.state == State.FREE
         return voters if np.count_nonzero(voters) >= MIN_VOTERS else None
 
     def _move(self, seconds: float, sigma: Floats, references: Floats | None) -> None:
@@ -223,7 +207,8 @@ class DriftTracker:
             self._references.learn(references, self.common + common * seconds, seconds)
         else:
             common = self._references.predict(references, seconds)
-        follows = FOLLOWS_READING[self.state]
+        votes = self.state == State.FREE
+        follows = votes | (self.state == State.BELOW)
         common_rate = np.clip(common * sensitivity, -limit, limit)
         self._rate = np.where(follows, own_rate, common_rate).astype(np.float32)
         own = np.clip(self._rate * seconds + 2 * part * self._smooth, -limit * seconds, limit * seconds)
@@ -234,8 +219,7 @@ class DriftTracker:
         self._zero += step
         self._smooth -= step
         self._idle -= np.where(follows, step, 0)
-        votes, readable = VOTES[self.state], self.state != State.UNREAD
-        learning = np.count_nonzero(votes) >= MIN_LEARNERS * np.count_nonzero(readable)
+        learning = np.count_nonzero(votes) >= MIN_LEARNERS * np.count_nonzero(self.state != State.UNREAD)
         self._sensitivity.learn(self._zero, self.common, votes if learning else np.zeros_like(votes), sigma)
 
 

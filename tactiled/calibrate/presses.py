@@ -77,10 +77,10 @@ def find_presses(
     return presses
 
 
-def usable_presses(presses: Sequence[Press], least: int, advice: str) -> list[int]:
-    """Numbers of the presses that can be used; ConfigError with `advice` where they are fewer than `least`."""
+def usable_presses(presses: Sequence[Press], min_count: int, advice: str) -> list[int]:
+    """Numbers of the presses that can be used; ConfigError with `advice` where they are too few."""
     usable = [at for at, each in enumerate(presses) if not each.reason]
-    if len(usable) < least:
+    if len(usable) < min_count:
         reasons = "; ".join(sorted({each.reason for each in presses if each.reason}))
         raise ConfigError(
             f"{len(usable)} of {len(presses)} presses can be used{f' ({reasons})' if reasons else ''}: {advice}"

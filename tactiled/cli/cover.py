@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any, Literal
@@ -69,12 +70,13 @@ def cover(
     if footprint is not None and model != "fem":
         raise ConfigError("--footprint needs --model fem: leave one of them out")
     start, press = perf_counter(), None
-    kernel = solve(stack, model, accuracy, rise, perf_counter, budget)
+    late = partial(_is_past, start + budget)
+    kernel = solve(stack, model, accuracy, rise, late)
     seconds, summary = perf_counter() - start, summarise(kernel, array, noise)
     if q is None:
         q = _round_frequencies(summary)
     if footprint is not None:
-        press = pressed(stack, footprint, accuracy, rise, lambda: perf_counter() > start + budget)
+        press = pressed(stack, footprint, accuracy, rise, late)
     if as_json:
         footprints = {"footprint": {"radius": footprint} | asdict(press)} if press else {}
         print(json.dumps(_record(kernel, q, seconds, summary) | footprints, default=np.ndarray.tolist))
@@ -84,6 +86,10 @@ def cover(
             _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
+
+
+def _is_past(end: float) -> bool:
+    return perf_counter() > end
 
 
 def _round_frequencies(summary: CoverSummary) -> Floats:

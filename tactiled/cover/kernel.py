@@ -53,10 +53,9 @@ def solve(
     model: Model = "fem",
     accuracy: float = 1e-3,
     profile: Profile | None = None,
-    clock: Callable[[], float] = lambda: 0.0,
-    budget_s: float = np.inf,
+    late: Callable[[], bool] = lambda: False,
 ) -> Kernel:
-    """Solve a cover to `accuracy` of its gain; PhysicsError where it cannot be in `budget_s` by `clock` (s)."""
+    """Solve a cover to `accuracy` of its gain; PhysicsError where it cannot be, or `late` says that time is up."""
     if model == "layered":
         if profile is not None:
             raise PhysicsError("model 'layered' knows flat layers only: use 'fem' for a cover with a profile")
@@ -67,8 +66,7 @@ def solve(
         raise PhysicsError(f"cover model is {model!r}: give 'fem' or 'layered'")
     from tactiled.cover import fem  # scikit-fem, which a cached kernel does not need
 
-    start = clock()
-    solved = fem.solve(stack, accuracy, profile, lambda: clock() - start > budget_s)
+    solved = fem.solve(stack, accuracy, profile, late)
     q, gain = _continued(solved)
     return Kernel(
         stack, model, q, gain, *radial(q, gain), solved.error_estimate, solved.mesh, solved.unknowns, profile

@@ -176,13 +176,10 @@ class BusThread:
             sensor.take_turn()
         self._offered.clear()
 
-    def _bus_counts(self) -> dict[str, int]:
+    def _bus_counts(self) -> Mapping[str, int]:
         """Losses that the bus itself counted since the start, however often it was opened."""
         with self._reader_lock:
-            counts = dict(self._reader.counts()) if self._reader else {}
-            for kind, count in self._counts.items():
-                counts[kind] = counts.get(kind, 0) + count
-        return counts
+            return self._counts + Counter(self._reader.counts() if self._reader else {})
 
     def _error_kinds(self) -> Mapping[str, int]:
         """Error frames since the start, by kind; any thread."""

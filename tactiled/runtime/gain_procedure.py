@@ -139,6 +139,7 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
     gain, error = float(curves.gain[middle]), float(curves.deviation[middle])
     ends = sorted(gain * (1 + side * NORMAL_95 * error) for side in (-1, 1))
     hysteresis = curves.hysteresis[live]
+    dead = [f"taxels without a response: {', '.join(map(str, fitted.dead))}"] if fitted.dead else []
     return GainOutcome(
         file=file,
         form=curves.form,
@@ -147,14 +148,9 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
         before_kpa_per_count=plan.calibration.kpa_per_count if plan.calibrated else None,
         spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
         hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,
-        notes=(*_dead_note(fitted.dead), *fitted.notes),
+        notes=(*dead, *fitted.notes),
         line=_gain_line(fitted, int(middle)),
     )
-
-
-def _dead_note(dead: tuple[int, ...]) -> tuple[str, ...]:
-    """What to say of taxels without a response."""
-    return (f"taxels without a response: {', '.join(map(str, dead))}",) if dead else ()
 
 
 def _gain_line(fitted: "GainFit", taxel: int) -> Floats:

@@ -46,7 +46,7 @@ class Pipeline:
         self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, plan.codec.full_scale)
         self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
         self._tare_frames = TareFrames()
-        self._zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))
+        self.zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
@@ -84,29 +84,24 @@ class Pipeline:
             self.lapsed += 1
 
     @property
-    def zero(self) -> Zero:
-        """What the unloaded array reads."""
-        return self._zero
-
-    @property
     def can_undo(self) -> bool:
         """Whether there is a zero from before the last tare."""
         return self._zero_before is not None
 
     def set_zero(self, zero: Zero) -> None:
         """Take another zero; `undo_tare` takes the present one again."""
-        self._zero_before, self._zero = self._zero, zero
+        self._zero_before, self.zero = self.zero, zero
         self._use_zero()
 
     def undo_tare(self) -> None:
         """Take the zero from before the last tare again, if there is one."""
         if self._zero_before is not None:
-            self._zero, self._zero_before = self._zero_before, None
+            self.zero, self._zero_before = self._zero_before, None
             self._use_zero()
 
     def _use_zero(self) -> None:
-        measured = self._zero.time is not None or self._plan.calibration.no_loads is not None
-        self.calibrator.tare(self._zero.counts.astype(float), measured)
+        measured = self.zero.time is not None or self._plan.calibration.no_loads is not None
+        self.calibrator.tare(self.zero.counts.astype(float), measured)
         self._recent = ()
         self.cover.reset()
 
@@ -118,9 +113,9 @@ class Pipeline:
         self.method, self._tare_frames = other.method, other._tare_frames
         self.tared, self.lapsed, self.refused = other.tared, other.lapsed, other.refused
         self.load_in_tare, self._zero_before = other.load_in_tare, other._zero_before
-        self._zero = replace(self._zero, shear=other.zero.shear)
+        self.zero = replace(self.zero, shear=other.zero.shear)
         if other.zero.time is not None and other.zero.time >= self._plan.no_load_time:
-            self._zero = other.zero
+            self.zero = other.zero
         self.monitor.take_over(other.monitor)
         self._weigh_taxels()
         self._use_zero()
@@ -146,7 +141,7 @@ class Pipeline:
         if scale is None or frame.shear is None or not self._plan.calibrated:
             return None
         pressure, _ = self.calibrator(frame.counts, frame.flags)
-        tangential = (frame.shear - self._zero.shear) * scale
+        tangential = (frame.shear - self.zero.shear) * scale
         forces = np.column_stack([*tangential, pressure * self._areas * N_PER_KPA_MM2])
         return forces if np.isfinite(forces).all() else None
 
@@ -204,7 +199,7 @@ class Pipeline:
             microseconds=(checked - began) * 1e6,
             noise=self.noise.kpa,
             warnings=warnings,
-            shear=without_zero(frame.shear, self._zero.shear, flags),
+            shear=without_zero(frame.shear, self.zero.shear, flags),
             times=times,
         )
 
@@ -234,7 +229,7 @@ class Pipeline:
         if load:
             self.refused, self.load_in_tare = self.refused + 1, load
             return
-        mean, zero = robust_mean(frames).astype(np.float32), self._zero
+        mean, zero = robust_mean(frames).astype(np.float32), self.zero
         counts = np.where(np.isfinite(mean[0]), mean[0], zero.counts)
         shear = np.where(np.isfinite(mean[1:]), mean[1:], zero.shear) if len(mean) > 1 else zero.shear
         self.set_zero(Zero(counts, shear, self._tare_frames.time))

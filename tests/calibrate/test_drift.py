@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactiled.calibrate.blocks import Blocks, TaxelNoise
-from tactiled.calibrate.drift import MAX_RATE, RULES, DriftTracker, State, Surroundings, reach_mm
+from tactiled.calibrate.drift import MAX_RATE, DriftTracker, State, Surroundings, reach_mm
 from tests.plans import plan
 
 SIDE, FULL_SCALE, NO_LOAD = 24, 3900.0, 100.0  # taxels, counts, counts
@@ -151,12 +151,6 @@ def test_a_tare_starts_over():
     run.tracker.reset(run.no_load + run.drifted)
     assert not run.tracker.correction.any()
     assert (run.tracker.state == State.FREE).all()
-
-
-def test_the_table_names_every_state_and_only_free_taxels_vote():
-    assert set(RULES) == set(State)
-    assert [state for state, rule in RULES.items() if rule.votes] == [State.FREE]
-    assert {rule.follows for rule in RULES.values()} == {"reading", "common mode"}
 
 
 def test_surroundings_of_a_layout_are_discs_and_of_a_grid_hold_them():

@@ -123,8 +123,8 @@ def test_an_accuracy_that_cannot_be_met(monkeypatch):
 @pytest.mark.parametrize(
     ("run", "text"),
     [
-        (lambda: solve(PAPER, "fem", 1e-5, clock=count().__next__, budget_s=5.5), r"the estimate is \d"),
-        (lambda: solve(PAPER, "fem", clock=count().__next__, budget_s=0.5), "there is no estimate yet"),
+        (lambda: solve(PAPER, "fem", 1e-5, late=map((5.5).__lt__, count(1)).__next__), r"the estimate is \d"),
+        (lambda: solve(PAPER, "fem", late=lambda: True), "there is no estimate yet"),
         (lambda: fem.pressed(PAPER, 1.0, late=lambda: True), "there is no estimate yet"),
         (
             lambda: fem.solve(Stack((Layer(0.5, 1e4, 0.3), Layer(5.0, 0.05, 0.1))), late=lambda: True),
