@@ -192,7 +192,9 @@ def interval(
 
     `dispersion` is the mean square of residuals over what noise and gain errors explain.
     """
-    deviation = np.sqrt(dispersion / max(_marginal(likelihood, best), 1e-12))
+    free = np.flatnonzero(likelihood.prior.shared_deviation > 0)
+    information = float(schur(best.information[np.ix_(free, free)], 1)[0, 0])
+    deviation = np.sqrt(dispersion / max(information, 1e-12))
 
     def rise(at: float) -> float:
         """Standard deviations that the profile likelihood has fallen by."""
@@ -213,12 +215,6 @@ def interval(
         return float(best.shared[0] + side * ends[-1])
 
     return end(bounds[0]), end(bounds[1])
-
-
-def _marginal(likelihood: Likelihood, best: Solution) -> float:
-    """Information on the first shared parameter after the other unknown ones are solved for."""
-    free = np.flatnonzero(likelihood.prior.shared_deviation > 0)
-    return float(schur(best.information[np.ix_(free, free)], 1)[0, 0])
 
 
 def left_out(likelihood: Likelihood, best: Solution) -> Floats:

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate, correlation_lags
 
 from tactiled.errors import ConfigError
 
@@ -128,20 +129,15 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
         np.interp(np.arange(a[0], a[-1], step), a, b - b[:MIN_ROWS].mean())
         for a, b in ((times, signal), (log.times, log.values))
     )
-    size = series.size + reference.size
-    product = np.fft.rfft(reference, size) * np.conj(np.fft.rfft(series, size))
-    shifts = np.arange(size)
-    shifts[shifts >= reference.size] -= size
+    shifts = correlation_lags(reference.size, series.size)
     offsets = log.times[0] - times[0] + step * shifts
-    correlation = np.fft.irfft(product, size) / max(
-        float(np.linalg.norm(series) * np.linalg.norm(reference)), 1e-300
-    )
+    norms = max(float(np.linalg.norm(series) * np.linalg.norm(reference)), 1e-300)
+    correlation = correlate(reference, series, method="fft") / norms
     overlap = np.minimum(series.size, reference.size - shifts) - np.maximum(0, -shifts)
     correlation[overlap < MIN_OVERLAP * min(series.size, reference.size)] = -1
     if absolute:
         correlation[np.abs(offsets) > MAX_CLOCK_OFFSET_S] = -1
-    order = np.argsort(shifts)
-    return _one_peak(offsets[order], correlation[order], absolute, log.path)
+    return _one_peak(offsets, correlation, absolute, log.path)
 
 
 def _one_peak(offsets: Floats, correlation: Floats, absolute: bool, path: Path) -> float:

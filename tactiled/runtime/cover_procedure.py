@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.frame_series import FrameSeries
@@ -74,14 +73,11 @@ class CoverProcedure:
         """The thickness that explains the frames."""
         from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch  # here: the service starts faster
 
-        sensor, calibration = self._sensor, self._tared_calibration()
+        sensor = self._sensor
+        no_loads = sensor.pipeline.calibrator.no_load.astype(float)  # that hold now
+        calibration = replace(sensor.plan.calibration, no_loads=no_loads)
         recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.full_scale)
         return self._outcome(process.run(fit_touch, recorded, self.way, self.size_mm))
-
-    def _tared_calibration(self) -> Calibration:
-        """The sensor's calibration with the zero that holds now."""
-        no_loads = self._sensor.pipeline.calibrator.no_load.astype(float)
-        return replace(self._sensor.plan.calibration, no_loads=no_loads)
 
     def _outcome(self, fit: CoverFit) -> CoverOutcome:
         """What is applied of a fit, and what was before."""

@@ -12,7 +12,6 @@ from multiprocessing.reduction import DupFd
 from operator import attrgetter
 from pathlib import Path
 from shutil import disk_usage
-from struct import Struct
 from tempfile import TemporaryFile
 from threading import Thread
 from typing import Any
@@ -43,7 +42,6 @@ HEAD = np.dtype(
         ("loss", "<i8", (len(LOSSES),)),
     ]
 )
-PACKED_HEAD = Struct(f"<dddqqdB{len(LOSSES)}q")  # the same
 FLOATS, FLAGS, SHEAR = 1, 2, 4  # in `content`: counts are float32, not uint16; flags are not all 0; shear
 _losses = attrgetter(*LOSSES)
 
@@ -95,8 +93,8 @@ class _Writer:
         if frame.shear is not None:
             content |= SHEAR
             parts.append(np.asarray(frame.shear, np.float32))
-        head = frame.arrived, frame.time, frame.skew, frame.sequence, self._offset, float(counts.sum()), content
-        self._pending += PACKED_HEAD.pack(*head, *_losses(frame.loss))
+        head = frame.arrived, frame.time, frame.skew, frame.sequence, self._offset, counts.sum(), content
+        self._pending += np.array((*head, _losses(frame.loss)), HEAD).tobytes()
         self._offset += sum(self._arrays.write(each.tobytes()) for each in parts)
 
     def flush(self) -> None:

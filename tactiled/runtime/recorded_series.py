@@ -147,7 +147,7 @@ class SeriesRuns:
     """The series of recordings: one is measured at a time; on one thread, but for `close`."""
 
     def __init__(self) -> None:
-        self._runs: list[tuple[tuple[Any, ...], RecordedSeries]] = []  # by what they depend on, newest use last
+        self._runs: dict[tuple[Any, ...], RecordedSeries] = {}  # by what they depend on, newest use last
 
     def series(
         self, playback: Playback, recorded: RecordedFrames, method: str, regions: Mapping[str, Region]
@@ -158,27 +158,28 @@ class SeriesRuns:
         """
         plan = playback.plan
         key = recorded, plan, playback.tared_at, method, tuple(regions.items())
-        run = next((each for of, each in self._runs if of == key), None)
+        run = self._runs.get(key)
         if run is None or run.given_up:
             if not self._make_room():
                 return None
             frames, folder = recorded.of(plan.name), recorded.path.parent
             job = SeriesJob(plan, playback.zero, frames, method, regions, folder, recorded.leave_mb)
             run = RecordedSeries(job)
-        self._runs = [each for each in self._runs if each[1] is not run] + [(key, run)]
+        self._runs.pop(key, None)
+        self._runs[key] = run
         run.use()
         return run
 
     def drop(self, run: RecordedSeries) -> None:
         """Measure it anew when somebody asks again."""
-        self._runs = [each for each in self._runs if each[1] is not run]
+        self._runs = {key: each for key, each in self._runs.items() if each is not run}
         run.close()
 
     def _make_room(self) -> bool:
-        for _, each in self._runs:
+        for each in self._runs.values():
             if each.running and time.monotonic() - each.used_at < REPLACED_AFTER_S:
                 return False
-        for _, each in list(self._runs):
+        for each in list(self._runs.values()):
             if each.running or each.given_up or len(self._runs) >= MAX_SERIES:
                 self.drop(each)
         return True
@@ -186,4 +187,4 @@ class SeriesRuns:
     def close(self) -> None:
         """Close all."""
         while self._runs:
-            self._runs.pop()[1].close()
+            self._runs.popitem()[1].close()

@@ -57,22 +57,18 @@ def test_a_datagram_that_is_no_message_is_counted_and_the_sensor_stays_live(udp_
     service = Service(parse(text.format().replace("stale_after_s = 0.3", "stale_after_s = 60")))
     sensor, counts = service.sensor("palm"), pressed().ravel().astype(np.uint16)
     sender = open_bus(interface="udp_multicast", channel=GROUP, port=udp_port)
-    service.start()
-    try:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            for n, junk in enumerate(JUNK.values()):
-                other.sendto(junk, (GROUP, udp_port))
-                for each in sensor.codec.encode(counts, n, 0.0):
-                    sender.send(each)
-                until(lambda n=n: (image := sensor.hub.latest()) and image.sequence == n)
+    with service.running(), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        for n, junk in enumerate(JUNK.values()):
+            other.sendto(junk, (GROUP, udp_port))
+            for each in sensor.codec.encode(counts, n, 0.0):
+                sender.send(each)
+            until(lambda n=n: (image := sensor.hub.latest()) and image.sequence == n)
         until(lambda: sensor.status().loss.unreadable == len(JUNK))
         assert sensor.status().state == "live"
         assert sensor.hub.latest().loss.unreadable == len(JUNK)  # it travels with the data
         assert sensor.hub.latest().loss.lost == 0
         assert "sensor_down" not in {each.kind for each in service.events.after(0)}
-    finally:
-        service.stop()
-        sender.close()
+    sender.close()
 
 
 @pytest.fixture

@@ -178,8 +178,7 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
     monkeypatch.setattr("tactiled.runtime.bus_thread.open_bus", reopen)
     service = Service(parse(CONFIG))
     hand = service.sensor("hand")
-    service.start()
-    try:
+    with service.running():
         until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
         wire.takes = False
         until(lambda: hand.status().loss.unsent >= 2)
@@ -191,8 +190,6 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
         until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
         assert len(opened) == 2
         assert hand.status().loss.unsent == unsent
-    finally:
-        service.stop()
     assert payloads_on(0x20D) == STARTS + STOPS
 
 
