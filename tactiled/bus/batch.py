@@ -1,6 +1,6 @@
 """CAN data frames as arrays, in order: what one read of a bus, or a piece of a file, gave."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,12 +37,6 @@ class Batch:
             np.frombuffer(data, np.uint8).reshape(count, MAX_BYTES),
             np.array([each.fd for each in messages], np.bool_),
         )
-
-    @classmethod
-    def joined(cls, batches: Sequence["Batch"]) -> "Batch":
-        """Several batches, one after the other."""
-        names = ("times", "ids", "lengths", "data", "fd")
-        return cls(*(np.concatenate([getattr(each, name) for each in batches]) for name in names))
 
     def __len__(self) -> int:
         """Number of messages."""

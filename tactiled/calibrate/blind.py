@@ -72,11 +72,11 @@ class Profiles:
 
     def followed_by(self, newer: "Profiles") -> "Profiles":
         """The newest MAX_FRAMES of both, each a scene."""
-        chi2, cells = (
-            np.concatenate(each)[-MAX_FRAMES:] for each in ((self.chi2, newer.chi2), (self.cells, newer.cells))
+        chi2, cells, snr, readings = (
+            np.concatenate([getattr(self, key), getattr(newer, key)])[-MAX_FRAMES:]
+            for key in ("chi2", "cells", "snr", "readings")
         )
-        snr, readings = np.concatenate([self.snr, newer.snr]), np.concatenate([self.readings, newer.readings])
-        return Profiles(chi2, cells, snr[-MAX_FRAMES:], np.arange(len(chi2)), readings[-MAX_FRAMES:])
+        return Profiles(chi2, cells, snr, np.arange(len(snr)), readings)
 
 
 def fit_blind(

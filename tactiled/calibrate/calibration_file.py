@@ -44,8 +44,7 @@ class CalibrationFile(Table):
     @property
     def sections(self) -> dict[str, Section]:
         """The sections that there are, by name."""
-        named = {"no_load": self.no_load, "gain": self.gain, "cover": self.cover, "health": self.health}
-        return {name: each for name, each in named.items() if each is not None}
+        return {name: each for name, each in self if isinstance(each, Section)}
 
     @property
     def created(self) -> str:

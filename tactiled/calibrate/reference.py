@@ -49,7 +49,6 @@ class Alignment:
 
     offset_s: float
     deviation_s: float  # standard error
-    correlation: float  # of readings and log, by a curve and a drift
 
 
 def read_reference(path: Path) -> Reference:
@@ -113,7 +112,7 @@ def align(times: Floats, signal: Floats, log: Reference) -> Alignment:
         raise ConfigError(
             f"{log.path}: correlates with the recording by {correlation:.2f} only: give the log of this recording"
         )
-    return Alignment(offset, deviation, correlation)
+    return Alignment(offset, deviation)
 
 
 def _coarse(times: Floats, signal: Floats, log: Reference) -> float:

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import make_array, make_calibration, make_codec, make_stack
-from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.recorded_touch import RecordedTouch
+from tactiled.calibrate.cover_fit import CoverFit, Method
+from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.sections import CoverSection
-from tactiled.calibrate.tip import Tip
 from tactiled.cli import options
 from tactiled.cli.calibrate import Out, existing, made_from, update
 from tactiled.cover.stack import Stack
@@ -56,11 +55,10 @@ def cover(
         series = read_frame_series(file, name, settings)
         full_scale = make_codec(one).full_scale
         recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), full_scale)
-        if tip_mm is not None:
-            presses, tip = recorded.presses(border=False), Tip(tip_mm or None, sphere=sphere)
-            fit = recorded.tip(presses, tip, None if places is None else _places(places))
-        else:
-            fit = recorded.blind() if blind else recorded.edge(recorded.presses(border=True), edge_mm)
+        way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
+        size_mm = edge_mm if tip_mm is None else tip_mm or None
+        places_mm = _places(places) if places is not None and way == "tip" else None
+        fit = fit_touch(recorded, way, size_mm, sphere, places_mm)
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 

@@ -1,12 +1,12 @@
 """Regions of the sensors as clients set them, kept over a restart where there is a state file."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from threading import Lock
 
 from tactiled.contacts.regions import Region
 from tactiled.errors import StateError, UnknownSensorError
 from tactiled.runtime.events import Events
-from tactiled.runtime.region_monitor import RegionSeries
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.state import StateFile
 
@@ -29,23 +29,23 @@ class KeptRegions:
 
     def put(self, sensor: Sensor, name: str, region: Region) -> None:
         """Watch a region; ValueError where it does not fit, StateError where it cannot be kept."""
-        with self._lock:
-            before = sensor.regions.series
+        with self._kept(sensor):
             sensor.regions.put(name, region)
-            self._keep(sensor, before)
 
     def remove(self, sensor: Sensor, name: str) -> None:
         """Watch a region no longer; KeyError where there is none, StateError where that cannot be kept."""
+        with self._kept(sensor):
+            sensor.regions.remove(name)
+
+    @contextmanager
+    def _kept(self, sensor: Sensor) -> Iterator[None]:
+        """Keep a change; where that fails, nothing has changed."""
         with self._lock:
             before = sensor.regions.series
-            sensor.regions.remove(name)
-            self._keep(sensor, before)
-
-    def _keep(self, sensor: Sensor, before: Mapping[str, RegionSeries]) -> None:
-        if self.state is None:
-            return
-        try:
-            self.state.keep_regions(sensor.name, sensor.regions.regions)
-        except StateError:
-            sensor.regions.series = before
-            raise
+            yield
+            try:
+                if self.state is not None:
+                    self.state.keep_regions(sensor.name, sensor.regions.regions)
+            except StateError:
+                sensor.regions.series = before
+                raise

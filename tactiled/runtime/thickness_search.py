@@ -20,8 +20,7 @@ class ThicknessSearch:
 
     def __init__(self, plan: SensorPlan) -> None:
         self._plan = plan
-        kernel = plan.kernel
-        self._searchable = plan.array.shape is not None and kernel.model != "measured" and kernel.profile is None
+        self._searchable = plan.array.shape is not None and plan.kernel.model != "measured"
         self._thread: Thread | None = None
         self._thickness_mm: float | None = None
         self._mismatched, self._pause = False, 0
