@@ -11,9 +11,7 @@ BLOCK_FRAMES = 16  # successive ones: noise shows in their differences, and a wa
 BLOCK_PERIOD_S = 1.0  # from block to block at least: what looks at blocks costs a few microseconds a frame
 DIFFERENCE_VARIANCE = 70.0  # of fourth differences, over that of the noise
 KNOWN_BLOCKS = 20  # before which noise is not judged
-MEDIAN_VARIANCE = (
-    0.855  # median over mean of a block's variance: 2e5 blocks of white noise, as in `Block.variance`
-)
+MEDIAN_VARIANCE = 0.855  # median over mean of `Block.variance`: 2e5 blocks of white noise
 MAX_UNEVENNESS = 1.5  # longest over shortest period, above which a load that moves changes readings like noise
 REST_SIGMAS = 2.0  # of the noise, which the mean of a block strays from no load by if anything lies there
 MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that

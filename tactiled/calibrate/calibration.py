@@ -23,9 +23,7 @@ class Calibration:
     shear_n_per_count: float | None = None  # N along the skin for one count of shear; None: not known
     curves: Curves | None = field(default=None, compare=False)  # of each taxel
     noise_counts: NDArray[np.float64] | None = field(default=None, compare=False)  # (N,), until measured
-    no_loads: NDArray[np.float64] | None = field(
-        default=None, compare=False
-    )  # (N,) counts; None: `no_load` for all
+    no_loads: NDArray[np.float64] | None = field(default=None, compare=False)  # (N,) counts; None: `no_load`
 
     def __post_init__(self) -> None:
         """Refuse a gain or a noise that is impossible."""

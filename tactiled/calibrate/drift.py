@@ -21,9 +21,7 @@ BAND = 0.002  # that a free taxel may read beyond its noise
 FROZEN_RATE = 0.01 / 3600  # a second: what the common mode may miss of a loaded taxel's drift, 20 % of 5 % an hour
 MAX_MISSED = 0.10  # that it may have missed in all
 SENSITIVITY_STEP = 0.005  # of the common mode, over which a taxel's own drift is compared with it
-SENSITIVITY_PRIOR = (
-    0.0625  # of a taxel's noise squared: its zero's variance over that of sensitivities, 0.2 squared
-)
+SENSITIVITY_PRIOR = 0.0625  # of a taxel's noise squared: its zero's variance over that of sensitivities, 0.2^2
 MIN_LEARNERS = 0.9  # of the taxels must be free while sensitivities are learnt: others have no say in their mean
 MIN_SENSITIVITY = 0.1
 TIME_S = 200.0  # time constant of the zero and its rate, critically damped: a steady drift leaves no error
@@ -114,9 +112,7 @@ class DriftTracker:
         self._rate = np.zeros(size, np.float32)  # counts a second, of the zero
         self._moved = np.zeros(size, np.float32)  # running mean of what its zero moved, counts a second
         self._smooth = np.zeros(size, np.float32)  # running mean of the readings over the zeros
-        self._idle = np.zeros(
-            size, np.float32
-        )  # reading that slow motion alone, not faster than MAX_RATE, explains
+        self._idle = np.zeros(size, np.float32)  # reading that slow motion alone, within MAX_RATE, explains
         self._peak = np.zeros(size, np.float32)  # of a loaded taxel, forgotten with LIFT_S
         self._lifted_s = np.full(size, np.inf, np.float32)  # since most of its load has gone
         self._missed = np.zeros(size, np.float32)  # drift that a loaded taxel's zero may lack
@@ -141,10 +137,8 @@ class DriftTracker:
         weight = min(1.0, seconds / SMOOTHING_S)
         self._smooth += np.where(readable, weight * (reading - self._smooth), 0)
         loaded, below = self._outside(block, reading, sigma, weight)
-        was_loaded, self.state = (
-            self.state == State.LOADED,
-            self._judge(readable, loaded & readable, below, seconds),
-        )
+        was_loaded = self.state == State.LOADED
+        self.state = self._judge(readable, loaded & readable, below, seconds)
         unloaded = was_loaded & (self.state > State.LOADED)
         self._idle[unloaded] = self._smooth[unloaded] = reading[unloaded]
         self._follow(reading, gap, seconds)

@@ -15,9 +15,7 @@ Quantity = Literal["force_n", "pressure_kpa"]
 QUANTITIES = get_args(Quantity)
 ABSOLUTE_FROM_S = 1e8  # clocks that read more count from 1970, so two of them can be compared
 MAX_CLOCK_OFFSET_S = 30.0  # of two such clocks; more is another zone or day
-MIN_CORRELATION = (
-    0.9  # of the log with the readings: of 60 unrelated pairs one reached 0.82; 20 % of hysteresis, 0.997
-)
+MIN_CORRELATION = 0.9  # of log and readings: of 60 unrelated pairs one reached 0.82; 20 % of hysteresis, 0.997
 MIN_OVERLAP = 0.5  # of the shorter of recording and log
 AMBIGUOUS = 0.97  # of the best correlation: an alignment as good as this may be the true one
 MAX_SAMPLES = 20_000  # of a clock's search

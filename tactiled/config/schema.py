@@ -186,9 +186,7 @@ class Kernel(Section):
 
     model: Literal["fem", "layered", "measured"] = "fem"
     """Finite elements, the exact solution for flat layers, or the kernel of the calibration file."""
-    accuracy: Annotated[float, Bounds(1e-4, 0.1)] = (
-        1e-3  # of the gain; finer needs more elements than there may be
-    )
+    accuracy: Annotated[float, Bounds(1e-4, 0.1)] = 1e-3  # finer needs more elements than there may be
     """Largest error of the cover's gain."""
 
 
@@ -236,7 +234,7 @@ class Calibration(Section):
     file: FileBeside | None = None
     """Calibration file; a relative path starts at the folder of the configuration."""
     kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, PRESSURE, signed=True)] | None = (
-        None  # 2^30 counts a Pa to 1 GPa
+        None  # 2^30 counts a Pa, 1 GPa
     )
     """Pressure of one count, negative if counts fall under pressure; left out: 1 (`icub`: -1), with a warning."""
     no_load: Counts | None = None

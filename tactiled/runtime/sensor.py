@@ -81,9 +81,7 @@ class Sensor:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
         self.pipeline, self.hub, self.timings = Pipeline(plan), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
-        self.sends: Publisher[tuple[Image, float]] = (
-            Publisher()
-        )  # each to a client, and when (s), on the event loop
+        self.sends: Publisher[tuple[Image, float]] = Publisher()  # each to a client, and when (s): event loop
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
         self.regions = RegionMonitor(lambda: self.plan.cells)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open

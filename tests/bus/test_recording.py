@@ -69,9 +69,7 @@ def test_real_bytes_of_a_grasp_are_restored(plan, name, slices, place, rows):
     np.testing.assert_array_equal(frames[place].counts, counts)
     image = Pipeline(replace(plan, method="wiener")).process(frames[place])
     np.testing.assert_array_equal(image.raw, 245.0 - counts)  # pressure counts = no load - value
-    again = np.linalg.norm(
-        plan.blur.forward(image.restored) - image.raw
-    )  # nearer than the raw image blurred twice
+    again = np.linalg.norm(plan.blur.forward(image.restored) - image.raw)  # nearer than the raw one blurred twice
     assert again < 0.5 * np.linalg.norm(plan.blur.forward(image.raw) - image.raw)
 
 

@@ -95,9 +95,8 @@ def test_intervals_of_four_scenes_that_disagree_hold_as_often_as_they_say():
 def test_scenes_that_agree_are_as_uncertain_as_the_weight_of_cells():
     low, high = _fit(profiles(np.zeros(4), 40.0), CoverFamily(rubber(1.0))).interval
     moved = 40 / (2 * 500)  # by twice the weight
-    assert np.log(high / low) / 2 == pytest.approx(
-        3.18 * WEIGHT_ERROR * moved, rel=0.05
-    )  # Student's, 3 scenes free
+    students = 3.18  # 3 scenes are free
+    assert np.log(high / low) / 2 == pytest.approx(students * WEIGHT_ERROR * moved, rel=0.05)
 
 
 def test_gains_do_not_count_as_known_better_than_cells_explain_frames():
