@@ -86,11 +86,7 @@ def cached(
     `report` gets a line on a cache that cannot be read or written.
     """
     inputs = version("tactiled"), stack, model, accuracy, profile
-
-    def numbers_of_solution() -> Floats:
-        return _numbers(solve(stack, model, accuracy, profile))
-
-    numbers = cached_table(folder, inputs, numbers_of_solution, report, "kernel")
+    numbers = cached_table(folder, inputs, lambda: _numbers(solve(*inputs[1:])), report, "kernel")
     n, m, error, columns, rows, unknowns = numbers[:6, 0]
     q, gain, r, g, _ = np.split(numbers[6:, 0], np.cumsum([int(n), int(n), int(m), int(m)]))
     return Kernel(stack, model, q, gain, r, g, float(error), (int(columns), int(rows)), int(unknowns), profile)
