@@ -4,7 +4,7 @@ A point is a pressure that is the sum of S terms of one curve: of one taxel (S =
 all taxels under an indenter of known force. So every array here is (M points, N curves, S terms).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +34,6 @@ class Points:
     direction: NDArray[np.int8]  # (M,) 1: while pressure rises, -1: while it falls, 0: neither
     cluster: NDArray[np.int64]  # (M,) points of one plateau, press or time share their errors
     fold: NDArray[np.int64]  # (M,) points that are left out together to compare forms
-
-    def of(self, curves: NDArray[np.int64]) -> "Points":
-        """The points of some curves."""
-        return replace(self, counts=self.counts[:, curves])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

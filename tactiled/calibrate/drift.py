@@ -252,14 +252,13 @@ class _References:
     """What pads that feel no pressure say of the common mode, where too few taxels are free to show it."""
 
     def __init__(self) -> None:
-        self._smooth: float | None = None  # counts, mean over the pads
-        self._before = 0.0
+        self._smooth = np.nan  # counts, running mean over the pads
         self._anchor: tuple[float, float] | None = None  # smooth reference and common mode
         self._product = self._square = 0.0
 
     def learn(self, references: Floats | None, common: float, seconds: float) -> None:
         """Compare their change with the common mode's."""
-        if not self._follow(references, seconds) or self._smooth is None:
+        if self._follow(references, seconds) is None:
             return
         if self._anchor is None:
             self._anchor = self._smooth, common
@@ -272,15 +271,16 @@ class _References:
     def predict(self, references: Floats | None, seconds: float) -> float:
         """Rate (counts a second) of the common mode since the last block; 0 where their effect is not known."""
         self._anchor = None
-        followed = self._follow(references, seconds) and seconds > 0
-        if not followed or self._smooth is None or self._square < MIN_REFERENCE_SQUARE:
+        change = self._follow(references, seconds)
+        if change is None or not seconds or self._square < MIN_REFERENCE_SQUARE:
             return 0.0
-        return self._product / self._square * (self._smooth - self._before) / seconds
+        return self._product / self._square * change / seconds
 
-    def _follow(self, references: Floats | None, seconds: float) -> bool:
+    def _follow(self, references: Floats | None, seconds: float) -> float | None:
+        """By how much (counts) their running mean changes; None where no pad is read."""
         if references is None or not np.isfinite(references).any():
-            return False
+            return None
         mean = float(np.nanmean(references))
-        self._before = mean if self._smooth is None else self._smooth
-        self._smooth = self._before + min(1.0, seconds / TIME_S) * (mean - self._before)
-        return True
+        before = mean if np.isnan(self._smooth) else self._smooth
+        self._smooth = before + min(1.0, seconds / TIME_S) * (mean - before)
+        return self._smooth - before

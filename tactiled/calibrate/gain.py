@@ -1,7 +1,7 @@
 """Gain and curve of each taxel from a recording under uniform pressure: in known steps, or beside a log."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
     end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
     dead = ~(end >= DEAD_BELOW * np.median(end))
     live = np.flatnonzero(~dead)
-    alive = points.of(live)
+    alive = replace(points, counts=points.counts[:, live])
     form, scores = choose_form(alive, end[live])
     fitted = fit(alive, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
