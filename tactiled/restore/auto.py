@@ -14,7 +14,7 @@ from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.nonnegative import Nonnegative
-from tactiled.restore.points import TOO_THIN, Points
+from tactiled.restore.points import LEARNED_SPREAD_CELLS, TOO_THIN, Points
 from tactiled.restore.scene import Restored, Scene, pressed_noise_gain
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Filter, Wiener
@@ -39,7 +39,8 @@ class Auto:
         self._scene = scene
         self._wiener = Wiener(scene)
         self._sharp = _sharp(scene, self._wiener)
-        self.loads = Points(scene)
+        is_learned = isinstance(self._sharp, learned.Learned)
+        self.loads = Points(scene, LEARNED_SPREAD_CELLS) if is_learned else Points(scene)
         size = scene.flat.size
         self._taxel_ones = np.ones(size, np.float32)
         self._peak = detection_threshold(scene.noise, size)
@@ -97,6 +98,8 @@ class Auto:
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
+        if isinstance(sharp, learned.Learned):
+            done += sharp.restore_again()
         gain = pressed_noise_gain(sharp.image, filter_.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
 

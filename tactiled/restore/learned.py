@@ -82,7 +82,7 @@ class Convolution:
         self._filtered = np.zeros((filters, length), np.float32)
         self._maps = np.zeros((KERNEL**2, length), np.float32)
         self._kernels = np.zeros((filters, KERNEL**2 * INPUTS + 1), np.float32)
-        self._zero = np.zeros((), np.float32)
+        self._zeros = np.zeros_like(self._filtered)  # to compare with an array takes a quarter of the time
 
         def inner(flat: Image) -> Image:
             return flat[:, margin:-margin].reshape(-1, rows, line)[:, :, :columns]
@@ -106,7 +106,7 @@ class Convolution:
         np.multiply(redraw, tuned[:filters, None], out=self._kernels[:, :-1])
         self._kernels[:, -1] = tuned[filters:]
         self._kernels.dot(self._shifted, self._filtered)
-        np.maximum(self._filtered, self._zero, out=self._filtered)
+        np.maximum(self._filtered, self._zeros, out=self._filtered)
         draw.dot(self._filtered, self._maps)
         np.add.reduce(self._summands, axis=(0, 1), out=out)
 
@@ -118,12 +118,12 @@ class Conditions:
         self.values = np.concatenate([np.ones(OF_FRAME, np.float32), cover_gains(scene.blur)])
         self._scene = scene
         self._ones, self._pressed = (np.ones(scene.blur.surface_shape, np.float32) for _ in range(2))
-        self._zero = np.zeros((), np.float32)
+        self._zeros = np.zeros_like(self._ones)
 
     def __call__(self, linear: Image, noise_gain: float, scale: float) -> NDArray[np.float32]:
         """Give those of the scene's frame, by its linear image, whose largest value is `scale` (kPa)."""
         spectrum, pressed = self._scene.spectrum, self._pressed.reshape(-1)
-        np.maximum(linear, self._zero, out=self._pressed)
+        np.maximum(linear, self._zeros, out=self._pressed)
         total, squares = float(pressed.dot(self._ones.reshape(-1))), float(pressed.dot(pressed))
         share = total**2 / (squares * pressed.size) if squares else 1.0
         self.values[0] = log(self._scene.noise / scale) / 3 + 1.5
@@ -160,7 +160,9 @@ class Learned:
         self._modes = self._analyse.empty()
         self._c, self._change, self._divisor = (np.empty_like(scene.c) for _ in range(3))
         self._addend, self.image = (np.zeros((rows, columns), np.float32) for _ in range(2))
-        self._zero, self._factor = np.zeros((), np.float32), np.zeros((), np.float32)
+        self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
+        self._no_units = np.zeros(len(self._hidden) - 1, np.float32)
+        self._scale, self._is_wrong = 1.0, False  # kPa; whether the last image does not explain its frame
 
     def prepare(self) -> None:
         """Nothing is needed beforehand."""
@@ -168,27 +170,31 @@ class Learned:
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives the stages run."""
         scene, factor = self._scene, self._factor
-        scale = max(linear.item(linear.argmax()), scene.noise)
-        factor[()] = 1 / scale
-        _, _, start = self._convolve.images
-        np.multiply(linear, factor, out=start)
+        self._scale = max(linear.item(linear.argmax()), scene.noise)
+        factor[()] = 1 / self._scale
+        np.multiply(linear, factor, out=self._convolve.images[-1])
         np.multiply(scene.c, factor, out=self._c)
-        conditions, noise = self._conditions(linear, self._wiener.filter().noise_gain, scale), scene.noise / scale
-        done = self._run(self._exact, conditions, noise)
-        if not scene.cut_short and self._misfit() > MISFIT * noise**2 * self._c.size:
-            done += self._run(self._wary, conditions, noise)
-        factor[()] = scale
-        np.multiply(self.image, factor, out=self.image)
-        scene.keep_force(self.image.reshape(-1))
+        self._conditions(linear, self._wiener.filter().noise_gain, self._scale)
+        done = self._run(self._exact)
+        self._is_wrong = self._misfit() > MISFIT * (scene.noise / self._scale) ** 2 * self._c.size
+        self._finish()
         return done
 
-    def _run(self, trained: Weights, conditions: NDArray[np.float32], noise: float) -> int:
+    def restore_again(self) -> int:
+        """Make the image anew where it does not explain the frame, as the model is wrong; gives the stages run."""
+        if not self._is_wrong or self._scene.cut_short:
+            return 0
+        done = self._run(self._wary)
+        self._finish()
+        return done
+
+    def _run(self, trained: Weights) -> int:
         """Make the image, over its scale, by all stages that there is time for; gives their number."""
-        image, done, (span, middle) = self.image, 0, FIRMNESS
+        image, noise, done, (span, middle) = self.image, self._scene.noise / self._scale, 0, FIRMNESS
         consistent, redrawn, start = self._convolve.images
-        self._tune(trained, conditions)
+        self._tune(trained, self._conditions.values)
         np.copyto(redrawn, start)
-        np.maximum(start, self._zero, out=image)
+        np.maximum(start, self._zeros, out=image)
         while done < len(self._tuned) and not self._scene.cut():
             if done:
                 np.copyto(redrawn, image)
@@ -197,14 +203,20 @@ class Learned:
             self._convolve(trained.redraw[done], trained.draw[done], self._tuned[done, :-1], self._addend)
             np.add(image, self._addend, out=image)
             done += 1
-        np.maximum(image, self._zero, out=image)
+        np.maximum(image, self._zeros, out=image)
         return done
+
+    def _finish(self) -> None:
+        """Give the image its scale, and hold it to the frame's force."""
+        self._factor[()] = self._scale
+        np.multiply(self.image, self._factor, out=self.image)
+        self._scene.keep_force(self.image.reshape(-1))
 
     def _tune(self, trained: Weights, conditions: NDArray[np.float32]) -> None:
         """Fit the stages to a frame's conditions: a layer of hidden units that are cut off below zero."""
         np.clip(conditions, trained.lowest, trained.highest, out=self._input[:-1])
         self._input.dot(trained.hidden, self._hidden[:-1])
-        np.maximum(self._hidden[:-1], self._zero, out=self._hidden[:-1])
+        np.maximum(self._hidden[:-1], self._no_units, out=self._hidden[:-1])
         self._hidden.dot(trained.tune, self._tuned.reshape(-1))
 
     def _misfit(self) -> float:

@@ -71,7 +71,7 @@ class Scene:
         self.spectrum = self.prior.spectra[0]
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
         self._reach, self._pressed = blur.reach.reshape(-1), np.empty(blur.reach.size, np.float32)
-        self._factor, self._zero = np.zeros((), np.float32), np.zeros((), np.float32)
+        self._factor, self._zeros = np.zeros((), np.float32), np.zeros_like(self._pressed)
         self._resolution: dict[Spectrum, float] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
@@ -141,7 +141,7 @@ class Scene:
             np.sign(flat, out=pressed)
             factor[()] = missed / float(self._reach.dot(pressed))
             np.add(flat, factor, out=flat)
-            np.maximum(flat, self._zero, out=flat)
+            np.maximum(flat, self._zeros, out=flat)
         if scale != 1.0:
             factor[()] = scale
             np.multiply(flat, factor, out=flat)

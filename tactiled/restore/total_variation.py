@@ -45,7 +45,8 @@ class Edges:
         )
         self._rightward, self._downward = self._changes[: cells - 1], self._changes[part:][: cells - columns]
         self._row_ends = self._changes[:cells].reshape(shape)[:, -1]
-        self._step, self._zero, self._limit = (np.asarray(each, np.float32) for each in (DUAL_STEP, 0, 1))
+        self._step, self._limit = (np.asarray(each, np.float32) for each in (DUAL_STEP, 1))
+        self._zeros = np.zeros_like(self.x)
 
     def reset(self, weight: float) -> None:
         """Pull no more; let no pull be longer than `weight` from now on."""
@@ -60,7 +61,7 @@ class Edges:
         np.subtract(x, self._above, out=x)
         np.multiply(x, self._step, out=x)
         np.add(x, z, out=x)
-        np.maximum(x, self._zero, out=x)
+        np.maximum(x, self._zeros, out=x)
 
     def follow(self) -> None:
         """Move the pull on by the differences of x, then cut it to its limit."""
