@@ -73,10 +73,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def test_gains_that_nobody_calibrated_widen_the_interval():
-    array = grid(14, 14, 1.0)
-    presses, _ = pressed(array, 1.1, seed=5, gain_error=0.2)
+    array = grid(12, 12, 1.0)
+    presses, _ = pressed(array, 1.1, seed=5, count=8, gain_error=0.2)
     wide = fitted(presses, array, 1.1, Tip(1.6, 0.0), gain_error=0.2)
-    even, _ = pressed(array, 1.1, seed=5, gain_error=0.0)
+    even, _ = pressed(array, 1.1, seed=5, count=8, gain_error=0.0)
     narrow = fitted(even, array, 1.1, Tip(1.6, 0.0), gain_error=0.0)
     assert wide.interval[1] - wide.interval[0] > 2 * (narrow.interval[1] - narrow.interval[0])
     assert wide.interval_mm[0] < 1.1 < wide.interval_mm[1]
@@ -101,7 +101,7 @@ def test_a_press_of_something_else_is_put_aside_and_places_may_be_known():
 
 
 def test_notes_say_what_modulus_and_compressibility_do():
-    array = grid(14, 14, 1.0)
+    array = grid(12, 12, 1.0)
     presses, _ = pressed(array, 1.0, seed=7, count=8)
     board = fitted(presses, array, 1.0, Tip(1.6))
     assert any(note.startswith("the cover's Young's modulus does not matter") for note in board.notes)

@@ -1,4 +1,5 @@
 import json
+import shutil
 import subprocess
 import sys
 import tracemalloc
@@ -215,57 +216,72 @@ def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy)
     assert old.read_text() == "old"
 
 
+# An export in a fork of its own for each case, in which `fault` runs at frame 30; prints how each ended.
 WITH_FAULT = """
-import os, resource, shutil, signal, sys
+import json, os, resource, shutil, signal, sys, tempfile
 from pathlib import Path
 from tactiled.archive import export
 from tactiled.cli import app
 
-log, config, out, fault = sys.argv[1:]
 process = export.Pipeline.process
-def faulty(self, frame):
-    if frame.sequence == 30:
-        exec(fault)
-    return process(self, frame)
-export.Pipeline.process = faulty
-sys.argv = ["tactiled", "export", log, "--config", config, "-o", out]
-app.main()
+
+def run(log, config, out, fault):
+    def faulty(self, frame):
+        if frame.sequence == 30:
+            exec(fault, globals() | {"log": log, "out": out})
+        return process(self, frame)
+    export.Pipeline.process = faulty
+    sys.argv = ["tactiled", "export", log, "--config", config, "-o", out]
+    sys.exit(app.main())
+
+def ended(*case):
+    with tempfile.TemporaryFile("w+") as errors:
+        if (child := os.fork()) == 0:
+            os.dup2(errors.fileno(), 2)
+            run(*case)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        errors.seek(0)
+        return status, errors.read()
+
+print(json.dumps([ended(*case) for case in json.loads(sys.argv[1])]))
 """
 
 
 REMOVED, FULL = "shutil.rmtree(Path(out).parent)", "resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
+FAULTS = [
+    ("npz", "Path(out).write_text('old')", "is there already: name another file, or remove it first"),
+    ("mcap", REMOVED, "No such file or directory: nothing is written"),
+    ("npz", "Path(log).unlink()", "a.log: No such file or directory"),
+    ("npz", "os.kill(os.getpid(), signal.SIGTERM)", "interrupted"),
+    ("h5", "os.kill(os.getpid(), signal.SIGINT)", "interrupted"),
+    ("mcap", "os.kill(os.getpid(), signal.SIGKILL)", ""),
+    # a full disk, in bytes of 58 860, 52 840 and 33 551
+    ("npz", FULL.format(50_000), "File too large: nothing is written"),
+    ("h5", FULL.format(1000), "File too large: nothing is written"),
+    ("h5", FULL.format(50_000), "File too large: nothing is written"),
+    ("mcap", FULL.format(30_000), "File too large: nothing is written"),
+    ("rrd", FULL.format(10_000), "nothing is written"),
+]
 
 
-@pytest.mark.parametrize(
-    ("ending", "fault", "message"),
-    [
-        ("npz", "Path(out).write_text('old')", "is there already: name another file, or remove it first"),
-        ("mcap", REMOVED, "No such file or directory: nothing is written"),
-        ("npz", "Path(log).unlink()", "a.log: No such file or directory"),
-        ("npz", "os.kill(os.getpid(), signal.SIGTERM)", "interrupted"),
-        ("h5", "os.kill(os.getpid(), signal.SIGINT)", "interrupted"),
-        ("mcap", "os.kill(os.getpid(), signal.SIGKILL)", ""),
-        # a full disk, in bytes of 58 860, 52 840 and 33 551
-        ("npz", FULL.format(50_000), "File too large: nothing is written"),
-        ("h5", FULL.format(1000), "File too large: nothing is written"),
-        ("h5", FULL.format(50_000), "File too large: nothing is written"),
-        ("mcap", FULL.format(30_000), "File too large: nothing is written"),
-        ("rrd", FULL.format(10_000), "nothing is written"),
-    ],
-)
-def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, config, lossy, ending, fault, message):
-    out = tmp_path / "out" / f"a.{ending}"
-    out.parent.mkdir()
-    command = [sys.executable, "-c", WITH_FAULT, *map(str, (lossy, config, out)), fault]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=BUSY_S)
-    if "SIGKILL" in fault:
-        assert (done.returncode, out.exists()) == (-9, False)
-        return
-    assert done.returncode == (130 if "kill" in fault else 2), done
-    assert len(done.stderr.splitlines()) == 1, done.stderr
-    assert message in done.stderr
-    files = list(out.parent.iterdir()) if out.parent.exists() else []
-    assert [each.read_text() for each in files] == (["old"] if "old" in fault else [])
+def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, config, lossy):
+    outs = [tmp_path / str(number) / f"a.{ending}" for number, (ending, *_) in enumerate(FAULTS)]
+    cases = []
+    for out, (_, fault, _) in zip(outs, FAULTS, strict=True):
+        out.parent.mkdir()
+        log = shutil.copy(lossy, tmp_path / f"{out.parent.name}.a.log")
+        cases.append([*map(str, (log, config, out)), fault])
+    command = [sys.executable, "-c", WITH_FAULT, json.dumps(cases)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=4 * BUSY_S, check=True)
+    for (_, fault, message), out, (status, errors) in zip(FAULTS, outs, json.loads(done.stdout), strict=True):
+        if "SIGKILL" in fault:
+            assert (status, out.exists()) == (-9, False)
+            continue
+        assert status == (130 if "kill" in fault else 2), (fault, errors)
+        assert len(errors.splitlines()) == 1, (fault, errors)
+        assert message in errors, fault
+        files = list(out.parent.iterdir()) if out.parent.exists() else []
+        assert [each.read_text() for each in files] == (["old"] if "old" in fault else []), fault
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def url(rig, tmp_path):
     rig.stale_after(BUSY_S)
     rig.service.state = StateFile(tmp_path / "state.json")
     server = Server(port=0, recordings=tmp_path / "recordings", control_per_minute=0)
-    with rig.playing(50), running(rig.service, server) as url:
+    with rig.playing(10), running(rig.service, server) as url:
         until(lambda: rig.sensor.hub.latest())
         yield url
 
