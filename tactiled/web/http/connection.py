@@ -119,7 +119,9 @@ class Connection(asyncio.Protocol):
             self._arrange_reading()
 
     def upgrade(self, protocol: WebSocket) -> None:
-        """Go on as a WebSocket."""
+        """Go on as a WebSocket; what came right behind its handshake waits for the answer."""
+        assert isinstance(self._inner, Http)
+        self._backlog[:0] = self._inner.conn.trailing_data[0]
         self._inner = protocol
         self.update()
 

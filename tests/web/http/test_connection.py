@@ -18,7 +18,7 @@ from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, State
 from tactiled.web.server import running
-from tests.attack.wire import PING, TEXT, frame
+from tests.attack.wire import CLOSE, PING, TEXT, frame
 from tests.conftest import BUSY_S, ask
 from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
 
@@ -213,3 +213,11 @@ def test_a_handshake_after_another_request_is_accepted(url, caplog):
         answers = read_all(end)
     assert answers.count(b"HTTP/1.1 200") == answers.count(b"HTTP/1.1 101") == 1
     assert not [each for each in caplog.records if each.name != "tactiled.events"]
+
+
+def test_frames_that_come_with_a_handshake_are_read_behind_its_answer(url):
+    with plug(url) as end:
+        end.sendall(f"{UPGRADE}\r\n".encode() + frame(PING, b"here") + frame(CLOSE, b"\x03\xe8"))
+        head, _, frames = read_all(end).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 101 ")
+    assert b"\x8a\x04here" in frames
