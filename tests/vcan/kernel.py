@@ -60,7 +60,8 @@ def main(command: list[str]) -> int:
     """Boot, run, print, return the command's exit status."""
     if not command:
         sys.exit(__doc__)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # ends the kernel, too
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))  # ends the kernel, too
     with tempfile.TemporaryDirectory(prefix="vcan-", dir="/tmp") as folder:
         home = Path(folder)
         job = {"command": command, "folder": str(Path.cwd()), "environment": dict(os.environ)}
