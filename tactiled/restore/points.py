@@ -79,7 +79,7 @@ class Points:
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
         self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
-        self._before: Floats | None = None  # places of a fit that stood or was cut short
+        self._before: Floats | None = None  # places of a fit that stood or was cut short, in the frame before
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
@@ -95,23 +95,19 @@ class Points:
             self._pause -= 1
             return 0
         before, self._before = self._before, None
-        done = self._try(self._fitter, y, before) if before is not None else 0
-        if self.loads is None and not self._scene.cut_short and (places := self._peaks(image)):
-            done += self._try(self._fitter, y, np.array(places))
+        done = 0
+        if peaks := self._peaks(image):
+            places = np.array(peaks)
+            start = before if before is not None and _are_near(before, places) else places
+            done, fit = self._fitter(y, start, self._model, MAX_STEPS)
+            if self._scene.cut():
+                self._before = self._fitter.places
+            elif fit is not None and (loads := self._accepted(self._fitter, fit, y)):
+                self.loads, self._before = loads, loads.places
         self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
         if self._cuts == MAX_CUTS:
             self._cuts, self._pause = 0, PAUSE_FRAMES
         return done if self.loads else 0
-
-    def _try(self, fitter: Fitter, y: Image, places: Floats) -> int:
-        """Fit loads from places on, and keep them if they stand; gives the steps made."""
-        done, fit = fitter(y, places, self._model, MAX_STEPS)
-        cut = self._scene.cut()
-        if fit is not None and not cut:
-            self.loads = self._accepted(fitter, fit, y)
-        if cut or self.loads:
-            self._before = self.loads.places if self.loads else fitter.places
-        return done
 
     def _peaks(self, image: Image) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
@@ -224,6 +220,13 @@ def _neighbours(places: Floats, reach: Floats) -> float:
     """How many others a load has that are nearer than the root of both squared reaches (n,), in the mean."""
     apart = ((places[:, None] - places) ** 2).sum(axis=-1)
     return float((apart <= reach[:, None] + reach).sum() / len(places) - 1)
+
+
+def _are_near(before: Floats, places: Floats) -> bool:
+    """Whether loads before are as many as an image's peaks, each of them within a pitch of one."""
+    if len(before) != len(places):
+        return False
+    return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < 1).all())
 
 
 def _touching(places: list[tuple[float, float]]) -> float:
