@@ -23,10 +23,13 @@ from tactiled.restore.wiener import Filter, Wiener
 WORTH = 0.005  # 0.02 spares 4 % of the time, and in 0.2 % noise costs a sixth more error
 RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin cover is right often enough
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
+EDGE_SIGMAS = 4.0  # standard deviations that a frame is higher on its border than two taxels within
+EDGE_SIDE = 8  # taxels a side: a smaller array is border for the most part
 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
 SPOTS = "small spots under so thin a cover: no frame tells where on their taxels they are"
+PAST_EDGE = "a contact's middle is past the edge: what presses outside cannot be told"
 WIENER = "smooth contact: {:.1%} of the Wiener-filtered image is below zero"
 SHARP = "sharp contact: {:.1%} of the Wiener-filtered image is below zero"
 LOADS = "isolated indenters: {} explain the frame down to its noise"
@@ -88,6 +91,8 @@ class Auto:
             return Restored(y, "raw", RAW.format(spared), 0, 1.0, resolution)
         if self._too_thin and self._scene.spotted:
             return Restored(y, "raw", SPOTS, 0, 1.0, resolution)
+        if self._unrefined and self._is_past_edge(y):
+            return Restored(y, "raw", PAST_EDGE, 0, 1.0, resolution)
         linear = self._wiener()
         negative = self._negative(linear)
         if negative < WORTH:
@@ -102,6 +107,15 @@ class Auto:
             done += sharp.restore_again()
         gain = pressed_noise_gain(sharp.image, filter_.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
+
+    def _is_past_edge(self, y: Image) -> bool:
+        """Whether a frame of a grid is highest on its border, and rises to there."""
+        if y.ndim != 2 or min(y.shape) < EDGE_SIDE:
+            return False
+        at = divmod(int(y.argmax()), y.shape[1])
+        if not any(place in (0, n - 1) for place, n in zip(at, y.shape, strict=True)):
+            return False
+        return y.item(at) - float(y[2:-2, 2:-2].max()) > EDGE_SIGMAS * self._scene.noise
 
     def _spared(self, filter_: Filter) -> float:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from tactiled.frames import DEAD
-from tactiled.restore.auto import WORTH
+from tactiled.restore.auto import PAST_EDGE, WORTH
 from tactiled.restore.methods import METHODS, make
-from tactiled.study.skin import nrmse
+from tactiled.restore.points import MAX_STEPS
+from tactiled.study.skin import nrmse, rubber
 from tests.study.presses import presses
 
 SIGMA = 0.5
@@ -94,6 +95,28 @@ def test_a_dead_taxel_keeps_no_pad_from_being_idle(covered, sensed):
     assert auto(frame, flags).method == "idle"
 
 
+@pytest.mark.parametrize("thickness", [1.0, 3.0])
+@pytest.mark.parametrize("past", [0.5, 2.0])
+def test_a_contact_whose_middle_is_past_the_edge_stays_raw(thickness, past):
+    """Every method draws it on the last row, up to five times as far from the truth as the raw image is."""
+    larger, skin = rubber(thickness, 40), rubber(thickness, 24)
+    for middle, expected in ((past, True), (-6, False)):
+        distance = np.hypot(larger.surface.x - 12 - middle, larger.surface.y - 1.3)
+        fine = np.where(distance < 3, 100.0, 0.0)
+        frame = larger.surface.sense(fine).reshape(40, 40)[8:-8, 8:-8]
+        sigma = 0.01 * frame.max()
+        frame = (frame + np.random.default_rng(1).normal(0, sigma, frame.shape)).astype(np.float32)
+        done = make("auto", skin.blur, sigma)(frame)
+        assert (done.why == PAST_EDGE) == expected
+        assert (done.method == "raw") == expected
+
+
+@pytest.mark.parametrize("truth", [np.full(SHAPE, 30.0), 30.0 * (np.arange(24) > 11) * np.ones(SHAPE)])
+def test_what_only_reaches_to_the_edge_is_restored(covered, sensed, truth):
+    for sigma in (0.05, SIGMA, 3.0):
+        assert make("auto", covered(SHAPE), sigma)(sensed(truth, sigma=sigma)).why != PAST_EDGE
+
+
 def test_discs_in_strong_noise_are_nearer_to_the_truth_than_raw_in_the_mean():
     """Of 1.5 to 3.5 pitches, under a cover of three, in 10 % noise: the smallest may be drawn as a spike."""
     ratios = []
@@ -108,6 +131,16 @@ def test_discs_in_strong_noise_are_nearer_to_the_truth_than_raw_in_the_mean():
 def two_indenters():
     press = next(each for each in presses(24, (1.0,), (0.002,), 6, seed=2) if each.scene == "points")
     return press, make("points", press.blur, press.sigma)(press.frame)
+
+
+def test_where_a_fit_stands_the_network_runs_once(two_indenters):
+    """Its image of points in little noise does not explain the frame, but no second one is needed."""
+    press, _ = two_indenters
+    network = make("learned", press.blur, press.sigma)(press.frame)
+    done = make("auto", press.blur, press.sigma)(press.frame)
+    assert network.iterations == 6
+    assert done.method == "points"
+    assert done.iterations <= 3 + MAX_STEPS
 
 
 def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
