@@ -23,7 +23,8 @@ from tactiled.restore.wiener import Filter, Wiener
 WORTH = 0.005  # 0.02 spares 4 % of the time, and in 0.2 % noise costs a sixth more error
 RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin cover is right often enough
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
-EDGE_SIGMAS = 4.0  # standard deviations that a frame is higher on its border than two taxels within
+EDGE_SIGMAS = 4.0  # standard deviations that a frame is higher on its border than RIM taxels within
+RIM = 2  # taxels
 EDGE_SIDE = 8  # taxels a side: a smaller array is border for the most part
 
 IDLE = "no contact above the noise"
@@ -115,7 +116,7 @@ class Auto:
         at = divmod(int(y.argmax()), y.shape[1])
         if not any(place in (0, n - 1) for place, n in zip(at, y.shape, strict=True)):
             return False
-        return y.item(at) - float(y[2:-2, 2:-2].max()) > EDGE_SIGMAS * self._scene.noise
+        return y.item(at) - float(y[RIM:-RIM, RIM:-RIM].max()) > EDGE_SIGMAS * self._scene.noise
 
     def _spared(self, filter_: Filter) -> float:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""

@@ -22,6 +22,7 @@ MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of 
 LEARNED_SPREAD_CELLS = 3.5  # the same in the network's: of 35 fits to more spread none stood, of 197 to less 107
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
+MAX_MOVE = 1.0  # pitches from a load of the frame before to a peak: one further away is another load's
 TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
 REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
 MAX_NEIGHBOURS = 1.2  # that touch, in the mean; a pair has one, a chain of three 4/3: that is one contact
@@ -223,10 +224,10 @@ def _neighbours(places: Floats, reach: Floats) -> float:
 
 
 def _are_near(before: Floats, places: Floats) -> bool:
-    """Whether loads before are as many as an image's peaks, each of them within a pitch of one."""
+    """Whether loads before are as many as an image's peaks, each of them within MAX_MOVE of one."""
     if len(before) != len(places):
         return False
-    return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < 1).all())
+    return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < MAX_MOVE**2).all())
 
 
 def _touching(places: list[tuple[float, float]]) -> float:

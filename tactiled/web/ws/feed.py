@@ -191,11 +191,13 @@ class Feeds(dict[str, Feed]):
         sensors = self._service.sensors
         if sensors is self._sensors:
             return
-        before, self._sensors = self.copy(), sensors
+        now = {
+            name: self[name] if name in self and self[name].sensor is sensor else Feed(sensor, self._images)
+            for name, sensor in sensors.items()
+        }
+        self._sensors = sensors
         self.clear()
-        for name, sensor in sensors.items():
-            goes_on = name in before and before[name].sensor is sensor
-            self[name] = before[name] if goes_on else Feed(sensor, self._images)
+        self.update(now)
         for changed in tuple(self._listeners):
             changed()
 
