@@ -96,7 +96,7 @@ def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -
         cutoff = min(GAUSSIAN_END * high, kernel.q[-1], MAX_CYCLES / np.sqrt(side * max(side, array.width)))
         reach = REACH / (low or high) + (side + array.width) / 2
         frequency = np.arange(int(cutoff * 2 * reach) + 2) / (2 * reach)
-        u, v = np.meshgrid(frequency, frequency)
+        u, v = np.meshgrid(frequency, frequency, sparse=True)
         q = np.hypot(u, v)
         window = np.exp(-((q / high) ** 2)) - (np.exp(-((q / low) ** 2)) if low else 0.0)
         spectrum = window * kernel.gain_at(q) * _footprints(array, side, u, v)

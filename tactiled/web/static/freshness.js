@@ -1,8 +1,23 @@
 /** Which image may still be shown as the present: none that waited on its way, or for a page that stood still. @module */
 
+/** @import { Status } from "./sensor_stream.js" */
+
 const MAX_DELAY_S = 0.08; // behind the quickest image, which took some ms itself: no more than 0.1 in all
 const CLOCK_DRIFT = 1e-3; // that the two clocks' rates may differ by
 const MAX_RETRIES = 4; // requests for a newer image between two paintings; then a late one is painted
+
+const NEWER_MS = 500; // that a newer image may take to come
+
+/**
+ * Whether an image that came some time ago is the newest there is, late or not.
+ * @param {Status} status the newest one
+ * @param {number} sequence of the image
+ * @param {number} waited_ms since it came
+ * @returns {boolean}
+ */
+export function isNewest(status, sequence, waited_ms) {
+  return status.state !== "live" || (status.sequence === sequence && waited_ms > NEWER_MS);
+}
 
 /** Times are Unix s: `sent` by the service's clock, `now` by this browser's. */
 export class Freshness {

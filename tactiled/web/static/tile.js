@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { DisplayRange } from "./display_range.js";
 import { element, setText } from "./dom.js";
 import { fixed } from "./format.js";
-import { Freshness } from "./freshness.js";
+import { Freshness, isNewest } from "./freshness.js";
 import { Plane } from "./geometry.js";
 import { CONNECTING, healthOf } from "./health.js";
 import { Heatmap } from "./heatmap.js";
@@ -76,7 +76,7 @@ export class Tile {
     this._recent = new Warnings();
     /** @type {string[]} */
     this._warnings = [];
-    this._sent = NaN;
+    this._sent = this._sequence = NaN; // of the newest image
     this._unpainted = false;
     this._values = new Float32Array(0);
     this._shear = new Float32Array(0);
@@ -89,7 +89,8 @@ export class Tile {
         this._status = status;
         this._warnings = this._recent.hold(status.warnings, performance.now());
         this._statusAt = performance.now();
-        if (status.state !== "live" && this._freshness.heldBack) this._show();
+        const waited = this._statusAt - this._imageAt;
+        if (this._freshness.heldBack && isNewest(status, this._sequence, waited)) this._show();
       },
       onLink: () => this._request(),
     });
@@ -181,6 +182,7 @@ export class Tile {
   _takePressures(image, plane) {
     this._values.set(image.values);
     this._sent = image.sent;
+    this._sequence = image.sequence;
     this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
     if (image.unit !== this.unit) this._range.reset(); // a calibration was applied
