@@ -1,4 +1,4 @@
-"""Point loads fitted to a frame y by damped Gauss-Newton: min |y - sum f_i r(x_i)|^2 over places x, forces f."""
+"""Point loads fitted to a frame y by Gauss-Newton steps: min |y - sum f_i r(x_i)|^2 over places x, forces f."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,15 +10,11 @@ from tactiled.restore.point_response import PointResponse
 
 # All chosen on the scenes of `python -m tests.study judge --family first`.
 MAX_POINTS = 8
-EARLY_STEPS = 3  # after which a step that takes off less than
-MIN_PROGRESS = 0.2  # of the residual's square, while that is
-HOPELESS = 4.0  # times what noise leaves, is the last
-INITIAL_DAMPING = 0.03  # of a point's response, per square pitch
-DAMPING_FACTOR = 0.3  # times the damping after a step that helped
-MIN_GAIN = 2.0  # of the noise's variance: a step that takes less off the residual's square is the last
-SETTLED = 0.01  # pitches: a step that moves no point further is the last
-MAX_STEP = 0.5  # pitches that one step may move a point
-FORCE_SIGMAS = 4.0  # standard deviations that a point's force must stand out by
+MAX_STEPS = 3  # at places read off an image, and at those that each step moves the loads to
+PEAK_ERROR = 0.25  # pitches, standard deviation of a load's place from the peak that it was read off
+SETTLED = 0.05  # pitches: what moves no load further is as good as linear
+MAX_STEP = 0.5  # pitches that one step may move a load
+FORCE_SIGMAS = 4.0  # standard deviations that a load's force must stand out by
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
 
 
@@ -32,27 +28,6 @@ class Fit(NamedTuple):
     right: Floats
 
 
-class _Step(NamedTuple):
-    """Loads on the way to a fit, and the products of their frames and slopes."""
-
-    places: Floats  # (n, 2), pitches
-    force: Floats
-    residual: float  # of the frame, squared
-    gram: Floats  # (3 n, 3 n) of unit frames, and their slopes down and across
-    right: Floats  # (3 n,) of these and the residual
-
-    def move(self, damping: float) -> Floats:
-        """Give the move (n, 2) of the loads; the damping also holds those whose response is flat about them."""
-        n = len(self.force)
-        scale = np.concatenate([np.ones(n), self.force, self.force])
-        damped = scale[:, None] * scale * self.gram
-        stiff = np.tile(damped.diagonal()[:n], 3)
-        stiff[:n] *= RIDGE
-        stiff[n:] *= damping * scale[n:] ** 2
-        damped.flat[:: 3 * n + 1] += stiff
-        return np.asarray(np.linalg.solve(damped, scale * self.right)[n:].reshape(2, n).T, float)
-
-
 class Fitter:
     """Fits loads to frames (R, C) of a `noise` (kPa); `jacobian` and `residual` are those of the last fit."""
 
@@ -64,76 +39,51 @@ class Fitter:
         self.jacobian = np.empty((4 * MAX_POINTS, rows * columns), np.float32)
         self.residual = np.empty(rows * columns, np.float32)
 
-    def __call__(self, y: Image, places: Floats, model: float, steps: int) -> tuple[int, Fit | None]:
-        """Give the steps made from `places` (n, 2), at most `steps`, and the fit that they led to.
-
-        `model` is what the response itself may miss of the frame's square (kPa^2).
-        """
-        variance = self._noise**2
-        damping, best = INITIAL_DAMPING, None
-        done = 0
-        while done < steps:
-            self.places = places
-            if self._cut():
-                return done, None
+    def __call__(self, y: Image, places: Floats) -> tuple[int, Fit | None]:
+        """Give the steps made from `places` (n, 2), and the fit that they led to."""
+        done, force = 0, np.empty(0)
+        self.places = places
+        while not self._cut():
             done += 1
-            n = len(places)
-            A = self._responses(places)
-            J = A.reshape(3 * n, -1)
-            gram = np.asarray(J @ J.T, float)
-            along = np.asarray(J @ y, float)
+            n = len(self.places)
+            J = self.jacobian[: 3 * n]
+            self.places = self._response.jacobian(self.places, J.reshape(3, n, -1))
+            gram, along = np.asarray(J @ J.T, float), np.asarray(J @ y, float)
             force = np.asarray(np.linalg.solve(ridged(gram[:n, :n]), along[:n]), float)
             clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal()[:n])
             if not clear.all():
-                best, places = None, places[clear]
-                if not len(places):
+                self.places = self.places[clear]
+                if done == MAX_STEPS or not len(self.places):
                     break
                 continue
-            residual = self._subtract(y, force)
-            if best is None or residual <= best.residual:
-                gain = best.residual - residual if best else np.inf
-                best = _Step(places, force, residual, gram, along - gram[:, :n] @ force)
-                damping *= DAMPING_FACTOR
-                if gain < MIN_GAIN * (variance + model / y.size):
-                    break
-                slow = done >= EARLY_STEPS and gain < MIN_PROGRESS * residual
-                if slow and residual > HOPELESS * (variance * y.size + model):
-                    break
-            else:
-                damping /= DAMPING_FACTOR**2
-            step = best.move(damping)
+            if done == MAX_STEPS:
+                return done, self._finished(y, force)
+            step = self._step(gram, along - gram[:, :n] @ force, force)
             if np.abs(step).max() < SETTLED:
-                break
-            places = self.within(best.places + np.clip(step, -MAX_STEP, MAX_STEP))
-        return done, self._finished(y, best) if best else None
+                return done, self._finished(y, force)
+            self.places = self.within(self.places + step.clip(-MAX_STEP, MAX_STEP))
+        return done, None
 
-    def _finished(self, y: Image, best: "_Step") -> Fit:
-        """Give the fit of the best step, with what widths would do."""
-        n = len(best.force)
-        if best.places is not self.places:  # a step after it was tried and was worse
-            self._responses(best.places)
-            self._subtract(y, best.force)
-        self._response.jacobian(best.places, self.jacobian[3 * n : 4 * n].reshape(1, n, -1), first=3)
-        J, scale = self.jacobian[: 4 * n], np.concatenate([np.ones_like(best.force), *[best.force] * 3])
+    def _step(self, gram: Floats, right: Floats, force: Floats) -> Floats:
+        """Give how far (n, 2) to move the loads, each held near its peak."""
+        n, firm = len(force), ridged(gram)
+        firm.flat[n * (3 * n + 1) :: 3 * n + 1] += np.tile((self._noise / PEAK_ERROR / force) ** 2, 2)
+        return np.asarray((np.linalg.solve(firm, right)[n:].reshape(2, n) / force).T, float)
+
+    def _finished(self, y: Image, force: Floats) -> Fit:
+        """Give the fit at the last places, with what widths would do."""
+        n = len(force)
+        self._response.jacobian(self.places, self.jacobian[3 * n : 4 * n].reshape(1, n, -1), first=3)
+        np.subtract(y, force.astype(np.float32) @ self.jacobian[:n], out=self.residual)
+        residual = float(self.residual.dot(self.residual))
+        J, scale = self.jacobian[: 4 * n], np.concatenate([np.ones(n), force, force, force])
         normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
-        return Fit(best.places, best.force, best.residual, ridged(normal), right)
+        return Fit(self.places, force, residual, ridged(normal), right)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""
         rows, columns = self.shape
-        return np.clip(places, -0.5, (rows - 0.5, columns - 0.5))
-
-    def _responses(self, places: Floats) -> Image:
-        n = len(places)
-        A = self.jacobian[: 3 * n].reshape(3, n, -1)
-        self._response.jacobian(places, A)
-        return A
-
-    def _subtract(self, y: Image, force: Floats) -> float:
-        """Put in place what remains of a frame, the loads' last responses taken off; gives its square."""
-        responses = self.jacobian[: len(force)].reshape(-1, y.size)
-        np.subtract(y, force.astype(np.float32) @ responses, out=self.residual)
-        return float(self.residual.dot(self.residual))
+        return places.clip(-0.5, (rows - 0.5, columns - 0.5))
 
 
 def ridged(normal: Floats) -> Floats:

@@ -4,14 +4,13 @@ from math import pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import erf
+from scipy.special import ndtr
 
 from tactiled.restore.modes import Floats
 
 MIN_PLACE_ERROR = 0.05  # pitches: no place is known better than that
+FAR = 1e9  # cells: every load is within that of any
 MODEL_ERROR = 0.01  # of the frame's norm: what a model of a cover may miss it by
-
-_Shares = tuple[Floats, Floats, Floats]  # (n, cells) of each point along an axis, their slopes and curvatures
 
 
 class PointLoads(NamedTuple):
@@ -32,30 +31,37 @@ class PointImage:
         self._refine, self._noise = refine, noise
         self.image = np.empty(shape, np.float32)
         self.noise_gain = 0.0
+        rows, columns = shape
+        self._edges = np.concatenate([np.arange(rows + 1.0), np.arange(columns + 1.0)])
+        self._edges[[0, rows, rows + 1, -1]] = -FAR, FAR, -FAR, FAR  # what lies outside is in the last cells
+        self._axis = np.repeat([0, 1], [rows + 1, columns + 1])
+        self._down, self._across = slice(rows), slice(rows + 1, None)
         self._loads: PointLoads
-        self._down: _Shares
-        self._across: _Shares
+        self._shares: Floats  # (3, n, edges - 1): of each load in either axis' cells, their slopes and curvatures
 
     def __call__(self, loads: PointLoads) -> None:
         """Spread each point's force over the cells that it may be on, in proportion to how likely it is there."""
-        middles, spread = (loads.places + 0.5) * self._refine, loads.spread * self._refine
-        self._loads = loads
-        self._down, self._across = (
-            _share(n, middles[:, axis], spread[:, axis]) for axis, n in enumerate(self.image.shape)
-        )
-        self.image[...] = (loads.force[:, None] * self._refine**2 * self._down[0]).T @ self._across[0]
+        sigma = loads.spread[:, self._axis] * self._refine
+        z = (self._edges - (loads.places[:, self._axis] + 0.5) * self._refine) / sigma
+        density = np.exp(-0.5 * z * z) / (-sqrt(2 * pi) * sigma)
+        self._loads, self._shares = loads, np.diff(np.stack([ndtr(z), density, -density * z / sigma]))
+        share = self._shares[0]
+        force = loads.force[:, None] * self._refine**2
+        np.matmul((force * share[:, self._down]).T, share[:, self._across], out=self.image, casting="same_kind")
         self.noise_gain = self._gain()
 
     def _gain(self) -> float:
         """Give the image's noise over the frame's: it moves forces, places and width, and they the image."""
-        loads, moves = self._loads, (self._refine * self._loads.force) ** 2
-        rows, slopes_down, _ = ((each**2).sum(axis=1) for each in self._down)
-        columns, slopes_across, _ = ((each**2).sum(axis=1) for each in self._across)
-        moved = np.stack([rows * columns, moves * slopes_down * columns, moves * rows * slopes_across])
-        half = 0.5 * self._refine**2 * loads.force[:, None]  # a spread's square diffuses what it spreads
-        wider = (half * self._down[2]).T @ self._across[0] + self._down[0].T @ (half * self._across[2])
-        variance = float((loads.variance.T * moved).sum()) + loads.width * float((wider**2).sum())
-        return self._refine**2 * sqrt(loads.noise * variance / self.image.size) / self._noise
+        loads, k, squares = self._loads, self._refine, self._shares[:2] ** 2
+        down, across = squares[..., self._down].sum(axis=-1), squares[..., self._across].sum(axis=-1)
+        force, row, column = loads.variance.T
+        moves = (k * loads.force) ** 2
+        moved = force * down[0] * across[0] + moves * (row * down[1] * across[0] + column * down[0] * across[1])
+        half = 0.5 * k**2 * loads.force[:, None]  # a spread's square diffuses what it spreads
+        rows, columns = self._shares[..., self._down], self._shares[..., self._across]
+        wider = (half * rows[2]).T @ columns[0] + (half * rows[0]).T @ columns[2]
+        variance = float(moved.sum()) + loads.width * float(np.vdot(wider, wider))
+        return k**2 * sqrt(loads.noise * variance / self.image.size) / self._noise
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last drawn, by the fit.
@@ -63,22 +69,13 @@ class PointImage:
         Of force and place, the latter known to MIN_PLACE_ERROR at best, of the model, and of a load's shape: a
         share p of it that a cell is given may be out by p (1 - p).
         """
-        loads, (rows, slopes_down, _), (columns, slopes_across, _) = self._loads, self._down, self._across
-        force, squares = loads.force[:, None] ** 2, rows**2
+        loads, squares = self._loads, self._shares[:2] ** 2
+        (rows, slopes_down), (columns, slopes_across) = squares[..., self._down], squares[..., self._across]
+        force = loads.force[:, None] ** 2
         down, across = (force * self._refine**2 * np.maximum(loads.variance[:, 1:], MIN_PLACE_ERROR**2)).T[
             ..., None
         ]
-        share = squares.T @ ((loads.variance[:, :1] + (1 + MODEL_ERROR**2) * force) * columns**2)
-        shape = (rows**4).T @ (force * columns**4) - 2 * (rows**3).T @ (force * columns**3)
-        place = (slopes_down**2).T @ (down * columns**2) + squares.T @ (across * slopes_across**2)
+        share = rows.T @ ((loads.variance[:, :1] + (1 + MODEL_ERROR**2) * force) * columns)
+        shape = (rows**2).T @ (force * columns**2) - 2 * (rows**1.5).T @ (force * columns**1.5)
+        place = slopes_down.T @ (down * columns) + rows.T @ (across * slopes_across)
         return np.asarray(self._refine**2 * np.sqrt(np.maximum(share + shape + place, 0)))
-
-
-def _share(n: int, middle: Floats, sigma: Floats) -> _Shares:
-    """How likely values of those means and deviations lie in each of n cells, all in one; and how that changes."""
-    distance = (np.arange(n + 1.0) - middle[:, None]) / (sqrt(2) * sigma[:, None])
-    below = 0.5 * (1 + erf(distance))
-    slope = np.exp(-(distance**2)) / (sqrt(2 * pi) * sigma[:, None])
-    below[:, 0], below[:, -1] = 0, 1
-    slope[:, 0] = slope[:, -1] = 0
-    return np.diff(below), -np.diff(slope), -np.diff(slope * distance * sqrt(2) / sigma[:, None])

@@ -1,12 +1,13 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from tactiled.restore.modes import Floats, Image
 
-PHASES = 64  # places a pitch that are tabulated: between them, the slope
+PHASES = 64  # places a pitch that are tabulated
 ORDERS = (0, 0), (1, 0), (0, 1)  # of derivatives down and across, of the first three kinds
 HALF = np.float32(0.5)
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
@@ -16,7 +17,7 @@ class PointResponse:
     """Responses as sums of products of a column's and a row's part, each tabulated along its axis.
 
     Made from a stencil of cells `refine` times finer than the pitch: such a cell is the load. Places are counted
-    in pitches from the first taxel; a unit load is 1 kPa over a square of one pitch.
+    in pitches from the first taxel, in steps of 1 / PHASES; a unit load is 1 kPa over a square of one pitch.
     """
 
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
@@ -24,26 +25,27 @@ class PointResponse:
         U, s, Vt = np.linalg.svd(stencil * refine**2)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         along = U[:, :parts] * s[:parts], Vt[:parts].T
-        self._down, self._across = (_Axis(part, n, refine) for part, n in zip(along, shape, strict=True))
+        self._down, self._across = (_windows(part, n, refine) for part, n in zip(along, shape, strict=True))
 
-    def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
+    def jacobian(self, places: Floats, out: Image, first: int = 0) -> Floats:
         """Fill out (k, n, R C) with k of four kinds of frames of unit loads at `places` (n, 2), from `first` on.
 
         These are the frames themselves, their slopes down and across, and what they gain for each square pitch of
-        the load's variance along any axis: half the sum of the second derivatives.
+        the load's variance along any axis: half the sum of the second derivatives. Gives the tabulated places,
+        which are the nearest ones.
         """
-        nearest = (places * PHASES).round()
-        ahead = (places - nearest / PHASES).astype(np.float32)
-        rows, columns = nearest.astype(np.intp).T
-        down, across = self._down(rows, ahead[:, 0]), self._across(columns, ahead[:, 1])
+        at = (places * PHASES).round()
+        rows, columns = at.astype(np.intp).T
+        down, across = _at(self._down, rows), _at(self._across, columns)
         frames = out.reshape(-1, len(places), *self.shape)
         for (row, column), each in zip(ORDERS[first:], frames, strict=False):
-            np.matmul(down[row], across[column].swapaxes(1, 2), out=each)
+            np.matmul(down[:, row].swapaxes(1, 2), across[:, column], out=each)
         if first + len(out) > len(ORDERS):
             wider = frames[-1]
-            np.matmul(down[2], across[0].swapaxes(1, 2), out=wider)
-            np.add(wider, down[0] @ across[2].swapaxes(1, 2), out=wider)
+            np.matmul(down[:, 2].swapaxes(1, 2), across[:, 0], out=wider)
+            np.add(wider, down[:, 0].swapaxes(1, 2) @ across[:, 2], out=wider)
             np.multiply(wider, HALF, out=wider)
+        return np.asarray(at / PHASES)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
@@ -56,26 +58,22 @@ class PointResponse:
         return float(np.linalg.norm(across) / np.linalg.norm(second))
 
 
-class _Axis:
-    """One axis' factors, their slopes and curvatures, tabulated against a load's offset."""
+def _at(windows: Image, places: NDArray[np.intp]) -> Image:
+    """Give (n, 3, parts, taxels) for loads at `places` (n,), in phases from the first taxel."""
+    # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
+    taxels = windows.shape[-1]
+    turn, phase = np.divmod(taxels * PHASES - places, PHASES)
+    return windows[phase, turn]
 
-    def __init__(self, parts: Floats, n: int, refine: int) -> None:
-        self._table, self._n = np.asarray(_table(parts, n, refine), np.float32), n
 
-    def __call__(self, nearest: NDArray[np.intp], ahead: Image) -> Image:
-        """Give (3, n, taxels, parts) for loads at `nearest` phases, and a little `ahead`."""
-        # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
-        n, table = self._n, self._table
-        values = np.empty((3, len(nearest), n, table.shape[-1]), np.float32)
-        for load, place in enumerate(nearest.tolist()):
-            turn, phase = divmod(n * PHASES - place, PHASES)
-            values[:, load] = table[:, phase, turn : turn + n]
-        values[:2] += ahead[:, None, None] * values[1:]
-        return values
+def _windows(parts: Floats, n: int, refine: int) -> Image:
+    """Give (PHASES, n + 2, 3, parts, n): an axis' factors, slopes and curvatures at n taxels, for every place."""
+    table = np.asarray(_table(parts, n, refine), np.float32)
+    return sliding_window_view(table, n, axis=-1).transpose(0, 3, 1, 2, 4)
 
 
 def _table(parts: Floats, n: int, refine: int) -> Floats:
-    """Give values, slopes and curvatures (3, PHASES, 2n+1, parts) of an axis' factors, offsets n to -n-1."""
+    """Give values, slopes and curvatures (PHASES, 3, parts, 2n+1) of an axis' factors, offsets n to -n-1."""
     offsets = (np.arange(refine * (2 * n - 1)) - refine * (n - 1) - (refine - 1) / 2) / refine
     degree = min(3, len(offsets) - 1)
     spline = make_interp_spline(offsets, parts, k=degree)
@@ -84,6 +82,6 @@ def _table(parts: Floats, n: int, refine: int) -> Floats:
 
     def phases(order: int) -> Floats:
         values = spline(inside, order) if order <= degree else np.zeros((len(inside), parts.shape[1]))
-        return np.ascontiguousarray(values.reshape(2 * n + 1, PHASES, -1).swapaxes(0, 1))
+        return np.asarray(values.reshape(2 * n + 1, PHASES, -1).transpose(1, 2, 0))
 
-    return np.stack([phases(0), phases(1), phases(2)])
+    return np.ascontiguousarray(np.stack([phases(0), phases(1), phases(2)], axis=1))

@@ -4,7 +4,7 @@ Their places are read off a non-negative image and refined, with the forces. The
 nothing but noise behind, and all of it is certain.
 """
 
-from math import sqrt
+from math import prod, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,6 @@ from tactiled.restore.scene import Scene
 # Chosen on the scenes of `python -m tests.study judge --family first` and on those that the network is trained on.
 MIN_SIDE = 3  # taxels a side that tell a place on it
 MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a load's frame, or no place is known
-MAX_STEPS = 4  # of a fit: with 12 the error is the same
 MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them
 LEARNED_SPREAD_CELLS = 3.5  # the same in the network's: of 35 fits to more spread none stood, of 197 to less 107
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
@@ -73,10 +72,14 @@ class Points:
         elif response is not None:
             self._fitter = Fitter(response, scene.noise, scene.cut)
         self._unexplained = np.empty(scene.flat.size, np.float32)
-        self._peeled = np.empty(blur.surface_shape, np.float32)
-        self._ones = np.ones(self._peeled.size, np.float32)
-        self._refine = blur.surface_shape[0] // blur.frame_shape[0]
-        self.drawing = PointImage(blur.surface_shape, self._refine, scene.noise)
+        surface = blur.surface_shape if self._fitter else (1, 1)
+        self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
+        self._peeled = np.zeros([n + 2 * k for n in surface], np.float32)  # with a margin
+        self._ones = np.ones(prod(surface), np.float32)
+        offset = np.arange(-k, k + 1, dtype=np.float32)
+        about = np.meshgrid(offset, offset, indexing="ij")
+        self._moments = np.stack([np.ones(len(offset) ** 2, np.float32), *(each.ravel() for each in about)])
+        self.drawing = PointImage(surface, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
         self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
@@ -100,7 +103,7 @@ class Points:
         if peaks := self._peaks(image):
             places = np.array(peaks)
             start = before if before is not None and _are_near(before, places) else places
-            done, fit = self._fitter(y, start, self._model, MAX_STEPS)
+            done, fit = self._fitter(y, start)
             if self._scene.cut():
                 self._before = self._fitter.places
             elif fit is not None and (loads := self._accepted(self._fitter, fit, y)):
@@ -117,20 +120,17 @@ class Points:
         spread = total**2 / (self._spread_cells * k**2 * squares) if squares else np.inf  # over so many points
         if spread > MAX_POINTS:
             return []
-        self._peeled[...] = image
+        peeled, columns = self._peeled, image.shape[1]
+        peeled[k:-k, k:-k] = image
         places: list[tuple[float, float]] = []
         remainder = total
         while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
-            i, j = divmod(int(self._peeled.argmax()), image.shape[1])
-            top, start = max(i - k, 0), max(j - k, 0)
-            around = self._peeled[top : i + k + 1, start : j + k + 1]
-            weight = float(around.sum())
-            rows, columns = np.arange(around.shape[0]), np.arange(around.shape[1])
-            row = top + float(around.sum(axis=1) @ rows) / weight
-            column = start + float(around.sum(axis=0) @ columns) / weight
+            i, j = divmod(int(peeled.argmax()), columns + 2 * k)
+            around = peeled[i - k : i + k + 1, j - k : j + k + 1]
+            weight, down, across = (self._moments @ around.reshape(-1)).tolist()
             around[...] = 0
             remainder -= weight
-            places.append(((row + 0.5) / k - 0.5, (column + 0.5) / k - 0.5))
+            places.append(((i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5))
         if remainder > MAX_OUTSIDE * total or spread > len(places) or _touching(places) > MAX_NEIGHBOURS:
             return []
         return places

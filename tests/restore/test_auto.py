@@ -6,7 +6,7 @@ import pytest
 from tactiled.frames import DEAD
 from tactiled.restore.auto import PAST_EDGE, WORTH
 from tactiled.restore.methods import METHODS, make
-from tactiled.restore.points import MAX_STEPS
+from tactiled.restore.point_fit import MAX_STEPS
 from tactiled.study.skin import nrmse, rubber
 from tests.study.presses import presses
 
