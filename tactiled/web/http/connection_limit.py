@@ -60,7 +60,7 @@ class Places:
         if self.open < self._limit * CLIENT_SHARE:
             return None
         own = [each for each in self._open if each.client == client]
-        is_proxy = client.startswith("127.")  # on this machine, it may speak for many clients
+        is_proxy = client == "::1" or client.startswith("127.")  # on this machine, it may speak for many clients
         if not is_proxy and len(own) >= self._limit * CLIENT_SHARE:
             return own
         return list(self._open) if self.open >= self._limit else None

@@ -126,9 +126,17 @@ def client_of(scope: Scope) -> str:
 
 
 def network(host: str) -> str:
-    """An IPv4 address as it is, the network of an IPv6 address, "" for anything else."""
+    """An IPv4 address, also of a socket that takes both versions; loopback; the network of another IPv6 address.
+
+    "" for anything else.
+    """
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:  # a socket without one, or what a proxy's header says
         return ""
-    return str(ipaddress.ip_network((address, 64), strict=False)) if address.version == 6 else host
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped:
+            return str(address.ipv4_mapped)
+        if not address.is_loopback:
+            return str(ipaddress.ip_network((address, 64), strict=False))
+    return str(address)

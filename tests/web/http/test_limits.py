@@ -81,7 +81,8 @@ def test_one_network_is_one_client():
     assert client_of(scope("2001:db8::1")) == client_of(scope("2001:db8::ffff:1"))
     assert client_of(scope("2001:db8::1")) != client_of(scope("2001:db8:0:1::1"))
     assert client_of(scope("fe80::1%eth0")) == client_of(scope("fe80::2%eth1"))
-    assert client_of(scope("10.0.0.1")) == "10.0.0.1"
+    assert client_of(scope("10.0.0.1")) == client_of(scope("::ffff:10.0.0.1")) == "10.0.0.1"
+    assert client_of(scope("::1")) == "::1"
     assert client_of({"client": None}) == client_of({}) == ""
     assert client_of(scope("x" * 60_000)) == ""  # a proxy's header may be long
 
@@ -171,8 +172,9 @@ def test_one_client_has_half_of_all_places_except_on_loopback():
     assert all_.take(other.place(True))
     assert all(all_.take(greedy.place(True)) for _ in range(9))
     assert (len(greedy.dropped), other.dropped, all_.open) == (5, [], 5)
-    all_, proxy = Places(8), Client("127.0.0.1")
-    assert all(all_.take(proxy.place(False)) for _ in range(8))
+    for loopback in ("127.0.0.1", "::1"):
+        all_, proxy = Places(8), Client(loopback)
+        assert all(all_.take(proxy.place(False)) for _ in range(8))
 
 
 @pytest.mark.parametrize(
