@@ -10,9 +10,8 @@ from tactiled.restore.point_response import PointResponse
 
 # All chosen on the scenes of `python -m tests.study judge --family first`.
 MAX_POINTS = 8
-MAX_STEPS = 3  # at places read off an image, and at those that each step moves the loads to
-PEAK_ERROR = 0.25  # pitches, standard deviation of a load's place from the peak that it was read off
-SETTLED = 0.05  # pitches: what moves no load further is as good as linear
+MAX_STEPS = 3  # places that are tried: those read off an image, and two moves on; the last step is a linear one
+SETTLED = 0.05  # pitches: a smaller step is left to the linear one
 MAX_STEP = 0.5  # pitches that one step may move a load
 FORCE_SIGMAS = 4.0  # standard deviations that a load's force must stand out by
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
@@ -32,7 +31,7 @@ class Fitter:
     """Fits loads to frames (R, C) of a `noise` (kPa); `jacobian` and `residual` are those of the last fit."""
 
     def __init__(self, response: PointResponse, noise: float, cut: Callable[[], bool]) -> None:
-        """Fits end without a result where `cut` says so; `places` are those that were tried last."""
+        """Fits end without a result where `cut` says so; `places` are then those to go on from."""
         self._response, self._noise, self._cut = response, noise, cut
         self.places = np.empty((0, 2))
         rows, columns = self.shape = response.shape
@@ -40,14 +39,18 @@ class Fitter:
         self.residual = np.empty(rows * columns, np.float32)
 
     def __call__(self, y: Image, places: Floats) -> tuple[int, Fit | None]:
-        """Give the steps made from `places` (n, 2), and the fit that they led to."""
-        done, force = 0, np.empty(0)
-        self.places = places
+        """Give the steps made from `places` (n, 2), and the fit that they led to.
+
+        Loads of too little force are left out; one that is of so little at the last places ends the fit without a
+        result.
+        """
+        done, self.places = 0, places
         while not self._cut():
             done += 1
             n = len(self.places)
             J = self.jacobian[: 3 * n]
-            self.places = self._response.jacobian(self.places, J.reshape(3, n, -1))
+            self.places = self._response.tabulated(self.places)
+            self._response.jacobian(self.places, J.reshape(3, n, -1))
             gram, along = np.asarray(J @ J.T, float), np.asarray(J @ y, float)
             force = np.asarray(np.linalg.solve(ridged(gram[:n, :n]), along[:n]), float)
             clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal()[:n])
@@ -58,17 +61,12 @@ class Fitter:
                 continue
             if done == MAX_STEPS:
                 return done, self._finished(y, force)
-            step = self._step(gram, along - gram[:, :n] @ force, force)
+            change = np.linalg.solve(ridged(gram), along - gram[:, :n] @ force)
+            step = (change[n:].reshape(2, n) / force).T
             if np.abs(step).max() < SETTLED:
                 return done, self._finished(y, force)
             self.places = self.within(self.places + step.clip(-MAX_STEP, MAX_STEP))
         return done, None
-
-    def _step(self, gram: Floats, right: Floats, force: Floats) -> Floats:
-        """Give how far (n, 2) to move the loads, each held near its peak."""
-        n, firm = len(force), ridged(gram)
-        firm.flat[n * (3 * n + 1) :: 3 * n + 1] += np.tile((self._noise / PEAK_ERROR / force) ** 2, 2)
-        return np.asarray((np.linalg.solve(firm, right)[n:].reshape(2, n) / force).T, float)
 
     def _finished(self, y: Image, force: Floats) -> Fit:
         """Give the fit at the last places, with what widths would do."""

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 from tactiled.restore.modes import Floats
 
 MIN_PLACE_ERROR = 0.05  # pitches: no place is known better than that
-FAR = 1e9  # cells: every load is within that of any
+FAR = 1e9  # cells, for infinity, at which a density times its distance would be NaN
 MODEL_ERROR = 0.01  # of the frame's norm: what a model of a cover may miss it by
 
 
@@ -35,7 +35,10 @@ class PointImage:
         self._edges = np.concatenate([np.arange(rows + 1.0), np.arange(columns + 1.0)])
         self._edges[[0, rows, rows + 1, -1]] = -FAR, FAR, -FAR, FAR  # what lies outside is in the last cells
         self._axis = np.repeat([0, 1], [rows + 1, columns + 1])
-        self._down, self._across = slice(rows), slice(rows + 1, None)
+        self._rows, self._columns = (
+            slice(rows),
+            slice(rows + 1, None),
+        )  # of cells; between them is a step from axis to axis
         self._loads: PointLoads
         self._shares: Floats  # (3, n, edges - 1): of each load in either axis' cells, their slopes and curvatures
 
@@ -44,21 +47,21 @@ class PointImage:
         sigma = loads.spread[:, self._axis] * self._refine
         z = (self._edges - (loads.places[:, self._axis] + 0.5) * self._refine) / sigma
         density = np.exp(-0.5 * z * z) / (-sqrt(2 * pi) * sigma)
-        self._loads, self._shares = loads, np.diff(np.stack([ndtr(z), density, -density * z / sigma]))
+        self._loads, self._shares = loads, np.diff(np.stack([ndtr(z), density, density * z / sigma]))
         share = self._shares[0]
         force = loads.force[:, None] * self._refine**2
-        np.matmul((force * share[:, self._down]).T, share[:, self._across], out=self.image, casting="same_kind")
+        np.matmul((force * share[:, self._rows]).T, share[:, self._columns], out=self.image, casting="same_kind")
         self.noise_gain = self._gain()
 
     def _gain(self) -> float:
         """Give the image's noise over the frame's: it moves forces, places and width, and they the image."""
         loads, k, squares = self._loads, self._refine, self._shares[:2] ** 2
-        down, across = squares[..., self._down].sum(axis=-1), squares[..., self._across].sum(axis=-1)
+        down, across = squares[..., self._rows].sum(axis=-1), squares[..., self._columns].sum(axis=-1)
         force, row, column = loads.variance.T
         moves = (k * loads.force) ** 2
         moved = force * down[0] * across[0] + moves * (row * down[1] * across[0] + column * down[0] * across[1])
         half = 0.5 * k**2 * loads.force[:, None]  # a spread's square diffuses what it spreads
-        rows, columns = self._shares[..., self._down], self._shares[..., self._across]
+        rows, columns = self._shares[..., self._rows], self._shares[..., self._columns]
         wider = (half * rows[2]).T @ columns[0] + (half * rows[0]).T @ columns[2]
         variance = float(moved.sum()) + loads.width * float(np.vdot(wider, wider))
         return k**2 * sqrt(loads.noise * variance / self.image.size) / self._noise
@@ -70,12 +73,13 @@ class PointImage:
         share p of it that a cell is given may be out by p (1 - p).
         """
         loads, squares = self._loads, self._shares[:2] ** 2
-        (rows, slopes_down), (columns, slopes_across) = squares[..., self._down], squares[..., self._across]
+        (rows, row_slopes), (columns, column_slopes) = (
+            squares[..., self._rows],
+            squares[..., self._columns],
+        )  # squared
         force = loads.force[:, None] ** 2
-        down, across = (force * self._refine**2 * np.maximum(loads.variance[:, 1:], MIN_PLACE_ERROR**2)).T[
-            ..., None
-        ]
+        places = force * self._refine**2 * np.maximum(loads.variance[:, 1:], MIN_PLACE_ERROR**2)
         share = rows.T @ ((loads.variance[:, :1] + (1 + MODEL_ERROR**2) * force) * columns)
         shape = (rows**2).T @ (force * columns**2) - 2 * (rows**1.5).T @ (force * columns**1.5)
-        place = slopes_down.T @ (down * columns) + rows.T @ (across * slopes_across)
+        place = row_slopes.T @ (places[:, :1] * columns) + rows.T @ (places[:, 1:] * column_slopes)
         return np.asarray(self._refine**2 * np.sqrt(np.maximum(share + shape + place, 0)))

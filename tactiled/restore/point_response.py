@@ -7,7 +7,7 @@ from scipy.interpolate import make_interp_spline
 
 from tactiled.restore.modes import Floats, Image
 
-PHASES = 64  # places a pitch that are tabulated
+PHASES = 64  # places a pitch that are tabulated: half of a step is left to a fit's last, linear step
 ORDERS = (0, 0), (1, 0), (0, 1)  # of derivatives down and across, of the first three kinds
 HALF = np.float32(0.5)
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
@@ -17,7 +17,7 @@ class PointResponse:
     """Responses as sums of products of a column's and a row's part, each tabulated along its axis.
 
     Made from a stencil of cells `refine` times finer than the pitch: such a cell is the load. Places are counted
-    in pitches from the first taxel, in steps of 1 / PHASES; a unit load is 1 kPa over a square of one pitch.
+    in pitches from the first taxel; a unit load is 1 kPa over a square of one pitch.
     """
 
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
@@ -27,15 +27,17 @@ class PointResponse:
         along = U[:, :parts] * s[:parts], Vt[:parts].T
         self._down, self._across = (_windows(part, n, refine) for part, n in zip(along, shape, strict=True))
 
-    def jacobian(self, places: Floats, out: Image, first: int = 0) -> Floats:
-        """Fill out (k, n, R C) with k of four kinds of frames of unit loads at `places` (n, 2), from `first` on.
+    def tabulated(self, places: Floats) -> Floats:
+        """Give the nearest places (n, 2) that are in the tables."""
+        return np.asarray((places * PHASES).round() / PHASES)
 
-        These are the frames themselves, their slopes down and across, and what they gain for each square pitch of
-        the load's variance along any axis: half the sum of the second derivatives. Gives the tabulated places,
-        which are the nearest ones.
+    def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
+        """Fill out (k, n, R C) with k of four kinds of frames of unit loads at tabulated places (n, 2).
+
+        From the kind `first` on, these are the frames themselves, their slopes down and across, and what they gain
+        for each square pitch of the load's variance along any axis: half the sum of the second derivatives.
         """
-        at = (places * PHASES).round()
-        rows, columns = at.astype(np.intp).T
+        rows, columns = (places * PHASES).round().astype(np.intp).T
         down, across = _at(self._down, rows), _at(self._across, columns)
         frames = out.reshape(-1, len(places), *self.shape)
         for (row, column), each in zip(ORDERS[first:], frames, strict=False):
@@ -45,7 +47,6 @@ class PointResponse:
             np.matmul(down[:, 2].swapaxes(1, 2), across[:, 0], out=wider)
             np.add(wider, down[:, 0].swapaxes(1, 2) @ across[:, 2], out=wider)
             np.multiply(wider, HALF, out=wider)
-        return np.asarray(at / PHASES)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
@@ -58,16 +59,18 @@ class PointResponse:
         return float(np.linalg.norm(across) / np.linalg.norm(second))
 
 
-def _at(windows: Image, places: NDArray[np.intp]) -> Image:
-    """Give (n, 3, parts, taxels) for loads at `places` (n,), in phases from the first taxel."""
+def _at(windows: Image, phases: NDArray[np.intp]) -> Image:
+    """Give (n, 3, parts, taxels) for loads at `phases` (n,), counted from the first taxel."""
     # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
-    taxels = windows.shape[-1]
-    turn, phase = np.divmod(taxels * PHASES - places, PHASES)
-    return windows[phase, turn]
+    pitches, phase = np.divmod(windows.shape[-1] * PHASES - phases, PHASES)
+    return windows[phase, pitches]
 
 
 def _windows(parts: Floats, n: int, refine: int) -> Image:
-    """Give (PHASES, n + 2, 3, parts, n): an axis' factors, slopes and curvatures at n taxels, for every place."""
+    """Give (PHASES, n + 2, 3, parts, n): values, slopes and curvatures of an axis' factors at n taxels.
+
+    By the load's distance from the far end: parts of a pitch, whole pitches.
+    """
     table = np.asarray(_table(parts, n, refine), np.float32)
     return sliding_window_view(table, n, axis=-1).transpose(0, 3, 1, 2, 4)
 

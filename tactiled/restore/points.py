@@ -72,18 +72,22 @@ class Points:
         elif response is not None:
             self._fitter = Fitter(response, scene.noise, scene.cut)
         self._unexplained = np.empty(scene.flat.size, np.float32)
-        surface = blur.surface_shape if self._fitter else (1, 1)
+        surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
-        self._peeled = np.zeros([n + 2 * k for n in surface], np.float32)  # with a margin
+        self._peeled = np.zeros(
+            [n + 2 * k for n in surface], np.float32
+        )  # with a margin of a pitch for peaks on the border
         self._ones = np.ones(prod(surface), np.float32)
         offset = np.arange(-k, k + 1, dtype=np.float32)
         about = np.meshgrid(offset, offset, indexing="ij")
-        self._moments = np.stack([np.ones(len(offset) ** 2, np.float32), *(each.ravel() for each in about)])
+        self._weights = np.stack(  # of the sum, and of offsets down and across
+            [np.ones(len(offset) ** 2, np.float32), *(each.ravel() for each in about)]
+        )
         self.drawing = PointImage(surface, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
         self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
-        self._before: Floats | None = None  # places of a fit that stood or was cut short, in the frame before
+        self._before: Floats | None = None  # places of a fit that was cut short in the frame before
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
@@ -106,8 +110,8 @@ class Points:
             done, fit = self._fitter(y, start)
             if self._scene.cut():
                 self._before = self._fitter.places
-            elif fit is not None and (loads := self._accepted(self._fitter, fit, y)):
-                self.loads, self._before = loads, loads.places
+            elif fit is not None:
+                self.loads = self._accepted(self._fitter, fit, y)
         self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
         if self._cuts == MAX_CUTS:
             self._cuts, self._pause = 0, PAUSE_FRAMES
@@ -127,7 +131,7 @@ class Points:
         while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
             i, j = divmod(int(peeled.argmax()), columns + 2 * k)
             around = peeled[i - k : i + k + 1, j - k : j + k + 1]
-            weight, down, across = (self._moments @ around.reshape(-1)).tolist()
+            weight, down, across = (self._weights @ around.reshape(-1)).tolist()
             around[...] = 0
             remainder -= weight
             places.append(((i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5))

@@ -143,6 +143,14 @@ def test_where_a_fit_stands_the_network_runs_once(two_indenters):
     assert done.iterations <= 3 + MAX_STEPS
 
 
+def test_a_fit_does_not_depend_on_the_loads_before(two_indenters):
+    press, _ = two_indenters
+    auto = make("auto", press.blur, press.sigma)
+    image = auto(press.frame).image.copy()
+    assert auto(np.roll(press.frame, 1, axis=0)).method == "points"
+    np.testing.assert_array_equal(auto(press.frame).image, image)
+
+
 def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
     truth = np.zeros(SHAPE)
     truth[10:13, 10:13] = 100

@@ -9,7 +9,6 @@ import pytest
 from tactiled.cover.operator import matrix
 from tactiled.restore.methods import make
 from tactiled.restore.nonnegative import Nonnegative
-from tactiled.restore.point_fit import Fitter
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
@@ -127,22 +126,6 @@ def test_two_that_look_like_one_are_hardly_worse_than_raw_in_the_mean(thickness)
         image = make("auto", blur_of(thickness), sigma)(frame).image
         ratios.append(np.linalg.norm(image - truth) / np.linalg.norm(frame - truth))
     assert np.mean(ratios) < 1.1
-
-
-def test_the_residual_is_the_best_fits_though_a_further_step_was_tried(monkeypatch):
-    """Else a load's neighbourhood would be judged by what another place leaves there."""
-    fit_frame, residuals = Fitter.__call__, []
-
-    def spied(fitter, *frame):
-        done, fit = fit_frame(fitter, *frame)
-        residuals.append((float(fitter.residual @ fitter.residual), fit.residual))
-        return done, fit
-
-    monkeypatch.setattr(Fitter, "__call__", spied)
-    for seed in range(8):
-        places = pair(np.array([15.3, 14.6]), 0.25 * PITCH, 0.8)
-        fitted(0.6, *touched(0.6, places, [0.3, 0.25, 0.2], 0.0005, seed))
-    np.testing.assert_allclose(*np.transpose(residuals), rtol=1e-3)
 
 
 def test_a_disc_is_no_few_points():

@@ -47,6 +47,10 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
     np.testing.assert_array_equal(after, before)
     while (page.pixels("map") == before).all():  # nothing newer comes
         page.refreshed()
+    page.keep(lambda: rig.both(pressed(1)), live)
+    while (page.pixels("map") != before).any():
+        rig.both(pressed(1))
+        page.refreshed()
 
 
 # What is not compiled yet makes an object of every fraction: compile what paints at once, not in half a minute.

@@ -5,17 +5,16 @@
 const MAX_DELAY_S = 0.08; // behind the quickest image, which took some ms itself: no more than 0.1 in all
 const CLOCK_DRIFT = 1e-3; // that the two clocks' rates may differ by
 const MAX_RETRIES = 4; // requests for a newer image between two paintings; then a late one is painted
-
-const NEWER_MS = 500; // that a newer image may take to come
+const NEWER_MS = 500; // after an image: a status that is handled sooner may have waited with it on its way
 
 /**
- * Whether an image that came some time ago is the newest there is, late or not.
+ * Whether a status tells that no newer image is to be waited for, so that a late one may be shown.
  * @param {Status} status the newest one
- * @param {number} sequence of the image
- * @param {number} waited_ms since it came
+ * @param {number} sequence of the newest image
+ * @param {number} waited_ms since that came
  * @returns {boolean}
  */
-export function isNewest(status, sequence, waited_ms) {
+export function noneNewer(status, sequence, waited_ms) {
   return status.state !== "live" || (status.sequence === sequence && waited_ms > NEWER_MS);
 }
 

@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { ContactSeries } from "./contact_series.js";
 import { DeviationCache } from "./deviation.js";
 import { FrameHistory } from "./frame_history.js";
-import { Freshness, isNewest } from "./freshness.js";
+import { Freshness, noneNewer } from "./freshness.js";
 import { healthOf } from "./health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "./timeline.js";
@@ -136,8 +136,8 @@ export class Session {
   }
 
   /**
-   * Hold back what came but waited too long, and ask for newer frames. Where none comes it is shown all the same, and
-   * the page says how old.
+   * Hold back what came but waited too long, and ask for newer frames. If the service has none, the late frame is
+   * shown; the latency reading says how old it was.
    * @returns {boolean} false where it may be shown
    */
   holdBack() {
@@ -191,7 +191,7 @@ export class Session {
     this._statusAt = performance.now();
     if (status.ran && !this.paused) this._statuses.push(status);
     const newest = this.history.at(0);
-    if (newest && this.freshness.heldBack && isNewest(status, newest.sequence, this._statusAt - this._frameAt)) {
+    if (newest && this.freshness.heldBack && noneNewer(status, newest.sequence, this._statusAt - this._frameAt)) {
       this.freshness.release();
       this._listener.onFrame(newest, true);
     }
