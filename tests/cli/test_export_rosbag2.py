@@ -59,7 +59,8 @@ def layout(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hand")
     (folder / "hand.toml").write_text(GRASP)
     log = recording.path("book_1")
-    arrays = np.load(exported(log, folder / "hand.toml", folder / "a.npz"))
+    with np.load(exported(log, folder / "hand.toml", folder / "a.npz")) as file:
+        arrays = {**file}
     return arrays, bag(log, folder / "hand.toml", folder / "hand")
 
 

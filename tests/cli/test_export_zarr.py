@@ -22,11 +22,12 @@ def open_zarr(path):
 
 @pytest.fixture
 def exports(tmp_path, config, lossy, monkeypatch):
-    """Paths of an export as Zarr, in chunks of 16 frames, and of the same as .npz."""
+    """Path of an export as Zarr, in chunks of 16 frames, and the same arrays from a .npz."""
     monkeypatch.setattr(arrays, "FRAMES_AT_ONCE", CHUNK)
     for name in ("a.zarr", "a.npz"):
         succeed("export", lossy, "--config", config, "-o", tmp_path / name)
-    return tmp_path / "a.zarr", np.load(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as npz:
+        return tmp_path / "a.zarr", {**npz}
 
 
 def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenance(exports):

@@ -3,7 +3,7 @@ import test from "node:test";
 
 import { addEvent } from "../../tactiled/web/static/event_rows.js";
 import { FrameRate } from "../../tactiled/web/static/frame_rate.js";
-import { Freshness, noneNewer } from "../../tactiled/web/static/freshness.js";
+import { Freshness } from "../../tactiled/web/static/freshness.js";
 import { healthOf } from "../../tactiled/web/static/health.js";
 import { Timeline, timeOffset } from "../../tactiled/web/static/timeline.js";
 import { Warnings } from "../../tactiled/web/static/warnings.js";
@@ -37,8 +37,12 @@ test("an old image is held back, unless all are late", () => {
 });
 
 test("a late image is shown once the service says that there is no newer one", () => {
-  const newest = (state, sequence, waited) => noneNewer({ ...live, state, sequence }, 7, waited);
-  assert.deepEqual([newest("stale", 7, 0), newest("live", 7, 600), newest("live", 7, 0), newest("live", 8, 600)],
+  const freshness = new Freshness();
+  const newest = (state, sequence, after) => freshness.noneNewer({ ...live, state, sequence }, 7, 100 + after);
+  freshness.arrived(99.998, 100);
+  assert.ok(!newest("stale", 7, 1)); // nothing is held back
+  assert.ok(freshness.holdBack(99, 1, 100));
+  assert.deepEqual([newest("stale", 7, 0), newest("live", 7, 0.6), newest("live", 7, 0.4), newest("live", 8, 0.6)],
     [true, true, false, false]);
 });
 

@@ -13,6 +13,13 @@ VISIBLE = "document.getElementById('calibrate-{}').checkVisibility()"
 MESSAGE = "document.getElementById('calibrate-message').innerText"
 ADVICE = "document.getElementById('calibrate-advice').innerText"
 ROW = "[...document.querySelectorAll('#calibrate-result tbody tr td')].map(each => each.innerText)"
+SLOW = """() => {
+  window.quick = window.fetch;
+  window.fetch = async (...all) => {
+    await new Promise(done => setTimeout(done, 700));
+    return window.quick(...all);
+  };
+}"""
 
 
 @pytest.fixture
@@ -76,8 +83,11 @@ def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(ri
         zones = page.evaluate("[...document.querySelectorAll('#calibrate-zones li')].map(each => each.innerText)")
         assert sum(int(each.removeprefix("✓ ").split()[0]) for each in zones) == 12
         page.inspect()
+        page.evaluate(SLOW)
+        page.wait_for_timeout(600)  # a look is under way when it is closed
         page.press("Escape", "k")  # another look, as by another viewer: it goes on
         page.wait(VISIBLE.format("collect"))
+        page.evaluate("window.fetch = window.quick")
         page.get_by_role("button", name="Fit", exact=True).click()
         page.wait(VISIBLE.format("result"))
         fitted, _, before = page.evaluate(ROW)
@@ -87,4 +97,4 @@ def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(ri
         page.get_by_role("button", name="Discard").click()
         page.wait(f"{MESSAGE} === 'Discarded: nothing was changed.'")
         assert rig.sensor.plan.file is None
-        page.finish("403")
+        page.finish("403", "404")  # of a look at what was just discarded

@@ -34,12 +34,12 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
         rig.both(pressed(1))
         page.refreshed(4)
     before = page.pixels("map")
-    for _ in range(20):  # a page that was late before may paint what is as late
+    for attempt in range(20):  # a page that was late before may paint what is as late
         page.keep(lambda: rig.both(pressed(1)), live)
         page.refreshed(4)
         page.evaluate(HIDE)
         rig.both(pressed(5))
-        page.wait_for_timeout(300)
+        page.wait_for_timeout(300 * (1 + attempt))
         page.evaluate("window.show()")
         page.refreshed(4)
         if ((after := page.pixels("map")) == before).all():

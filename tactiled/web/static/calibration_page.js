@@ -52,6 +52,7 @@ export class CalibrationPage {
     this._verdict = null;
     this._busy = false; // with a look at the service
     this._acting = false;
+    this._isFirstLook = false; // since it was opened: it goes to the step of a session that is there
     this._wire();
   }
 
@@ -79,7 +80,7 @@ export class CalibrationPage {
   }
 
   /** Open it for the sensor that is shown. */
-  async open() {
+  open() {
     if (byId("calibrate-open").hidden || !this._viewer.name || dialog.open) return;
     this._name = this._viewer.name;
     setText(byId("calibrate-title"), `Calibrate ${this._name}`);
@@ -87,11 +88,9 @@ export class CalibrationPage {
     this._session = null;
     this._say("");
     this._go("tare");
+    this._isFirstLook = true;
     dialog.showModal();
-    await this._poll();
-    const session = this._anySession();
-    if (session) this._go(WAYS[session.way].step);
-    this._focus();
+    this._poll(); // another look may still be under way
     this._pollTimer = setInterval(() => this._poll(), POLL_MS);
     this._mapTimer = setInterval(() => this._paint(), MAP_MS);
   }
@@ -119,6 +118,9 @@ export class CalibrationPage {
       if (this._acting || name !== this._name || !dialog.open) return;
       this._showTare(calibration);
       this._take(session);
+      if (this._isFirstLook && session) this._go(WAYS[session.way].step);
+      if (this._isFirstLook) this._focus();
+      this._isFirstLook = false;
     } catch (error) {
       this._say(messageOf(error), true);
     } finally {
@@ -141,11 +143,6 @@ export class CalibrationPage {
     byId("calibrate-ways").replaceChildren(...ways.map((each, i) => choice(each, i === 0)));
     this._showSize();
     this._show();
-  }
-
-  /** @returns {CalibrationSession|null} the one that is open */
-  _anySession() {
-    return this._session;
   }
 
   /** @returns {CalibrationSession|null} the one that belongs to the step that is shown */

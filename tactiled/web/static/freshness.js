@@ -5,18 +5,7 @@
 const MAX_DELAY_S = 0.08; // behind the quickest image, which took some ms itself: no more than 0.1 in all
 const CLOCK_DRIFT = 1e-3; // that the two clocks' rates may differ by
 const MAX_RETRIES = 4; // requests for a newer image between two paintings; then a late one is painted
-const NEWER_MS = 500; // after an image: a status that is handled sooner may have waited with it on its way
-
-/**
- * Whether a status tells that no newer image is to be waited for, so that a late one may be shown.
- * @param {Status} status the newest one
- * @param {number} sequence of the newest image
- * @param {number} waited_ms since that came
- * @returns {boolean}
- */
-export function noneNewer(status, sequence, waited_ms) {
-  return status.state !== "live" || (status.sequence === sequence && waited_ms > NEWER_MS);
-}
+const NEWER_S = 0.5; // after one was requested: a status that is handled sooner may have waited with the late image
 
 /** Times are Unix s: `sent` by the service's clock, `now` by this browser's. */
 export class Freshness {
@@ -29,6 +18,7 @@ export class Freshness {
     this._delay = 0; // s, of the newest image that was checked
     this._paintedDelay = 0; // s, of the last one painted: on a slow page the next is as late
     this._retries = 0;
+    this._heldAt = 0;
   }
 
   /** An image came. @param {number} sent @param {number} now */
@@ -56,7 +46,20 @@ export class Freshness {
     }
     this.heldBack += count;
     this._retries += 1;
+    this._heldAt = now;
     return true;
+  }
+
+  /**
+   * Whether a status tells that no newer image is to be waited for, so that the one held back may be shown.
+   * @param {Status} status
+   * @param {number} sequence of the newest image
+   * @param {number} now
+   * @returns {boolean}
+   */
+  noneNewer(status, sequence, now) {
+    if (!this.heldBack) return false;
+    return status.state !== "live" || (status.sequence === sequence && now - this._heldAt > NEWER_S);
   }
 
   /** The newest image may be painted. */

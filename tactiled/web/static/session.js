@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { ContactSeries } from "./contact_series.js";
 import { DeviationCache } from "./deviation.js";
 import { FrameHistory } from "./frame_history.js";
-import { Freshness, noneNewer } from "./freshness.js";
+import { Freshness } from "./freshness.js";
 import { healthOf } from "./health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "./timeline.js";
@@ -191,7 +191,7 @@ export class Session {
     this._statusAt = performance.now();
     if (status.ran && !this.paused) this._statuses.push(status);
     const newest = this.history.at(0);
-    if (newest && this.freshness.heldBack && noneNewer(status, newest.sequence, this._statusAt - this._frameAt)) {
+    if (newest && this.freshness.noneNewer(status, newest.sequence, Date.now() / 1000)) {
       this.freshness.release();
       this._listener.onFrame(newest, true);
     }

@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { DisplayRange } from "./display_range.js";
 import { element, setText } from "./dom.js";
 import { fixed } from "./format.js";
-import { Freshness, noneNewer } from "./freshness.js";
+import { Freshness } from "./freshness.js";
 import { Plane } from "./geometry.js";
 import { CONNECTING, healthOf } from "./health.js";
 import { Heatmap } from "./heatmap.js";
@@ -89,8 +89,7 @@ export class Tile {
         this._status = status;
         this._warnings = this._recent.hold(status.warnings, performance.now());
         this._statusAt = performance.now();
-        const waited = this._statusAt - this._imageAt;
-        if (this._freshness.heldBack && noneNewer(status, this._sequence, waited)) this._show();
+        if (this._freshness.noneNewer(status, this._sequence, Date.now() / 1000)) this._show();
       },
       onLink: () => this._request(),
     });
