@@ -9,7 +9,7 @@ from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
 
 # All chosen on the scenes of `python -m tests.study judge --family first`.
-MAX_POINTS = 8
+MAX_POINTS = 7
 MAX_STEPS = 3  # places that are tried: those read off an image, and two moves on; the last step is a linear one
 SETTLED = 0.05  # pitches: a smaller step is left to the linear one
 MAX_STEP = 0.5  # pitches that one step may move a load
