@@ -35,10 +35,7 @@ class PointImage:
         self._edges = np.concatenate([np.arange(rows + 1.0), np.arange(columns + 1.0)])
         self._edges[[0, rows, rows + 1, -1]] = -FAR, FAR, -FAR, FAR  # what lies outside is in the last cells
         self._axis = np.repeat([0, 1], [rows + 1, columns + 1])
-        self._rows, self._columns = (
-            slice(rows),
-            slice(rows + 1, None),
-        )  # of cells; between them is a step from axis to axis
+        self._rows, self._columns = slice(rows), slice(rows + 1, None)  # steps between edges of the same axis
         self._loads: PointLoads
         self._shares: Floats  # (3, n, edges - 1): of each load in either axis' cells, their slopes and curvatures
 
@@ -73,10 +70,8 @@ class PointImage:
         share p of it that a cell is given may be out by p (1 - p).
         """
         loads, squares = self._loads, self._shares[:2] ** 2
-        (rows, row_slopes), (columns, column_slopes) = (
-            squares[..., self._rows],
-            squares[..., self._columns],
-        )  # squared
+        rows, row_slopes = squares[..., self._rows]
+        columns, column_slopes = squares[..., self._columns]
         force = loads.force[:, None] ** 2
         places = force * self._refine**2 * np.maximum(loads.variance[:, 1:], MIN_PLACE_ERROR**2)
         share = rows.T @ ((loads.variance[:, :1] + (1 + MODEL_ERROR**2) * force) * columns)

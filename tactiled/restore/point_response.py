@@ -34,8 +34,8 @@ class PointResponse:
     def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
         """Fill out (k, n, R C) with k of four kinds of frames of unit loads at tabulated places (n, 2).
 
-        From the kind `first` on, these are the frames themselves, their slopes down and across, and what they gain
-        for each square pitch of the load's variance along any axis: half the sum of the second derivatives.
+        The kinds are the frames themselves, their slopes down and across, and what they gain for each square pitch
+        of the load's variance along any axis: half the sum of the second derivatives. `first` is the first filled.
         """
         rows, columns = (places * PHASES).round().astype(np.intp).T
         down, across = _at(self._down, rows), _at(self._across, columns)
