@@ -52,7 +52,7 @@ export class CalibrationPage {
     this._verdict = null;
     this._busy = false; // with a look at the service
     this._acting = false;
-    this._isFirstLook = false; // since it was opened: it goes to the step of a session that is there
+    this._isFirstLook = false; // since it was opened, and no step was chosen: it goes to that of a session that is there
     this._wire();
   }
 
@@ -118,9 +118,11 @@ export class CalibrationPage {
       if (this._acting || name !== this._name || !dialog.open) return;
       this._showTare(calibration);
       this._take(session);
-      if (this._isFirstLook && session) this._go(WAYS[session.way].step);
-      if (this._isFirstLook) this._focus();
-      this._isFirstLook = false;
+      if (this._isFirstLook) {
+        if (session) this._go(WAYS[session.way].step);
+        this._isFirstLook = false;
+        this._focus();
+      }
     } catch (error) {
       this._say(messageOf(error), true);
     } finally {
@@ -137,6 +139,7 @@ export class CalibrationPage {
 
   /** @param {Step} step */
   _go(step) {
+    this._isFirstLook = false;
     this._step = step;
     const ways = /** @type {Way[]} */ (Object.keys(WAYS)).filter((each) => WAYS[each].step === step);
     setText(byId("calibrate-question"), STEP_QUESTIONS[step]);
