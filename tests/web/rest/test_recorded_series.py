@@ -103,6 +103,7 @@ def test_of_a_long_recording_each_piece_has_its_highest_value(client, monkeypatc
 
 def test_what_cannot_be_measured_is_refused_in_a_line(client):
     get = lambda **query: client.get("/grasp.log/series", params=PALM | query)  # noqa: E731
+    measured(client)
     assert problem(get(regions="heal"), 404) == "sensor 'palm' has no region 'heal'; there are: heel, toe"
     assert "best" in problem(get(method="best"), 422)
     assert problem(get(sensor="plam"), 404).startswith("sensor 'plam'")
