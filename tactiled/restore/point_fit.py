@@ -22,8 +22,9 @@ class Fit(NamedTuple):
 
     places: Floats  # (n, 2), pitches
     force: Floats
+    scale: Floats  # (4 n,) of the unknowns: n times force, row, column and width
     residual: float  # of the frame, squared
-    normal: Floats  # of n times force, row, column and width
+    normal: Floats  # of the unknowns
     right: Floats
 
 
@@ -76,7 +77,7 @@ class Fitter:
         residual = float(self.residual.dot(self.residual))
         J, scale = self.jacobian[: 4 * n], np.concatenate([np.ones(n), force, force, force])
         normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
-        return Fit(self.places, force, residual, ridged(normal), right)
+        return Fit(self.places, force, scale, residual, ridged(normal), right)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""

@@ -21,7 +21,7 @@ MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of 
 LEARNED_SPREAD_CELLS = 3.5  # the same in the network's: of 35 fits to more spread none stood, of 197 to less 107
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
-MAX_MOVE = 1.0  # pitches from a load of the frame before to a peak: one further away is another load's
+MAX_MOVE = 1.0  # pitches from a place of a fit that was cut short to a peak: one further away is another load's
 TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
 REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
 MAX_NEIGHBOURS = 1.2  # that touch, in the mean; a pair has one, a chain of three 4/3: that is one contact
@@ -74,15 +74,13 @@ class Points:
         self._unexplained = np.empty(scene.flat.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
-        self._peeled = np.zeros(
-            [n + 2 * k for n in surface], np.float32
-        )  # with a margin of a pitch for peaks on the border
+        margin = 2 * k  # both sides, a pitch each, for peaks on the border
+        self._peeled = np.zeros([n + margin for n in surface], np.float32)
         self._ones = np.ones(prod(surface), np.float32)
         offset = np.arange(-k, k + 1, dtype=np.float32)
         about = np.meshgrid(offset, offset, indexing="ij")
-        self._weights = np.stack(  # of the sum, and of offsets down and across
-            [np.ones(len(offset) ** 2, np.float32), *(each.ravel() for each in about)]
-        )
+        ones = np.ones_like(about[0])
+        self._moments = np.stack([each.ravel() for each in (ones, *about)])  # weights of 1, down and across
         self.drawing = PointImage(surface, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
@@ -131,7 +129,7 @@ class Points:
         while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
             i, j = divmod(int(peeled.argmax()), columns + 2 * k)
             around = peeled[i - k : i + k + 1, j - k : j + k + 1]
-            weight, down, across = (self._weights @ around.reshape(-1)).tolist()
+            weight, down, across = (self._moments @ around.reshape(-1)).tolist()
             around[...] = 0
             remainder -= weight
             places.append(((i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5))
@@ -179,9 +177,7 @@ class Points:
 
     def _leaves_signal(self, fitter: Fitter, fit: Fit, last: Floats) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
-        n = len(fit.force)
-        moved = last * np.concatenate([np.ones(n), *[fit.force] * 3])
-        explained = moved.astype(np.float32) @ fitter.jacobian[: 4 * n]
+        explained = (last * fit.scale).astype(np.float32) @ fitter.jacobian[: len(last)]
         np.subtract(fitter.residual, explained, out=self._unexplained)
         unexplained = self._unexplained.reshape(fitter.shape)
         noise = self._scene.noise**2
@@ -228,7 +224,7 @@ def _neighbours(places: Floats, reach: Floats) -> float:
 
 
 def _are_near(before: Floats, places: Floats) -> bool:
-    """Whether loads before are as many as an image's peaks, each of them within MAX_MOVE of one."""
+    """Whether places of the frame before are as many as an image's peaks, each of them within MAX_MOVE of one."""
     if len(before) != len(places):
         return False
     return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < MAX_MOVE**2).all())

@@ -164,12 +164,13 @@ def test_a_fault_is_in_the_health_and_the_next_image_comes(rig, url, monkeypatch
     with app(rig) as client:
         client.next("/palm/state")
         with monkeypatch.context() as broken:
-            broken.setattr(foxglove.Topics, "messages", lambda *_: 1 / 0)
-            health = {}
+            failed, health = [], {}
+            broken.setattr(foxglove.Topics, "messages", lambda _, image: failed.append(image.sequence) or 1 / 0)
 
             def look():
                 """With one more error: a fault ends a second after the last one."""
-                rig.show(pressed())
+                sequence = rig.show(pressed()).sequence
+                until(lambda: sequence in failed)
                 health.update(ask("GET", url + "/api/v1/health").json())
                 return health["faults"]
 
@@ -177,8 +178,7 @@ def test_a_fault_is_in_the_health_and_the_next_image_comes(rig, url, monkeypatch
         assert health["faults"] == {"foxglove of palm": "ZeroDivisionError: division by zero"}
         assert health["status"] == "degraded"
         image = rig.show(pressed())
-        while client.next("/palm/raw")[1] != round(image.time * 1e9):
-            pass  # the one before may have been sent after the fault
+        assert client.next("/palm/raw")[1] == round(image.time * 1e9)
     assert "ZeroDivisionError" in caplog.text
 
 

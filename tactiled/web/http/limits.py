@@ -126,10 +126,7 @@ def client_of(scope: Scope) -> str:
 
 
 def network(host: str) -> str:
-    """An IPv4 address, also of a socket that takes both versions; loopback; the network of another IPv6 address.
-
-    "" for anything else.
-    """
+    """An IPv4 address, as it is or mapped to IPv6; ::1; else the network of an IPv6 address, or ""."""
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
     except ValueError:  # a socket without one, or what a proxy's header says
