@@ -102,14 +102,14 @@ class Points:
             return 0
         before, self._before = self._before, None
         done = 0
-        if peaks := self._peaks(image):
+        if not self._scene.cut() and (peaks := self._peaks(image)):
             places = np.array(peaks)
             start = before if before is not None and _are_near(before, places) else places
             done, fit = self._fitter(y, start)
-            if self._scene.cut():
-                self._before = self._fitter.places
-            elif fit is not None:
+            if fit is not None and not self._scene.cut():
                 self.loads = self._accepted(self._fitter, fit, y)
+            if self._scene.cut_short:
+                self._before = self._fitter.places
         self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
         if self._cuts == MAX_CUTS:
             self._cuts, self._pause = 0, PAUSE_FRAMES
@@ -161,7 +161,7 @@ class Points:
             noise=noise / variance,
         )
         crowded = _neighbours(loads.places, REACH**2 * (loads.spread**2).mean(axis=1)) > MAX_NEIGHBOURS
-        if crowded or self._leaves_signal(fitter, fit, last.step):
+        if crowded or self._leaves_signal(fitter, fit, last.step) or self._scene.cut():
             return None
         self.drawing(loads)
         widest = float((last.own + np.sqrt(last.own_variance * variance)).max())

@@ -170,7 +170,7 @@ def test_a_fit_that_was_cut_short_goes_on_in_the_next_frame(two_indenters):
     assert alone.method == "points"
     auto, steps = make("auto", press.blur, press.sigma), []
     for _ in range(20):
-        checks = iter([False] * 5)  # of which the network takes three
+        checks = iter([False] * 7)  # of which the network takes three and the judgement three
         done = auto(press.frame, expired=lambda checks=checks: next(checks, True))
         steps.append(done.method)
         if done.method == "points":
