@@ -104,7 +104,6 @@ class Auto:
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        done += sharp.restore_again()
         gain = pressed_noise_gain(sharp.image, filter_.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
 

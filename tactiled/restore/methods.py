@@ -160,7 +160,7 @@ class _Nonnegative(Linear):
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
-        done = self._solver(self._wiener()) + self._solver.restore_again()
+        done = self._solver(self._wiener())
         gain = pressed_noise_gain(self._solver.image, self._wiener.filter().noise_gain)
         return self._done(self._solver.image, self._name, done, gain, self._why)
 

@@ -67,10 +67,6 @@ class Nonnegative:
         if self._scene.spectrum not in self._smooth:
             self._smooth[self._scene.spectrum] = Smooth(self._scene)
 
-    def restore_again(self) -> int:
-        """Nothing is done again: the one image is for right models and for wrong ones."""
-        return 0
-
     def __call__(self, linear: Image) -> int:
         """Iterate from the linear image until the share of pressed cells has settled; gives how often."""
         scene = self._scene

@@ -117,10 +117,6 @@ class TotalVariation:
         self._nonnegative.prepare()
         self._cell_variance()
 
-    def restore_again(self) -> int:
-        """Nothing is done again: the one image is for right models and for wrong ones."""
-        return 0
-
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives how often was iterated."""
         done = self._nonnegative(linear)

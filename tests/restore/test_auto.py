@@ -6,7 +6,6 @@ import pytest
 from tactiled.frames import DEAD
 from tactiled.restore.auto import PAST_EDGE, WORTH
 from tactiled.restore.methods import METHODS, make
-from tactiled.restore.point_fit import MAX_STEPS
 from tactiled.study.skin import nrmse, rubber
 from tests.study.presses import presses
 
@@ -131,16 +130,6 @@ def test_discs_in_strong_noise_are_nearer_to_the_truth_than_raw_in_the_mean():
 def two_indenters():
     press = next(each for each in presses(24, (1.0,), (0.002,), 6, seed=2) if each.scene == "points")
     return press, make("points", press.blur, press.sigma)(press.frame)
-
-
-def test_where_a_fit_stands_the_network_runs_once(two_indenters):
-    """Its image of points in little noise does not explain the frame, but no second one is needed."""
-    press, _ = two_indenters
-    network = make("learned", press.blur, press.sigma)(press.frame)
-    done = make("auto", press.blur, press.sigma)(press.frame)
-    assert network.iterations == 6
-    assert done.method == "points"
-    assert done.iterations <= 3 + MAX_STEPS
 
 
 def test_a_fit_does_not_depend_on_the_loads_before(two_indenters):

@@ -97,6 +97,12 @@ def test_it_is_used_where_it_was_trained_for(blur, expected):
     assert expected or "non-negative instead" in done.why
 
 
+def test_the_image_of_dots_between_taxels_explains_the_frame_in_little_noise():
+    """Its cells cannot follow them: what they miss is the image's error, no wrong model."""
+    for press in presses(32, (0.7, 1.0, 1.5), (0.002,), 4, 41, ("braille",)):
+        assert make("learned", press.blur, press.sigma)(press.frame).iterations == 3
+
+
 def test_a_frame_that_the_model_does_not_explain_is_restored_warily(pressed):
     """Three in a hundred taxels read zero, and nothing says so."""
     ratios = []
