@@ -97,14 +97,14 @@ class Auto:
         linear = self._wiener()
         negative = self._negative(linear)
         if negative < WORTH:
-            return Restored(linear, "wiener", WIENER.format(negative), 0, filter_.noise_gain, resolution)
+            return Restored(linear, "wiener", WIENER.format(negative), 0, self._wiener.noise_gain, resolution)
         sharp = self._sharp
         done = sharp(linear)
         steps = self.loads(y, sharp.image)
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        gain = pressed_noise_gain(sharp.image, filter_.noise_gain)
+        gain = pressed_noise_gain(sharp.image, self._wiener.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
 
     def _is_past_edge(self, y: Image) -> bool:

@@ -175,7 +175,7 @@ class Learned:
         factor[()] = 1 / self._scale
         np.multiply(linear, factor, out=self._convolve.images[-1])
         np.multiply(scene.c, factor, out=self._c)
-        self._conditions(linear, self._wiener.filter().noise_gain, self._scale)
+        self._conditions(linear, self._wiener.noise_gain, self._scale)
         done = self._run(self._exact)
         if not scene.cut_short and self._misfit() > MISFIT:
             done += self._run(self._wary)

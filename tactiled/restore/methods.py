@@ -95,7 +95,8 @@ class Linear:
     def __call__(self, y: Image) -> Restored:
         """Restore a frame without gaps."""
         self._scene.look(y)
-        return self._done(self._wiener(), "wiener", 0, self._wiener.filter().noise_gain)
+        image = self._wiener()
+        return self._done(image, "wiener", 0, self._wiener.noise_gain)
 
     def _done(self, image: Image, name: str, iterations: int, gain: float, why: str = BY_HAND) -> Restored:
         self._image = image
@@ -161,7 +162,7 @@ class _Nonnegative(Linear):
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
         done = self._solver(self._wiener())
-        gain = pressed_noise_gain(self._solver.image, self._wiener.filter().noise_gain)
+        gain = pressed_noise_gain(self._solver.image, self._wiener.noise_gain)
         return self._done(self._solver.image, self._name, done, gain, self._why)
 
     def prepare(self) -> None:

@@ -55,9 +55,9 @@ class Cover:
     def inputs(self, frame):
         """Give the linear image and coefficients of a frame, both over a scale, the conditions, and the scale."""
         self.scene.look(np.ascontiguousarray(frame, np.float32))
-        linear, filter_ = self._wiener(), self._wiener.filter()
+        linear = self._wiener()
         scale = max(float(linear.max()), 1.0)
-        conditions = self._conditions(linear, filter_.noise_gain, scale).copy()
+        conditions = self._conditions(linear, self._wiener.noise_gain, scale).copy()
         return linear / scale, self.scene.c / scale, conditions, scale
 
 
