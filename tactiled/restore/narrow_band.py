@@ -2,6 +2,8 @@
 
 The spectrum falls smoothly with frequency. Ridges and lattices have their power in a few modes, which it takes for
 noise where the cover leaves little of them. Their own power, averaged over neighbours, then takes its place.
+
+Wrong gains and dead taxels raise all modes. So what stands out must do so of the modes, too, that the cover takes.
 """
 
 import numpy as np
@@ -13,6 +15,7 @@ from tactiled.restore.prior import MAX_AMPLIFICATION
 # Chosen on scenes of the first family and on those that the network is trained on.
 WINDOW = 5  # modes along each axis whose power is averaged
 FALSE_ALARMS = 1e-3  # of frames of noise alone, in which a mode stands out
+QUIET = 0.25  # of the modes, those of least gain
 
 
 class NarrowBand:
@@ -29,27 +32,34 @@ class NarrowBand:
         self._clear = np.where(strong, clear, np.inf)  # power over the noise's that noise hardly ever has
         self._inverse = np.divide(1, gain, out=np.zeros_like(gain), where=strong).astype(np.float32)
         self._firm = (1 + gain_variance * self._inverse**2).astype(np.float32)
+        quiet = np.zeros(gain.size, np.float32)
+        quiet[np.argsort(gain, axis=None)[: max(1, int(QUIET * gain.size))]] = 1
+        self._quiet = quiet / quiet.sum() / np.float32(noise**2)  # mean over them, over the noise's variance
         self._variance = noise**2
         self._power, self._divisor = self._average.empty(), self._average.empty()
         self.weight = self._average.empty()
         self._mask = np.zeros(gain.shape, bool)
-        self._factor, self._one = np.full((), 1 / noise**2, np.float32), np.ones((), np.float32)
+        self._factor, self._one = np.zeros((), np.float32), np.ones((), np.float32)
         self._zeros = np.zeros_like(self._power)
 
     def limit(self, expected: Floats) -> Image:
-        """Give the power (kPa^2) of each mode above which it stands out of that which a spectrum has in the frame.
+        """Give the power of each mode, over that of the noise, above which it stands out of a spectrum.
 
-        `expected`: that, over the noise's variance.
+        `expected`: the spectrum's power in the frame, over the noise's.
         """
-        return np.asarray(self._variance * (1 + np.maximum(self._clear, expected)), np.float32)
+        return np.asarray(1 + np.maximum(self._clear, expected), np.float32)
 
     def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
-        power, divisor = self._average(squares, self._power), self._divisor
+        power, divisor, factor = self._average(squares, self._power), self._divisor, self._factor
+        quiet = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
+        factor[()] = 1 / (quiet * self._variance)
+        np.multiply(power, factor, out=power)
         np.greater(power, limit, out=self._mask)
         if not self._mask.any():
             return False
-        np.multiply(power, self._factor, out=power)
+        factor[()] = quiet
+        np.multiply(power, factor, out=power)
         np.subtract(power, self._one, out=power)
         np.maximum(power, self._zeros, out=power)
         np.multiply(power, self._firm, out=divisor)
