@@ -33,15 +33,15 @@ def error(method, periods, gain_error=0.0):
 
 @pytest.mark.parametrize("method", ["wiener", "auto"])
 def test_ridges_that_the_spectrum_takes_for_noise_are_restored(monkeypatch, method):
-    found = error(method, (2.2, 2.8, 3.4))
+    with_bands = error(method, (2.2, 2.8, 3.4))
     monkeypatch.setattr(NarrowBand, "__call__", lambda *_: False)
-    assert found < 0.9 * error(method, (2.2, 2.8, 3.4))
+    assert with_bands < 0.9 * error(method, (2.2, 2.8, 3.4))
 
 
 def test_wrong_gains_which_raise_all_modes_are_no_texture(monkeypatch):
-    found = error("wiener", (100.0,), 0.05)
+    with_bands = error("wiener", (100.0,), 0.05)
     monkeypatch.setattr(NarrowBand, "__call__", lambda *_: False)
-    assert found < 1.01 * error("wiener", (100.0,), 0.05)
+    assert with_bands < 1.01 * error("wiener", (100.0,), 0.05)
 
 
 def test_noise_alone_hardly_ever_stands_out():
