@@ -235,9 +235,8 @@ def _draw_panel(axes: Axes, panel: Panel, top: float) -> None:
     for mark in panel.marks:
         _mark(axes, mark, top)
     auto = panel.mark("auto")
-    look: Any = {"ha": "right", "fontsize": 9.5, "fontweight": "bold"}
-    down, align = (-6, "top") if auto.nrmse > 0.15 * top else (0, "center")  # beside where the axis is near
-    axes.annotate("auto", (auto.median, auto.nrmse), (-7, down), textcoords="offset points", va=align, **look)
+    look: Any = {"textcoords": "offset points", "va": "bottom", "fontsize": 9.5, "fontweight": "bold"}
+    axes.annotate("auto", (auto.median, auto.nrmse), (6, 2), **look)  # over the front's last line
 
 
 def _look(name: str) -> dict[str, Any]:
