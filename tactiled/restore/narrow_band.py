@@ -3,7 +3,8 @@
 The spectrum falls smoothly with frequency. Ridges and lattices have their power in a few modes, which it takes for
 noise where the cover leaves little of them. Their own power, averaged over neighbours, then takes its place.
 
-Wrong gains and dead taxels raise all modes. So what stands out must do so of the modes, too, that the cover takes.
+Faults have power in modes, too, that the cover takes. Wrong gains and dead taxels raise all modes, noise that all
+taxels of a row or column share those that vary along one axis alone. What stands out must stand out of that.
 """
 
 import numpy as np
@@ -16,6 +17,7 @@ from tactiled.restore.prior import MAX_AMPLIFICATION
 WINDOW = 5  # modes along each axis whose power is averaged
 FALSE_ALARMS = 1e-3  # of frames of noise alone, in which a mode stands out
 QUIET = 0.25  # of the modes, those of least gain
+MEDIAN = 0.455  # of a normal variable's square
 
 
 class NarrowBand:
@@ -26,7 +28,8 @@ class NarrowBand:
         gain = modes.gain
         rows, columns = (_neighbours(n) for n in gain.shape)
         count = rows.sum(axis=1)[:, None] * columns.sum(axis=1)
-        self._average = Transform((rows / rows.sum(axis=1)[:, None], columns / columns.sum(axis=1)[:, None]))
+        rows, columns = (each / each.sum(axis=1)[:, None] for each in (rows, columns))
+        self._average = Transform((rows, columns))
         strong = gain > 1 / MAX_AMPLIFICATION
         clear = chdtri(count, FALSE_ALARMS / gain.size) / count - 1
         self._clear = np.where(strong, clear, np.inf)  # power over the noise's that noise hardly ever has
@@ -34,9 +37,15 @@ class NarrowBand:
         self._firm = (1 + gain_variance * self._inverse**2).astype(np.float32)
         quiet = np.zeros(gain.size, np.float32)
         quiet[np.argsort(gain, axis=None)[: max(1, int(QUIET * gain.size))]] = 1
-        self._quiet = quiet / quiet.sum() / np.float32(noise**2)  # mean over them, over the noise's variance
         self._variance = noise**2
-        self._power, self._divisor = self._average.empty(), self._average.empty()
+        self._quiet = quiet / quiet.sum() / np.float32(self._variance)  # mean over them, over the noise's variance
+        # Power of what is the same all along an axis, in each of the axis' modes, over that in the first.
+        shares = [basis.sum(axis=0) ** 2 for basis in modes.taxel]
+        down, across = (mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True))
+        self._down, self._across = down[:, None].astype(np.float32), across.astype(np.float32)
+        self._sorted = [np.empty(n - n // 2, np.float32) for n in gain.shape]
+        self._of_columns, self._of_rows = np.empty_like(self._down), np.empty_like(self._across)
+        self._power, self._level = self._average.empty(), self._average.empty()
         self.weight = self._average.empty()
         self._mask = np.zeros(gain.shape, bool)
         self._factor, self._one = np.zeros((), np.float32), np.ones((), np.float32)
@@ -51,24 +60,42 @@ class NarrowBand:
 
     def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
-        power, divisor, factor = self._average(squares, self._power), self._divisor, self._factor
-        quiet = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
-        factor[()] = 1 / (quiet * self._variance)
+        power, level, factor = self._average(squares, self._power), self._level, self._factor
+        factor[()] = 1 / self._variance
         np.multiply(power, factor, out=power)
-        np.greater(power, limit, out=self._mask)
+        factor[()] = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
+        np.multiply(limit, factor, out=level)
+        np.greater(power, level, out=self._mask)
         if not self._mask.any():
             return False
-        factor[()] = quiet
-        np.multiply(power, factor, out=power)
+        np.maximum(self._shared(squares), factor, out=level)
+        np.multiply(level, limit, out=level)
+        np.greater(power, level, out=self._mask)
         np.subtract(power, self._one, out=power)
         np.maximum(power, self._zeros, out=power)
-        np.multiply(power, self._firm, out=divisor)
-        np.add(divisor, self._one, out=divisor)
+        np.multiply(power, self._firm, out=level)
+        np.add(level, self._one, out=level)
         np.multiply(power, self._inverse, out=power)
-        np.divide(power, divisor, out=power)
+        np.divide(power, level, out=power)
         np.copyto(self.weight, weight)
         np.copyto(self.weight, power, where=self._mask)
-        return True
+        return bool(self._mask.any())
+
+    def _shared(self, squares: Image) -> Image:
+        """Power of the noise in every mode, over that of the taxels' own, with what rows and columns share."""
+        tall, wide = (n // 2 for n in squares.shape)
+        factor = np.float32(self._excess(squares[tall:, 0], self._sorted[0]))
+        np.multiply(self._across, factor, out=self._of_rows)
+        factor = np.float32(self._excess(squares[0, wide:], self._sorted[1]))
+        np.multiply(self._down, factor, out=self._of_columns)
+        np.add(self._of_columns, self._of_rows, out=self._level)
+        return np.add(self._level, self._one, out=self._level)
+
+    def _excess(self, squares: Image, ordered: Image) -> float:
+        """How far the median of some squares is above that of the noise, over the noise's variance; 0 if not."""
+        np.copyto(ordered, squares)
+        ordered.sort()
+        return max(0.0, ordered.item(len(ordered) // 2) / (MEDIAN * self._variance) - 1)
 
 
 def _neighbours(n: int) -> Floats:
