@@ -42,9 +42,10 @@ class NarrowBand:
         # Power of what is the same all along an axis, in each of the axis' modes, over that in the first.
         shares = [basis.sum(axis=0) ** 2 for basis in modes.taxel]
         down, across = (mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True))
-        self._down, self._across = down[:, None].astype(np.float32), across.astype(np.float32)
+        self._down = down.astype(np.float32)
+        self._left = np.ones((len(down), 3), np.float32)  # what columns share, what rows share, and the noise
+        self._right = np.stack([np.ones_like(across), across, np.ones_like(across)]).astype(np.float32)
         self._sorted = [np.empty(n - n // 2, np.float32) for n in gain.shape]
-        self._of_columns, self._of_rows = np.empty_like(self._down), np.empty_like(self._across)
         self._power, self._level = self._average.empty(), self._average.empty()
         self.weight = self._average.empty()
         self._mask = np.zeros(gain.shape, bool)
@@ -83,13 +84,12 @@ class NarrowBand:
 
     def _shared(self, squares: Image) -> Image:
         """Power of the noise in every mode, over that of the taxels' own, with what rows and columns share."""
-        tall, wide = (n // 2 for n in squares.shape)
-        factor = np.float32(self._excess(squares[tall:, 0], self._sorted[0]))
-        np.multiply(self._across, factor, out=self._of_rows)
-        factor = np.float32(self._excess(squares[0, wide:], self._sorted[1]))
-        np.multiply(self._down, factor, out=self._of_columns)
-        np.add(self._of_columns, self._of_rows, out=self._level)
-        return np.add(self._level, self._one, out=self._level)
+        row, column = (n // 2 for n in squares.shape)
+        of_columns = np.float32(self._excess(squares[0, column:], self._sorted[1]))
+        np.multiply(self._down, of_columns, out=self._left[:, 0])
+        self._left[:, 1] = self._excess(squares[row:, 0], self._sorted[0])
+        self._left.dot(self._right, self._level)
+        return self._level
 
     def _excess(self, squares: Image, ordered: Image) -> float:
         """How far the median of some squares is above that of the noise, over the noise's variance; 0 if not."""
