@@ -43,8 +43,8 @@ class NarrowBand:
         shares = [basis.sum(axis=0) ** 2 for basis in modes.taxel]
         down, across = (mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True))
         self._down = down.astype(np.float32)
-        self._left = np.ones((len(down), 3), np.float32)  # what columns share, what rows share, and the noise
-        self._right = np.stack([np.ones_like(across), across, np.ones_like(across)]).astype(np.float32)
+        self._by_row = np.ones((len(down), 3), np.float32)  # what columns share, what rows share, and the noise
+        self._by_column = np.stack([np.ones_like(across), across, np.ones_like(across)]).astype(np.float32)
         self._sorted = [np.empty(n - n // 2, np.float32) for n in gain.shape]
         self._power, self._level = self._average.empty(), self._average.empty()
         self.weight = self._average.empty()
@@ -86,9 +86,9 @@ class NarrowBand:
         """Power of the noise in every mode, over that of the taxels' own, with what rows and columns share."""
         row, column = (n // 2 for n in squares.shape)
         of_columns = np.float32(self._excess(squares[0, column:], self._sorted[1]))
-        np.multiply(self._down, of_columns, out=self._left[:, 0])
-        self._left[:, 1] = self._excess(squares[row:, 0], self._sorted[0])
-        self._left.dot(self._right, self._level)
+        np.multiply(self._down, of_columns, out=self._by_row[:, 0])
+        self._by_row[:, 1] = self._excess(squares[row:, 0], self._sorted[0])
+        self._by_row.dot(self._by_column, self._level)
         return self._level
 
     def _excess(self, squares: Image, ordered: Image) -> float:
