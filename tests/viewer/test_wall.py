@@ -56,6 +56,21 @@ def test_every_sensor_has_a_tile_with_its_map_and_force_on_one_socket(pair, open
         assert page.get_by_role("tab", selected=True).inner_text().startswith(tab)
 
 
+def test_a_sensor_that_is_left_before_it_is_there_has_nothing_more_requested(pair, open_page):
+    _, url = pair
+    page = open_page(f"{url}/#/wall", ready=READY)
+    held = []
+    page.route("**/sensors/thumb/geometry*", lambda route: held.append(route))
+    with page.expect_request("**/sensors/thumb/geometry*"):
+        page.get_by_role("button", name=re.compile("thumb")).first.click()
+    page.press("w")
+    page.wait("location.hash.startsWith('#/wall')")
+    with page.expect_response("**/sensors/thumb/geometry*"):
+        held[0].continue_()
+    with page.expect_response(lambda answer: "/events" in answer.url):
+        pass
+
+
 def test_the_range_holds_a_peak_while_the_list_of_sensors_is_polled(pair, open_page):
     rig, url = pair
     page = open_page(f"{url}/#/wall", ready=READY)

@@ -243,7 +243,8 @@ export class Viewer {
     const mine = this._selection;
     try {
       const [geometry, sensor, recorded] = await Promise.all([api.geometry(name), api.sensor(name), this.source?.(name) ?? null]);
-      if (mine === this._selection) this._open(sensor, new Plane(geometry), recorded);
+      if (mine !== this._selection) return;
+      this._open(sensor, new Plane(geometry), recorded);
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
