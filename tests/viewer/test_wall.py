@@ -59,14 +59,14 @@ def test_every_sensor_has_a_tile_with_its_map_and_force_on_one_socket(pair, open
 def test_a_sensor_that_is_left_before_it_is_there_has_nothing_more_requested(pair, open_page):
     _, url = pair
     page = open_page(f"{url}/#/wall", ready=READY)
-    held = []
-    page.route("**/sensors/thumb/geometry*", lambda route: held.append(route))
+    routes = []
+    page.route("**/sensors/thumb/geometry*", lambda route: routes.append(route))
     with page.expect_request("**/sensors/thumb/geometry*"):
         page.get_by_role("button", name=re.compile("thumb")).first.click()
     page.press("w")
     page.wait("location.hash.startsWith('#/wall')")
     with page.expect_response("**/sensors/thumb/geometry*"):
-        held[0].continue_()
+        routes[0].continue_()
     with page.expect_response(lambda answer: "/events" in answer.url):
         pass
 
