@@ -62,13 +62,14 @@ class NarrowBand:
     def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
         power, level, factor = self._average(squares, self._power), self._level, self._factor
-        factor[()] = 1 / self._variance
+        quiet = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
+        factor[()] = 1 / (quiet * self._variance)
         np.multiply(power, factor, out=power)
-        factor[()] = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
-        np.multiply(limit, factor, out=level)
-        np.greater(power, level, out=self._mask)
+        np.greater(power, limit, out=self._mask)
         if not self._mask.any():
             return False
+        factor[()] = quiet
+        np.multiply(power, factor, out=power)
         np.maximum(self._shared(squares), factor, out=level)
         np.multiply(level, limit, out=level)
         np.greater(power, level, out=self._mask)
@@ -85,7 +86,7 @@ class NarrowBand:
     def _shared(self, squares: Image) -> Image:
         """Power of the noise in every mode, over that of the taxels' own, with what rows and columns share."""
         row, column = (n // 2 for n in squares.shape)
-        of_columns = np.float32(self._excess(squares[0, column:], self._sorted[1]))
+        of_columns = self._excess(squares[0, column:], self._sorted[1])
         np.multiply(self._down, of_columns, out=self._by_row[:, 0])
         self._by_row[:, 1] = self._excess(squares[row:, 0], self._sorted[0])
         self._by_row.dot(self._by_column, self._level)

@@ -31,7 +31,7 @@ class Filter:
         self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
         self.noise_gain = sqrt(float((weight**2).sum()) / prod(scene.blur.surface_shape))
         expected = modes.gain**2 * scene.spectrum.ratio[modes.head]
-        self.limit = band.limit(expected) if band else None  # of each mode's power, kPa^2
+        self.limit = band.limit(expected) if band else None  # of each mode's power, over that of the noise
 
     def correction(self, power: Image) -> float:
         """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
