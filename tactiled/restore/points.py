@@ -4,7 +4,7 @@ Their places are read off a non-negative image and refined, with the forces. The
 nothing but noise behind, and all of it is certain.
 """
 
-from math import prod, sqrt
+from math import inf, prod, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +63,7 @@ class Points:
     def __init__(self, scene: Scene, spread_cells: float = MAX_SPREAD_CELLS) -> None:
         """`spread_cells`: how many a load's pressure may be spread over in the images that fits start from."""
         blur = scene.blur
-        self._scene, self._spread_cells = scene, spread_cells
+        self._scene = scene
         response = blur.response if min(blur.frame_shape) >= MIN_SIDE else None
         self.unavailable = NO_GRID if response is None else ""  # why no points are ever fitted
         self._fitter: Fitter | None = None
@@ -74,6 +74,7 @@ class Points:
         self._unexplained = np.empty(scene.flat.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
+        self._widest = spread_cells * k**2  # cells
         margin = 2 * k  # both sides, a pitch each, for peaks on the border
         self._peeled = np.zeros([n + margin for n in surface], np.float32)
         self._ones = np.ones(prod(surface), np.float32)
@@ -102,7 +103,8 @@ class Points:
             return 0
         before, self._before = self._before, None
         done = 0
-        if not self._scene.cut() and (peaks := self._peaks(image)):
+        spread = self._spread(image)
+        if spread <= MAX_POINTS and not self._scene.cut() and (peaks := self._peaks(image, spread)):
             places = np.array(peaks)
             start = before if before is not None and _are_near(before, places) else places
             done, fit = self._fitter(y, start)
@@ -115,17 +117,18 @@ class Points:
             self._cuts, self._pause = 0, PAUSE_FRAMES
         return done if self.loads else 0
 
-    def _peaks(self, image: Image) -> list[tuple[float, float]]:
+    def _spread(self, image: Image) -> float:
+        """Over how many points, as wide as they may be, an image's pressure is spread."""
+        flat = image.reshape(-1)
+        squares = float(flat.dot(flat))
+        return float(flat.dot(self._ones)) ** 2 / (self._widest * squares) if squares else inf
+
+    def _peaks(self, image: Image, spread: float) -> list[tuple[float, float]]:
         """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
-        k, flat = self._refine, image.reshape(-1)
-        total, squares = float(flat.dot(self._ones)), float(flat.dot(flat))
-        spread = total**2 / (self._spread_cells * k**2 * squares) if squares else np.inf  # over so many points
-        if spread > MAX_POINTS:
-            return []
-        peeled, columns = self._peeled, image.shape[1]
+        k, peeled, columns = self._refine, self._peeled, image.shape[1]
         peeled[k:-k, k:-k] = image
         places: list[tuple[float, float]] = []
-        remainder = total
+        remainder = total = float(image.reshape(-1).dot(self._ones))
         while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
             i, j = divmod(int(peeled.argmax()), columns + 2 * k)
             around = peeled[i - k : i + k + 1, j - k : j + k + 1]

@@ -154,6 +154,14 @@ def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
     assert errors[0][0] > errors[1][0] > errors[100][0]
 
 
+def test_where_no_load_is_fitted_no_time_for_it_is_missed(covered, sensed):
+    truth = np.zeros(SHAPE)
+    truth[8:16, 8:16] = 100
+    checks = iter([False] * 3)  # of the network's stages
+    done = make("auto", covered(SHAPE, 2.0), SIGMA)(sensed(truth, 2.0), expired=lambda: next(checks, True))
+    assert (done.method, done.iterations, done.cut_short) == ("learned", 3, False)
+
+
 def test_a_fit_that_was_cut_short_goes_on_in_the_next_frame(two_indenters):
     press, alone = two_indenters
     assert alone.method == "points"
