@@ -304,6 +304,7 @@ def test_clients_are_closed_where_a_reload_changes_the_modules(request, tmp_path
             name="skin", controller=1, width=6, columns=[5, 4, 3, 2, 1, 0], calibration=RAW, codec=""
         )
         with connect(websocket_url(url, "/xela")) as client:
+            assert "Welcome" in client.recv(timeout=BUSY_S)  # it is known to the service
             modules.service.path.write_text(text + one)
             assert modules.service.reload().sensors.removed == ("tip",)
             assert closed(client) == (1012, "the configuration has other modules now")
