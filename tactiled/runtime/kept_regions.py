@@ -42,10 +42,13 @@ class KeptRegions:
         """Keep a change; where that fails, nothing has changed."""
         with self._lock:
             before = sensor.regions.series
+            thresholds = [(each, each.region, each.exceeded) for each in before.values()]
             yield
             try:
                 if self.state is not None:
                     self.state.keep_regions(sensor.name, sensor.regions.regions)
             except StateError:
                 sensor.regions.series = before
+                for each, region, exceeded in thresholds:
+                    each.region, each.exceeded = region, exceeded
                 raise

@@ -116,9 +116,10 @@ def test_regions_outlive_a_restart_and_one_that_cannot_be_kept_changes_nothing(t
     path.unlink()
     path.mkdir()  # nothing can be written there
     other = Region(shape="ellipse", points_mm=[[0, 0], [3, 3]])
-    for change in (lambda: first.regions.put(palm, "west", other), lambda: first.regions.remove(palm, "west")):
+    watched = WEST.model_copy(update={"threshold": Threshold(quantity="force", above=5.0, below=4.0)})
+    for region in (other, watched, None):
         with pytest.raises(StateError, match="nothing was kept"):
-            change()
+            first.regions.put(palm, "west", region) if region else first.regions.remove(palm, "west")
         assert palm.regions.regions == {"west": WEST}
 
 
