@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
+from threading import Lock, Timer
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
@@ -103,31 +104,52 @@ class FramesQuery(MethodQuery):
 
 
 class Playbacks:
-    """Recordings that are open, and what restores their frames; on one thread, but for `close`."""
+    """Recordings that are open, and what restores their frames; on one thread at a time."""
 
     def __init__(self, leave_mb: float) -> None:
         self._leave_mb = leave_mb
         self._open: dict[tuple[str, str], RecordedFrames] = {}  # by file and bus, the one used last at the end
         self._restoring = lru_cache(MAX_OPEN)(Playback)
+        self._lock = Lock()  # of what is open
+        self._idle: Timer | None = None  # that closes what nobody has asked for, while anything is open
         self.series = SeriesRuns()
 
     def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
         """The frames of a file, read again where it or the bus has changed; Problem 503 where it cannot be."""
-        key, now = (path.name, bus), time.monotonic()
-        recorded = self._open.pop(key, None)
-        for name, other in list(self._open.items()):
-            if now - other.used_at > IDLE_S or len(self._open) >= MAX_OPEN:
-                self._open.pop(name).close()
+        key = path.name, bus
         codecs = {name: each.codec for name, each in service.sensors.items() if each.plan.bus == bus}
-        try:
-            if recorded and not recorded.is_of(codecs):
-                recorded.close()
-                recorded = None
-            self._open[key] = recorded = recorded or RecordedFrames(path, codecs, self._leave_mb)
-        except OSError as error:
-            raise Problem(503, f"recording {path.name}: {error.strerror}") from error
-        recorded.used_at = now
+        with self._lock:
+            recorded = self._open.pop(key, None)
+            while len(self._open) >= MAX_OPEN:
+                self._open.pop(next(iter(self._open))).close()
+            try:
+                if recorded and not recorded.is_of(codecs):
+                    recorded.close()
+                    recorded = None
+                self._open[key] = recorded = recorded or RecordedFrames(path, codecs, self._leave_mb)
+            except OSError as error:
+                if recorded:
+                    recorded.close()
+                raise Problem(503, f"recording {path.name}: {error.strerror}") from error
+            recorded.used_at = time.monotonic()
+            if self._idle is None:
+                self._await_idle(IDLE_S)
         return recorded
+
+    def _await_idle(self, seconds: float) -> None:
+        self._idle = Timer(seconds, self._close_idle)
+        self._idle.daemon = True
+        self._idle.start()
+
+    def _close_idle(self) -> None:
+        """Close what nobody has asked for, and look again when the next may be so."""
+        with self._lock:
+            now = time.monotonic()
+            for key in [key for key, each in self._open.items() if now - each.used_at >= IDLE_S]:
+                self._open.pop(key).close()
+            self._idle = None
+            if self._open:
+                self._await_idle(min(each.used_at for each in self._open.values()) + IDLE_S - now)
 
     def playback(self, sensor: Sensor, recorded: RecordedFrames) -> Playback:
         """What restores a sensor's frames, by its present calibration; Problem where there is none yet."""
@@ -138,8 +160,11 @@ class Playbacks:
     def close(self) -> None:
         """Close all."""
         self.series.close()
-        while self._open:
-            self._open.popitem()[1].close()
+        with self._lock:
+            if self._idle:
+                self._idle.cancel()
+            while self._open:
+                self._open.popitem()[1].close()
 
 
 def need_frame(sensor: Sensor, recorded: RecordedFrames, number: int) -> None:
@@ -254,7 +279,9 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
         """Reason, warnings, losses and contacts of one frame of a recording."""
         return await answer(request, name, query, partial(_frame, playbacks, number, query.method))
 
-    @router.get("/series", response_model=recorded_series.Series, responses=faults)
+    csv = success("every frame, once all are measured", "csv")
+
+    @router.get("/series", response_model=recorded_series.Series, responses=faults | csv)
     async def series(name: FileName, request: Request, query: Annotated[SeriesQuery, Query()]) -> Response:
         """Force, mean, peak and contact area over a recording; the first request begins to measure its frames."""
         return await answer(request, name, query, partial(_series, playbacks, query))

@@ -1,6 +1,9 @@
 """Frames of recordings: any of them at once, as a replay restores them."""
 
+from contextlib import suppress
 from dataclasses import asdict
+from pathlib import Path
+from unittest.mock import MagicMock
 
 import httpx
 import numpy as np
@@ -17,7 +20,7 @@ from tactiled.web.rest import playback
 from tactiled.web.server import running
 from tactiled.wire import unpack_all
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, traffic, write
-from tests.conftest import HTTP, problem, until
+from tests.conftest import HTTP, ask, problem, until
 
 ROOT = "/api/v1/recordings"
 PALM = {"sensor": "palm"}
@@ -64,6 +67,33 @@ def replayed(path):
     """What a replay makes of a recording."""
     pipeline = Pipeline(sensor_plan("palm", parse(CONFIG).sensor["palm"]))
     return [pipeline.process(each) for _, each in frames(Recording(path), Router({"palm": CODEC}))]
+
+
+def files_without_names(folder):
+    """How many this process has open in a folder."""
+    count = 0
+    for each in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            name = str(each.readlink())
+            count += name.startswith(f"{folder}/") and name.endswith("(deleted)")
+    return count
+
+
+def test_frames_that_nobody_asks_for_leave_the_disk(monkeypatch, tmp_path):
+    timers = []
+    monkeypatch.setattr(playback, "Timer", lambda *arguments: timers.append(arguments) or MagicMock())
+    write(tmp_path / "a.log", list(traffic()))
+    with running(Service(parse(CONFIG)), Server(port=0, recordings=tmp_path, recordings_leave_mb=0)) as url:
+        answers = [ask("GET", f"{url}{ROOT}/a.log/playback?sensor=palm").status_code for _ in range(2)]
+        ((seconds, close_idle),) = timers
+        assert (answers, seconds) == ([200, 200], playback.IDLE_S)
+        close_idle()  # too early
+        assert files_without_names(tmp_path)
+        assert len(timers) == 2
+        monkeypatch.setattr(playback, "IDLE_S", 0.0)
+        close_idle()
+        assert not files_without_names(tmp_path)
+        assert len(timers) == 2
 
 
 @pytest.mark.parametrize("name", ["a.log", "a.asc.gz"])
