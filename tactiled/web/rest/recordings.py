@@ -169,8 +169,7 @@ class Recordings:
     async def add(self, name: str, chunks: AsyncIterator[bytes], size: int) -> Recording:
         """Take a new one of at most `size` bytes; Problem where there is one, no place for it, or no recording."""
         path = self._folder / name
-        with self._lock:
-            self._need_ended(name)
+        self._need_ended(name)  # without the lock, which others have while a bus is opened
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             if disk_usage(self._folder).free < self._leave_mb * 1e6 + size:

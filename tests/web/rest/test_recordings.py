@@ -1,5 +1,6 @@
 import shutil
 from contextlib import contextmanager
+from threading import Event, Thread
 from types import SimpleNamespace
 from urllib.parse import quote
 
@@ -8,6 +9,7 @@ import httpx
 import pytest
 
 from tactiled.bus import recorder, recording
+from tactiled.bus.reader import open_bus
 from tactiled.config import Server, parse
 from tactiled.runtime.events import Events
 from tactiled.runtime.service import Service
@@ -120,6 +122,24 @@ def test_a_recording_from_its_start_to_its_end(api, folder):
     assert api.all() == []
     for refused in (*api.read_and_delete("a.log"), api.stop("a.log")):
         assert problem(refused, 404) == "recording a.log: no such recording"
+
+
+def test_an_upload_does_not_wait_for_a_bus_that_is_being_opened(api, monkeypatch):
+    opening, opened = Event(), Event()
+
+    def slow(**settings):
+        opening.set()
+        assert opened.wait(60)
+        return open_bus(**settings)
+
+    monkeypatch.setattr(recordings, "open_bus", slow)
+    start = Thread(target=api.start, args=("a.log",))
+    start.start()
+    assert opening.wait(60)
+    added = api.client.put(f"{ROOT}/b.log", content=b"(1.000000) can0 123#00 R\n")
+    opened.set()
+    start.join()
+    assert added.status_code == 201, added.text
 
 
 def test_a_file_that_is_uploaded_is_a_recording_or_refused_and_leaves_nothing(api, folder, free_mb, monkeypatch):
