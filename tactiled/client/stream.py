@@ -31,6 +31,7 @@ ANSWER_S = 10.0  # that the service may take to answer, or to accept a stream
 MIN_CONNECT_S = 0.1  # that an attempt to connect has when `patience_s` is nearly over
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 MAX_PATIENCE_S = 1e6
+MAX_RATE_HZ = 1e4  # that the service takes
 FRESH_S = 0.1  # a shorter pause of the loop makes no image old; a newer image may take as long to come
 LOG_AFTER_S = 1.0  # without a requested image, the log has the state of its sensor
 MAX_QUEUE = 1024  # messages: a loop that pauses gets one status a second of each sensor, and no image
@@ -92,6 +93,13 @@ def _parse_patience(value: object) -> float:
     if isinstance(value, Real) and 0 < float(value) <= MAX_PATIENCE_S:
         return float(value)
     raise ConfigError(f"patience_s = {value!r}: give up to {MAX_PATIENCE_S:g} s, or None")
+
+
+def _parse_rate(value: object) -> float:
+    """An argument in 1/s; ConfigError where it is no rate."""
+    if isinstance(value, Real) and 0 <= float(value) <= MAX_RATE_HZ:
+        return float(value)
+    raise ConfigError(f"rate_hz = {value!r}: give up to {MAX_RATE_HZ:g}, or 0 for every frame")
 
 
 class Inbox:
@@ -177,7 +185,7 @@ class Stream:
         self._kinds: dict[str, Sequence[Kind]] = {
             name: (*PRESSURES, "shear") if name in sheared else PRESSURES for name in names
         }
-        query = {"sensors": ",".join(names), "rate_hz": rate_hz, "flow": "credit"}
+        query = {"sensors": ",".join(names), "rate_hz": _parse_rate(rate_hz), "flow": "credit"}
         query |= {"shear": ",".join(sheared)} if sheared else {}
         self.address = f"ws{service.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
         self._options: dict[str, Any] = {"additional_headers": service.headers, "compression": None}

@@ -114,6 +114,9 @@ WRONG = {error: (sensor, {}) for error, sensor in WRONG_SENSORS.items()} | {
     "patience_s = 0": ("palm", {"patience_s": 0}),
     "patience_s = nan": ("palm", {"patience_s": float("nan")}),
     "patience_s = '3'": ("palm", {"patience_s": "3"}),
+    "rate_hz = -1": ("palm", {"rate_hz": -1}),
+    "rate_hz = nan": ("palm", {"rate_hz": float("nan")}),
+    "rate_hz = '5'": ("palm", {"rate_hz": "5"}),
     "shear = 3": ("palm", {"shear": 3}),
 }
 
