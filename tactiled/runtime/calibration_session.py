@@ -65,11 +65,11 @@ class CalibrationSession:
         return self._clock() - self._touched_at > IDLE_S
 
     def lapsed(self) -> bool:
-        """Whether it ended because its client has gone away."""
-        with self._lock:
-            if self.idle:
-                self.discard()
-            return self.state == "ended"
+        """Whether it ended because its client has gone away; waits for nothing while its client is here."""
+        if not self.idle:
+            return False
+        self.discard()
+        return True
 
     def quality(self) -> Quality:
         """What the frames so far are good for, looked at once a second at most, and not during a fit."""

@@ -52,7 +52,7 @@ class GuidedCalibrations:
             del self._sessions[name]
             self._service.events.add("calibration_ended", "its client has gone away: nothing was changed", name)
             return None
-        return session
+        return None if session is None or session.state == "ended" else session
 
     def way(self, name: str) -> Way | None:
         """Way of the open session of a sensor; None where there is none."""

@@ -104,11 +104,12 @@ class Service:
         ConfigError where it does not fit, StateError where it cannot be written; then nothing has changed. Solving
         a cover takes seconds, in which frames go on.
         """
-        sensor, settings = self.sensor(name), self.config.sensor[name]
-        path = settings.calibration.file
         with self._apply_lock:
+            sensor, settings = self.sensor(name), self.config.sensor[name]
+            path = settings.calibration.file
             plan = sensor_plan(name, settings, file)
-            sensor.recalibrate(plan, lambda: save(path, file) if path else None)
+            with self._set_lock:  # the method goes with it
+                sensor.recalibrate(plan, lambda: save(path, file) if path else None)
             kept = f"written to {path.name}" if path else "until the service ends: calibration.file is not set"
             self.events.add("calibration_applied", f"{file.id}: {', '.join(file.sections)}; {kept}", name)
 

@@ -1,6 +1,7 @@
 """A calibration is applied, and a tare undone, while frames come."""
 
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,9 @@ import pytest
 from tactiled.calibrate.calibration_file import load, save
 from tactiled.config import parse
 from tactiled.errors import ConfigError, StateError, TareStateError
+from tactiled.runtime import service as module
+from tactiled.runtime.guided_calibration import GuidedCalibrations
+from tactiled.runtime.pipeline import Pipeline
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tests.calibrate.files import calibration_file, gain_section
@@ -92,25 +96,76 @@ def test_what_cannot_be_applied_changes_nothing(make, tmp_path, monkeypatch):
     assert len(service.events.after(0)) == 2
 
 
-def test_frames_go_on_while_a_cover_is_solved_and_none_is_of_two_calibrations(make, monkeypatch):
-    service = make()
-    solving, solved = threading.Event(), threading.Event()
+@pytest.fixture
+def solving(monkeypatch):
+    """Events: a calibration is being made, and it may go on."""
+    begun, done, plan = threading.Event(), threading.Event(), module.sensor_plan
 
     def slow_plan(name, settings, file):
-        solving.set()
-        assert solved.wait(60)
+        begun.set()
+        assert done.wait(60)
         return plan(name, settings, file)
 
-    from tactiled.runtime import service as module
-
-    plan = module.sensor_plan
     monkeypatch.setattr(module, "sensor_plan", slow_plan)
+    return begun, done
+
+
+def test_a_sensor_that_was_replaced_meanwhile_is_not_calibrated_in_the_place_of_the_new_one(make, solving):
+    service, (begun, done), looked = make(), solving, threading.Event()
+    first = threading.Thread(target=service.apply_calibration, args=("palm", lines(0.5)))
+    first.start()
+    assert begun.wait(60)
+    sensor = service.sensor
+    service.sensor = lambda name: looked.set() or sensor(name)
+    second = threading.Thread(target=service.apply_calibration, args=("palm", lines(0.25)))
+    second.start()
+    looked.wait(0.2)  # what looks too early does so at once
+    service.sensors = make().sensors  # as after a reload
+    done.set()
+    first.join()
+    second.join()
+    assert service.sensor("palm").plan.calibration_id == lines(0.25).id
+
+
+def test_a_method_that_is_set_during_a_calibration_is_the_next_frames(make, monkeypatch):
+    service, take_over = make(), Pipeline.take_over
+    other = threading.Thread(target=service.set_method, args=("palm", "raw"))
+
+    def taken_over(self, before):
+        take_over(self, before)
+        other.start()
+        other.join(0.2)  # what does not wait is done at once
+
+    monkeypatch.setattr(Pipeline, "take_over", taken_over)
+    service.apply_calibration("palm", lines(0.25))
+    other.join()
+    assert service.sensor("palm").method == "raw"
+
+
+def test_who_asks_while_a_calibration_is_applied_does_not_wait_and_ends_nothing(make, solving):
+    service, (begun, done) = make(), solving
+    restored(service)
+    calibrations = GuidedCalibrations(service)
+    session = calibrations.start("palm", "uniform")
+    session.state, session.outcome = "fitted", SimpleNamespace(file=lines(0.25))
+    other = threading.Thread(target=calibrations.apply, args=("palm",))
+    other.start()
+    assert begun.wait(60)
+    assert calibrations.way("palm") == "uniform"
+    done.set()
+    other.join()
+    assert calibrations.way("palm") is None
+    assert [text for kind, text in kinds(service) if kind == "calibration_ended"] == ["applied"]
+
+
+def test_frames_go_on_while_a_cover_is_solved_and_none_is_of_two_calibrations(make, solving):
+    service, (begun, done) = make(), solving
     file = lines(0.25)
     other = threading.Thread(target=service.apply_calibration, args=("palm", file))
     other.start()
-    assert solving.wait(60)
+    assert begun.wait(60)
     images = [restored(service, n) for n in range(3)]
-    solved.set()
+    done.set()
     while images[-1].calibration != file.id:
         images.append(restored(service, len(images)))
     other.join()

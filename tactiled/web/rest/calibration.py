@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Request
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from tactiled.errors import CalibrationStateError
 from tactiled.runtime import calibration_session
@@ -12,7 +12,7 @@ from tactiled.runtime.cover_procedure import CoverOutcome
 from tactiled.runtime.gain_procedure import GainOutcome
 from tactiled.runtime.guided_calibration import GuidedCalibrations, Session
 from tactiled.web import schemas
-from tactiled.web.rest.dependencies import NamedSensor
+from tactiled.web.rest.dependencies import CurrentService, NamedSensor, applying
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
 
 MAX_LINE_POINTS = 400  # of a plotted line: it is part of every answer
@@ -60,7 +60,10 @@ class WeightMark(schemas.RequestBody):
 
 
 Start = Annotated[StartTip | StartEdge | StartOther, Field(discriminator="way")]
-Mark = PressureMark | WeightMark
+Mark = Annotated[
+    Annotated[PressureMark, Tag("uniform")] | Annotated[WeightMark, Tag("weight")],
+    Discriminator(lambda body: "weight" if isinstance(body, dict) and "weight_n" in body else "uniform"),
+]
 
 
 class Quality(schemas.Schema):
@@ -234,10 +237,11 @@ def cancel(calibrations: Calibrations, sensor: NamedSensor) -> CalibrationSessio
     return _answer(session)
 
 
-@router.post("/apply", status_code=204, responses=problems(409, *CONTROL))
-def apply(calibrations: Calibrations, sensor: NamedSensor) -> None:
+@router.post("/apply", status_code=204, responses=problems(409, 503, *CONTROL))
+def apply(calibrations: Calibrations, sensor: NamedSensor, service: CurrentService) -> None:
     """Apply the result from the next frame on; the session ends."""
-    calibrations.apply(sensor.name)
+    with applying(service, sensor.name):
+        calibrations.apply(sensor.name)
 
 
 @router.delete("", status_code=204, responses=problems(*CONTROL))

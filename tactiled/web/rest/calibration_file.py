@@ -7,11 +7,11 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, read
-from tactiled.errors import ConfigError, PhysicsError, StateError
+from tactiled.errors import ConfigError
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
-from tactiled.web.rest.dependencies import CurrentService, NamedSensor, without_path
+from tactiled.web.rest.dependencies import CurrentService, NamedSensor, applying
 from tactiled.web.rest.openapi import CONTROL, MEDIA, Responses, problems
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ async def upload(
         file = read(await request.body())
     except ConfigError as error:
         raise ConfigError(f"body: {error}") from error
-    await run_in_threadpool(_apply, service, sensor, file)
-    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
+    return await run_in_threadpool(_applied, service, sensor, file, request)
 
 
 @router.get("/history", responses=problems(404))
@@ -85,18 +84,15 @@ def apply_again(
         raise Problem(404, f"sensor {sensor.name!r}: no former calibration {number}")
     if isinstance(file, str):
         raise ConfigError(f"former calibration {number}: {file}")
-    _apply(service, sensor, file)
-    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
+    return _applied(service, sensor, file, request)
 
 
-def _apply(service: "Service", sensor: Sensor, file: CalibrationFile) -> None:
-    path = service.config.sensor[sensor.name].calibration.file
-    try:
+def _applied(
+    service: "Service", sensor: Sensor, file: CalibrationFile, request: Request
+) -> calibration_schemas.SensorCalibration:
+    with applying(service, sensor.name):
         service.apply_calibration(sensor.name, file)
-    except PhysicsError as error:
-        raise Problem(422, str(error)) from error
-    except StateError as error:
-        raise Problem(503, without_path(error, path) if path else str(error)) from error
+    return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
 def _former(number: int, file: CalibrationFile | str) -> FormerCalibration:

@@ -10,7 +10,7 @@ from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
 from starlette.requests import HTTPConnection
 
-from tactiled.errors import StateError
+from tactiled.errors import PhysicsError, StateError
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.sensor_view import PlanView, SensorView
 from tactiled.units import PRESSURE
@@ -77,10 +77,13 @@ def format_of(formats: Any) -> Any:
 def _accepted(request: Request, offered: tuple[str, ...]) -> str:
     """The format that a request's Accept header prefers; Problem 406 where it accepts none."""
     header = request.headers.get("accept", "*/*")
-    for weight, media_range in sorted(map(_weighed, header.split(",")), key=lambda each: -each[0]):
+    ranges = [_weighed(part) for part in header.split(",")]
+    refused = {media for weight, media in ranges if weight == 0}
+    for weight, media_range in sorted(ranges, key=lambda each: -each[0]):
         for form in offered:
             media = MEDIA[form]
-            if weight > 0 and media_range in (media, f"{media.partition('/')[0]}/*", "*/*"):
+            group = f"{media.partition('/')[0]}/*"
+            if weight > 0 and media not in refused and media_range in (media, group, "*/*"):
                 return form
     raise Problem(406, f"Accept: {header}: there are {', '.join(MEDIA[each] for each in offered)}")
 
@@ -121,6 +124,18 @@ def keeping(service: Service) -> Iterator[None]:
         if service.state is None:
             raise Problem(409, str(error)) from error
         raise Problem(503, without_path(error, service.state.path)) from error
+
+
+@contextmanager
+def applying(service: Service, name: str) -> Iterator[None]:
+    """Problem 422 in the block where a sensor's calibration has no solution, 503 where it cannot be written."""
+    path = service.config.sensor[name].calibration.file
+    try:
+        yield
+    except PhysicsError as error:
+        raise Problem(422, str(error)) from error
+    except StateError as error:
+        raise Problem(503, without_path(error, path) if path else str(error)) from error
 
 
 async def in_turn(request: Request, make: Callable[[], Response], kind: Costly = "numbers") -> Response:

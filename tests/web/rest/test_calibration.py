@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tactiled.errors import StateError
 from tests.calibrate.skins import contact
 from tests.calibrating import TIP_MM, TRUE_FACTOR, CalibratedSkin
 from tests.conftest import GAIN, problem, until
@@ -30,7 +31,11 @@ def image_kpa(rig):
     return rig.sensor.hub.latest().raw.ravel()
 
 
-def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin):
+def refuse(*_):
+    raise StateError("calibration: No space left on device")
+
+
+def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin, monkeypatch):
     started = client.post(SESSION, json={"way": "uniform"})
     assert started.status_code == 201, started.text
     assert client.get("/sensors/palm/calibration").json()["session"] == "uniform"
@@ -47,6 +52,9 @@ def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin):
     assert gain["spread_percent"] == pytest.approx(100 * skin.gain.std() / skin.gain.mean(), rel=0.05)
     points = [each for each in gain["line"]["measured_kpa"] if each is not None]
     assert points == [100, 200, 400]
+    with monkeypatch.context() as patched:
+        patched.setattr(rig.service, "apply_calibration", refuse)
+        assert problem(client.post(SESSION + "/apply"), 503) == "calibration: No space left on device"
     assert client.post(SESSION + "/apply").status_code == 204
     problem(client.get(SESSION), 404)
     skin.level(300)
@@ -133,14 +141,23 @@ def test_a_fit_of_nothing_says_why_and_collecting_goes_on(client, skin):
         ("", {"way": "tip", "tip_mm": 0.0}, 422, "tip_mm = 0"),
         ("", {"way": "edge", "edge_mm": -1.0}, 422, "edge_mm = -1"),
         ("", {"way": "tip", "tipmm": 2.0}, 422, "tipmm"),
-        ("/mark", {"pressure_kpa": 20.0, "weight_n": 1.0}, 422, "weight_n"),
+        (
+            "/mark",
+            {"pressure_kpa": 20.0, "weight_n": 1.0},
+            422,
+            "pressure_kpa = 20.0: Extra inputs are not permitted",
+        ),
+        ("/mark", {"pressure_kpa": -1.0}, 422, "pressure_kpa = -1.0: Input should be greater than or equal to 0"),
+        ("/mark", {"weight_n": "1"}, 422, "weight_n = '1': Input should be a valid number"),
         ("/mark", {"pressure_kpa": 20.0}, 404, "no calibration is open"),
         ("/fit", None, 404, "no calibration is open"),
         ("/apply", None, 404, "no calibration is open"),
     ],
 )
 def test_a_wrong_request_names_what_is_wrong(client, path, body, status, words):
-    assert words in problem(client.post(SESSION + path, **({"json": body} if body else {})), status)
+    detail = problem(client.post(SESSION + path, **({"json": body} if body else {})), status)
+    assert words in detail
+    assert ";" not in detail  # one fault each
 
 
 def test_marks_are_refused_by_name_and_keep_what_is_there(client, skin):
