@@ -16,7 +16,7 @@ from tactiled.runtime.sensor import Sensor
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping
-from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
+from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems, success
 
 MAX_POINTS = 60_000
 NAME = r"^[\w][\w .-]{0,39}$"
@@ -111,7 +111,9 @@ def reset_region(sensor: NamedSensor, region: RegionName) -> None:
     watched(sensor, region).reset()
 
 
-@router.get("/{region}/series", response_model=Series, responses=problems(404))
+@router.get(
+    "/{region}/series", response_model=Series, responses=problems(404) | success("one line an image", "csv")
+)
 def series(
     sensor: NamedSensor,
     region: RegionName,

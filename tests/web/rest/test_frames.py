@@ -119,6 +119,7 @@ def test_the_accept_header_selects_the_format(rig, client):
         ("application/json;q=0.5, image/png", "image/png"),
         ("text/html, application/x-npy;q=0.1", "application/x-npy"),
         ("application/json;q=0, application/x-npy;q=0.1", "application/x-npy"),
+        ("application/json;q=0, */*", "application/x-npy"),
     ):
         assert client.get(NEWEST, headers={"Accept": accept}).headers["content-type"] == expected
     for accept in ("text/html", "application/json;q=0, image/png;q=x"):

@@ -95,6 +95,16 @@ def test_every_example_is_valid(openapi):
         assert jsonschema.Draft202012Validator(schema).is_valid(example), (place, example)
 
 
+def test_answers_as_csv_are_described(openapi):
+    csv = [
+        operation["responses"]["200"]["content"]
+        for _, operation in operations(openapi)
+        if any(each["name"] == "format" and "csv" in str(each) for each in operation.get("parameters", []))
+    ]
+    assert len(csv) == 2
+    assert all("text/csv" in each for each in csv)
+
+
 def test_a_token_is_described_where_one_is_needed(rig, openapi):
     assert "security" not in openapi
     token = "c" * 16
