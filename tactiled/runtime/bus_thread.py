@@ -22,6 +22,7 @@ from tactiled.threads import FRAME_LOCK, join_started
 
 POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
 BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
+MAX_FULL_BATCHES = 8  # in a row, with newer messages behind each, until a frame is restored all the same
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
 LOG = logging.getLogger(__name__)
 
@@ -148,19 +149,22 @@ class BusThread:
     def _read(self, reader: Reader) -> None:
         """Take messages until the stop; BusError where the bus goes, and whatever else is raised."""
         self._poller.start(time.monotonic())
+        full = 0  # batches in a row behind which newer messages may wait
         while not self._stop.is_set():
             self.turns += 1
             self._exchange()
             now = time.monotonic()
             reader.unsent += self._poller.send_due(reader.send, now)
-            batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), self._router.needed)
+            needed = self._router.needed
+            batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), needed)
             now = time.monotonic()
             if len(batch):
                 with FRAME_LOCK:
                     frames = self._router.push(batch, now)
                 self._offer(frames)
             self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))
-            if len(batch) < MAX_FRAMES:  # else newer ones may wait
+            full = full + 1 if len(batch) >= MAX_FRAMES and len(batch) > needed else 0
+            if full % MAX_FULL_BATCHES == 0:
                 self._restore_offered()
             if reader.off != self._down:
                 self._set_down(reader.off)

@@ -1,4 +1,5 @@
 import time
+from itertools import count
 
 import numpy as np
 import pytest
@@ -88,6 +89,27 @@ def test_of_frames_of_one_sensor_that_come_together_only_the_newest_is_restored(
     line.until_image(3)
     line.listener.stop()
     assert line.sensor.hub.latest().loss.skipped == 3
+
+
+@pytest.mark.parametrize("malformed", [0, 3])
+def test_frames_that_fill_every_batch_are_restored_while_more_come(plan, monkeypatch, malformed):
+    line, numbers = Line(plan), count()
+    key = min(plan.codec.ids)[0]
+
+    def batch(*_):
+        line.send(next(numbers))
+        messages, line.bus.messages = line.bus.messages, []
+        return Batch.of(messages + malformed * [Message(0.0, key, b"")])
+
+    monkeypatch.setattr("tactiled.runtime.bus_thread.MAX_FRAMES", plan.codec.segments + malformed)
+    monkeypatch.setattr(line.bus, "batch", batch)
+    monkeypatch.setattr(OPEN_BUS, line.bus.open)
+    line.sensor._took_s = 0.0
+    line.listener.start()
+    try:
+        until(line.sensor.hub.latest)
+    finally:
+        line.listener.stop()
 
 
 def test_a_bus_that_goes_away_is_opened_again_when_it_is_back(line):
