@@ -78,10 +78,17 @@ class SkinMonitor:
             calibrator.drift(self._drift.correction)
         return True
 
-    def take_over(self, other: "SkinMonitor") -> None:
-        """Go on from what `other`, of the same array and another calibration, knows of the taxels."""
+    def take_over(self, other: "SkinMonitor", calibrator: Calibrator) -> None:
+        """Go on from what `other`, of the same array and another calibration, knows of the taxels.
+
+        The drift of zeros that the calibrator still has goes on, too.
+        """
         self._noise, self._changes, self.map = other._noise, other._changes, other.map
         self._health.take_over(other._health)
+        self._restart(calibrator)
+        if self._drift is not None and other._drift is not None and other._tracks and self._tracks:
+            self._drift.take_over(other._drift, calibrator.no_load)
+            calibrator.drift(self._drift.correction)
 
     def _restart(self, calibrator: Calibrator) -> None:
         """Take the zeros just set."""

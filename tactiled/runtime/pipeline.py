@@ -108,17 +108,23 @@ class Pipeline:
     def take_over(self, other: "Pipeline") -> None:
         """Go on from where `other`, of the same array and another calibration, is: method, zero, tare under way.
 
-        Its tare is kept unless the calibration's no load is newer.
+        Its tare is kept unless the calibration's no load is newer, and with it the zero from before.
         """
         self.method, self._tare_frames = other.method, other._tare_frames
         self.tared, self.lapsed, self.refused = other.tared, other.lapsed, other.refused
-        self.load_in_tare, self._zero_before = other.load_in_tare, other._zero_before
-        self.zero = replace(self.zero, shear=other.zero.shear)
-        if other.zero.time is not None and other.zero.time >= self._plan.no_load_time:
-            self.zero = other.zero
-        self.monitor.take_over(other.monitor)
-        self._weigh_taxels()
+        self.load_in_tare, zero, before = other.load_in_tare, self._unless_older(other.zero), other._zero_before
+        if zero is other.zero and before is not None:
+            self._zero_before = self._unless_older(before)
+        self.zero = zero
         self._use_zero()
+        self.calibrator.faulty = other.calibrator.faulty
+        self.monitor.take_over(other.monitor, self.calibrator)
+        self._weigh_taxels()
+
+    def _unless_older(self, zero: Zero) -> Zero:
+        """A zero of another calibration; with the counts of this one where it was not tared since that."""
+        tared = zero.time is not None and zero.time >= self._plan.no_load_time
+        return zero if tared else replace(self.zero, shear=zero.shear)
 
     def deviation(self, image: Image) -> NDArray[np.float32]:
         """Standard deviation of every cell of `image.restored`, in its unit, this pipeline's newest."""

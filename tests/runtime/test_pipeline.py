@@ -209,12 +209,19 @@ def test_another_calibration_goes_on_with_the_tare_unless_its_no_load_is_newer(m
         calibration = replace(plan.calibration, kpa_per_count=2.0, no_loads=counts)
         return Pipeline(replace(plan, calibration=calibration, file=calibration_file(no_load=section)))
 
+    pipeline, old = with_no_load(TARED_AT - 60), tared()
+    old.set_zero(replace(old.zero, counts=old.zero.counts + 1))  # as by a second tare
+    pipeline.take_over(old)
+    pipeline.undo_tare()
+    assert pipeline.zero.counts[0] == NO_LOAD + 5
     for after, reading in ((-60, 2.0 * 5), (60, 2.0 * 20)):
         pipeline, old = with_no_load(TARED_AT + after), tared()
         pipeline.take_over(old)
         assert pipeline.process(frame(counts=UNLOADED + 10)).raw[0, 0] == reading
-        assert (pipeline.method, pipeline.tared, pipeline.can_undo) == ("nnls", 1, True)
+        assert (pipeline.method, pipeline.tared, pipeline.can_undo) == ("nnls", 1, after < 0)
         assert pipeline.zero.shear[0, 0] == 50
+        pipeline.undo_tare()
+        assert pipeline.zero.counts[0] == 90  # of the calibration file
     pipeline, old = with_no_load(TARED_AT + 60), tared()
     old.tare(TARED_AT + 90)
     pipeline.take_over(old)  # the tare under way, too
@@ -281,6 +288,10 @@ def test_zeros_that_were_measured_follow_drift(make, tared, track_drift, tracks)
     state = pipeline.monitor.state
     assert (state.drift_counts is not None) == tracks
     assert not tracks or abs(state.drift_counts.mean() - 80) < 2
+    other = make(track_drift=track_drift, kpa_per_count=2 * GAIN)
+    other.take_over(pipeline)
+    image = other.process(frame(3600, counts, time=3620.0))
+    assert (abs(image.raw.mean()) < 4 * GAIN) == tracks
 
 
 def test_a_taxel_that_becomes_noisy_is_measured_and_then_trusted_less(make, plan):
@@ -315,6 +326,7 @@ def test_a_taxel_found_faulty_is_flagged_and_restored_from_its_neighbours_and_su
     other = make("wiener", kpa_per_count=2 * GAIN)
     other.take_over(pipeline)
     assert other.monitor.state.faults[3 * SIDE + 3] == Fault.STUCK
+    assert other.process(frame(n, counts)).flags[3, 3] == FAULTY
 
 
 def test_a_step_that_would_end_after_the_deadline_does_not_begin(monkeypatch):
