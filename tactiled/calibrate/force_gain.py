@@ -45,7 +45,7 @@ def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -
     require_press(signal)
     alignment = align(series.times, signal, log)
     points, means, _ = log_points(series, log, alignment, rails)
-    summed, usable, dead = _summed(points, means.noise, array)
+    summed, usable, dead = _summed(points, means.noise, array, MIN_PRESSED)
     _require_total(summed, means.noise)
     end = np.array([summed.counts.max()])
     form, scores = choose_form(_alike(summed, end), end, NEED)
@@ -61,7 +61,7 @@ def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -
         f"{np.count_nonzero(usable)} of {usable.size} loads are off the border and dead taxels, and used",
         f"one curve for all taxels, spread about {100 * spread:.2g} %: uniform pressure gives each its own",
     )
-    return replace(made, spread=spread, notes=notes, alignment=alignment)
+    return replace(made, spread=spread, notes=notes, alignment=alignment, force_n=points.pressure[usable])
 
 
 def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails) -> GainFit:
@@ -89,7 +89,7 @@ def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails)
 
 def _weighed(points: Points, means: Means, array: Array, loaded: NDArray[np.bool_]) -> GainFit:
     """The common gain of a weight; what the taxels' own are is not known."""
-    summed, _, dead = _summed(points, means.noise, array)
+    summed, usable, dead = _summed(points, means.noise, array, 1)
     _require_total(summed, means.noise[loaded])
     end = np.array([summed.counts.max()])
     fitted = fit(summed, end, "linear")
@@ -99,12 +99,18 @@ def _weighed(points: Points, means: Means, array: Array, loaded: NDArray[np.bool
         f"{100 * fitted.variance[0] ** 0.5:.2g} % by their scatter" if count > 1 else "unknown: lay it on again"
     )
     unknown = np.full(array.size, np.nan)
+    incomplete = np.isnan(points.counts[:, ~dead, 0].sum(axis=1))
     notes = (
+        *(
+            f"load {n + 1} of {usable.size} is not used: "
+            + ("a taxel is saturated" if incomplete[n] else "it reaches the border of the array or a dead taxel")
+            for n in np.flatnonzero(~usable)
+        ),
         "one gain for all taxels: their spread is not known",
         f"weight laid on {count} time{'s' if count > 1 else ''}; standard error of the common gain {error}",
     )
     made = _made(fitted, {}, float(end[0]), means, summed, dead, unknown, np.nan)
-    return replace(made, notes=notes)
+    return replace(made, notes=notes, force_n=points.pressure[usable])
 
 
 def _alike(points: Points, end: Floats) -> Points:
@@ -144,10 +150,12 @@ def _made(
     return GainFit(curves, means.no_load, listed, np.nan, scores, points, fitted.residuals)
 
 
-def _summed(points: Points, noise: Floats, array: Array) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
+def _summed(
+    points: Points, noise: Floats, array: Array, need: int
+) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
     """Points (M', 1, N) of the mean pressure on a taxel's area, those of the M that are used, and the dead taxels.
 
-    ConfigError where hardly a load lies away from the border.
+    ConfigError where fewer than `need` loads lie away from the border.
     """
     counts = points.counts[..., 0]
     dead, around = _dead(counts, array)
@@ -157,7 +165,7 @@ def _summed(points: Points, noise: Floats, array: Array) -> tuple[Points, NDArra
     chance = RIM_SIGMAS * np.sqrt(np.square(np.median(noise, axis=0)[border | dead]).sum())
     usable = complete & (lost <= np.maximum(MAX_LOST_SHARE * counts.sum(axis=1), chance))
     firm = points.pressure > points.pressure.max() / 2
-    if np.count_nonzero(usable & firm) < min(MIN_PRESSED, int(np.count_nonzero(firm))):
+    if np.count_nonzero(usable & firm) < min(need, int(np.count_nonzero(firm))):
         raise ConfigError(
             f"{np.count_nonzero(firm & ~usable)} of {np.count_nonzero(firm)} loads reach the border of the array "
             "or a dead taxel, where part of a load is not measured: press in the middle"

@@ -41,6 +41,7 @@ class GainFit:
     residuals: Floats  # (M, N), of a force (M, 1): fitted less known pressure, kPa; NaN: left out
     alignment: Alignment | None = None
     notes: tuple[str, ...] = ()
+    force_n: Floats | None = None  # (M,) known loads, of a force: `points.pressure` is over a taxel's area
 
 
 def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> GainFit:

@@ -149,7 +149,9 @@ def _numbers(text: str) -> list[float]:
 def _lines(fit: "GainFit") -> list[str]:
     """What was found, a line each."""
     curves, live = fit.curves, np.setdiff1d(np.arange(fit.curves.size), fit.dead)
-    full = np.median(np.abs(curves.reach_counts).max(axis=1)[live])
+    ends = curves.reach_counts.sum(axis=1)
+    reach = fit.points.pressure.max() if fit.force_n is None else np.median(curves.pressure(ends)[live])
+    largest = "" if fit.force_n is None else f"; the largest load is {fit.force_n.max():.3g} N"
     scores = ", ".join(f"{form} {100 * each:.2g} %" for form, each in fit.scores.items() if np.isfinite(each))
     own = np.count_nonzero(curves.individual)
     dead = ", ".join(map(str, fit.dead[:MAX_DEAD_LISTED])) + (" ..." if len(fit.dead) > MAX_DEAD_LISTED else "")
@@ -158,7 +160,8 @@ def _lines(fit: "GainFit") -> list[str]:
         "gain": f"{_spread(curves.gain[live])} kPa per count; {own} of {curves.size} taxels have their own",
         "standard error": _worst(100 * curves.deviation, "%"),
         "hysteresis": _worst(curves.hysteresis, "% of full scale"),
-        "calibrated": f"up to {fit.points.pressure.max():.3g} kPa, {full:.0f} counts over no load (median taxel)",
+        "calibrated": f"up to {reach:.3g} kPa, {np.median(np.abs(ends)[live]):.0f} counts over no load "
+        f"(median taxel){largest}",
         "dead": f"{len(fit.dead)} ({dead})" if fit.dead else "none",
     }
     if fit.alignment is not None:

@@ -13,25 +13,27 @@ MAX_TAXELS_DRAWN = 6  # by their gains, from the lowest to the highest
 def draw(path: Path, fit: GainFit) -> None:
     """Draw counts over pressure of some taxels, and the residuals of all; of a force, fitted over known load."""
     points, rising = fit.points, fit.points.direction >= 0
-    uniform = points.counts.shape[2] == 1
+    uniform = fit.force_n is None
+    load = points.pressure if fit.force_n is None else fit.force_n
+    what, unit = ("pressure", "kPa") if uniform else ("force", "N")
     with figure(path, 11, 4.4) as chart:
         curves, residuals = chart.subplots(1, 2)
         if uniform:
             _taxels(curves, fit)
         else:
-            load = points.pressure
-            curves.plot(load, load + fit.residuals[:, 0], ".", color=BLUE, label="measured")
+            fitted = load * (1 + fit.residuals[:, 0] / points.pressure)
+            curves.plot(load, fitted, ".", color=BLUE, label="measured")
             curves.plot([0, load.max()], [0, load.max()], color="0.5", label="equal")
-            curves.set(xlabel="force over the area of a taxel (kPa)", ylabel="sum of the taxels' pressures (kPa)")
+            curves.set(xlabel="known force (N)", ylabel="sum of the taxels' forces (N)")
             curves.legend()
         percent = 100 * fit.residuals / points.pressure.max()
         for some, colour, name in ((rising, BLUE, "rising"), (~rising, RED, "falling")):
             if some.any():
-                across = np.repeat(points.pressure[some], percent.shape[1])
+                across = np.repeat(load[some], percent.shape[1])
                 residuals.plot(across, percent[some].ravel(), ".", color=colour, alpha=0.3, ms=3)
-                residuals.plot([], [], "o", color=colour, label=f"{name} pressure")
+                residuals.plot([], [], "o", color=colour, label=f"{name} {what}")
         residuals.axhline(0, color="0.5", lw=0.8)
-        residuals.set(xlabel="known pressure (kPa)", ylabel="fitted − known (% of the largest)", xlim=(0, None))
+        residuals.set(xlabel=f"known {what} ({unit})", ylabel="fitted − known (% of the largest)", xlim=(0, None))
         residuals.set_title("Residuals" + (" of all taxels" if uniform else ""))
         residuals.legend()
 

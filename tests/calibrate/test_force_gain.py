@@ -88,6 +88,16 @@ def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
     assert np.isnan(fit.curves.deviation).all()
     assert "their spread is not known" in fit.notes[0]
     assert "laid on 2 times" in fit.notes[1]
+    assert fit.force_n.tolist() == [PEAK_N, PEAK_N]
+
+
+def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
+    places, force = presses(np.array([[10.0, 11.0], [0.0, 11.0]]), seconds=10)
+    skin = Skin(256, seed=36, spread=0)
+    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    fit = fit_weight(series, PEAK_N, ARRAY, Rails())
+    np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
+    assert fit.notes[0] == "load 2 of 2 is not used: it reaches the border of the array or a dead taxel"
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,26 @@ import pytest
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.plateaus import response
 from tactiled.config import load
+from tactiled.geometry import grid
 from tactiled.runtime.frame_series import read_frame_series
-from tests.calibrate.skins import Skin, steps
+from tests.calibrate.skins import Skin, contact, steps
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CODEC, CONFIG, write
 
 STEPS = (0, 10, 20, 40, 60, 40, 20, 10, 0)
 LISTED = ",".join(map(str, STEPS))
+
+
+def record(path, series):
+    frames = np.clip(series.counts, 0, 4095).astype(np.uint16)
+    return write(
+        path,
+        (
+            message._replace(time=series.times[n] + 0.001 * part)
+            for n, counts in enumerate(frames)
+            for part, message in enumerate(CODEC.encode(counts, n, 0.0))
+        ),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +36,7 @@ def bag(tmp_path_factory):
     (folder / "palm.toml").write_text(CONFIG.replace("kpa_per_count = 0.5, no_load = 100, ", ""))
     kpa = steps(STEPS, hold_s=1.5, ramp_s=0.3)
     series = Skin(64, seed=51, dead=(9,)).series(kpa)
-    frames = np.clip(series.counts, 0, 4095).astype(np.uint16)
-    write(
-        folder / "bag.log",
-        (
-            message._replace(time=series.times[n] + 0.001 * part)
-            for n, counts in enumerate(frames)
-            for part, message in enumerate(CODEC.encode(counts, n, 0.0))
-        ),
-    )
+    record(folder / "bag.log", series)
     rows = [f"{time - 0.25:.4f},{value:.3f}" for time, value in zip(series.times, kpa, strict=True)]
     (folder / "bag.csv").write_text("\n".join(["time_s,pressure_kpa", *rows]))
     return folder
@@ -70,6 +75,22 @@ def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):
     assert float(offset) == pytest.approx(-0.25, abs=0.002)
     assert calibration_file.load(tmp_path / "palm.json.1").id == first.id
     np.testing.assert_allclose(second.gain.curves.gain[:9], first.gain.curves.gain[:9], rtol=0.01)
+
+
+def test_a_weight_is_printed_with_the_pressure_at_the_counts_that_it_reached(bag, tmp_path):
+    array, load_n = grid(8, 8, 1.0), 0.05 * (steps((0, 1, 0, 1, 0), hold_s=2, ramp_s=0.2) > 0.5)
+    kpa = contact(np.full((load_n.size, 2), 3.5), load_n, array, 0.6)
+    log = record(tmp_path / "weight.log", Skin(64, seed=52, spread=0).series(kpa))
+    chart = tmp_path / "weight.svg"
+    arguments = ("--config", bag / "palm.toml", "--out", tmp_path / "palm.json", "--plot", chart)
+    output = succeed("calibrate", "gain", log, *arguments, "--weight-n", 0.05)
+    (reach, counts, load) = re.search(
+        r"calibrated +up to (\S+) kPa, (\d+) counts over no load .*; the largest load is (\S+) N", output
+    ).groups()
+    assert float(reach) == pytest.approx(kpa.max(), rel=0.02)
+    assert float(reach) == pytest.approx(0.02 * float(counts), rel=0.02)
+    assert load == "0.05"
+    assert "known force (N)" in chart.read_text()
 
 
 def test_bad_input_is_one_line_and_changes_nothing(bag, tmp_path):
