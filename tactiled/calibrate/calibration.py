@@ -110,12 +110,13 @@ class Calibrator:
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for an unknown taxel; the flags with DEAD, SATURATED, OUT_OF_RANGE added."""
         flags, over = flags | self._dead | self.faulty, counts.astype(np.float32) - self._zero
+        unknown = flags & UNKNOWN > 0
         if self.calibration.saturation is not None:
             full = self._direction * (counts - np.float32(self.calibration.saturation)) >= 0
-            flags = flags | np.where(full, SATURATED, 0).astype(np.uint8)
+            flags = flags | np.where(full & ~unknown, SATURATED, 0).astype(np.uint8)
         if self.calibration.curves is not None:
             beyond = self.calibration.curves.out_of_range(over)
-            flags = flags | np.where(beyond, OUT_OF_RANGE, 0).astype(np.uint8)
+            flags = flags | np.where(beyond & ~unknown, OUT_OF_RANGE, 0).astype(np.uint8)
         pressure = self._kpa(over)
-        pressure[flags & UNKNOWN > 0] = np.nan
+        pressure[unknown] = np.nan
         return pressure, flags

@@ -74,7 +74,9 @@ class CoverMonitor:
             self._near = [*self._near, np.where(usable, frame, np.float32(np.nan))][-2 * MAX_NEAR_FRAMES - 1 :]
             place = len(self._near) // 2
             middle = np.nan_to_num(self._near[place])
-            steepness = float(max(np.abs(np.diff(middle, axis=axis)).max() for axis in (0, 1)) / middle.max())
+            steepness = float(
+                max(np.abs(np.diff(middle, axis=axis)).max(initial=0.0) for axis in (0, 1)) / middle.max()
+            )
             if middle.max() > MIN_SNR and (self._best is None or steepness > self._best[0]):
                 self._best = steepness, self._near, place
 

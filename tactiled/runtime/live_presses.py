@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, SMOOTHED_FRAMES, Press, find_presses
 from tactiled.errors import ConfigError
-from tactiled.frames import SATURATED
+from tactiled.frames import MISSING, SATURATED
 from tactiled.restore.noise import detection_threshold
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.sensor import Sensor
@@ -18,9 +18,8 @@ RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong
 
 def pressures(sensor: Sensor, series: FrameSeries) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """A series' pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
-    counts = np.nan_to_num(series.counts)
-    pressure, flags = sensor.pipeline.calibrator(counts, np.zeros(counts.shape, np.uint8))
-    pressure[np.isnan(series.counts)] = np.nan
+    missing = np.where(np.isnan(series.counts), MISSING, 0).astype(np.uint8)
+    pressure, flags = sensor.pipeline.calibrator(np.nan_to_num(series.counts), missing)
     return pressure, flags & SATURATED > 0
 
 

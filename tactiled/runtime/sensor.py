@@ -243,8 +243,10 @@ class Sensor:
             gap = now - self._arrived_at
             if gap > self.plan.stale_after_s:
                 self.pipeline.lapse_tare()
-            weight = min(1.0, max(gap, MIN_RATE_WEIGHT))
-            self._period_s += (gap - self._period_s) * weight if self._period_s else gap
+                self._period_s = 0.0  # a break is no period
+            else:
+                weight = min(1.0, max(gap, MIN_RATE_WEIGHT)) if self._period_s else 1.0
+                self._period_s += (gap - self._period_s) * weight
         self._arrived_at = now
         self.frames.publish(frame)
         return now

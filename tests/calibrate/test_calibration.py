@@ -18,6 +18,13 @@ CLEAR = np.zeros(4, np.uint8)
         (Calibration(0.5, no_load=100), COUNTS, 0, (0, 100, 1997.5, -25), 0),
         # a negative gain: counts fall under pressure
         (Calibration(-1.0, 240, 60), (240, 100, 60, 12), 0, (0, 140, 180, 228), (0, 0, SATURATED, SATURATED)),
+        (
+            Calibration(-1.0, 240, 60),
+            (0, 100, 60, 0),
+            (MISSING, 0, 0, BAD),
+            (NAN, 140, 180, NAN),
+            (MISSING, 0, SATURATED, BAD),
+        ),
         (Calibration(1.0, saturation=4095), COUNTS, 0, COUNTS, (0, 0, SATURATED, 0)),
         (Calibration(), COUNTS, (FAULTY, MISSING, 0, BAD), (NAN, NAN, 4095, NAN), (FAULTY, MISSING, 0, BAD)),
         (Calibration(dead=(0, 3)), COUNTS, 0, (NAN, 300, 4095, NAN), (DEAD, 0, 0, DEAD)),

@@ -97,6 +97,15 @@ def test_none_is_judged_without_calibrated_gains_or_from_saturated_frames_or_few
     assert searches == []
 
 
+@pytest.mark.parametrize("shape", [(1, 16), (16, 1), (1, 1)])
+def test_an_array_of_one_row_or_column_is_watched(shape):
+    skin, curves = plan(shape, THICKNESS), gain_section(np.full(shape[0] * shape[1], 0.1)).curves
+    monitor = CoverMonitor(replace(skin, calibration=replace(skin.calibration, curves=curves)))
+    for _ in range(2 * EVERY_FRAMES):
+        monitor.push(np.full(shape, 50.0, np.float32), np.zeros(shape, np.uint8), NOISE)
+    assert monitor.warning == ()
+
+
 def test_a_warning_ends_with_the_next_judgement_and_with_a_tare(searches):
     """A factor within 15 % is never named, however narrow its interval."""
     searches.factors = 1.25, 1.14, 1.25

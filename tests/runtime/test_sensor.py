@@ -24,6 +24,10 @@ def test_status_is_silent_then_live_then_stale_and_down_while_the_bus_is(plan):
     status = sensor.status()
     assert (status.state, status.rate_hz, status.detail) == ("stale", 0, "no frame for 1.2 s")
     assert status.age_s == pytest.approx(1.25)
+    for n in range(200, 203):
+        timed.now += 0.01
+        sensor.offer(frame(n))
+    assert sensor.status().rate_hz == pytest.approx(100)  # a break is no period
     sensor.down = "bus can0: gone"
     assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
 
