@@ -94,6 +94,8 @@ def fit_blind(
         return _undecided(family, "the array is no grid: use presses with a tip or an edge")
     scenes = find_scenes(np.asarray(frames, np.float32), noise_kpa)
     if len(scenes) < MIN_SCENES:
+        if sum(map(len, scenes)) == len(frames):
+            return _undecided(family, "every frame shows a contact: lift between presses, and check no load")
         count = f"{len(scenes)} scene{'' if len(scenes) == 1 else 's'}"
         return _undecided(
             family, f"{count} with a clear contact: press {MIN_SCENES} things or more, lifting between"

@@ -9,12 +9,14 @@ import typer
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_array, make_calibration, make_codec, make_stack
+from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
+from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cli import options
 from tactiled.cli.calibrate import Out, existing, made_from, update
+from tactiled.config import schema
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.runtime.frame_series import read_frame_series
@@ -50,7 +52,7 @@ def cover(
     if sum((tip_mm is not None, edge or edge_mm is not None, blind)) != 1:
         raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
     settings, name, one = options.one_sensor(config, sensor)
-    before, stack = existing(out, name, one), make_stack(one)
+    before, stack = _other_sections(out, name, one), make_stack(one)
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
         full_scale = make_codec(one).full_scale
@@ -63,12 +65,21 @@ def cover(
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 
             draw(plot, fit, stack)
+    section = CoverSection.of(
+        fit if measured else replace(fit, kernel=None), stack, made_from(file, f"cover: {fit.method}")
+    )
     typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack)]))
-    if not measured:
-        fit = replace(fit, kernel=None)
-    section = CoverSection.of(fit, stack, made_from(file, f"cover: {fit.method}"))
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
+
+
+def _other_sections(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
+    """The calibration file to bring up to date, else the configured one, whose gain and no load the fit uses."""
+    if out.exists() or (configured := configured_file(sensor)) is None:
+        return existing(out, name, sensor)
+    others = configured.model_copy(update={"cover": None})
+    others.need_fit(name, sensor.codec.name, make_array(sensor).size, make_stack(sensor))
+    return others
 
 
 def _places(path: Path) -> Floats:

@@ -111,6 +111,7 @@ def test_gains_do_not_count_as_known_better_than_cells_explain_frames():
     [
         (np.zeros((50, SIZE, SIZE)), "0 scenes with a clear contact"),
         (pressed(1.0, ["ring", "edge"], seed=3), "2 scenes with a clear contact"),
+        (np.full((50, SIZE, SIZE), 30.0), "every frame shows a contact"),
     ],
 )
 def test_too_few_scenes_do_not_tell(frames, message):

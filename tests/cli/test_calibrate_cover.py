@@ -6,7 +6,9 @@ import pytest
 from tactiled.build import make_array, make_codec
 from tactiled.calibrate import calibration_file
 from tactiled.config import parse
-from tests.cli.commands import refusal, succeed
+from tests.calibrate.files import calibration_file as configured
+from tests.calibrate.files import cover_section, gain_section
+from tests.cli.commands import refusal, run, succeed
 from tests.cli.recordings import write
 from tests.touched import World, recorded, rubber
 
@@ -86,6 +88,17 @@ def test_an_edge_is_fitted_and_other_sections_stay(config, tips, tmp_path):
     assert printed.endswith(f"{out}: written; give it as calibration.file of the sensor\n")
 
 
+def test_another_file_begins_with_the_configured_one(config, tips, tmp_path):
+    file = configured(144, gain=gain_section(np.full(144, 0.05)), cover=cover_section())
+    calibration_file.save(tmp_path / "palm.json", file)
+    config.write_text(TEXT.replace("kpa_per_count = 0.05", 'file = "palm.json"'))
+    out = tmp_path / "other.json"
+    succeed("calibrate", "cover", tips[0], "--config", config, "--out", out, "--tip-mm", 1.6)
+    made = calibration_file.load(out)
+    assert made.gain == file.gain
+    assert made.cover.thickness_mm == pytest.approx(THICKNESS, rel=0.05)
+
+
 def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(config, tips, tmp_path):
     log, places = tips
     out = tmp_path / "palm.json"
@@ -101,6 +114,9 @@ def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(con
     assert refusal("calibrate", "cover", quiet, *base[3:], "--tip-mm", 1.6).startswith(
         "no press stands out of the"
     )
+    undecided = run(*base, "--blind")
+    assert undecided.exception.args[0].startswith("cover: ")
+    assert not undecided.output
     random, world = np.random.default_rng(2), World(ARRAY, rubber(THICKNESS))
     hard = np.array([3 * world.tip(0.8, each) for each in world.places(3, random)])
     full = recording(tmp_path / "full.log", hard, random)
