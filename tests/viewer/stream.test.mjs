@@ -133,8 +133,8 @@ test("a frame counts once both of its images came, and the next is requested the
 
 test("a still image keeps its own method, and details of the status nearest in time or none", () => {
   const { session, socket } = watch();
-  for (const [sequence, method] of [[10, 2], [12, 3], [40, 6]]) socket.deliver(...frame(sequence, { method }));
-  socket.deliver(status(10), status(13));
+  socket.deliver(...frame(10, { method: 2 }), status(10), ...frame(12, { method: 3 }), status(13));
+  socket.deliver(...frame(40, { method: 6 }));
   assert.equal(session.statusOfFrame.sequence, 13);
   session.pause(true);
   const at = (back) => {
@@ -151,13 +151,26 @@ test("a still image keeps its own method, and details of the status nearest in t
 
 test("frames of another run or another shape are not mixed with those before", () => {
   const { session, socket, events } = watch();
-  socket.deliver(...frame(10), ...frame(11), ...frame(9));
-  assert.deepEqual([events.at(-1), session.history.length], ["other shape", 2]); // it was restarted
-  socket.deliver(...frame(11 + 601));
+  socket.deliver(...frame(10), ...frame(11), ...frame(11 + 601));
   assert.equal(session.history.length, 1);
-  const other = { columns: 1, values: [1] };
-  socket.deliver(message(RAW, 800, { ...other, flags: [0] }), message(RESTORED, 800, other));
-  assert.equal(events.at(-1), "other shape");
+  for (const other of [{ columns: 1, values: [1] }, { rows: 2, columns: 1 }]) {
+    socket.deliver(message(RAW, 800, { ...other, flags: [0] }), message(RESTORED, 800, other));
+    assert.equal(events.pop(), "other shape");
+  }
+  socket.deliver(...frame(9));
+  assert.deepEqual([events.at(-1), session.history.length], ["other shape", 1]); // it was restarted
+});
+
+test("a restart that only a status or a frame dropped meanwhile told of is noticed when a paused page goes on", () => {
+  for (const told of [[status(null)], [status(3)], frame(3)]) {
+    const { session, socket, events } = watch();
+    socket.deliver(...frame(10));
+    session.pause(true);
+    socket.deliver(...told, ...frame(11));
+    session.pause(false);
+    socket.deliver(...frame(12));
+    assert.deepEqual(events, [10, "other shape"]);
+  }
 });
 
 test("a live frame that waited is held back and replaced, and shown where the sensor falls silent", () => {

@@ -1,5 +1,6 @@
 /** The last seconds of a sensor, in buffers that are allocated once. @module */
 
+import { isImageOf } from "./geometry.js";
 import { measure, measures } from "./measures.js";
 import { METHODS } from "./wire.js";
 
@@ -80,8 +81,8 @@ export class FrameHistory {
    * @returns {boolean}
    */
   fits(raw, restored, shear) {
-    const { raw: { count }, restored: { count: cells } } = this._plane;
-    return raw.values.length === count && restored.values.length === cells && (!shear || shear.shear.length === 2 * count);
+    const { raw: taxels, restored: cells } = this._plane;
+    return isImageOf(raw, taxels) && isImageOf(restored, cells) && (!shear || isImageOf(shear, taxels));
   }
 
   /**

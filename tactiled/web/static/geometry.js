@@ -1,6 +1,7 @@
 /** Where a sensor's cells are, in mm: x to the right, y down. @module */
 
 /** @import { Geometry } from "./api.js" */
+/** @import { Packet } from "./wire.js" */
 
 /**
  * One image's cells.
@@ -105,6 +106,9 @@ export class Plane {
     return best;
   }
 }
+
+/** @param {Packet} image @param {Cells} cells @returns {boolean} it has a value for each of these cells, in as many rows */
+export const isImageOf = ({ rows, columns }, cells) => rows === cells.rows && columns === cells.columns;
 
 /**
  * @param {Plane} plane

@@ -67,6 +67,8 @@ export class Session {
     this._statusAt = 0;
     this._frameAt = 0;
     this._unpainted = 0; // frames that came since the last painting
+    this._sequence = -1; // the newest that was reported
+    this._restarted = false; // since the first frame: places and cover may be others
     this._listener = listener;
     this._shear = hasShear && shear;
     this.stream = new SensorStream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL_KINDS : PRESSURE_KINDS, {
@@ -156,13 +158,13 @@ export class Session {
 
   /** @param {Packet[]} images */
   _take(images) {
-    if (this.paused) return;
     const raw = images[RAW];
     const restored = images[RESTORED];
     const shear = this._shear ? images[SHEAR] : null;
+    this._follow(restored.sequence);
+    if (this.paused) return;
     const newest = this.history.at(0);
-    const restarted = newest !== null && restored.sequence < newest.sequence; // places and cover may be others, too
-    if (restarted || !this.history.fits(raw, restored, shear)) {
+    if (this._restarted || !this.history.fits(raw, restored, shear)) {
       this._listener.onOtherShape();
       return;
     }
@@ -184,8 +186,15 @@ export class Session {
     this._listener.onFrame(frame, resumed);
   }
 
+  /** @param {number} sequence of the sensor's newest frame, as a message has it: none comes before that of an older one */
+  _follow(sequence) {
+    if (sequence < this._sequence) this._restarted = true;
+    this._sequence = sequence;
+  }
+
   /** @param {Status} status */
   _takeStatus(status) {
+    this._follow(status.sequence ?? -1);
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
     this.status = status;
     this._statusAt = performance.now();
