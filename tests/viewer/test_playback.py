@@ -19,6 +19,9 @@ DROP = """([name, text]) => {
   document.body.dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
 }"""
 PLAYS = f"{LEVEL} === 'playback'"
+WHY = "document.getElementById('why').innerText === 'selected by hand'"
+RAN_RAW = "document.getElementById('method-used').innerText === 'None, as measured'"
+BANNER = "document.getElementById('banner').checkVisibility()"
 
 
 @pytest.fixture
@@ -74,7 +77,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     page.wait("document.getElementById('losses').innerText !== 'none'")
     page.inspect()
     page.get_by_label("Method").select_option("raw")
-    page.wait("document.getElementById('method-used').innerText === 'None, as measured'")
+    page.wait(RAN_RAW)
     assert rig.sensor.method == "wiener"  # live it is as before
     page.press("End")
     page.wait(f"{FRAME} === '{FRAMES - 1}'")
@@ -86,6 +89,51 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     assert page.locator("#tare").is_visible()
     page.get_by_role("slider", name="Kept frames, newest at the right").wait_for()
     assert "recording=" not in page.url
+
+
+def test_another_recording_begins_with_the_method_of_the_sensor(recorded, open_page):
+    url, folder = recorded
+    (folder / "second.log").write_bytes((folder / "grasp.log").read_bytes())
+    page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
+    page.get_by_label("Method").select_option("raw")
+    page.wait(f"{RAN_RAW} && {WHY}")
+    assert page.get_by_label("Method").input_value() == "raw"
+    open_recording(page, "second.log")
+    page.wait("document.getElementById('method-used').innerText === 'Wiener filter'")
+    assert page.get_by_label("Method").input_value() == "wiener"
+
+
+def test_details_that_were_requested_before_another_method_or_region_are_dropped(recorded, open_page):
+    url, _ = recorded
+    page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
+    page.wait(WHY)
+
+    def answer_late(route):
+        answer = route.fetch()
+        if "method" not in route.request.url:
+            page.get_by_label("Method").select_option("raw")
+            page.wait(RAN_RAW)
+        else:
+            heel = {"shape": "rectangle", "points_mm": [[0, 0], [4, 4]]}
+            ask("PUT", f"{url}/api/v1/sensors/palm/regions/heel", json=heel)
+            page.wait("document.querySelector('#regions tbody tr')")
+            page.evaluate("new Promise(done => setTimeout(done, 400))")  # it reads its regions every 200 ms
+        route.fulfill(response=answer)
+
+    page.route("**/grasp.log/frames/1?*", answer_late, times=2)
+    page.press("ArrowRight")
+    page.wait(f"Number(document.querySelector('#regions td')?.innerText) > 0 && {WHY}")
+
+
+def test_the_banner_goes_once_details_come_again(recorded, open_page):
+    url, _ = recorded
+    page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
+    page.route("**/grasp.log/frames/1?*", lambda route: route.abort())
+    page.press("ArrowRight")
+    page.wait(f"{BANNER} && {LEVEL} === 'disconnected'")
+    page.unroute("**/grasp.log/frames/1?*")
+    page.wait(f"{PLAYS} && {WHY} && !{BANNER}")
+    page.finish("ERR_FAILED")
 
 
 def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, open_page):

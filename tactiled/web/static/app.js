@@ -8,6 +8,7 @@ import { EventLog } from "./event_log.js";
 import { notice, messageOf } from "./notice.js";
 import { PageText } from "./page_text.js";
 import { PlaybackPage } from "./playback_page.js";
+import { PlaybackSession } from "./playback_session.js";
 import { methodTitle } from "./readings.js";
 import { Recorder } from "./recorder.js";
 import { Regions } from "./regions.js";
@@ -33,7 +34,11 @@ const screen = new PageText();
 const tabs = new Tabs((name) => choose(name));
 const log = new EventLog();
 const viewer = new Viewer({
-  onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer), onPlayback: (session) => playback.begin(session),
+  onChange: () => read(), onStatus: onStatus, onProbe: () => screen.announceProbe(viewer),
+  onPlayback: (session) => {
+    playback.begin(session);
+    showMethod();
+  },
 });
 viewer.regions = new Regions(viewer);
 const series = new SeriesPanel(viewer);
@@ -104,9 +109,18 @@ function showSensor() {
   screen.readings.about(sensor);
   recorder.read();
   const names = sensor.methods.includes(sensor.method) ? sensor.methods : [sensor.method, ...sensor.methods];
-  if (names.join() === [...picker.options].map((each) => each.value).join()) return;
-  picker.replaceChildren(...names.map((each) => new Option(methodTitle(each), each)));
-  picker.value = sensor.method;
+  if (names.join() !== [...picker.options].map((each) => each.value).join()) {
+    picker.replaceChildren(...names.map((each) => new Option(methodTitle(each), each)));
+    picker.value = sensor.method;
+  }
+  showMethod();
+}
+
+/** Show the method of a playback; live, a status says it. */
+function showMethod() {
+  const { session } = viewer;
+  if (!(session instanceof PlaybackSession) || document.activeElement === picker) return;
+  picker.value = session.method || (sensors.find((each) => each.name === viewer.name)?.method ?? picker.value);
 }
 
 /** Learn what does not change while the service runs. */

@@ -64,7 +64,7 @@ export class PlaybackSession {
     this._listener = listener;
     /** @type {Fetched[]} */
     this._queue = [];
-    this._turn = 0; // counts up with every seek, so that what was fetched before is dropped
+    this._turn = 0; // counts up with every seek, so that what was requested before is dropped
     this._fetching = this._asking = false;
     this._sought = true; // the frame to be shown is not the one that is due, but another
     this._next = 0; // number of the frame to be fetched next
@@ -156,6 +156,7 @@ export class PlaybackSession {
 
   /** The sensor has other regions: ask for their values. */
   measureAgain() {
+    this._turn += 1;
     this._detailed = -1;
     this.contacts.clear();
   }
@@ -275,7 +276,7 @@ export class PlaybackSession {
 
   /** Ask for warnings and contacts of the frame that is shown, or soon will be. @param {number} now */
   async _details(now) {
-    const { name, recorded, clock, method } = this;
+    const { name, recorded, clock, method, _turn: turn } = this;
     const ahead = clock.playing ? this._queue.find((each) => each.position >= clock.at(now) + (clock.speed * DETAILS_AHEAD_MS) / 1000) : null;
     const number = ahead?.number ?? this.number;
     if (this._asking || this._sought || !this.frame || number === this._detailed) return;
@@ -283,7 +284,10 @@ export class PlaybackSession {
     this._asking = true;
     this._detailsAt = now;
     try {
-      this._take(await api.recordedFrame(recorded.name, name, number, method), method);
+      const details = await api.recordedFrame(recorded.name, name, number, method);
+      this._health = PLAYBACK;
+      if (turn !== this._turn) return;
+      this._take(details, method);
       this._detailed = this.paused && number !== this.number ? -1 : number;
     } catch (error) {
       await this._fail(error);
