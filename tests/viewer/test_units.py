@@ -13,6 +13,7 @@ CLAIM = re.compile(r"kPa|\bN\b")
 LABELS = (
     "[...document.querySelectorAll('#main [aria-label], #main [title]')].map(e => e.ariaLabel + ' ' + e.title)"
 )
+PEAK = "document.getElementById('calibrate-peak').innerText"
 LEGENDS = "[...document.querySelectorAll('#wall-legend .scale')].map(e => !e.hidden && e.innerText)"
 
 
@@ -53,10 +54,15 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     assert page.evaluate(LEGENDS) == ["kPa", "counts"]
     page.press("2")
     page.keep(rig.both, "Number(document.getElementById('scrub').max) > 2")
+    page.press("k")
+    page.wait(f"{PEAK} === 'peak 800.0 counts'")
+    brightest = page.pixels("calibrate-raw").max(axis=(0, 1))
     rig.service.apply_calibration(
         "thumb", calibration_file(sensor="thumb", taxels=4, gain=gain_section(np.full(4, 0.25)))
     )
     rig.both()
     page.wait("document.getElementById('scrub').max === '0'")  # no frame in counts is left
     page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
+    page.wait(f"{PEAK} === 'peak 200.0 kPa'")
+    assert (page.pixels("calibrate-raw").max(axis=(0, 1)) >= brightest).all()
     assert page.locator("#readings-title + table .force-unit").inner_text() == "N"

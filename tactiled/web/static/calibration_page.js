@@ -9,7 +9,7 @@ import { Heatmap } from "./heatmap.js";
 import { messageOf } from "./notice.js";
 import { tare, undoTare } from "./tare.js";
 import { withToken } from "./token_dialog.js";
-import { readingText } from "./units.js";
+import { UNITS, readingText } from "./units.js";
 
 /** @import { CalibrationSession, Way } from "./api.js" */
 /** @import { Step } from "./calibration_text.js" */
@@ -43,7 +43,7 @@ export class CalibrationPage {
     this._panel = "";
     this._result = new CalibrationResult();
     this._heatmap = new Heatmap(/** @type {HTMLCanvasElement} */ (byId("calibrate-raw")), byId("calibrate-frame"));
-    this._range = new DisplayRange();
+    this._ranges = UNITS.map(() => new DisplayRange()); // by unit of pressure
     /** @type {import("./geometry.js").Plane|null} */
     this._plane = null;
     /** @type {import("./api.js").TaxelFault[]} */
@@ -320,13 +320,13 @@ export class CalibrationPage {
     if (this._plane !== session.plane) {
       this._plane = session.plane;
       this._heatmap.use(session.plane, session.plane.raw);
-      const { width, height } = session.plane;
       const tall = Math.min(MAP_PX, MAP_SHARE * window.innerHeight);
-      this._heatmap.resize(Math.min(byId("calibrate-map").clientWidth / width, tall / height));
+      this._heatmap.resize(Math.min(byId("calibrate-map").clientWidth / session.plane.width, tall / session.plane.height));
+      for (const each of this._ranges) each.reset();
     }
     const { ofRaw, raw, unit, noise, timestamp } = session.frame;
-    this._range.follow(ofRaw.peak || 0, noise || 0, timestamp);
-    this._heatmap.paint(raw, this._range, colormap);
+    this._ranges[unit].follow(ofRaw.peak || 0, noise || 0, timestamp);
+    this._heatmap.paint(raw, this._ranges[unit], colormap);
     setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak, unit)}`);
   }
 }
