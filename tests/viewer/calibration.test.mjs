@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
+import { calibration, calibrationAction } from "../../tactiled/web/static/api.js";
 import { chartOf } from "../../tactiled/web/static/calibration_result.js";
 import { coverNotes, coverRows, gainRows, tareText, taxelText, verdict, zoneText } from "../../tactiled/web/static/calibration_text.js";
 
@@ -47,6 +48,14 @@ test("a zone and a tare say how far they are", () => {
   assert.deepEqual(zoneText(1, 2), { text: "1 of 2", done: false });
   assert.deepEqual(zoneText(3, 2), { text: "✓ 3", done: true });
   assert.deepEqual([tareText(null), tareText(200)], ["none since the start", "3 min ago"]);
+});
+
+test("a request that has no answer in time says how long it was waited for", async (t) => {
+  t.mock.method(AbortSignal, "timeout", (ms) => ms);
+  t.mock.method(globalThis, "fetch", async () => { throw new DOMException("", "TimeoutError"); });
+  await assert.rejects(calibration("palm"), { message: "no answer within 8 s" });
+  await assert.rejects(calibrationAction("palm", "apply"), { message: "no answer within 60 s" });
+  assert.deepEqual(fetch.mock.calls.map((each) => each.arguments[1].signal), [8000, 60_000]);
 });
 
 test("taxels that are left out are named, three at most", () => {

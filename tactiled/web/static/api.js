@@ -153,17 +153,19 @@ export class ApiError extends Error {
   }
 }
 
+/** @typedef {RequestInit & {timeout_ms?: number}} Options until when an answer must come */
+
 /**
  * @param {string} path below the service's root
- * @param {RequestInit} options
+ * @param {Options} options
  * @returns {Promise<Response>} whatever its status; ApiError where none came
  */
-async function answer(path, options) {
+async function answer(path, { timeout_ms = TIMEOUT_MS, ...options }) {
   try {
-    return await fetch(path, { signal: AbortSignal.timeout(TIMEOUT_MS), ...options });
+    return await fetch(path, { signal: AbortSignal.timeout(timeout_ms), ...options });
   } catch (error) {
     throw new ApiError(0, error instanceof DOMException && error.name === "TimeoutError"
-      ? `no answer within ${TIMEOUT_MS / 1000} s` : "the service cannot be reached");
+      ? `no answer within ${timeout_ms / 1000} s` : "the service cannot be reached");
   }
 }
 
@@ -179,7 +181,7 @@ async function json(response) {
 
 /**
  * @param {string} path below the API's root
- * @param {RequestInit} [options]
+ * @param {Options} [options]
  * @returns {Promise<Response>} a success; else ApiError
  */
 async function succeed(path, options = {}) {
@@ -191,7 +193,7 @@ async function succeed(path, options = {}) {
 
 /**
  * @param {string} path below the API's root
- * @param {RequestInit} [options]
+ * @param {Options} [options]
  * @returns {Promise<any>} the body, or null where there is none
  */
 const request = async (path, options) => json(await succeed(path, options));
@@ -301,7 +303,7 @@ export const markLoad = (name, load) => request(`${atSession(name)}/mark`, sendi
 
 /** @param {string} name @param {"fit"|"cancel"|"apply"} action @returns {Promise<CalibrationSession|null>} */
 export const calibrationAction = (name, action) =>
-  request(`${atSession(name)}/${action}`, { method: "POST", signal: AbortSignal.timeout(APPLY_TIMEOUT_MS) });
+  request(`${atSession(name)}/${action}`, { method: "POST", timeout_ms: APPLY_TIMEOUT_MS });
 
 /** @param {string} name @returns {Promise<null>} */
 export const discardCalibration = (name) => request(atSession(name), { method: "DELETE" });
@@ -392,7 +394,7 @@ export const recordedSeriesCsv = (name, sensor, method) => `${ROOT}${atSeries(na
 
 /** @param {string} name @param {Blob} file @returns {Promise<Recording>} */
 export const uploadRecording = (name, file) =>
-  request(atRecording(name), { method: "PUT", body: file, signal: AbortSignal.timeout(UPLOAD_TIMEOUT_MS) });
+  request(atRecording(name), { method: "PUT", body: file, timeout_ms: UPLOAD_TIMEOUT_MS });
 
 /** Show a token; the service keeps it in a cookie that no script reads. @param {string} token */
 export async function showToken(token) {
