@@ -79,9 +79,15 @@ def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: 
     scatter = MAD_TO_SIGMA * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
     taxels = np.count_nonzero(above > detection_threshold(max(noise, scatter), level.size))
     if taxels:
-        return f"contact of {above.max():.3g} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
+        return f"contact of {_number(above.max())} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
     moved = float(np.nanmax(np.abs(values - level)))
-    return f"readings that move by {moved:.3g} {unit}" if moved > detection_threshold(noise, values.size) else ""
+    moves = moved > detection_threshold(noise, values.size)
+    return f"readings that move by {_number(moved)} {unit}" if moves else ""
+
+
+def _number(value: float) -> str:
+    """Three significant digits, or more where a whole number has more."""
+    return f"{value:.3g}" if value < 100 else f"{value:.0f}"
 
 
 def _unloaded(level: Floats, noise: float) -> float:

@@ -104,6 +104,7 @@ def test_a_load_is_described_in_kpa_and_taxels():
     frame[:2, :2] = 12, 9
     assert load_description([frame], NOISE) == "contact of 12 kPa on 4 taxels"
     assert load_description([frame], NOISE, "counts") == "contact of 12 counts on 4 taxels"
+    assert load_description([frame * 200], NOISE, "counts") == "contact of 2400 counts on 4 taxels"
     assert load_description([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4 kPa"
 
 
