@@ -31,7 +31,7 @@ test("the verdict says what changed, or why nothing can be told", () => {
   assert.match(verdict({ cover: { ...cover, before_mm: 1.2 } }), /agrees/);
   assert.equal(verdict({ cover: { ...cover, reason: "nothing sharp" } }), "This cannot tell the thickness: nothing sharp.");
   assert.deepEqual(coverNotes({ ...cover, reason: "nothing sharp" }, "tip"), ["a note"]);
-  assert.deepEqual(coverNotes(cover, "edge"), ["Made of 20 edges, and predicts edges left out to 1.1 × the noise.", "a note"]);
+  assert.deepEqual(coverNotes(cover, "edge"), ["Made of 20 edges, and predicts edges left out to 1.1 × noise and gain errors.", "a note"]);
 });
 
 test("a chart has the fitted line and the measured points in the order of their places, unknown ones left out", () => {

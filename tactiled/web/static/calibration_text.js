@@ -29,7 +29,7 @@ export const WAYS = {
     mark: "weight_n", unit: "N",
   },
   tip: {
-    step: "cover", title: "Round tip", hint: "A flat tip smaller than the cover is thick, pressed at about 20 places. Most exact.",
+    step: "cover", title: "Round tip", hint: "A flat, round, hard tip, half a pitch to two pitches wide, pressed at about 20 places.",
     instruction: "Press the tip straight down for half a second, lift it, and press at another place.",
     mark: null, unit: "",
   },
@@ -88,7 +88,7 @@ const MADE_OF = { tip: "presses", edge: "edges", blind: "frames", uniform: "", w
 /** @param {CoverResult} cover @param {Way} way @returns {string[]} */
 export function coverNotes({ presses, residual, reason, notes }, way) {
   if (reason) return notes;
-  const check = residual === null ? "" : `, and predicts ${MADE_OF[way]} left out to ${number(residual, 2)} × the noise`;
+  const check = residual === null ? "" : `, and predicts ${MADE_OF[way]} left out to ${number(residual, 2)} × noise and gain errors`;
   return [`Made of ${presses} ${MADE_OF[way]}${check}.`, ...notes];
 }
 
