@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web import answers
 from tactiled.web.ws.feed import Feed
-from tests.conftest import ask, pressed, until
+from tests.conftest import CONFIG, ask, pressed, until
 from tests.viewer.conftest import LEVELS, PAINTINGS, SCROLL_WIDTH, THUMB, TILES, playing
 
 FORCES = f"{TILES}.map(text => parseFloat(text.match(/([\\d.]+) N/)?.[1]))"
@@ -164,6 +164,20 @@ def test_a_tile_whose_sensor_had_no_shape_or_another_one_asks_again(pair, open_p
     page.keep(rig.both, BOTH)
     assert sorted(requests) == ["palm", "palm", "thumb", "thumb"]
     page.finish("500")
+
+
+def test_a_tile_takes_the_pitch_that_a_reload_changed(pair, open_page, tmp_path):
+    rig, url = pair
+    page = open_page(f"{url}/#/wall", ready=READY)
+    page.keep(rig.both, BOTH)
+    rig.service.path = tmp_path / "rig.toml"
+    palm = CONFIG.format(channel=rig.config.bus["can0"].channel)
+    rig.service.path.write_text(palm.replace("pitch_mm = 1.0", "pitch_mm = 3.0") + THUMB)
+    rig.service.reload()
+    page.wait(f"/silent/i.test({TILES}[0])")
+    rig.sensor, rig.sequence = rig.service.sensor("palm"), -1
+    force = 9e-3 * rig.show(pressed()).restored.sum()
+    page.keep(lambda: rig.show(pressed()), f"Math.abs({FORCES}[0] - {force}) < 0.006")
 
 
 LONG = ("left_index_fingertip", "left_index_finger_distal_phalanx_skin_revision_b")

@@ -5,7 +5,7 @@ import { DisplayRange } from "./display_range.js";
 import { element, setText } from "./dom.js";
 import { fixed } from "./format.js";
 import { Freshness } from "./freshness.js";
-import { Plane } from "./geometry.js";
+import { Plane, isImageOf } from "./geometry.js";
 import { CONNECTING, healthOf } from "./health.js";
 import { Heatmap } from "./heatmap.js";
 import { measure, measures } from "./measures.js";
@@ -87,6 +87,7 @@ export class Tile {
       onImage: (image) => this._takeImage(image),
       onStatus: (status) => {
         this._status = status;
+        if ((status.sequence ?? -1) < this._sequence) this._restart();
         this._warnings = this._recent.hold(status.warnings, performance.now());
         this._statusAt = performance.now();
         if (this._freshness.noneNewer(status, this._sequence, Date.now() / 1000)) this._show();
@@ -160,10 +161,8 @@ export class Tile {
   _takeImage(image) {
     const plane = this._plane;
     if (!plane) return;
-    const ours = image.kind === SHEAR ? image.shear.length === this._shear.length : image.values.length === this._values.length;
-    if (!ours) {
-      this._plane = null;
-      this.start();
+    if (image.sequence < this._sequence || !isImageOf(image, image.kind === SHEAR ? plane.raw : plane.restored)) {
+      this._restart();
       return;
     }
     if (image.kind === SHEAR) {
@@ -175,6 +174,13 @@ export class Tile {
     }
     this._unpainted = true;
     if (!this._holdBack()) this._show();
+  }
+
+  /** The sensor was restarted, or has another shape: learn it anew. */
+  _restart() {
+    this._plane = null;
+    this._sequence = NaN;
+    this.start();
   }
 
   /** @param {Packet} image of pressures @param {Plane} plane */
