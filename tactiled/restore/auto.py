@@ -25,6 +25,7 @@ RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin co
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
 EDGE_SIGMAS = 4.0  # standard deviations that a frame is higher on its border than RIM taxels within
 RIM = 2  # taxels
+FIRST_SIGMAS = 1e4  # standard deviations of a load that is restored before any frame
 EDGE_SIDE = 8  # taxels a side: a smaller array is border for the most part
 
 IDLE = "no contact above the noise"
@@ -59,7 +60,14 @@ class Auto:
 
     def prepare(self) -> None:
         """Make now what any frame may need."""
-        self._scene.prepare(self._wiener.filter, self._sharp.prepare)
+        self._scene.prepare(self._wiener.filter, self._scene.resolution, self._sharp.prepare)
+        load = np.zeros(self._scene.blur.surface_shape, np.float32)
+        load[tuple(n // 2 for n in load.shape)] = FIRST_SIGMAS * self._scene.noise
+        y = np.asarray(self._scene.blur.forward(load), np.float32)
+        self._scene.measure_range(y)
+        self(y)  # memory costs most when it is first written to
+        self._scene.look_at_nothing()
+        self._last = self._idle
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored: of loads the fit's."""

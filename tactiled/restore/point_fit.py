@@ -52,6 +52,8 @@ class Fitter:
             J = self.jacobian[: 3 * n]
             self.places = self._response.tabulated(self.places)
             self._response.jacobian(self.places, J.reshape(3, n, -1))
+            if self._cut():
+                break
             gram, along = np.asarray(J @ J.T, float), np.asarray(J @ y, float)
             force = np.asarray(np.linalg.solve(ridged(gram[:n, :n]), along[:n]), float)
             clear = force > FORCE_SIGMAS * self._noise / np.sqrt(gram.diagonal()[:n])
@@ -62,6 +64,8 @@ class Fitter:
                 continue
             if done == MAX_STEPS:
                 return done, self._finished(y, force)
+            if self._cut():
+                break
             change = np.linalg.solve(ridged(gram), along - gram[:, :n] @ force)
             step = (change[n:].reshape(2, n) / force).T
             if np.abs(step).max() < SETTLED:
@@ -69,8 +73,10 @@ class Fitter:
             self.places = self.within(self.places + step.clip(-MAX_STEP, MAX_STEP))
         return done, None
 
-    def _finished(self, y: Image, force: Floats) -> Fit:
-        """Give the fit at the last places, with what widths would do."""
+    def _finished(self, y: Image, force: Floats) -> Fit | None:
+        """Give the fit at the last places, with what widths would do, unless it is cut."""
+        if self._cut():
+            return None
         n = len(force)
         self._response.jacobian(self.places, self.jacobian[3 * n : 4 * n].reshape(1, n, -1), first=3)
         np.subtract(y, force.astype(np.float32) @ self.jacobian[:n], out=self.residual)

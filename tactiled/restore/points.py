@@ -144,7 +144,7 @@ class Points:
         """Draw and give what stands of a fit; None where anything is uncertain."""
         noise, last = self._scene.noise**2, _estimate(fit, self._scene.noise**2)
         free = max(fitter.residual.size - 4 * len(fit.force), 1)
-        if last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
+        if self._scene.cut() or last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
             return None
         if np.abs(last.shift).max() > MAX_LAST_SHIFT or (np.abs(last.force) > MAX_LAST_STRETCH * fit.force).any():
             return None

@@ -11,7 +11,7 @@ from tactiled.restore.modes import Image
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
-MAX_PREPARED_CELLS = 1024  # up to which what every spectrum needs is made beforehand: memory grows with its square
+MAX_PREPARED_CELLS = 4096  # up to which what every spectrum needs is made beforehand: 3.4 kB a cell, all together
 FORCE_AGREES_SIGMAS = 0.25  # standard deviations of the total force: a smaller difference is left alone
 FORCE_PASSES = 8  # of Newton's method, to take an excess of force from the pressed cells; three or four settle
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to

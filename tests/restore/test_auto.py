@@ -67,6 +67,30 @@ def test_no_spectrum_is_new_to_a_small_array(covered, sensed, monkeypatch, name)
     assert methods == {"auto": {"wiener", "learned"}, "points": {"nnls"}}.get(name, {name})
 
 
+def test_no_spectrum_is_new_to_64_taxels_a_side(covered, monkeypatch):
+    restorer = make("auto", covered((64, 64)), SIGMA)
+    restorer.prepare()
+    monkeypatch.delattr("tactiled.restore.wiener.Filter.__init__")
+    distance = np.hypot(*np.indices((64, 64)) - 31.5)
+    for width in (2, 8, 24):
+        assert restorer(np.asarray(100 * np.exp(-((distance / width) ** 2)), np.float32)).method != "idle"
+
+
+def test_what_was_prepared_shows_nowhere(covered):
+    fresh, prepared = (make("auto", covered(SHAPE), SIGMA) for _ in range(2))
+    prepared.prepare()
+    np.testing.assert_array_equal(prepared.deviation(), fresh.deviation())
+
+
+@pytest.mark.parametrize("time", range(4, 12))  # checks until it is over: before the fit, in its steps, judgement
+def test_a_fit_ends_wherever_its_time_does(two_indenters, time):
+    press, _ = two_indenters
+    checks = iter([False] * time)
+    done = make("auto", press.blur, press.sigma)(press.frame, expired=lambda: next(checks, True))
+    assert (done.method, done.cut_short) == ("learned", True)
+    assert next(checks, None) is None
+
+
 def test_non_negative_where_the_scene_is_sharp(covered, sensed):
     truth = np.zeros(SHAPE)
     truth[10:13, 10:13] = 100
@@ -167,7 +191,7 @@ def test_a_fit_that_was_cut_short_goes_on_in_the_next_frame(two_indenters):
     assert alone.method == "points"
     auto, steps = make("auto", press.blur, press.sigma), []
     for _ in range(20):
-        checks = iter([False] * 7)  # of which the network takes three and the judgement three
+        checks = iter([False] * 11)  # three for the network; a last step and its judgement take eight
         done = auto(press.frame, expired=lambda checks=checks: next(checks, True))
         steps.append(done.method)
         if done.method == "points":
