@@ -10,6 +10,7 @@ from tactiled.bus.arrivals import Arrivals, moment
 from tactiled.bus.codec import Codec, Rows
 
 UNLEARN_FRAMES = 16  # in a row that are not whole, after which a learned order is forgotten
+SILENT_FRAMES = 8  # in a row that lack a segment, after which it is silent and not lost
 SEAM_FRAMES = 3  # in a row with their longest pause at the same place, after which that place is their beginning
 
 
@@ -85,12 +86,15 @@ class OpenFrame:
 class Cycle:
     """The order in which a skin without sequence numbers sends its segments, learned from whole frames.
 
-    Without it the first messages of a frame could take the place of the same ones lost from the frame before, and
-    every frame from there on would be put together from two.
+    A frame that lacks nothing but silent segments is whole, too. Without the order the first messages of a frame
+    could take the place of the same ones lost from the frame before, and every frame from there on would be put
+    together from two.
     """
 
     def __init__(self) -> None:
         self._rank: NDArray[np.int64] | None = None
+        self._length = 0  # segments that were not silent when the order was learned
+        self._absent: NDArray[np.int64] | int = 0  # frames in a row that lacked each segment
         self._broken = 0  # frames in a row that were not whole
         self._seam: int | None = None  # a segment within frames behind a long pause
         self._seams = 0  # frames in a row with that seam
@@ -103,11 +107,12 @@ class Cycle:
         if self._rank is None:
             return None
         ranks = self._rank[segments]
-        return 2 * (ranks[:-1] - ranks[1:]) >= len(self._rank)
+        return 2 * (ranks[:-1] - ranks[1:]) >= self._length
 
     def learn(self, frame: OpenFrame, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""
-        if frame.missing:
+        self._absent = np.where(frame.present, 0, self._absent + 1)
+        if np.any(~frame.present & (self._absent < SILENT_FRAMES)):
             self._broken += 1
             if self._broken >= UNLEARN_FRAMES:
                 self._rank = None
@@ -116,15 +121,21 @@ class Cycle:
         segments, times = frame.segments[0], frame.times[0]
         if len(frame.segments) > 1:
             segments, times = np.concatenate(frame.segments), np.concatenate(frame.times)
+        pause = max(pause, 0.0)
         first = 0
         if len(times) > 1:
-            pauses = times[1:] - times[:-1]
+            silent = np.abs(np.diff(np.cumsum(~frame.present)[segments]))  # between each segment and the next
+            around = 2 * np.abs(np.diff(segments)) > len(frame.present)  # from the last to the first
+            pauses = times[1:] - times[:-1] - pause * np.where(around, frame.missing - silent, silent)
             longest = int(pauses.argmax())
-            first = longest + 1 if pauses[longest] > 4 * max(pause, 0.0) else 0
+            first = longest + 1 if pauses[longest] > 4 * pause else 0
         seam = int(segments[first]) if first else None
         self._seams = self._seams + 1 if seam == self._seam else 1
         self._seam = seam
         if self._seams < SEAM_FRAMES:
             first = 0
-        self._rank = np.empty(len(segments), np.int64)
-        self._rank[segments] = (np.arange(len(segments)) - first) % len(segments)
+        self._length = len(segments)
+        self._rank = np.full(len(frame.present), -1)
+        self._rank[segments] = (np.arange(self._length) - first) % self._length
+        for each in np.flatnonzero(~frame.present).tolist():  # a silent one would come right behind its neighbour
+            self._rank[each] = self._rank[each - 1] if each else 0

@@ -224,6 +224,20 @@ def test_a_reader_that_starts_within_a_frame_finds_where_frames_begin():
     assert loss.incomplete <= 1
 
 
+@pytest.mark.parametrize("silent", [(0, 1), (2, 3), (4, 5), (2, 3, 4, 5, 6, 7, 8, 9)])
+def test_triangles_that_send_nothing_do_not_mix_frames(silent):
+    codec = Icub(1, (0, 1, 2, 3, 4, 5))
+    order = [segment for segment in range(12) if segment not in silent]
+    bursts = list(scans(40, order, codec))
+    del bursts[15][0], bursts[35][0]  # normal loss
+    messages = [each for burst in bursts for each in burst]
+    for began in (0, 3):
+        frames, _ = run(messages[began:], codec)
+        assert not any(mixed(frame) for frame in frames[12:])
+        lacking = [np.count_nonzero(frame.flags & MISSING) for frame in frames[20:-1]]
+        assert sorted(lacking)[:-1] == [5 * len(silent)] * (len(lacking) - 1)
+
+
 @pytest.mark.parametrize("triangles", [(5, 0, 1, 2, 3, 4), (3, 0, 4, 1, 5, 2), (5, 4, 3, 2, 1, 0)])
 def test_a_skin_that_changes_its_order_is_followed(triangles):
     codec = Icub(1, (0, 1, 2, 3, 4, 5))
