@@ -91,6 +91,12 @@ class Codec(ABC):
         raise NotImplementedError
 
     @cached_property
+    def ends(self) -> tuple[float, float]:
+        """Counts at which a reading goes no lower and no higher; infinite where nobody knows."""
+        integers = self.unpack([None] * self.segments).dtype == np.uint16
+        return (0, self.full_scale) if integers else (-np.inf, np.inf)
+
+    @cached_property
     def ids(self) -> frozenset[Key]:
         """The (id, whether it has 29 bits) of the messages that it reads."""
         raise NotImplementedError

@@ -77,13 +77,16 @@ class TaxelHealth:
     """State of N taxels, by blocks of frames.
 
     `joined` is the least response of a taxel's neighbours to a load on it, over its own; `ends` the counts at
-    which a taxel is empty and saturated; `calibrated`: each gain was measured, so that a weak taxel is a fault.
+    which a taxel is empty and saturated, infinite where nobody knows; `full_scale` the counts between them, or the
+    codec's; `calibrated`: each gain was measured, so that a weak taxel is a fault.
     """
 
-    def __init__(self, array: Array, joined: float, ends: tuple[float, float], calibrated: bool = False) -> None:
+    def __init__(
+        self, array: Array, joined: float, ends: tuple[float, float], full_scale: float, calibrated: bool = False
+    ) -> None:
         n = array.size
         self._neighbours, self._pairs = _neighbours(array)
-        self._joined, self._ends, self._calibrated = joined, ends, calibrated
+        self._joined, self._ends, self.full_scale, self._calibrated = joined, ends, full_scale, calibrated
         self._scores = {fault: np.zeros(n, np.float32) for fault in RULES}
         self._active = {fault: np.zeros(n, bool) for fault in RULES}
         self.faults = np.zeros(n, np.uint8)
@@ -107,11 +110,6 @@ class TaxelHealth:
         """Go on with the evidence that another has of the same taxels."""
         self._scores, self._active, self._blocks = other._scores, other._active, other._blocks
         self.faults, self.since_s = other.faults, other.since_s
-
-    @property
-    def full_scale(self) -> float:
-        """Counts from empty to saturated."""
-        return abs(self._ends[1] - self._ends[0])
 
     def _score(self, fault: Fault, evidence: Floats | Mask, against: Floats | Mask) -> None:
         """Add what speaks for a fault and what speaks against it, both (N,)."""

@@ -28,9 +28,9 @@ class Rails:
     sign: float = 0.0  # -1: they fall, 1: they rise, 0: not known before
 
     @classmethod
-    def of(cls, saturation: float | None, full_scale: float, sign: float = 0.0) -> "Rails":
-        """As configured, else the ends of what the codec carries."""
-        low, high = (0, full_scale) if saturation is None else (saturation, saturation)
+    def of(cls, saturation: float | None, ends: tuple[float, float], sign: float = 0.0) -> "Rails":
+        """As configured, else the codec's ends."""
+        low, high = ends if saturation is None else (saturation, saturation)
         return cls(low, high, sign)
 
 

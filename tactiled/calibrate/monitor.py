@@ -34,19 +34,24 @@ class SkinState:
 class SkinMonitor:
     """Looks after the taxels of one array, and corrects its calibrator: zeros that drift, taxels that fail."""
 
-    def __init__(self, array: Array, kernel: Kernel, calibration: Calibration, full_scale: int) -> None:
-        """`full_scale` is the codec's largest count."""
+    def __init__(
+        self, array: Array, kernel: Kernel, calibration: Calibration, ends: tuple[float, float], full_scale: int
+    ) -> None:
+        """`ends` and `full_scale` are the codec's."""
         gain = calibration.kpa_per_count
-        empty, top = (0.0, float(full_scale)) if gain > 0 else (float(full_scale), 0.0)
+        empty, top = ends if gain > 0 else ends[::-1]
         ceiling = top if calibration.saturation is None else calibration.saturation
+        span = abs(ceiling - calibration.no_load) if np.isfinite(ceiling) else full_scale
+        scale = abs(ceiling - empty) if np.isfinite((ceiling, empty)).all() else span
         self._per_count = abs(gain)
         self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
         self._configured_noise = np.nan if calibration.noise_counts is None else calibration.noise_counts
-        self._health = TaxelHealth(array, joined(kernel, array), (empty, ceiling), calibration.curves is not None)
+        self._health = TaxelHealth(
+            array, joined(kernel, array), (empty, ceiling), scale, calibration.curves is not None
+        )
         self.map = MapMonitor(array)
         self._drift: DriftTracker | None = None
         if calibration.track_drift:
-            span = abs(ceiling - calibration.no_load)
             self._drift = DriftTracker(array, reach_mm(kernel), span, float(np.sign(gain)))
         self._tares = 0  # times that the calibrator's zeros had been set when they were taken over
         self._tracks = False  # whether they were measured

@@ -17,29 +17,32 @@ UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of gains that nobody ca
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 
 
-def pressures(series: FrameSeries, calibration: Calibration, full_scale: int) -> tuple[Floats, NDArray[np.bool_]]:
+def pressures(
+    series: FrameSeries, calibration: Calibration, ends: tuple[float, float]
+) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (T, N) in kPa (in counts without a gain), NaN: unknown, and which readings are at their ceiling.
 
-    Where no ceiling is configured, it is 0 and `full_scale` counts.
+    Where no ceiling is configured, it is one of the codec's `ends`.
     """
     size = series.counts.shape[1]
     with np.errstate(invalid="ignore"):
         pressure, flags = Calibrator(calibration, size)(series.counts, np.zeros(series.counts.shape, np.uint8))
         saturated = flags & SATURATED > 0
         if calibration.saturation is None:
-            ceiling = series.counts >= full_scale if calibration.kpa_per_count > 0 else series.counts <= 0
+            rising = calibration.kpa_per_count > 0
+            ceiling = series.counts >= ends[1] if rising else series.counts <= ends[0]
             saturated = saturated | ceiling
     return pressure.astype(np.float64), saturated
 
 
 def recorded_presses(
-    series: FrameSeries, array: Array, calibration: Calibration, full_scale: int, border: bool = False
+    series: FrameSeries, array: Array, calibration: Calibration, ends: tuple[float, float], border: bool = False
 ) -> list[Press]:
     """Every press in a recording, the unusable ones with their reason; `border` lets them reach over the border.
 
     A taxel whose counts never change is left out. ConfigError where no frame is without a load, or none has one.
     """
-    pressure, saturated = pressures(series, calibration, full_scale)
+    pressure, saturated = pressures(series, calibration, ends)
     with np.errstate(invalid="ignore"):
         still = ~(np.nan_to_num(series.counts) != np.nan_to_num(series.counts[:1])).any(axis=0)
     pressure[:, still] = np.nan

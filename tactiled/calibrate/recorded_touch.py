@@ -29,7 +29,7 @@ class RecordedTouch:
     array: Array
     stack: Stack
     calibration: Calibration
-    full_scale: int  # the codec's largest count
+    ends: tuple[float, float]  # of the codec's counts
 
 
 def fit_touch(
@@ -46,11 +46,11 @@ def fit_touch(
     series, array, stack, calibration = recorded.series, recorded.array, recorded.stack, recorded.calibration
     gain_error = gain_errors(calibration, array.size)
     if way == "blind":
-        pressure, saturated = pressures(series, calibration, recorded.full_scale)
+        pressure, saturated = pressures(series, calibration, recorded.ends)
         pressure[saturated] = np.nan
         frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
         return fit_blind(frames, noise_kpa, CoverFamily(stack), array, float(np.median(gain_error)))
-    presses = recorded_presses(series, array, calibration, recorded.full_scale, border=way == "edge")
+    presses = recorded_presses(series, array, calibration, recorded.ends, border=way == "edge")
     touch: Touch
     if way == "edge":
         touch = edge_touch(presses, array, stack, gain_error, size_mm)

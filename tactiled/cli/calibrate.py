@@ -133,10 +133,10 @@ def _fit(
 
 
 def _rails(sensor: schema.Sensor) -> Rails:
-    """Counts at which the taxels saturate: as configured, else the ends of what the codec carries."""
+    """Counts at which the taxels saturate: as configured, else the codec's ends."""
     configured, skin = sensor.calibration, sensor.codec.settings
     sign = float(np.sign(configured.kpa_per_count or skin.kpa_per_count or 0))
-    return Rails.of(configured.saturation, make_codec(sensor).full_scale, sign)
+    return Rails.of(configured.saturation, make_codec(sensor).ends, sign)
 
 
 def _numbers(text: str) -> list[float]:

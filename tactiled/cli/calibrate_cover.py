@@ -55,8 +55,8 @@ def cover(
     before, stack = _other_sections(out, name, one), make_stack(one)
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
-        full_scale = make_codec(one).full_scale
-        recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), full_scale)
+        ends = make_codec(one).ends
+        recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends)
         way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
         size_mm = edge_mm if tip_mm is None else tip_mm or None
         places_mm = _places(places) if places is not None and way == "tip" else None

@@ -28,7 +28,7 @@ def map(  # noqa: A001, the verb's name
     calibration, array = make_calibration(one), make_array(one)
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
-        pressure, _ = pressures(series, calibration, make_codec(one).full_scale)
+        pressure, _ = pressures(series, calibration, make_codec(one).ends)
         verdict = check_map(pressure, array, noise_of(pressure, calibration), direction)
     if verdict.order is None:
         raise ConfigError(f"{file}: {verdict.text}")

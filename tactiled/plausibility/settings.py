@@ -178,9 +178,8 @@ def _calibration(
 
 def _limits(calibration: Calibration, codec: Codec) -> Iterator[tuple[str, str]]:
     """Key and reason of a limit that the counts of a codec do not have."""
-    lowest = 0 if whole_counts(codec) else -np.inf
-    highest, saturation = codec.full_scale, calibration.saturation
-    scale = f"the codec's counts are {'0 to' if whole_counts(codec) else 'up to'} {highest}"
+    (lowest, highest), saturation = codec.ends, calibration.saturation
+    scale = f"the codec's counts are {lowest:g} to {highest:g}"
     if not lowest <= calibration.no_load <= highest:
         yield "no_load", scale
     elif saturation is None:
@@ -203,8 +202,8 @@ def _pressures(
 ) -> Iterator[Finding]:
     """Highest pressure and noise; unknown where counts are wider than 16 bits, and no skin uses all of them."""
     gain, no_load = calibration.kpa_per_count, calibration.no_load
-    end = calibration.saturation if calibration.saturation is not None else codec.full_scale if gain > 0 else 0
-    if not whole_counts(codec) and calibration.saturation is None:
+    end = calibration.saturation if calibration.saturation is not None else codec.ends[int(gain > 0)]
+    if calibration.saturation is None and not (whole_counts(codec) and np.isfinite(end)):
         return
     counts = abs(end - no_load)
     if calibration.saturation is None and counts < MIN_RANGE_FRACTION * codec.full_scale:

@@ -114,7 +114,5 @@ def _stuck(counts: NDArray[np.float32], level: NDArray[np.float32], rest: float,
     still = (np.ptp(counts, axis=0) == 0) & np.isfinite(level)
     if float(np.median(counts.std(axis=0))) >= 1:
         return np.flatnonzero(still)
-    at_end = ((level == 0) | (level == codec.full_scale)) & (
-        abs(level - rest) > MAX_REST_FRACTION * codec.full_scale
-    )
-    return np.flatnonzero(still & at_end)
+    loaded = abs(level - rest) > MAX_REST_FRACTION * codec.full_scale
+    return np.flatnonzero(still & np.isin(level, codec.ends) & loaded)

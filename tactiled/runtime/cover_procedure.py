@@ -76,7 +76,7 @@ class CoverProcedure:
         sensor = self._sensor
         no_loads = sensor.pipeline.calibrator.no_load.astype(float)  # that hold now
         calibration = replace(sensor.plan.calibration, no_loads=no_loads)
-        recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.full_scale)
+        recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.ends)
         return self._outcome(process.run(fit_touch, recorded, self.way, self.size_mm))
 
     def _outcome(self, fit: CoverFit) -> CoverOutcome:

@@ -125,7 +125,7 @@ class GainProcedure:
         from tactiled.calibrate.gain import fit_steps
 
         plan, values = self._sensor.plan, [value for value, _ in self._marks]
-        limits = Rails.of(plan.calibration.saturation, plan.codec.full_scale)
+        limits = Rails.of(plan.calibration.saturation, plan.codec.ends)
         if self.way == "uniform":
             return process.run(fit_steps, frames, values, limits)
         return process.run(fit_weight, frames, max(values), self._sensor.array, limits)

@@ -9,6 +9,7 @@ import pytest
 from tactiled.build import make_codec, sensor_plan
 from tactiled.bus.assembler import assemble
 from tactiled.bus.codecs.dbc import Dbc, expand
+from tactiled.calibrate.means import Rails
 from tactiled.config import load
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, Message
@@ -114,6 +115,22 @@ def test_a_configuration_names_a_file_beside_it_and_its_taxels(tmp_path, monkeyp
     assert codec.encode(counts, 0, 0.0) == CODECS["dbc"].encode(counts, 0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("signals", "ends"),
+    [
+        (GRID, (0, 4095)),
+        (["Floats.Offset"], (-32768, 32767)),
+        (["Floats.F0"], (-np.inf, np.inf)),
+        (["Wide.W0"], (-np.inf, np.inf)),  # 24 bits
+        (["Row0.T0_0", "Row0.Counter"], (-np.inf, np.inf)),  # 12 and 8 bits
+    ],
+)
+def test_only_narrow_signals_of_one_size_have_a_ceiling(signals, ends):
+    codec = Dbc(DBC, signals)
+    assert codec.ends == ends
+    assert Rails.of(None, codec.ends) == Rails(*ends)
+
+
 def test_a_template_may_count_from_1_and_pad():
     assert expand("Row{row}.T{column:02}", (1, 2), 2, 1) == ("Row1.T01", "Row1.T02")
     assert expand("M.T{taxel}", None, 3, 0) == ("M.T0", "M.T1", "M.T2")
@@ -126,7 +143,7 @@ def test_a_template_may_count_from_1_and_pad():
         ('taxels = "Row{row}.T{row}_{col}"',
          r"'Row\{row\}.T\{row\}_\{col\}': 'col': a template may hold \{taxel\}, \{row\}, \{column\}"),
         (f"{TEMPLATE}, first = 1", r"names 'Row1.T1_3': skin.dbc has no such signal: did you mean Row"),
-        ('taxels = ["@"]', "names '@': skin.dbc has no such signal: it has 20 signals"),
+        ('taxels = ["@"]', "names '@': skin.dbc has no such signal: it has 22 signals"),
         ('taxels = ["Row0.T0_0", "Row0.T0_0"]', "names Row0.T0_0 twice"),
         ('taxels = ["Pages.Page"]', "Pages.Page, which comes with several variants"),
         ('taxels = ["Nested.Always"]', "Nested.Always, which comes with several"),

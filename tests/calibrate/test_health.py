@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from tactiled.calibrate.blocks import BLOCK_FRAMES
+from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.health import Fault
-from tactiled.calibrate.monitor import joined
+from tactiled.calibrate.monitor import SkinMonitor, joined
+from tactiled.frames import Loss, RawFrame
 from tests.plans import plan
 from tests.study.health import FAULTY, FULL_SCALE, NO_LOAD, RATE_HZ, SHAPE, Run, discs, false_positives, play
 
@@ -33,6 +35,19 @@ def test_healthy_arrays_have_no_false_alarm_in_forty_million_taxel_frames():
     counts = [each[1:] for each in false_positives(tours=1, seconds=30.0, seed=77, gains_measured=(True,))]
     assert sum(frames for frames, _ in counts) > 4e7
     assert sum(changes for _, changes in counts) == 0
+
+
+@pytest.mark.parametrize("no_load", [1e6, -500])
+@pytest.mark.parametrize("gain", [0.05, -0.05])
+def test_a_skin_without_a_known_ceiling_is_not_saturated(no_load, gain):
+    skin, random = plan((4, 4), 1.0), np.random.default_rng(0)
+    calibration = Calibration(gain, no_load)
+    calibrator = Calibrator(calibration, 16)
+    monitor = SkinMonitor(skin.array, skin.kernel, calibration, (-np.inf, np.inf), 0xFFFF)
+    for n in range(6000):
+        counts = np.round(random.normal(no_load, 5, 16)).astype(np.float32)
+        monitor.push(RawFrame(n, n / RATE_HZ, 0.0, counts, np.zeros(16, np.uint8), Loss()), calibrator)
+    assert not monitor.state.faults.any()
 
 
 def test_a_weak_taxel_is_no_fault_where_gains_were_not_measured():

@@ -7,7 +7,7 @@ from tactiled.config import parse
 from tactiled.config.example import EXAMPLE
 from tactiled.plausibility.settings import config_findings, unedited
 from tests import conftest, plans, skin
-from tests.bus.skins import CODECS, traffic
+from tests.bus.skins import CODECS, DBC, traffic
 
 BUS = '[bus.can0]\ninterface = "virtual"\n'
 SKIN = """[sensor.a]
@@ -57,6 +57,10 @@ SKINS = {
     "spun rubber on a fine array": (PACKED, (16, 16, 0.1), [(0.02, 1.5, 0.49)], [], ""),
     "two buttons": (PACKED, (1, 2, 2.0), [(5.0, 0.5, 0.48)], [], ""),
     "16 bits in kPa": (WIDE, (8, 8, 2.0), [(2.0, 0.5, 0.48)], [], "kpa_per_count = 1.0"),
+    "floats of a DBC file": (
+        f'name = "dbc", file = "{DBC}", taxels = ["Floats.F0", "Floats.F1"]', (1, 2, 2.0), [(2.0, 0.5, 0.48)], [],
+        "kpa_per_count = 1e-3, no_load = 1000000"
+    ),
     "Shimojo's softest film": (PACKED, (20, 20, 0.25), [(0.6, 98.0, 0.45)], [(1.0, 980.0, 0.3)], ""),
     "Shimojo's hardest film": (PACKED, (20, 20, 1.0), [(0.1, 9807.0, 0.3)], [(1.0, 980.0, 0.3)], ""),
 }  # fmt: skip

@@ -51,7 +51,7 @@ class Run:
         self.calibration = Calibration(KPA_PER_COUNT, NO_LOAD, curves=curves, **calibration)
         self.calibrator = Calibrator(self.calibration, skin.array.size)
         self.calibrator.tare(np.full(skin.array.size, float(NO_LOAD)))
-        self.monitor = SkinMonitor(skin.array, skin.kernel, self.calibration, FULL_SCALE)
+        self.monitor = SkinMonitor(skin.array, skin.kernel, self.calibration, (0, FULL_SCALE), FULL_SCALE)
         self.frames, self.rate_hz = 0, rate_hz
         self._flags = np.zeros(skin.array.size, np.uint8)
 

@@ -52,7 +52,10 @@ class Dbc(Codec):
             self._of.setdefault((part.layout.frame_id, part.layout.is_extended_frame), []).append(segment)
         self.ids = frozenset(self._of)
         signals = [each for part in self._parts for each in part.signals]
-        self.full_scale = min(_range(each)[1] for each in signals)
+        ranges = {_range(each) for each in signals}
+        self.full_scale = min(high for _, high in ranges)
+        one = len(ranges) == 1 and not any(each.is_float or each.length > 16 for each in signals)
+        self.ends = ranges.pop() if one else (-np.inf, np.inf)
         integers = all(not each.is_float and not each.is_signed and each.length <= 16 for each in signals)
         self._type: type[np.uint16 | np.float32] = np.uint16 if integers else np.float32
 
