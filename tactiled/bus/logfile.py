@@ -135,11 +135,17 @@ def _text(file: BinaryIO, compressed: bool = False) -> io.TextIOWrapper:
     return io.TextIOWrapper(packed, "utf-8", newline="\n")
 
 
+def _candump(file: BinaryIO, compressed: bool = False) -> MessageWriter:
+    writer = formats.CanutilsLogWriter(_text(file, compressed), "can0")
+    writer.last_timestamp = 0.0  # of no message: the first one's would take the place of all that are before it
+    return writer
+
+
 WRITERS: dict[str, Callable[[BinaryIO], MessageWriter]] = {
-    ".log": lambda file: formats.CanutilsLogWriter(_text(file), "can0"),
+    ".log": _candump,
     ".asc": lambda file: formats.ASCWriter(_text(file)),
     ".blf": formats.BLFWriter,
-    ".log.gz": lambda file: formats.CanutilsLogWriter(_text(file, compressed=True), "can0"),
+    ".log.gz": lambda file: _candump(file, compressed=True),
     ".asc.gz": lambda file: formats.ASCWriter(_text(file, compressed=True)),
 }  # python-can's formats that keep all of a message and can be read without their end
 

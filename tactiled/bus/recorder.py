@@ -18,6 +18,7 @@ from tactiled.errors import BusError, ConfigError, TactileError
 
 FLUSH_S = 0.25  # how often what has come is put on the disk: a crash costs no more, and a slow disk's time
 MAX_WAITING = 100_000  # messages for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
+JITTER_S = 0.1  # by which a message may be older than the one before it without a step of the clock
 READ_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
 
 
@@ -134,6 +135,7 @@ class Recorder:
             raise ConfigError(f"{path}: {error.strerror}: name a file that can be written") from error
         except TactileError as error:
             raise TactileError(f"{path}: {error}") from error
+        self._start_s = 0.0 if ending.startswith(".log") else None  # time before which the format can hold none
         self._writer = WRITERS[ending](cast(BinaryIO, self._file))
         self._thread = Thread(target=self._run, name=f"record {path.name}", daemon=True)
         self._thread.start()
@@ -147,7 +149,7 @@ class Recorder:
 
     def check(self) -> None:
         """TactileError where the recording has ended before its time."""
-        self._raise(": see that there is room")
+        self._raise()
 
     def close(self) -> None:
         """Write what waits and close the file; TactileError where not all of it is on the disk."""
@@ -155,7 +157,7 @@ class Recorder:
         self._thread.join()
         self._raise(f", after {self.written} messages")
 
-    def _raise(self, more: str) -> None:
+    def _raise(self, more: str = "") -> None:
         """TactileError where there is a fault."""
         if self._fault is not None:
             raise TactileError(f"{self.path}: {self._fault}: the recording ends early{more}")
@@ -186,12 +188,24 @@ class Recorder:
                 message = self._queue.get(timeout=max(0.0, due - time.monotonic()))
                 if message is None:
                     return
+                message.timestamp = self._time(message.timestamp)
                 message.channel = _channel(message)
                 self._writer.on_message_received(message)
                 self._encoded += 1
             if time.monotonic() >= due:
                 self._flush()
                 due = time.monotonic() + FLUSH_S
+
+    def _time(self, time_s: float) -> float:
+        """A message's time (s), or the first one's where the format has none before it; TactileError if far."""
+        if self._start_s is None:
+            self._start_s = time_s
+        if time_s < self._start_s - JITTER_S:
+            raise TactileError(
+                f"the clock was set back to {self._start_s - time_s:.3g} s before the first message, "
+                "which only .log files can hold"
+            )
+        return max(time_s, self._start_s)
 
     def _flush(self) -> None:
         flush(self._writer)

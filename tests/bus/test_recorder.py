@@ -76,6 +76,24 @@ def test_every_format_gives_back_the_traffic_of_the_bus(tmp_path, ending, channe
 
 
 @every_format
+def test_a_clock_that_is_set_back_behind_the_first_message_destroys_no_times(tmp_path, ending):
+    path, times = tmp_path / f"a{ending}", [1.6e9, 1.6e9 + 1, 1.6e9 - 5, 1.6e9 - 4]
+    recorder = Recorder(path)
+    for each in times:
+        recorder.put(can.Message(each, 0x500, is_extended_id=False))
+    if ".log" not in ending:
+        with pytest.raises(
+            TactileError, match=r"set back to 5 s before the first .* ends early, after 2 messages"
+        ):
+            recorder.close()
+        times = times[:2]
+    else:
+        recorder.close()
+    start = 1.6e9 if ".asc" in ending else 0.0
+    assert [each.timestamp for each in read(path)] == pytest.approx([each - start for each in times], abs=1e-3)
+
+
+@every_format
 def test_messages_are_on_the_disk_before_the_end_also_if_the_file_is_renamed(tmp_path, ending):
     """A copy of the file meanwhile is what a crash would leave."""
     path, renamed, copy = (tmp_path / f"{name}{ending}" for name in ("a", "renamed", "copy"))
