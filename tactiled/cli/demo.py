@@ -15,7 +15,7 @@ from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.simulate import simulated
-from tactiled.config import Config, Server, parse
+from tactiled.config import Config, Server, parse, validated
 from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
@@ -70,7 +70,8 @@ def _server(host: str, port: int, foxglove: int | None) -> Server:
     token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
     if token:
         print(f"tactiled: other machines open http://{host}:{port}/?token={token.get_secret_value()}")
-    return Server(host=host, port=port, foxglove=foxglove, control_token=token)
+    address = {"host": host, "port": port, "foxglove": foxglove, "control_token": token}
+    return validated(Server, address, f"--foxglove {foxglove}")
 
 
 def demo_config(record: str | None = None, shear: bool = False) -> Config:

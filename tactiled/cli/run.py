@@ -14,6 +14,7 @@ from tactiled import logs
 from tactiled.cli import options
 from tactiled.cli.app import handled, stoppable
 from tactiled.cli.check import findings_of, prepared
+from tactiled.config import Server, validated
 from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
 from tactiled.runtime.service import Service
@@ -38,7 +39,8 @@ def run(
             logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run
     with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
-        server = service.config.server.model_copy(update=options.present(foxglove=foxglove))
+        address = service.config.server.model_dump(exclude_unset=True) | options.present(foxglove=foxglove)
+        server = validated(Server, address, f"--foxglove {foxglove}")
         zenoh = service.config.zenoh
         if publishes and (zenoh is None or zenoh.robot is None):
             raise ConfigError(f"{config}: zenoh.robot: missing: --publish needs the table [zenoh] with robot")

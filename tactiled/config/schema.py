@@ -2,6 +2,7 @@
 
 import math
 import re
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -34,6 +35,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
 
 
+EVERY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 TOKEN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # header, cookie and address carry these unchanged
 
@@ -106,6 +108,19 @@ class Server(Section):
             raise ValueError("tls_certificate and tls_key: give both or neither")
         if self.xela is None and "xela_host" in self.model_fields_set:
             raise ValueError(f"xela_host = {self.xela_host!r} without xela: give the port, too")
+        return self
+
+    @model_validator(mode="after")
+    def _ports_of_their_own(self) -> "Server":
+        places = {
+            "port": (self.port, self.host),
+            "foxglove": (self.foxglove, "127.0.0.1"),
+            "xela": (self.xela, self.xela_host),
+        }
+        for (key, (port, host)), (other, (same, beside)) in combinations(places.items(), 2):
+            hosts = {"127.0.0.1" if each == "localhost" else each for each in (host, beside)}
+            if port and port == same and (len(hosts) == 1 or hosts & EVERY_ADDRESS):
+                raise ValueError(f"{key} and {other} are both {port}: give each a port of its own")
         return self
 
 

@@ -30,6 +30,8 @@ def test_the_example_is_valid():
         ("refine = 1 ", "refine = 0 ", "sensor.palm.refine = 0: "),
         ("port = 8000", 'xela_host = "::"', "server: xela_host = '::' without xela: give the port, too"),
         ("port = 8000", "xela = 70000", "server.xela = 70000: "),
+        ("port = 8000", "xela = 8000", "server: port and xela are both 8000: give each a port of its own"),
+        ("port = 8000", 'xela = 9\nxela_host = "0.0.0.0"\nfoxglove = 9', "server: foxglove and xela are both 9: "),
         ("pitch_mm = 1.0", "pitch_mm = 1.0\norigin_mm = [1, 2, 3]",
          "sensor.palm.array: origin_mm = [1.0, 2.0, 3.0] without frame_id: give the frame of reference, too"),
         ("pitch_mm = 1.0", 'pitch_mm = 1.0\nframe_id = "hand"\norientation = [0, 0, 0.7, 0.7]',
