@@ -121,6 +121,17 @@ def test_icubs_thermal_pads_are_references_and_not_taxels():
 
 
 @pytest.mark.parametrize(
+    ("code", "references"),
+    [("8000", [6, 10]), ("0400", [np.nan, 10]), ("4000", [6, np.nan]), ("0001", [np.nan, np.nan])],
+)
+def test_a_thermal_pad_that_the_board_calls_bad_is_no_reference(code, references):
+    assembler = Assembler(Icub(0, (0,)))
+    assembler.push(message("400#4000010203040506"))
+    ((_, frame),) = assembler.push(message(f"400#C00708090A0B{code}"))
+    np.testing.assert_array_equal(frame.references, references)
+
+
+@pytest.mark.parametrize(
     ("code", "bad"),
     [
         ("0000", ()),

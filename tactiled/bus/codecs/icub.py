@@ -128,30 +128,28 @@ class Icub(BatchCodec, ClassicSkin):
         places, tail = self._places[batch.ids & 0xF], first == TAIL
         good = ((lengths == 8) & (tail | (first == HEAD))) | ((lengths == 6) & tail)
         good &= (places >= 0) & ~batch.fd
-        payloads = data[:, 1:8].copy()
-        payloads[tail, PADS - HEAD_PADS :] = 0  # diagnostics are no taxels
         marked = np.flatnonzero(tail & good & data[:, 6:8].any(axis=1)).tolist()
         bad = {row: self._bad(int(places[row]), data[row].tobytes()) for row in marked}
-        return Readings(batch.times, 2 * places + tail, payloads, good, bad=bad)
+        return Readings(batch.times, 2 * places + tail, data[:, 1:8], good, bad=bad)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
         return _pads(payloads)[:, self.pads].astype(np.uint16).ravel()
 
     def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
-        """Counts (2 triangles,) of the thermal pads of each triangle, in order; NaN where a segment is None."""
+        """Counts (2 triangles,) of the thermal pads of each triangle, in order; NaN where missing or bad."""
         if not self.thermal_pads:
             return None
         thermal = _pads(payloads)[:, THERMAL].astype(np.float32).ravel()
-        thermal[missing(payloads)] = np.nan  # pad 6 is in the head, pad 10 in the tail
+        diagnostics = stacked(payloads, HEAD_PADS)[1::2, -2:].astype(int) @ (1 << 8, 1)
+        bad = [_called_bad(each, pad) for each in diagnostics.tolist() for pad in THERMAL]
+        thermal[missing(payloads) | np.array(bad)] = np.nan  # pad 6 is in the head, pad 10 in the tail
         return thermal
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
-        code = data[6] << 8 | data[7]
-        silent = code & 0xF != 0
-        first = place * len(self.pads)
-        return tuple(first + at for at, pad in enumerate(self.pads) if silent or code >> (4 + pad) & 1)
+        code, first = data[6] << 8 | data[7], place * len(self.pads)
+        return tuple(first + at for at, pad in enumerate(self.pads) if _called_bad(code, pad))
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); thermal pads have no load; the sequence number has no place in them."""
@@ -183,6 +181,11 @@ class Icub(BatchCodec, ClassicSkin):
                     description = f"iCub MTB, {age}, board {board}, triangles {listed}"
                     settings = {"board": board, "triangles": list(triangles)}
                     yield Match(settings, codec, keys, None, description, (note,))
+
+
+def _called_bad(diagnostics: int, pad: int) -> bool:
+    """Whether a tail's diagnostics call a pad out of range, or say that the triangle does not answer."""
+    return bool(diagnostics & 0xF or diagnostics >> (4 + pad) & 1)
 
 
 def _pads(payloads: Sequence[bytes | None]) -> NDArray[np.uint8]:
