@@ -17,7 +17,7 @@ from tactiled.units import Unit
 SERIES_S = 600.0
 MAX_RATE_HZ = 100.0  # that a series keeps; of a faster sensor it keeps fewer images,
 MIN_GAP_S = 0.9 / MAX_RATE_HZ  # so far apart at least: frames jitter
-MAX_REGIONS = 16  # of a sensor: each series has 1.4 MB
+MAX_REGIONS = 16  # of a sensor: each series has 1.6 MB
 MAX_CROSSINGS = 64  # between two looks, ten a second
 MAX_GAP_S = 1.0  # between two images that an integral bridges
 
@@ -50,7 +50,7 @@ class RegionSeries:
     def __init__(self, name: str, region: Region, cells: Cells) -> None:
         self.name, self.region = name, region
         self.measure = RegionMeter(region, cells)
-        slots = int(SERIES_S * MAX_RATE_HZ)
+        slots = int(SERIES_S / MIN_GAP_S) + 1
         self._time, self._values = np.zeros(slots), np.zeros((slots, len(Measures._fields)), np.float32)
         self._count = 0
         self._lock = Lock()

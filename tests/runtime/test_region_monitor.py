@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tactiled.config import parse
-from tactiled.contacts.regions import Region, Threshold
+from tactiled.contacts.regions import Measures, Region, Threshold
 from tactiled.errors import StateError
 from tactiled.geometry import grid, tiling
-from tactiled.runtime.region_monitor import MAX_REGIONS, RegionMonitor
+from tactiled.runtime.region_monitor import MAX_REGIONS, MIN_GAP_S, SERIES_S, RegionMonitor
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tests.conftest import CONFIG
@@ -55,6 +55,15 @@ def test_peaks_hold_and_integrals_grow_until_a_reset(monitor):
     monitor.add(image(30, 200.5))
     summary = monitor.series["west"].summary()
     assert (summary.highest.peak, summary.since, summary.impulse) == (30, 200.5, pytest.approx(0.015))
+
+
+def test_a_fast_sensors_series_goes_back_as_far_as_any(monitor):
+    series = monitor.series["west"]
+    series.measure = lambda _: Measures(*4 * (1.0,))
+    for n in range(70_000):
+        series.add(image(1, n * 1.01 * MIN_GAP_S))
+    time, *_ = series.series(SERIES_S, 100_000)
+    assert time[-1] - time[0] == pytest.approx(SERIES_S, abs=2 * MIN_GAP_S)
 
 
 def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(monitor):
