@@ -89,6 +89,12 @@ def test_shear_comes_back_rounded_and_clipped_to_its_axes():
         ("xela", {"rows": (1, 1)}, r"rows = \[1, 1\]: names a number twice"),
         ("xela", {"columns": (3, 3)}, r"columns = \[3, 3\]: names a number twice"),
         ("xela", {"start": True}, "modules of the current profile send by themselves"),
+        (
+            "xela",
+            {"profile": "4x4-old", "rows": [1]},
+            r'rows = \[1\]: used only with profile = "current", not with "4x',
+        ),
+        ("xela", {"profile": "single", "controller": 7}, "controller = 7: used only with start = true"),
         ("linker", {"fingers": (2, 2)}, r"fingers = \[2, 2\]: names a number twice"),
         ("icub", {"board": 0, "triangles": (1, 1)}, r"triangles = \[1, 1\]: names a number twice"),
     ],

@@ -70,11 +70,20 @@ class Xela(BatchCodec, ClassicSkin, ShearCodec):
     ordered = 1  # no segments are known to come in order
 
     def __post_init__(self) -> None:
-        """Refuse an SDA or a taxel named twice, and the start of a module that sends by itself."""
+        """Refuse an SDA or a taxel named twice, and settings that the profile does not use."""
         require_distinct("rows", self.rows)
         require_distinct("columns", self.columns)
         if self.start and self.profile == "current":
             raise ConfigError("start = true: modules of the current profile send by themselves: leave it out")
+        if self.profile == "current":
+            return
+        for key in ("rows", "columns", *(() if self.start else ("controller",))):
+            if (value := getattr(self, key)) != getattr(type(self), key):
+                use = "start = true" if key == "controller" else 'profile = "current"'
+                shown = list(value) if isinstance(value, tuple) else value
+                raise ConfigError(
+                    f'{key} = {shown}: used only with {use}, not with "{self.profile}": leave it out'
+                )
 
     @property
     def model_name(self) -> str:
