@@ -44,6 +44,9 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     assert page.text("peak-raw", "noise") == ["800.0", "0.3 counts"]
     lines = page.download("c").read_text().splitlines()
     assert next(line for line in lines if line[0] != "#").split(",")[5] == "counts"
+    page.set_range(0, 10000)
+    ends = page.wait("window.drawn.filter(each => each.id === 'colorbar' && each.text === '10000')")
+    assert ends[-1]["box"][2] <= ends[-1]["width"]
     page.press("1")
     page.wait("document.getElementById('about').innerText.startsWith('8')")
     page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")

@@ -95,7 +95,8 @@ export class Colorbar {
         draw.moveTo(x, BAR);
         draw.lineTo(x, BAR + 4);
         draw.stroke();
-        draw.fillText(text, x, BAR + 6);
+        const half = draw.measureText(text).width / 2;
+        draw.fillText(text, Math.max(half, Math.min(width - half, x)), BAR + 6);
       }
     }
   }
