@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web.server import running
 from tests.conftest import Rig, ask, meanwhile, pressed
-from tests.viewer.conftest import DESK, PAINTINGS, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
+from tests.viewer.conftest import CONTACTS, DESK, PAINTINGS, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
 
@@ -152,17 +152,24 @@ def test_the_axes_of_a_surface_have_room_however_it_is_turned(rig, url, open_pag
 def test_values_stand_in_cells_that_are_large_enough(rig, url, open_page):
     image = rig.show(pressed())
     page = open_page(f"{url}/#palm?range=0:500", **DESK)
-    page.evaluate(WATCH_TEXTS)
+    page.wait(f"{CONTACTS}.length > 0")
+    page.evaluate("document.querySelector('#restored ~ .values').id = 'values'")
     page.press("Space")
+    page.evaluate(WATCH_TEXTS)
     page.resize(1280, 900)
     peak = f"{image.restored.max():.3g}"
-    written = f"window.drawn.filter(each => !each.id && each.text === '{peak}')"
+    written = f"window.drawn.filter(each => each.id === 'values' && each.text === '{peak}')"
     page.wait(f"{written}.length > 0")
     row, column = np.argwhere(image.restored == image.restored.max())[0]
     at = page.evaluate(f"{written}[0]")
     assert at["x"] / at["width"] == pytest.approx((column + 0.5) / 8, abs=0.01)
     assert int(at["y"] / at["height"] * 8) == row
-    page.evaluate("document.querySelector('#restored ~ .values').id = 'values'")
+    (label,) = page.evaluate("window.drawn.filter(each => each.id === 'restored-marks')")
+    from_x, from_y, end_x, end_y = label["box"]
+    for x, y, to_x, to_y in page.evaluate(
+        "window.drawn.filter(each => each.id === 'values').map(each => each.box)"
+    ):
+        assert to_x < from_x or x > end_x or to_y < from_y or y > end_y  # none under the contact's label
     some = "document.getElementById('values').getContext('2d').getImageData(0, 0, 999, 999).data.some(Boolean)"
     page.wait(some)
     page.resize(390, 844)  # cells of 20 px

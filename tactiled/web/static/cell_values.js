@@ -6,6 +6,7 @@ import { number } from "./format.js";
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
+/** @import { Overlay } from "./overlay.js" */
 
 const MIN_CELL_PX = 34; // CSS px, the least width of a cell that has its value
 const TEXT_PX = 11;
@@ -51,19 +52,26 @@ export class CellValues {
    * @param {Cells} cells
    * @param {DisplayRange} range
    * @param {Colormap} colormap that they are painted in
+   * @param {Overlay} [marks] of the map: a cell under one of its labels has no value
    */
-  draw(values, plane, cells, range, colormap) {
+  draw(values, plane, cells, range, colormap, marks) {
     this.clear();
     if (cells.side * this._zoom < MIN_CELL_PX) return;
     const draw = this._pen;
     const px = this._zoom * this._ratio;
+    const most = TEXT_SHARE * cells.side * px;
     draw.font = `${TEXT_PX * this._ratio}px ${getComputedStyle(document.body).fontFamily}`;
     draw.textAlign = "center";
     draw.textBaseline = "middle";
     for (let i = 0; i < cells.count; i += 1) {
       if (Number.isNaN(values[i])) continue;
+      const text = number(values[i]);
+      const x = (cells.x[i] - plane.left) * px;
+      const y = (cells.y[i] - plane.top + BELOW_SHARE * cells.side) * px;
+      const width = Math.min(most, draw.measureText(text).width);
+      if (marks?.isLabelled(x, y, width / 2, (TEXT_PX / 2) * this._ratio)) continue;
       draw.fillStyle = inkOn(colormap.rgba[colormap.index(values[i], range)]);
-      draw.fillText(number(values[i]), (cells.x[i] - plane.left) * px, (cells.y[i] - plane.top + BELOW_SHARE * cells.side) * px, TEXT_SHARE * cells.side * px);
+      draw.fillText(text, x, y, most);
     }
     this._empty = false;
   }

@@ -116,8 +116,8 @@ export class Maps {
     const plane = this._plane;
     if (!plane || !colormap) return;
     const [raw, restored, difference] = this._values;
-    raw.draw(frame.raw, plane, plane.raw, range, colormap);
-    restored.draw(frame.restored, plane, plane.restored, range, colormap);
+    raw.draw(frame.raw, plane, plane.raw, range, colormap, this.rawMarks);
+    restored.draw(frame.restored, plane, plane.restored, range, colormap, this.restoredMarks);
     if (name !== "difference" || !signed) return;
     difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
     const { x, y } = plane.restored;

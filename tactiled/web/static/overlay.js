@@ -65,6 +65,7 @@ export class Overlay {
   /** Show nothing. */
   clear() {
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._labels.length = 0;
     this._last.known = false;
   }
 
@@ -78,6 +79,7 @@ export class Overlay {
     const plane = this._plane;
     if (!plane || this._same(marks, measures, flags !== null)) return;
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._labels.length = 0;
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
     if (marks.contacts) this._contacts(marks.contacts, marks, plane);
@@ -145,7 +147,6 @@ export class Overlay {
       this._cross(x, y, CROSS_PX * this._ratio);
     }
     this._twoTone(1.5);
-    this._labels.length = 0;
     draw.font = this._font;
     draw.textBaseline = "middle";
     draw.textAlign = "center";
@@ -164,7 +165,7 @@ export class Overlay {
    */
   _label(contact, label, outline, i, plane) {
     const half = Math.round(this._pen.measureText(label).width / 2 + 3 * this._ratio);
-    const rise = Math.round((TEXT_PX / 2 + 2) * this._ratio);
+    const rise = this._rise;
     const minAxis = MIN_AXIS_PX * this._ratio;
     const long = OUTLINE_DEVIATIONS * contact.major_mm * this._px;
     const short = OUTLINE_DEVIATIONS * contact.minor_mm * this._px;
@@ -201,8 +202,7 @@ export class Overlay {
    */
   _place(text, x, y, half, rise) {
     if (x < half || y < rise || x + half > this.canvas.width || y + rise > this.canvas.height) return false;
-    const covers = this._labels.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < 2 * rise);
-    if (covers) return false;
+    if (this.isLabelled(x, y, half, rise)) return false;
     this._labels.push({ x, y, half });
     const draw = this._pen;
     draw.lineWidth = 3.5 * this._ratio;
@@ -211,6 +211,22 @@ export class Overlay {
     draw.fillStyle = "#fff";
     draw.fillText(text, x, y);
     return true;
+  }
+
+  /** @returns {number} half of a label's height, device px */
+  get _rise() {
+    return Math.round((TEXT_PX / 2 + 2) * this._ratio);
+  }
+
+  /**
+   * @param {number} x device px, of a text's middle
+   * @param {number} y
+   * @param {number} half of its width
+   * @param {number} rise half of its height
+   * @returns {boolean} a label is drawn there
+   */
+  isLabelled(x, y, half, rise) {
+    return this._labels.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < this._rise + rise);
   }
 
   /** @param {Uint8Array} flags @param {Plane} plane */
