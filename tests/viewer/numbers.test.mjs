@@ -3,7 +3,7 @@ import test from "node:test";
 
 import { inkOn } from "../../tactiled/web/static/cell_values.js";
 import { DisplayRange } from "../../tactiled/web/static/display_range.js";
-import { byteText, duration, fixed, newtons, number } from "../../tactiled/web/static/format.js";
+import { byteText, duration, fixed, newtons, number, whole } from "../../tactiled/web/static/format.js";
 import { decadeTicks, endsAndTicks, tickText, ticks } from "../../tactiled/web/static/ticks.js";
 
 const check = (convert, table) => {
@@ -22,6 +22,10 @@ test("a force has two decimals, a small one three digits", () => {
 test("numbers have a true minus sign, no minus zero, and a dash without a value", () => {
   check((value) => fixed(value, 1), [[-0.04, "0.0"], [-0.06, "−0.1"], [Infinity, "–"], [3, "3.0"]]);
   check(number, [[0, "0.00"], [123.4, "123"], [-1.234, "−1.23"], [0.0123, "0.01"], [-0.001, "0.00"], [NaN, "–"]]);
+});
+
+test("a force in counts is whole, and short from a million on", () => {
+  check(whole, [[-0.4, "0"], [999_999.4, "999999"], [999_999.5, "1.00e6"], [-10_098_311, "−1.01e7"], [Infinity, "–"]]);
 });
 
 test("a file's size is in whole bytes or three digits", () => {

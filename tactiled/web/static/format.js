@@ -34,6 +34,12 @@ export function newtons(force) {
   return size < 0.09995 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : fixed(force, 2);
 }
 
+/** @param {number} value @returns {string} without decimals; from a million on with a power of ten, as 1.08e6 */
+export function whole(value) {
+  const isLarge = Number.isFinite(value) && Math.abs(value) >= 999_999.5;
+  return isLarge ? value.toExponential(2).replace("e+", "e").replace("-", "\u2212") : fixed(value, 0);
+}
+
 /** @param {number} seconds @returns {string} */
 export function duration(seconds) {
   if (seconds < 100) return `${fixed(seconds, 1)} s`;

@@ -4,7 +4,7 @@
  * @module
  */
 
-import { fixed, newtons, number } from "./format.js";
+import { fixed, newtons, number, whole } from "./format.js";
 
 /** Units of pressure by their number in a message; counts where the sensor is uncalibrated. */
 export const UNITS = ["kPa", "counts"];
@@ -27,7 +27,7 @@ export const readingText = (value, unit) => `${fixed(value, 1)} ${UNITS[unit]}`;
 export const lengthText = (value, decimals = 1) => `${fixed(value, decimals)} mm`;
 
 /** @param {number} value @param {number} unit of pressure @returns {string} without its unit */
-export const forceNumber = (value, unit) => (unit ? fixed(value, 0) : newtons(value));
+export const forceNumber = (value, unit) => (unit ? whole(value) : newtons(value));
 
 /** @param {number} value @param {number} unit of pressure @returns {string} */
 export const forceText = (value, unit) => `${forceNumber(value, unit)} ${FORCE_UNITS[unit]}`;
