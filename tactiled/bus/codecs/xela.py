@@ -80,9 +80,9 @@ class Xela(BatchCodec, ClassicSkin, ShearCodec):
         for key in ("rows", "columns", *(() if self.start else ("controller",))):
             if (value := getattr(self, key)) != getattr(type(self), key):
                 use = "start = true" if key == "controller" else 'profile = "current"'
-                shown = list(value) if isinstance(value, tuple) else value
+                setting = list(value) if isinstance(value, tuple) else value
                 raise ConfigError(
-                    f'{key} = {shown}: used only with {use}, not with "{self.profile}": leave it out'
+                    f'{key} = {setting}: used only with {use}, not with "{self.profile}": leave it out'
                 )
 
     @property
