@@ -16,7 +16,7 @@ from tactiled.calibrate.curve_fit import CurveFit, Points, choose_form, fit, hys
 from tactiled.calibrate.curves import Form, unit_curves
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import GainFit, assembled, check_pressure, log_points, require_press
-from tactiled.calibrate.means import Means, Rails, mean_counts, require_response
+from tactiled.calibrate.means import Means, Rails, mean_counts, require_response, unknown_taxels
 from tactiled.calibrate.plateaus import plateaus, response
 from tactiled.calibrate.reference import Reference, align
 from tactiled.errors import ConfigError
@@ -38,6 +38,7 @@ MIN_WEIGHT_HOLD = 0.05  # of the recording
 Floats = NDArray[np.float64]
 
 
+@unknown_taxels()
 def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -> GainFit:
     """The common curve of all taxels from a log of an indenter's force, and how far they spread about it."""
     signal = response(series, total=True)
@@ -64,6 +65,7 @@ def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -
     return replace(made, spread=spread, notes=notes, alignment=alignment, force_n=points.pressure[usable])
 
 
+@unknown_taxels()
 def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails) -> GainFit:
     """The common gain from one known weight, laid on once or more often."""
     if not (np.isfinite(weight_n) and weight_n > 0):

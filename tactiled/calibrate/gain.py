@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from tactiled.calibrate.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import KNOTS, Curves, Form
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.means import DEAD_BELOW, Means, Rails, mean_counts, require_response, require_unsaturated
+from tactiled.calibrate.means import (
+    DEAD_BELOW,
+    Means,
+    Rails,
+    mean_counts,
+    require_response,
+    require_unsaturated,
+    unknown_taxels,
+)
 from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.reference import Alignment, Reference, align, resampled
 from tactiled.errors import ConfigError
@@ -44,6 +52,7 @@ class GainFit:
     force_n: Floats | None = None  # (M,) known loads, of a force: `points.pressure` is over a taxel's area
 
 
+@unknown_taxels()
 def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
     """Curves from pressures that the whole array bore one after another, the first of them 0."""
     steps = _checked(steps_kpa)
@@ -64,6 +73,7 @@ def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> 
     return _uniform(points, means, loaded)
 
 
+@unknown_taxels()
 def fit_pressure(series: FrameSeries, log: Reference, rails: Rails) -> GainFit:
     """Curves from a log of the pressure that the whole array bore."""
     check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))

@@ -1,7 +1,9 @@
 """Mean counts of each taxel over pieces of a recording, above the counts of the unloaded taxel at that time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,14 @@ class Rails:
         """As configured, else the codec's ends."""
         low, high = ends if saturation is None else (saturation, saturation)
         return cls(low, high, sign)
+
+
+@contextmanager
+def unknown_taxels() -> Iterator[None]:
+    """Without numpy's warnings of taxels that are NaN all along, as those that send nothing are."""
+    with catch_warnings():
+        simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +85,7 @@ def mean_counts(
 
 def require_response(what: str, over: Floats, sigma: Floats) -> None:
     """ConfigError where the largest mean of `over` (M, N), in the median, is not far above the noise (M, N)."""
-    ratio = float(np.median(np.nanmax(over / sigma, axis=0)))
+    ratio = float(np.nanmedian(np.nanmax(over / sigma, axis=0)))
     if not ratio > MIN_RESPONSE_SIGMAS:
         raise ConfigError(
             f"{what} reads {max(ratio, 0):.2g} times its noise under the largest load: press more, or hold longer"
@@ -108,7 +118,7 @@ def _means(
 
 def _require_unloaded_start(above: Floats, top: Floats) -> None:
     """ConfigError where taxels start `above` (runs, N) what they read unloaded; `top` (N,): their largest."""
-    typical = np.median(top[top > np.percentile(top, TYPICAL_PERCENTILE) / 2])
+    typical = np.median(top[top > np.nanpercentile(top, TYPICAL_PERCENTILE) / 2])
     loaded = np.count_nonzero(above.max(axis=0) > LOADED_START * typical)
     if loaded > max(1, MAX_LOADED_TAXELS * top.size) or loaded == top.size:
         raise ConfigError(

@@ -101,6 +101,18 @@ def test_a_saturated_taxel_keeps_the_pressures_below_its_ceiling():
     assert np.abs(errors(fit, skin, 30)[0]).max() < 0.01
 
 
+@pytest.mark.parametrize("counts", [np.nan, 4000.0])
+def test_a_taxel_that_sends_nothing_or_its_ceiling_is_dead(counts):
+    def stuck(all_counts):
+        all_counts[:, 5] = counts
+        return all_counts
+
+    skin = Skin(64, seed=16, spread=0.05)
+    fit = fit_steps(changed(skin.series(steps(STEPS)), stuck), STEPS, Rails(high=4000))
+    assert fit.dead == (5,)
+    assert np.abs(np.delete(errors(fit, skin, 30)[0], 5)).max() < 0.01
+
+
 def noise_alone(counts):
     return np.random.default_rng(0).normal(500, 30, counts.shape)
 
