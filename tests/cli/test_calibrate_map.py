@@ -7,15 +7,15 @@ from tests.cli.recordings import write
 from tests.cli.test_calibrate_cover import ARRAY, CODEC, config  # noqa: F401  # a fixture
 
 
-def recording(path, order, part=1.0):
-    """A roll to the right over `part` of the rows; the place n of the array sends as taxel order[n]."""
+def recording(path, order, part=1.0, rest=100):
+    """A roll to the right over `part` of the rows; the place n of the array sends as order[n]; `rest`: counts."""
     random = np.random.default_rng(3)
     x, y = ARRAY.positions.T
     centres = [(at, line) for line in np.arange(0, 12 * part, 2) for at in np.arange(0, 12, 0.5)]
     pressure = np.array([80 * np.exp(-((x - a) ** 2 + (y - b) ** 2) / 6) for a, b in centres])
     counts = np.zeros(pressure.shape, np.uint16)
     noisy = pressure + random.normal(0, 0.5, pressure.shape)
-    counts[:, order] = np.clip(np.round(noisy / 0.05 + 100), 0, CODEC.full_scale)
+    counts[:, order] = np.clip(np.round(noisy / 0.05 + rest), 0, CODEC.full_scale)
     return write(path, (each for n, frame in enumerate(counts) for each in CODEC.encode(frame, n, 0.02 * n)))
 
 
@@ -27,6 +27,14 @@ def test_a_swap_is_named_and_a_right_map_is_not(config, tmp_path):  # noqa: F811
     order[[30, 77]] = 77, 30
     wrong = run("calibrate", "map", recording(tmp_path / "wrong.log", order), "--config", config)
     assert wrong.exit_code == 1
+    assert "palm: taxels 30 and 77 swapped" in wrong.output
+
+
+def test_what_the_array_rests_at_is_no_load(config, tmp_path):  # noqa: F811
+    rest = 1500 + np.random.default_rng(5).normal(0, 30, 144)
+    order = np.arange(144)
+    order[[30, 77]] = 77, 30
+    wrong = run("calibrate", "map", recording(tmp_path / "wrong.log", order, rest=rest), "--config", config)
     assert "palm: taxels 30 and 77 swapped" in wrong.output
 
 
