@@ -4,6 +4,7 @@ import difflib
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -160,6 +161,16 @@ def _faults_between_sections(config: Config) -> Iterator[str]:
             yield f"sensor.{name}.codec.fd = true: bus {sensor.bus} is not CAN FD: set bus.{sensor.bus}.fd = true"
         if not sensor.cover:
             yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"
+    if config.zenoh and config.zenoh.ros_domain is not None:
+        for one, other in combinations(config.sensor, 2):
+            if ros_name(one) == ros_name(other):
+                yield f"sensor.{one} and sensor.{other}: both are {ros_name(one)} in ROS 2: rename one"
+
+
+def ros_name(name: str) -> str:
+    """A sensor's name as ROS 2 takes it in topics: letters, digits and `_`, no digit first."""
+    plain = name.replace("-", "_")
+    return f"sensor_{plain}" if plain[0].isdigit() else plain
 
 
 def _classic(bus: Bus) -> bool:

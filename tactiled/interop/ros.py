@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
+from tactiled.config import ros_name
 from tactiled.contacts.detection import Contact
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image
@@ -42,12 +43,6 @@ TOPICS = {  # a slash in front: of all sensors
 
 Fields = dict[str, Any]
 Message = tuple[str, memoryview]  # of TOPICS, and its CDR
-
-
-def ros_name(name: str) -> str:
-    """A sensor's name as ROS 2 takes it in topics: letters, digits and `_`, no digit first."""
-    plain = name.replace("-", "_")
-    return f"sensor_{plain}" if plain[0].isdigit() else plain
 
 
 class Topics:

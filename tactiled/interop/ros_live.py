@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import Qos, QosDurability, QosReliability
 
+from tactiled.config import ros_name
 from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
 from tactiled.interop import ros
@@ -97,7 +98,7 @@ class Node:
         self._handle, self._requests = handle, requests
         self._closing, self._id = threading.Event(), next(IDS)
         self._writers: dict[str, _Writer] = {}
-        name = ros.ros_name(sensor.name)
+        name = ros_name(sensor.name)
         self._name = f"%/%/{name}"  # enclave, namespace and name
         self._service = Endpoint(f"/{name}/tare", TRIGGER, RELIABLE)
         self._declared: list[Any] = [

@@ -10,9 +10,9 @@ from rerun.chunk import McapReader
 from rosbags.highlevel import AnyReader
 
 from tactiled.bus import recording
+from tactiled.config import ros_name
 from tactiled.config.example import GRASP
 from tactiled.frames import FLAG_BITS, MISSING
-from tactiled.interop.ros import ros_name
 from tests.cli.commands import refusal
 from tests.cli.recordings import HEEL
 from tests.cli.test_export import exported

@@ -69,6 +69,14 @@ def test_all_faults_are_reported_at_once(one, other):
     assert len(str(caught.value).splitlines()) == 2
 
 
+def test_two_sensors_of_one_name_in_ros_are_an_error_where_ros_is_used():
+    one = EXAMPLE[EXAMPLE.index("[sensor.palm]") :]
+    text = EXAMPLE.replace("sensor.palm", "sensor.left-palm") + one.replace("sensor.palm", "sensor.left_palm")
+    assert len(parse(text).sensor) == 2
+    with pytest.raises(ConfigError, match=r"sensor.left-palm and sensor.left_palm: both are left_palm in ROS 2"):
+        parse(f'{text}\n[zenoh]\nlisten = ["tcp/127.0.0.1:7447"]\nros_domain = 0\n')
+
+
 LAYER = "thickness_mm = 1.2\nyoung_mpa = 0.6\npoisson = 0.48\n"
 COVER_TABLE = f"[sensor.palm.cover]\n{LAYER}"
 
