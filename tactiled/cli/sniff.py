@@ -99,6 +99,11 @@ def report(result: Survey, count: int, seconds: float) -> list[str]:
         lines.insert(
             1, "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"
         )
+        if result.unknown:
+            lines.append(
+                'if a skin sends these: codec.name = "dbc" reads what a DBC file describes, a codec of your own '
+                "the rest: see the guide, Codecs"
+            )
     return lines
 
 

@@ -10,7 +10,7 @@ WarningCode = Literal[
     "cut_short",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
-    "uncalibrated": "uncalibrated: pressure is in counts; calibrate, or give kpa_per_count{unused}",
+    "uncalibrated": "pressure is in counts: calibrate, or give kpa_per_count{unused}",
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
     "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
     "missing": "{taxels} did not arrive: restored from {their} neighbours",
@@ -25,7 +25,7 @@ TEXTS: dict[WarningCode, str] = {
     "negative": "readings are negative: unload and tare, or check noise_kpa",
     "offset": "no part of the array is free of pressure: if nothing lies on all of it, tare",
     "noise_low": "fine patterns have under half of the configured noise: lower noise_kpa, or taxels share noise",
-    "plateau": "several taxels share the highest value: if they are saturated, set calibration.saturation",
+    "plateau": "several taxels share the highest value: if saturated, set calibration.saturation to their counts",
     "cut_short": "the {budget_ms:.2g} ms for an image were over before its method was done: it could be sharper",
     "edge": "a contact reaches over the edge: what presses outside the array is felt inside",
 }

@@ -63,8 +63,9 @@ def test_the_report_of_a_real_grasp():
 def test_many_unknown_ids_are_cut_short():
     lines = report(survey(Message(n / 10, n % 20, b"") for n in range(200)), 200, 3.0)
     assert lines[1].startswith("no known skin: some are silent until")
-    assert len(lines) == 2 + 8 + 1
-    assert lines[-1] == "and 12 unknown ids more"
+    assert len(lines) == 2 + 8 + 2
+    assert lines[-2] == "and 12 unknown ids more"
+    assert lines[-1].startswith('if a skin sends these: codec.name = "dbc" reads what a DBC file describes')
 
 
 def test_a_refusal_is_one_line_and_writes_nothing(tmp_path, monkeypatch):

@@ -84,6 +84,11 @@ FAULTS = {
     "strangers": ([Message(0.1, 0x6A1, b"")], {}, "sensor.a.codec = packed: no complete frame on ids 0x500"),
     "loss": ([each for n, each in enumerate(HEALTHY) if n % 10 != 9], {}, "7.7 % of its messages are lost"),
     "pauses": (HEALTHY, {"more": "\nstale_after_s = 0.015"}, "stale_after_s = 0.015: frames come 0.02 s apart"),
+    "one pause": (
+        [each._replace(time=each.time + (n > 20)) for n, each in enumerate(HEALTHY)],
+        {},
+        "stale_after_s = 0.5: one frame came 1 s after the one before",
+    ),
     "another zero": (HEALTHY, {"calibration": "no_load = 2048"}, "no_load = 2048: half of the array is at 80"),
     "stuck": (altered(stick), {}, "dead = []: never change: taxels 3, 7: list them if they do not work"),
     "at the end of the scale": (altered(end), {}, "never change: taxels 29: list them"),
