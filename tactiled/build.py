@@ -1,6 +1,7 @@
 """The composition root: from a checked configuration to arrays, stacks, codecs and plans."""
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,7 +14,7 @@ from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.sections import CoverSection
-from tactiled.config import schema
+from tactiled.config import classic, schema
 from tactiled.cover.kernel import Kernel, cached, radial
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
@@ -28,6 +29,7 @@ from tactiled.restore.methods import require
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 LOG = logging.getLogger(__name__)
+CLASSIC = 8  # bytes of a message that is not CAN FD, at most
 MAX_CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
 MAX_CELLS_IN_A_ROW = 1024  # as many as an array may have taxels in a row
 THICK_FROM_PITCHES = 2.0  # a smallest gap above this comes from the cover
@@ -83,9 +85,24 @@ class SensorPlan:
 def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
     """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus."""
     plans = tuple(sensor_plan(name, sensor) for name, sensor in config.sensor.items())
-    for bus in config.bus:
-        Router({plan.name: plan.codec for plan in plans if plan.bus == bus})
+    check_buses(config, plans)
     return plans
+
+
+def check_buses(config: schema.Config, plans: Iterable[SensorPlan]) -> None:
+    """ConfigError where two sensors want the same messages of a bus, or one wants longer ones than it carries."""
+    codecs: dict[str, dict[str, Codec]] = {bus: {} for bus in config.bus}
+    for plan in plans:
+        codecs[plan.bus][plan.name] = plan.codec
+        messages = plan.codec.encode(np.zeros(plan.codec.size, np.uint16), 0, 0.0)
+        longest = max(messages, key=lambda each: len(each.data))
+        if len(longest.data) > CLASSIC and classic(config.bus[plan.bus]):
+            raise ConfigError(
+                f"sensor.{plan.name}.codec: message {longest.id:#x} has {len(longest.data)} bytes, and bus "
+                f"{plan.bus} is not CAN FD: set bus.{plan.bus}.fd = true"
+            )
+    for each in codecs.values():
+        Router(each)
 
 
 def sensor_plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None = None) -> SensorPlan:

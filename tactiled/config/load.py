@@ -157,7 +157,7 @@ def _faults_between_sections(config: Config) -> Iterator[str]:
     for name, sensor in config.sensor.items():
         if sensor.bus not in config.bus:
             yield f"sensor.{name}.bus = {sensor.bus!r}: no such bus: the file has {', '.join(config.bus)}"
-        elif getattr(sensor.codec.settings, "fd", False) and _classic(config.bus[sensor.bus]):
+        elif getattr(sensor.codec.settings, "fd", False) and classic(config.bus[sensor.bus]):
             yield f"sensor.{name}.codec.fd = true: bus {sensor.bus} is not CAN FD: set bus.{sensor.bus}.fd = true"
         if not sensor.cover:
             yield f"sensor.{name}.cover = []: give at least one layer, top to bottom"
@@ -173,5 +173,6 @@ def ros_name(name: str) -> str:
     return f"sensor_{plain}" if plain[0].isdigit() else plain
 
 
-def _classic(bus: Bus) -> bool:
+def classic(bus: Bus) -> bool:
+    """Whether a bus carries no CAN FD, as far as its settings tell."""
     return bus.interface in FD_ON_REQUEST and not bus.settings().get("fd")

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from tactiled.build import SensorPlan, configured_file, make_codec, sensor_plan
-from tactiled.bus.router import Router
+from tactiled.build import SensorPlan, check_buses, configured_file, make_codec, sensor_plan
 from tactiled.config import Config, schema
 from tactiled.errors import ConfigError
 from tactiled.frames import CONFIGURED
@@ -106,6 +105,5 @@ def new_plans(running: Mapping[str, SensorPlan], config: Config, names: Names) -
     """The plans of sensors that begin, kernels solved; ConfigError also where two want the same messages."""
     beginning = {name: sensor_plan(name, config.sensor[name]) for name in names.beginning}
     every = {**{name: running[name] for name in names.unchanged}, **beginning}
-    for bus in config.bus:
-        Router({name: plan.codec for name, plan in every.items() if plan.bus == bus})
+    check_buses(config, every.values())
     return beginning

@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from tactiled.build import make_codec, sensor_plan
+from tactiled.build import make_codec, sensor_plan, sensor_plans
 from tactiled.bus.assembler import assemble
 from tactiled.bus.codecs.dbc import Dbc, expand
 from tactiled.calibrate.means import Rails
-from tactiled.config import load
+from tactiled.config import load, parse
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, Message
 from tests.bus.skins import CODECS, CONFIG, DBC, GRID, payloads_of
@@ -143,11 +143,12 @@ def test_a_template_may_count_from_1_and_pad():
         ('taxels = "Row{row}.T{row}_{col}"',
          r"'Row\{row\}.T\{row\}_\{col\}': 'col': a template may hold \{taxel\}, \{row\}, \{column\}"),
         (f"{TEMPLATE}, first = 1", r"names 'Row1.T1_3': skin.dbc has no such signal: did you mean Row"),
-        ('taxels = ["@"]', "names '@': skin.dbc has no such signal: it has 22 signals"),
+        ('taxels = ["@"]', "names '@': skin.dbc has no such signal: it has 23 signals"),
         ('taxels = ["Row0.T0_0", "Row0.T0_0"]', "names Row0.T0_0 twice"),
         ('taxels = ["Pages.Page"]', "Pages.Page, which comes with several variants"),
         ('taxels = ["Nested.Always"]', "Nested.Always, which comes with several"),
         ('taxels = ["Nested.Deep"]', "Nested.Deep, which comes with several"),
+        ('taxels = ["Long.L0"]', "names Long.L0: the message has 100 bytes, and CAN FD carries 64"),
         ('file = "skins/skin.dbc"', r"a.toml: sensor.skin.codec.taxels: missing"),
         (f"taxels = {list(GRID[:5])}", "the codec carries 5 taxels and the array has 6"),
     ],
@@ -156,6 +157,14 @@ def test_every_fault_of_the_map_is_named(tmp_path, settings, reason):
     settings = settings if "file" in settings else f'file = "skins/skin.dbc", {settings}'
     with pytest.raises(ConfigError, match=reason):
         sensor_plan("skin", sensor(tmp_path, settings))
+
+
+def test_messages_of_can_fd_need_a_bus_for_them():
+    codec = f'name = "dbc", file = "{DBC}", taxels = ["Floats.F0", "Floats.F1"]'
+    text = CONFIG.format(codec=codec, array="rows = 1, columns = 2, pitch_mm = 4").replace("virtual", "socketcan")
+    with pytest.raises(ConfigError, match=r"skin.codec: message 0x303 has 12 bytes, and bus can0 is not CAN FD"):
+        sensor_plans(parse(text))
+    assert sensor_plans(parse(text.replace('"socketcan"', '"socketcan"\nfd = true')))
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\x00garbage", b'VERSION ""\nBO_ 1 A: 8 X\n SG_ B : 60|12@1+'])

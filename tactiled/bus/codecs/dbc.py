@@ -168,6 +168,11 @@ def _segments(signals: Iterator[tuple["Layout", "Signal"]]) -> Iterator[_Segment
         groups.setdefault((layout.name, *_variant(layout, signal)), []).append((taxel, layout, signal))
     for (_, selector, variant), group in groups.items():
         taxels, layouts, members = zip(*group, strict=True)
+        if layouts[0].length > LENGTHS[-1]:
+            raise ConfigError(
+                f"codec.taxels names {layouts[0].name}.{members[0].name}: the message has {layouts[0].length} "
+                f"bytes, and CAN FD carries {LENGTHS[-1]}"
+            )
         yield _Segment(layouts[0], selector, variant, members, taxels)
 
 
