@@ -5,11 +5,12 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from threading import get_ident
 from typing import Any, Self
 
-from tactiled.build import SensorPlan, configured_file, sensor_plan
+from tactiled.build import SensorPlan, configured_file, make_codec, sensor_plan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.config import schema
 from tactiled.frames import CONFIGURED
@@ -44,6 +45,7 @@ class Job(ABC):
         return own | {
             "job": type(self).__name__,
             "calibration": self.calibration.id if self.calibration else CONFIGURED,
+            "codec": sha256(make_codec(self.sensors[self.name]).source).hexdigest(),  # its DBC file, for one
         }
 
     @abstractmethod

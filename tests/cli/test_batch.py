@@ -10,8 +10,11 @@ import pytest
 from distributed import LocalCluster
 
 from tactiled.archive import batch
+from tactiled.archive.jobs import RestoreJob
 from tactiled.archive.places import place
+from tactiled.config import load
 from tests.archive.test_places import MEMORY, memory  # noqa: F401  # a fixture
+from tests.bus.skins import CONFIG, DBC, GRID
 from tests.cli.commands import TACTILED, refusal, run, succeed
 from tests.cli.recordings import traffic, write
 from tests.conftest import BUSY_S, until
@@ -79,6 +82,21 @@ def test_complete_outputs_are_skipped_and_all_others_written_again(recordings, c
     assert (written(), written()) == (3, 0)
     monkeypatch.setattr(batch, "__version__", "0.0.0")
     assert (written(), written()) == (3, 0)
+
+
+def test_outputs_are_of_the_content_of_the_codecs_file(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(
+        CONFIG.format(
+            codec=f'name = "dbc", file = "skin.dbc", taxels = {list(GRID)}',
+            array="rows = 2, columns = 3, pitch_mm = 4.0",
+        )
+    )
+    settings = []
+    for content in (DBC.read_bytes(), DBC.read_bytes() + b"\n"):
+        (tmp_path / "skin.dbc").write_bytes(content)
+        settings.append(RestoreJob.of(path, load(path), "skin").settings())
+    assert settings[0] != settings[1]
 
 
 def test_what_fails_or_is_somebody_elses_stops_no_other(recordings, config):
