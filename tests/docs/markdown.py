@@ -27,7 +27,7 @@ def table(head, rows):
 
 
 def line(cells):
-    return "".join(f"| {cell.replace('|', chr(92) + '|')} " for cell in cells) + "|"
+    return "".join(f"| {' '.join(cell.split()).replace('|', chr(92) + '|')} " for cell in cells) + "|"
 
 
 def code(text):
