@@ -7,6 +7,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import configured_file, make_array, make_calibration, make_codec
+from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.recorded_presses import noise_of, pressures
 from tactiled.calibrate.taxel_map import Direction, check_map
 from tactiled.cli import options
@@ -28,7 +29,7 @@ def map(  # noqa: A001, the verb's name
     """Judge by a recording of a rolling finger whether the taxels lie where the configuration says."""
     settings, name, one = options.one_sensor(config, sensor)
     calibration, array = make_calibration(one, configured_file(one)), make_array(one)
-    with threadpool_limits(1):
+    with threadpool_limits(1), unknown_taxels():
         series = read_frame_series(file, name, settings)
         pressure, _ = pressures(series, calibration, make_codec(one).ends)
         pressure -= np.nanpercentile(pressure, UNLOADED_PERCENTILE, axis=0)
