@@ -111,8 +111,7 @@ class Cycle:
 
     def learn(self, frame: OpenFrame, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""
-        self._absent = np.where(frame.present, 0, self._absent + 1)
-        if np.any(~frame.present & (self._absent < SILENT_FRAMES)):
+        if not self._is_whole(frame):
             self._broken += 1
             if self._broken >= UNLEARN_FRAMES:
                 self._rank = None
@@ -124,9 +123,9 @@ class Cycle:
         pause = max(pause, 0.0)
         first = 0
         if len(times) > 1:
-            silent = np.abs(np.diff(np.cumsum(~frame.present)[segments]))  # between each segment and the next
-            around = 2 * np.abs(np.diff(segments)) > len(frame.present)  # from the last to the first
-            pauses = times[1:] - times[:-1] - pause * np.where(around, frame.missing - silent, silent)
+            pauses = times[1:] - times[:-1]
+            if frame.missing:
+                pauses -= pause * _silent_between(frame, segments)
             longest = int(pauses.argmax())
             first = longest + 1 if pauses[longest] > 4 * pause else 0
         seam = int(segments[first]) if first else None
@@ -135,7 +134,23 @@ class Cycle:
         if self._seams < SEAM_FRAMES:
             first = 0
         self._length = len(segments)
-        self._rank = np.full(len(frame.present), -1)
+        self._rank = np.empty(len(frame.present), np.int64)
         self._rank[segments] = (np.arange(self._length) - first) % self._length
-        for each in np.flatnonzero(~frame.present).tolist():  # a silent one would come right behind its neighbour
-            self._rank[each] = self._rank[each - 1] if each else 0
+        if frame.missing:
+            for each in np.flatnonzero(~frame.present).tolist():  # it would come right behind its neighbour
+                self._rank[each] = self._rank[each - 1] if each else 0
+
+    def _is_whole(self, frame: OpenFrame) -> bool:
+        """Whether a frame lacks nothing but silent segments."""
+        if not frame.missing:
+            self._absent = 0
+            return True
+        self._absent = np.where(frame.present, 0, self._absent + 1)
+        return bool((frame.present | (self._absent >= SILENT_FRAMES)).all())
+
+
+def _silent_between(frame: OpenFrame, segments: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many segments that a frame lacks are between each of its `segments` (n,) and the next, (n - 1,)."""
+    between = np.abs(np.diff(np.cumsum(~frame.present)[segments]))
+    around = 2 * np.abs(np.diff(segments)) > len(frame.present)  # from the last to the first
+    return np.where(around, frame.missing - between, between)

@@ -134,22 +134,25 @@ class Icub(BatchCodec, ClassicSkin):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        return _pads(payloads)[:, self.pads].astype(np.uint16).ravel()
+        return _triangles(payloads)[:, self.pads].astype(np.uint16).ravel()
 
     def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
         """Counts (2 triangles,) of the thermal pads of each triangle, in order; NaN where missing or bad."""
         if not self.thermal_pads:
             return None
-        thermal = _pads(payloads)[:, THERMAL].astype(np.float32).ravel()
-        diagnostics = stacked(payloads, HEAD_PADS)[1::2, -2:].astype(int) @ (1 << 8, 1)
-        bad = [_called_bad(each, pad) for each in diagnostics.tolist() for pad in THERMAL]
-        thermal[missing(payloads) | np.array(bad)] = np.nan  # pad 6 is in the head, pad 10 in the tail
+        triangles = _triangles(payloads)
+        thermal = triangles[:, THERMAL].astype(np.float32).ravel()
+        thermal[missing(payloads)] = np.nan  # pad 6 is in the head, pad 10 in the tail
+        diagnostics = triangles[:, PADS:]
+        if diagnostics.any():
+            codes = diagnostics.astype(int) @ (1 << 8, 1)
+            thermal[(codes[:, None] & [_bits(pad) for pad in THERMAL] != 0).ravel()] = np.nan
         return thermal
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
         code, first = data[6] << 8 | data[7], place * len(self.pads)
-        return tuple(first + at for at, pad in enumerate(self.pads) if _called_bad(code, pad))
+        return tuple(first + at for at, pad in enumerate(self.pads) if code & _bits(pad))
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); thermal pads have no load; the sequence number has no place in them."""
@@ -183,14 +186,14 @@ class Icub(BatchCodec, ClassicSkin):
                     yield Match(settings, codec, keys, None, description, (note,))
 
 
-def _called_bad(diagnostics: int, pad: int) -> bool:
-    """Whether a tail's diagnostics call a pad out of range, or say that the triangle does not answer."""
-    return bool(diagnostics & 0xF or diagnostics >> (4 + pad) & 1)
+def _bits(pad: int) -> int:
+    """Those of a tail's diagnostics that call a pad out of range, or say that its triangle does not answer."""
+    return 0xF | 1 << (4 + pad)
 
 
-def _pads(payloads: Sequence[bytes | None]) -> NDArray[np.uint8]:
-    """All pads (triangles, PADS) of a frame; 0 where a segment is None."""
-    return stacked(payloads, HEAD_PADS).reshape(-1, 2 * HEAD_PADS)[:, :PADS]
+def _triangles(payloads: Sequence[bytes | None]) -> NDArray[np.uint8]:
+    """All pads of a frame's triangles, each followed by its diagnostics (triangles, PADS + 2); 0 for None."""
+    return stacked(payloads, HEAD_PADS).reshape(-1, 2 * HEAD_PADS)
 
 
 SKIN = Icub
