@@ -9,6 +9,7 @@ import numpy as np
 
 from tactiled.bus import skins
 from tactiled.bus.codec import Codec, ShearCodec
+from tactiled.bus.codecs.packed import CLASSIC
 from tactiled.bus.router import Router
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration import Calibration, Calibrator
@@ -29,7 +30,6 @@ from tactiled.restore.methods import require
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 LOG = logging.getLogger(__name__)
-CLASSIC = 8  # bytes of a message that is not CAN FD, at most
 MAX_CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
 MAX_CELLS_IN_A_ROW = 1024  # as many as an array may have taxels in a row
 THICK_FROM_PITCHES = 2.0  # a smallest gap above this comes from the cover
@@ -94,9 +94,11 @@ def check_buses(config: schema.Config, plans: Iterable[SensorPlan]) -> None:
     codecs: dict[str, dict[str, Codec]] = {bus: {} for bus in config.bus}
     for plan in plans:
         codecs[plan.bus][plan.name] = plan.codec
+        if not classic(config.bus[plan.bus]):
+            continue
         messages = plan.codec.encode(np.zeros(plan.codec.size, np.uint16), 0, 0.0)
         longest = max(messages, key=lambda each: len(each.data))
-        if len(longest.data) > CLASSIC and classic(config.bus[plan.bus]):
+        if len(longest.data) > CLASSIC:
             raise ConfigError(
                 f"sensor.{plan.name}.codec: message {longest.id:#x} has {len(longest.data)} bytes, and bus "
                 f"{plan.bus} is not CAN FD: set bus.{plan.bus}.fd = true"

@@ -93,8 +93,7 @@ class Codec(ABC):
     @cached_property
     def ends(self) -> tuple[float, float]:
         """Counts at which a reading goes no lower and no higher; infinite where nobody knows."""
-        integers = self.unpack([None] * self.segments).dtype == np.uint16
-        return (0, self.full_scale) if integers else (-np.inf, np.inf)
+        return (0, self.full_scale) if whole_counts(self) else (-np.inf, np.inf)
 
     @cached_property
     def ids(self) -> frozenset[Key]:
@@ -287,6 +286,11 @@ def understands(codec: Codec, messages: Batch | Iterable[Message]) -> bool:
     """Whether a codec decodes every one of some messages."""
     batch = messages if isinstance(messages, Batch) else Batch.of(messages)
     return bool(codec.readings(batch).good.all())
+
+
+def whole_counts(codec: Codec) -> bool:
+    """Whether counts are whole and never below zero."""
+    return codec.unpack([None] * codec.segments).dtype == np.uint16
 
 
 def standard_ids(*ids: int) -> frozenset[Key]:

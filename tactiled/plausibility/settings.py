@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactiled.build import make_array, make_calibration, make_codec
-from tactiled.bus.assembler import unpacked
-from tactiled.bus.codec import Codec
+from tactiled.bus.codec import Codec, whole_counts
 from tactiled.calibrate.calibration import Calibration
 from tactiled.config import schema
 from tactiled.errors import TactileError
@@ -189,12 +188,6 @@ def _limits(calibration: Calibration, codec: Codec) -> Iterator[tuple[str, str]]
         yield "saturation", f"a taxel at rest is saturated: must be {side} no_load = {calibration.no_load:g}"
     elif not lowest <= saturation <= highest:
         yield "saturation", f"never reached: {scale}"
-
-
-def whole_counts(codec: Codec) -> bool:
-    """Whether counts are whole and never below zero."""
-    counts, _ = unpacked(codec, [None] * codec.segments)
-    return counts.dtype == np.uint16
 
 
 def _pressures(

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from tactiled.build import configured_file, make_calibration, make_codec
 from tactiled.bus.batch import Batch
-from tactiled.bus.codec import Codec
+from tactiled.bus.codec import Codec, whole_counts
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
 from tactiled.config import schema
 from tactiled.frames import Message, RawFrame
-from tactiled.plausibility.settings import Finding, whole_counts
+from tactiled.plausibility.settings import Finding
 
 MAX_LOST_FRACTION = 0.01  # of an array's messages
 MAX_REST_FRACTION = 0.05  # of the full scale between no load and an unloaded array; fingertips of an iCub: 0.02
@@ -93,10 +93,9 @@ def _frames(place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int
     pauses = np.diff([each.time for each in frames])
     if (longest := max(pauses, default=0.0)) > sensor.stale_after_s:
         typical = float(np.median(pauses))
-        often = typical > sensor.stale_after_s
         reason = (
             f"frames come {typical:.2g} s apart"
-            if often
+            if typical > sensor.stale_after_s
             else f"one frame came {longest:.2g} s after the one before"
         )
         yield Finding(f"{place}.stale_after_s", f"{sensor.stale_after_s:g}", reason)

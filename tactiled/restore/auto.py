@@ -63,7 +63,7 @@ class Auto:
         self._scene.prepare(self._wiener.filter, self._scene.resolution, self._sharp.prepare)
         load = np.zeros(self._scene.blur.surface_shape, np.float32)
         load[tuple(n // 2 for n in load.shape)] = FIRST_SIGMAS * self._scene.noise
-        y = np.asarray(self._scene.blur.forward(load), np.float32)
+        y = self._scene.blur.forward(load)
         self._scene.measure_range(y)
         self(y)  # memory costs most when it is first written to
         self._scene.look_at_nothing()

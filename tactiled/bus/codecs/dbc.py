@@ -54,10 +54,10 @@ class Dbc(Codec):
         signals = [each for part in self._parts for each in part.signals]
         ranges = {_range(each) for each in signals}
         self.full_scale = min(high for _, high in ranges)
-        one = len(ranges) == 1 and not any(each.is_float or each.length > 16 for each in signals)
-        self.ends = ranges.pop() if one else (-np.inf, np.inf)
-        integers = all(not each.is_float and not each.is_signed and each.length <= 16 for each in signals)
-        self._type: type[np.uint16 | np.float32] = np.uint16 if integers else np.float32
+        narrow = all(not each.is_float and each.length <= 16 for each in signals)
+        self.ends = ranges.pop() if narrow and len(ranges) == 1 else (-np.inf, np.inf)
+        unsigned = narrow and not any(each.is_signed for each in signals)
+        self._type: type[np.uint16 | np.float32] = np.uint16 if unsigned else np.float32
 
     def span(self, segment: int) -> list[int]:
         """The taxels that a segment carries, as an index into a frame."""

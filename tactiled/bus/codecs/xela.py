@@ -77,9 +77,11 @@ class Xela(BatchCodec, ClassicSkin, ShearCodec):
             raise ConfigError("start = true: modules of the current profile send by themselves: leave it out")
         if self.profile == "current":
             return
-        for key in ("rows", "columns", *(() if self.start else ("controller",))):
+        unused = dict.fromkeys(("rows", "columns"), 'profile = "current"')
+        if not self.start:
+            unused["controller"] = "start = true"
+        for key, use in unused.items():
             if (value := getattr(self, key)) != getattr(type(self), key):
-                use = "start = true" if key == "controller" else 'profile = "current"'
                 setting = list(value) if isinstance(value, tuple) else value
                 raise ConfigError(
                     f'{key} = {setting}: used only with {use}, not with "{self.profile}": leave it out'
