@@ -21,7 +21,8 @@ from tests.study.judge import NOISES, THICKNESSES
 
 PASSES = 3  # through the same frames, of whose times the least counts: others empty the caches
 CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
-CHUNK, COLD, WIENERS = 60, 2, 3  # frames of a pass; those on a fresh, prepared restorer, and scikit-image's
+ROUNDS = 28  # of a pass through every setting: each makes restorers anew, which takes longer than many frames
+COLD, WIENERS = 2, 3  # frames of a pass on a fresh, prepared restorer, and those of scikit-image
 IDLE = 0.05  # of the runs: nothing touches
 SPOTS = ("bumps", "caps")  # of which fits of points may fail
 HEADINGS = ("", "frames", "median", "p99", "p99.9", "worst", "worst / wiener")
@@ -35,20 +36,20 @@ def clean_clips(size, thickness, seed):
         yield scene, PEAK_KPA * np.stack(frames) / np.max(frames)
 
 
-def chunk(clips, noise, random):
-    """Labels and frames (CHUNK, R, C): runs of clips at any place, load and symmetry of the square."""
+def chunk(clips, count, noise, random):
+    """Labels and frames (count, R, C): runs of clips at any place, load and symmetry of the square."""
     labels, frames = [], []
-    while len(frames) < CHUNK:
+    while len(frames) < count:
         scene, clip = clips[random.integers(len(clips))]
-        first, count = random.integers(0, CLIP_FRAMES - 1), random.integers(1, MAX_RUN + 1)
-        turned = np.rot90(clip[first : first + count], random.integers(4), (1, 2))[:, :: random.choice([-1, 1])]
+        first, run = random.integers(0, CLIP_FRAMES - 1), random.integers(1, MAX_RUN + 1)
+        turned = np.rot90(clip[first : first + run], random.integers(4), (1, 2))[:, :: random.choice([-1, 1])]
         load, label = random.uniform(0.2, 1), "jump to spots" if scene in SPOTS else "jump"
         if random.random() < IDLE:
             load, label = 0.0, "idle"
         labels += [label, *["idle" if label == "idle" else "warm"] * (len(turned) - 1)]
         frames.extend(load * turned)
-    noisy = np.array(frames[:CHUNK]) + random.normal(0, noise * PEAK_KPA, (CHUNK, *clips[0][1].shape[1:]))
-    return labels[:CHUNK], noisy.astype(np.float32)
+    noisy = np.array(frames[:count]) + random.normal(0, noise * PEAK_KPA, (count, *clips[0][1].shape[1:]))
+    return labels[:count], noisy.astype(np.float32)
 
 
 def timed(run, frame):
@@ -73,13 +74,15 @@ def measure(size, frames, seed, method="auto", budget_s=inf):
         settings += [
             (skin, clips, n, [prepared(method, skin, n, budget_s) for _ in range(PASSES)]) for n in NOISES
         ]
-    rounds = range(-(-frames // (CHUNK * len(settings))))
-    for _, (skin, clips, noise, restorers) in track(list(product(rounds, settings)), f"{size}", transient=True):
-        labels, sequence = chunk(clips, noise, random)
+    count = -(-frames // (ROUNDS * len(settings)))
+    for _, (skin, clips, noise, restorers) in track(
+        list(product(range(ROUNDS), settings)), f"{size}", transient=True
+    ):
+        labels, sequence = chunk(clips, count, noise, random)
         wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
         passes = [
             [timed(prepared(method, skin, noise, budget_s), frame) for frame in sequence[:COLD]]
-            + [timed(wiener, frame) for frame in sequence[:: CHUNK // WIENERS]]
+            + [timed(wiener, frame) for frame in sequence[:WIENERS]]
             + [timed(restorer, frame) for frame in sequence]
             for restorer in restorers
         ]
