@@ -6,7 +6,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.ndimage import binary_dilation
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from tactiled.errors import ConfigError
 
@@ -14,6 +15,7 @@ Aperture = Literal["square", "round"]
 
 NEIGHBOURS = 3  # nearest taxels whose mean distance is a layout's spacing
 RIM_SPACINGS = 0.7  # that a cell at the rim of a layout reaches out from its taxel
+GAP_SPACINGS = 1.25  # radius of the largest circle between taxels that is part of the array
 SQUARES_PER_SPACING = 8  # that a layout's cells are made of
 MAX_SQUARES = 1_000_000  # of a layout: ten times what 1024 evenly spread taxels need
 
@@ -112,6 +114,12 @@ class Cells:
         return owners
 
     @property
+    def rim(self) -> NDArray[np.bool_]:
+        """Cells (M,) at the border of the surface."""
+        cells = np.pad(self.raster, 1, constant_values=-1)
+        return np.isin(np.arange(self.owner.max() + 1), cells[binary_dilation(cells < 0)])
+
+    @property
     def corner(self) -> NDArray[np.float64]:
         """(2,) mm, the centre of the raster's first square."""
         return np.asarray(self.pieces.min(axis=0), float)
@@ -124,7 +132,7 @@ class Cells:
 def tiling(array: Array, refine: int = 1) -> Cells:
     """Cells that cover the surface over an array: squares of a grid, refined; else what is nearest to each taxel.
 
-    At a layout's rim a cell reaches RIM_SPACINGS times the spacing out from its taxel.
+    At a layout's rim a cell reaches RIM_SPACINGS times the spacing around it out from its taxel.
     """
     if array.shape is not None:
         side = array.pitch / refine
@@ -133,9 +141,10 @@ def tiling(array: Array, refine: int = 1) -> Cells:
         low = array.positions.min(axis=0) - (array.pitch - side) / 2
         return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
     tree = cKDTree(array.positions)
-    spacing = _spacing(tree, array)
-    reach, side = RIM_SPACINGS * spacing, min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
-    low, high = array.positions.min(axis=0) - reach, array.positions.max(axis=0) + reach
+    spacings = _spacings(tree, array)
+    spacing, reach = float(np.median(spacings)), RIM_SPACINGS * spacings
+    side = min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
+    low, high = array.positions.min(axis=0) - reach.max(), array.positions.max(axis=0) + reach.max()
     if np.prod((high - low) / side) > MAX_SQUARES:
         width, height = np.ptp(array.positions, axis=0)
         raise ConfigError(
@@ -145,13 +154,32 @@ def tiling(array: Array, refine: int = 1) -> Cells:
     x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))
     pieces = np.column_stack([x.ravel(), y.ravel()])
     distance, owner = (np.asarray(each) for each in tree.query(pieces))
-    within = distance <= reach
+    within = (distance <= reach[owner]) | _between(array.positions, spacings, pieces)
     return Cells(pieces[within], side, owner[within].astype(np.int64))
 
 
-def _spacing(tree: cKDTree, array: Array) -> float:
-    """Median over a layout's taxels of the mean distance (mm) to the nearest; of only one its pitch."""
-    near = list(range(2, min(NEIGHBOURS, array.size - 1) + 2))  # the first is the taxel itself
-    if not near:
-        return array.pitch
-    return float(np.median(np.mean(tree.query(array.positions, k=near)[0], axis=1)))
+def _spacings(tree: cKDTree, array: Array) -> NDArray[np.float64]:
+    """A layout's spacing (N,) in mm: mean distance to the nearest, the median of these and the taxel's own."""
+    near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
+    if near == 1:
+        return np.array([array.pitch])
+    distances, taxels = (np.asarray(each) for each in tree.query(array.positions, k=near))
+    return np.asarray(np.median(distances[:, 1:].mean(axis=1)[taxels], axis=1))
+
+
+def _between(
+    positions: NDArray[np.float64], spacings: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which points (P, 2) lie between neighbouring taxels of a layout: in triangles no wider than GAP_SPACINGS."""
+    try:
+        triangles = Delaunay(positions)
+    except (QhullError, ValueError):  # fewer than three taxels, or all on a line
+        return np.zeros(len(points), bool)
+    corners = positions[triangles.simplices]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    one, other = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
+    areas = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+    widest = GAP_SPACINGS * spacings[triangles.simplices].max(axis=1)
+    inner = sides.prod(axis=1) <= 4 * areas * widest  # the radius of a circle is the product over four areas
+    simplex = triangles.find_simplex(points)
+    return np.asarray((simplex >= 0) & inner[simplex])

@@ -55,3 +55,26 @@ def test_cells_of_a_hexagonal_layout_are_hexagons():
     np.testing.assert_allclose(cells.areas[inside], 3**0.5 / 2, rtol=0.05)
     np.testing.assert_allclose(cells.positions[inside], array.positions[inside], atol=0.05)
     assert cells.areas.max() < 1.5  # a cell at the rim does not reach into nothing
+
+
+@pytest.mark.parametrize("ratio", [1.25, 2.0, 3.0])
+def test_cells_of_an_uneven_layout_have_no_holes_between_them(ratio):
+    x, y = np.meshgrid(np.arange(12), ratio * np.arange(12))
+    cells = tiling(layout(np.column_stack([x.ravel(), y.ravel()])))
+    inner = ~cells.rim
+    np.testing.assert_array_equal(inner, np.pad(np.ones((10, 10), bool), 1).ravel())
+    np.testing.assert_allclose(cells.areas[inner].mean(), ratio, rtol=0.01)
+
+
+def test_a_gap_between_the_parts_of_a_layout_belongs_to_no_cell():
+    x, y = np.meshgrid([0, 1, 2, 3, 6, 7, 8, 9], np.arange(6))
+    cells = tiling(layout(np.column_stack([x.ravel(), y.ravel()])))
+    assert np.count_nonzero(~cells.rim) == 2 * 2 * 4
+    assert cells.rim.reshape(6, 8)[2].tolist() == [True, False, False, True] * 2
+
+
+def test_the_rim_of_any_array():
+    assert tiling(grid(3, 4, 2.0)).rim.reshape(3, 4)[1].tolist() == [True, False, False, True]
+    angles = np.arange(6) * np.pi / 3
+    hexagon = layout(np.concatenate([[[0, 0]], np.column_stack([np.cos(angles), np.sin(angles)])]))
+    assert tiling(hexagon).rim.tolist() == [False] + 6 * [True]

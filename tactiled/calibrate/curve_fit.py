@@ -1,10 +1,10 @@
 """Curves through points of known pressure: the form by cross-validation, the gain's standard error, hysteresis.
 
-A point is a pressure that is the sum of S terms of one curve: of one taxel (S = 1) under a uniform pressure, or of
-all taxels under an indenter of known force. So every array here is (M points, N curves, S terms).
+A point is a pressure that is the weighted sum of S terms of one curve: of one taxel (S = 1) under a uniform
+pressure, or of all taxels under an indenter of known force. So every array here is (M points, N curves, S terms).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,11 @@ class Points:
     """Counts under known pressures, all above no load."""
 
     counts: Floats  # (M, N, S) over no load; NaN: left out
-    pressure: Floats  # (M,) kPa, of the sum of the S terms
+    pressure: Floats  # (M,) kPa, of the weighted sum of the S terms
     direction: NDArray[np.int8]  # (M,) 1: while pressure rises, -1: while it falls, 0: neither
     cluster: NDArray[np.int64]  # (M,) points of one plateau, press or time share their errors
     fold: NDArray[np.int64]  # (M,) points that are left out together to compare forms
+    weight: Floats = field(default_factory=lambda: np.ones(1))  # (S,) or (1,) of the terms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,16 +67,16 @@ def choose_form(points: Points, end: Floats, need: float = 0.0) -> tuple[Form, d
 def fit(points: Points, end: Floats, form: Form) -> CurveFit:
     """Fit curves of one form; `end` (N,) are the counts at the range's loaded end."""
     relative = points.counts / end[:, None]
-    parameters, design = _solve(form, relative, points.pressure)
-    residuals = value(form, parameters, relative) - points.pressure[:, None]
-    variance, lever = _uncertainty(form, parameters, design, residuals, relative, points.cluster)
+    parameters, design = _solve(form, relative, points.pressure, points.weight)
+    residuals = value(form, parameters, relative, points.weight) - points.pressure[:, None]
+    variance, lever = _uncertainty(form, parameters, design, residuals, relative, points)
     return CurveFit(form, parameters, variance, lever, residuals)
 
 
-def value(form: Form, parameters: Floats, relative: Floats) -> Floats:
-    """Pressure (M, N) of relative counts (M, N, S) as the sum of the terms; NaN stays."""
+def value(form: Form, parameters: Floats, relative: Floats, weight: Floats) -> Floats:
+    """Pressure (M, N) of relative counts (M, N, S) as the weighted sum of the terms; NaN stays."""
     terms = unit_curves(form, parameters).pressure(np.moveaxis(relative, 1, -1))
-    return np.asarray(terms.sum(axis=1))
+    return np.asarray((terms * weight[:, None]).sum(axis=1))
 
 
 def hysteresis(fitted: CurveFit, points: Points) -> Floats:
@@ -130,8 +131,8 @@ def _scores(relative: Floats, points: Points) -> dict[Form, Floats]:
         errors = []
         for each in folds:
             out = inner & (points.fold == each)
-            parameters, _ = _solve(form, relative[~out], points.pressure[~out])
-            missed = value(form, parameters, relative[out]) - points.pressure[out, None]
+            parameters, _ = _solve(form, relative[~out], points.pressure[~out], points.weight)
+            missed = value(form, parameters, relative[out], points.weight) - points.pressure[out, None]
             errors.append(np.sqrt(np.nanmean(missed**2)) / points.pressure.max())
         scores[form] = np.array(errors)
     return scores
@@ -144,25 +145,25 @@ def _power(relative: Floats, exponent: Floats) -> Floats:
     return np.sign(relative) * np.where(size < CHORD_TO, chord, np.maximum(size, CHORD_TO) ** exponent)
 
 
-def _basis(form: Form, relative: Floats) -> Floats:
+def _basis(form: Form, relative: Floats, weight: Floats) -> Floats:
     """What a curve's parameters multiply (M, N, P), summed over the terms; of a spline, piecewise linear."""
     if form == "spline":
         knots = np.concatenate([[0.0], KNOTS])
         hats = [np.interp(relative, knots, row) for row in np.eye(knots.size)[1:]]
-        return np.stack([each.sum(axis=-1) for each in hats], axis=-1)
+        return np.stack([(each * weight).sum(axis=-1) for each in hats], axis=-1)
     powers = range(1, FREE[form] + 1)
-    return np.stack([(relative**each).sum(axis=-1) for each in powers], axis=-1)
+    return np.stack([(relative**each * weight).sum(axis=-1) for each in powers], axis=-1)
 
 
-def _solve(form: Form, relative: Floats, pressure: Floats) -> tuple[Floats, Floats]:
+def _solve(form: Form, relative: Floats, pressure: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Parameters (N, P) by threshold squares, held monotone, and the design (M, N, P) at the solution."""
     if form == "power":
-        return _solve_power(relative, pressure)
-    design = _basis(form, relative)
+        return _solve_power(relative, pressure, weight)
+    design = _basis(form, relative, weight)
     target = np.broadcast_to(pressure[:, None], design.shape[:2])
     parameters = _least_squares(design, target)
     if form == "spline":
-        return _solve_spline(_rising(parameters), relative, target)
+        return _solve_spline(_rising(parameters), relative, target, weight)
     if form == "cubic":
         line = np.zeros_like(parameters)
         line[:, :1] = _least_squares(design[..., :1], target)
@@ -170,24 +171,25 @@ def _solve(form: Form, relative: Floats, pressure: Floats) -> tuple[Floats, Floa
     return parameters, design
 
 
-def _solve_spline(parameters: Floats, relative: Floats, target: Floats) -> tuple[Floats, Floats]:
+def _solve_spline(parameters: Floats, relative: Floats, target: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Fit PCHIP's values at the knots by Gauss-Newton from those of piecewise linear curves."""
     for step in range(STEPS + 1):
-        fitted, step_kpa = value("spline", parameters, relative), DIFFERENCE * parameters[:, -1]
-        moved = [value("spline", parameters + step_kpa[:, None] * each, relative) for each in np.eye(KNOTS.size)]
+        fitted, step_kpa = value("spline", parameters, relative, weight), DIFFERENCE * parameters[:, -1]
+        steps = step_kpa[:, None] * np.eye(KNOTS.size)[:, None]
+        moved = [value("spline", parameters + each, relative, weight) for each in steps]
         design = (np.stack(moved, axis=-1) - fitted[..., None]) / step_kpa[:, None]
         if step < STEPS:
             parameters = _rising(parameters + _least_squares(design, target - fitted))
     return parameters, design
 
 
-def _solve_power(relative: Floats, pressure: Floats) -> tuple[Floats, Floats]:
+def _solve_power(relative: Floats, pressure: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Fit a power law by Gauss-Newton from a line."""
     target = np.broadcast_to(pressure[:, None], relative.shape[:2])
-    a = _least_squares(_basis("linear", relative), target)[:, 0]
+    a = _least_squares(_basis("linear", relative, weight), target)[:, 0]
     b = np.ones_like(a)
     for step in range(STEPS + 1):
-        powers = _power(relative, b[:, None])
+        powers = _power(relative, b[:, None]) * weight
         logs = np.log(np.maximum(np.abs(relative), CHORD_TO))
         design = np.stack([powers.sum(axis=-1), a * (powers * logs).sum(axis=-1)], axis=-1)
         if step < STEPS:
@@ -238,7 +240,7 @@ def _monotone_cubic(cubic: Floats, line: Floats) -> Floats:
 
 
 def _uncertainty(
-    form: Form, parameters: Floats, design: Floats, residuals: Floats, relative: Floats, cluster: NDArray[np.int64]
+    form: Form, parameters: Floats, design: Floats, residuals: Floats, relative: Floats, points: Points
 ) -> tuple[Floats, Floats]:
     """Variance (N,) of the pressure at the range's end over its square, robust to errors that a cluster shares.
 
@@ -252,10 +254,10 @@ def _uncertainty(
     curves = unit_curves(form, parameters)
     pull = (projected @ np.array(end)) / curves.gain
     influence = pull * np.where(finite, residuals, 0.0) / np.sqrt(1 - leverage)
-    labels, index = np.unique(cluster, return_inverse=True)
+    labels, index = np.unique(points.cluster, return_inverse=True)
     sums, share = np.zeros((2, labels.size, len(parameters)))
     np.add.at(sums, index, influence)
     np.add.at(share, index, pull**2)
     freedom = float(np.median(share.sum(axis=0) ** 2 / (share**2).sum(axis=0)))
-    slope = curves.slope(np.moveaxis(np.nan_to_num(relative), 1, -1)).sum(axis=1)
-    return moderated((sums**2).sum(axis=0), max(freedom, 1.0)), (pull * slope).sum(axis=0)
+    slopes = curves.slope(np.moveaxis(np.nan_to_num(relative), 1, -1)) * points.weight[:, None]
+    return moderated((sums**2).sum(axis=0), max(freedom, 1.0)), (pull * slopes.sum(axis=1)).sum(axis=0)

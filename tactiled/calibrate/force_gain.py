@@ -6,7 +6,6 @@ gain: under a cover every load lies on several taxels, and their sum hardly tell
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,6 @@ from tactiled.errors import ConfigError
 from tactiled.geometry import Array, tiling
 from tactiled.units import N_PER_KPA_MM2
 
-RIM_SPACINGS = 1.5  # within which a taxel's neighbours are counted: 8 on a grid
-ONE_SIDED = 0.25  # length of the mean direction to them: 0 inside, 0.48 at a grid's edge, 0.8 in its corner
 MAX_LOST_SHARE = 0.01  # of a load on the rim's and on dead taxels: about so much of it is not measured
 RIM_SIGMAS = 2.0  # of the rim's noise: so much is no load
 MIN_PRESSED = 5  # points away from the border
@@ -41,7 +38,7 @@ Floats = NDArray[np.float64]
 @unknown_taxels()
 def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -> GainFit:
     """The common curve of all taxels from a log of an indenter's force, and how far they spread about it."""
-    signal = response(series, total=True)
+    signal = response(series, tiling(array).areas)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
@@ -70,7 +67,7 @@ def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails)
     """The common gain from one known weight, laid on once or more often."""
     if not (np.isfinite(weight_n) and weight_n > 0):
         raise ConfigError(f"--weight-n {weight_n:g}: give the weight's force in N, above 0")
-    signal = response(series, total=True)
+    signal = response(series, tiling(array).areas)
     size = require_press(signal)
     holds = plateaus(signal, WEIGHT_TOLERANCE * size, round(MIN_WEIGHT_HOLD * signal.size))
     levels = np.array([each.level for each in holds])
@@ -155,7 +152,7 @@ def _made(
 def _summed(
     points: Points, noise: Floats, array: Array, need: int
 ) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Points (M', 1, N) of the mean pressure on a taxel's area, those of the M that are used, and the dead taxels.
+    """Points (M', 1, N) of the force over the median taxel's area, those of the M that are used, and dead taxels.
 
     ConfigError where fewer than `need` loads lie away from the border.
     """
@@ -163,7 +160,8 @@ def _summed(
     dead, around = _dead(counts, array)
     counts = np.where(dead, 0, counts)
     complete = np.isfinite(counts).all(axis=1)
-    lost = counts[:, border := rim(array)].sum(axis=1) + around[:, dead].sum(axis=1)
+    cells = tiling(array)
+    lost = counts[:, border := cells.rim].sum(axis=1) + around[:, dead].sum(axis=1)
     chance = RIM_SIGMAS * np.sqrt(np.square(np.median(noise, axis=0)[border | dead]).sum())
     usable = complete & (lost <= np.maximum(MAX_LOST_SHARE * counts.sum(axis=1), chance))
     firm = points.pressure > points.pressure.max() / 2
@@ -172,23 +170,11 @@ def _summed(
             f"{np.count_nonzero(firm & ~usable)} of {np.count_nonzero(firm)} loads reach the border of the array "
             "or a dead taxel, where part of a load is not measured: press in the middle"
         )
-    area = float(np.median(tiling(array).areas))
+    area = float(np.median(cells.areas))
     groups = np.unique(points.cluster[usable], return_inverse=True)[1]
-    pressure = points.pressure[usable] / (area * N_PER_KPA_MM2)
-    return Points(counts[usable][:, None], pressure, points.direction[usable], groups, groups), usable, dead
-
-
-def rim(array: Array) -> NDArray[np.bool_]:
-    """Taxels (N,) at the border: their neighbours lie on one side."""
-    tree = cKDTree(array.positions)
-    one_sided = np.ones(array.size, bool)
-    near_each: Any = tree.query_ball_point(array.positions, RIM_SPACINGS * array.pitch)
-    for n, near in enumerate(near_each):
-        steps = array.positions[[each for each in near if each != n]] - array.positions[n]
-        if len(steps):
-            mean = (steps / np.linalg.norm(steps, axis=1, keepdims=True)).mean(axis=0)
-            one_sided[n] = np.linalg.norm(mean) > ONE_SIDED
-    return one_sided
+    pressure, weight = points.pressure[usable] / (area * N_PER_KPA_MM2), cells.areas / area
+    summed = Points(counts[usable][:, None], pressure, points.direction[usable], groups, groups, weight)
+    return summed, usable, dead
 
 
 def _dead(counts: Floats, array: Array) -> tuple[NDArray[np.bool_], Floats]:
@@ -212,10 +198,11 @@ def _require_total(summed: Points, noise: Floats) -> None:
 def _taxel_spread(fitted: CurveFit, points: Points) -> float:
     """Standard deviation of the taxels' gains over the common one, from the scatter of the loads.
 
-    A load on n taxels of spread s scatters by s / sqrt(n), where n = (sum of counts)² / sum of their squares.
+    A load on n taxels of spread s scatters by s / sqrt(n), where n = (sum of counts)² / sum of their squares,
+    each count times its taxel's area.
     """
     firm = points.pressure > points.pressure.max() / 2
-    counts = points.counts[firm, 0]
+    counts = points.counts[firm, 0] * points.weight
     taxels = np.square(counts.sum(axis=1)) / np.square(counts).sum(axis=1)
     scatter = fitted.residuals[firm, 0] / points.pressure[firm]
     return float(np.sqrt(np.mean(np.square(scatter) * taxels)))

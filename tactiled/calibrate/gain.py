@@ -217,7 +217,8 @@ def log_points(
     used = (level > quiet) & (ramp <= MAX_RAMP * full)
     if np.count_nonzero(used) < MIN_POINTS:
         used = level > quiet
-    sign = float(np.sign((response(series, total=log.quantity == "force_n") * np.nan_to_num(values)).sum()))
+    signal = response(series, 1.0 if log.quantity == "force_n" else None)
+    sign = float(np.sign((signal * np.nan_to_num(values)).sum()))
     means = mean_counts(series, [slice(each, each + width) for each in starts], unloaded, sign, rails)
     direction = np.where(np.abs(change := np.gradient(level)) > UNLOADED * full / 2, np.sign(change), 0)
     number = np.cumsum(np.diff(level > quiet, prepend=False) & (level > quiet))[used]

@@ -31,15 +31,15 @@ class Plateau:
         return slice(self.start + cut, self.end - cut)
 
 
-def response(series: FrameSeries, total: bool = False) -> Floats:
-    """Counts (T,) over those of the first frames: the median taxel's, or the sum over clearly pressed ones.
+def response(series: FrameSeries, weight: Floats | float | None = None) -> Floats:
+    """Counts (T,) over those of the first frames: the median taxel's, or a weighted sum of clearly pressed ones.
 
     Drift and noise of a thousand taxels would sum to more than a press on some of them.
     """
     counts = series.counts - np.nanmedian(series.counts[:START_FRAMES], axis=0)
-    if total:
+    if weight is not None:
         clear = np.maximum(CLEAR_SIGMAS * noise(series.counts), CLEAR_SHARE * float(np.nanmax(np.abs(counts))))
-        return np.asarray(np.where(np.abs(counts) > clear, counts, 0).sum(axis=1, dtype=np.float64))
+        return np.asarray(np.where(np.abs(counts) > clear, counts * weight, 0).sum(axis=1, dtype=np.float64))
     middle = np.median(counts, axis=1)
     unknown = np.isnan(middle)
     middle[unknown] = np.nanmedian(counts[unknown], axis=1) if unknown.any() else 0

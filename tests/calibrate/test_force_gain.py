@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactiled.calibrate.force_gain import fit_force, fit_weight, rim
+from tactiled.calibrate.force_gain import fit_force, fit_weight
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
 from tactiled.errors import ConfigError
@@ -111,8 +111,15 @@ def test_a_bad_weight_is_refused(weight_n, first, message):
         fit_weight(series, weight_n, ARRAY, Rails(sign=1))
 
 
-def test_the_rim_of_any_layout():
-    np.testing.assert_array_equal(rim(grid(3, 4, 2.0)).reshape(3, 4)[1], [True, False, False, True])
-    angles = np.arange(6) * np.pi / 3
-    hexagon = layout(np.concatenate([[[0, 0]], np.column_stack([np.cos(angles), np.sin(angles)])]))
-    assert rim(hexagon).tolist() == [False] + 6 * [True]
+@pytest.mark.parametrize("shape", ["linear", "power"])
+def test_a_force_gives_the_same_gain_wherever_it_lies_on_an_uneven_layout(shape):
+    fine, coarse = np.mgrid[0:13, 0:13] * 1.5, np.mgrid[7:14, -1:8] * 3.0
+    array = layout(np.concatenate([fine.reshape(2, -1).T, coarse.reshape(2, -1).T]))
+    skin = Skin(array.size, shape, 38, spread=0)
+    places, force = presses(np.tile([[9.0, 9.0], [30.0, 9.0], [20.0, 9.0]], (4, 1)))
+    force *= (2.5 / WIDTH_MM) ** 2
+    series = skin.series(contact(places, force, array, 2.5))
+    fit = fit_force(series, log(series, force), array, Rails())
+    assert fit.curves.form == shape
+    got = fit.curves.pressure(skin.relative(np.full(array.size, 40)) * skin.full)
+    np.testing.assert_allclose(got, 40, rtol=0.01)

@@ -50,7 +50,8 @@ def measure(trials):
             end = np.array([counts[:, channel].max()])
             for form in FORMS:
                 fitted = fit(mine, end, form)
-                got = value(form, fitted.parameters, other_counts[:, channel][:, None, None] / end[:, None])[:, 0]
+                relative = other_counts[:, [channel], None] / end
+                got = value(form, fitted.parameters, relative, mine.weight)[:, 0]
                 errors[form].append(100 * np.sqrt(np.mean((got - other_load) ** 2)) / other_load.max())
             selected.append(choose_form(mine, end)[0])
             loops.append(hysteresis(fit(mine, end, selected[-1]), mine)[0])
@@ -89,9 +90,8 @@ def draw(path, trials, channels=(3, 7, 12)):
                 end = np.array([one.max()])
                 fitted = fit(mine, end, choose_form(mine, end)[0])
                 line = np.linspace(0, 1, 100)
-                axes.plot(
-                    line * end, value(fitted.form, fitted.parameters, line[:, None, None]), color=colour, lw=1
-                )
+                fitted_load = value(fitted.form, fitted.parameters, line[:, None, None], mine.weight)
+                axes.plot(line * end, fitted_load, color=colour, lw=1)
             axes.set(title=f"channel {channel}", xlabel="counts over no load", ylabel="load (unit not stated)")
             axes.legend()
 
