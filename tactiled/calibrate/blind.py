@@ -92,6 +92,11 @@ def fit_blind(
     """
     if array.shape is None:
         return _undecided(family, "the array is no grid: use presses with a tip or an edge")
+    if 1 in array.shape:
+        rows, columns = array.shape
+        return _undecided(
+            family, f"the array has {rows} x {columns} taxels: a blind fit needs several rows and columns"
+        )
     scenes = find_scenes(np.asarray(frames, np.float32), noise_kpa)
     if len(scenes) < MIN_SCENES:
         if sum(map(len, scenes)) == len(frames):

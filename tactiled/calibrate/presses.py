@@ -57,7 +57,7 @@ def find_presses(
     """
     frames = np.asarray(pressure, np.float32).reshape(len(pressure), -1)
     noise = np.broadcast_to(np.asarray(noise_kpa, float), frames.shape[1:])
-    over_zero = frames - _zero(frames, float(np.median(noise))).astype(np.float32)
+    over_zero = frames - unloaded(frames, float(np.median(noise))).astype(np.float32)
     over_zero -= _drift(over_zero, noise)
     loaded = _peaks(over_zero, noise) > detection_threshold(1.0, frames.shape[1])
     turns = np.flatnonzero(np.diff(np.concatenate([[False], loaded, [False]]).astype(int)))
@@ -88,8 +88,11 @@ def usable_presses(presses: Sequence[Press], min_count: int, advice: str) -> lis
     return usable
 
 
-def _zero(frames: NDArray[np.float32], noise: float) -> Floats:
-    """Reading (N,) of the array without a load: a mean of the frames with the lowest total."""
+def unloaded(frames: NDArray[np.floating], noise: float) -> Floats:
+    """Reading (N,) of the array without a load: a mean of the frames (T, N) with the lowest total.
+
+    ConfigError where these have a load.
+    """
     taxels = np.isfinite(frames).sum(axis=1)
     totals = np.where(taxels > 0, np.nansum(frames, axis=1) / np.maximum(taxels, 1), np.inf)
     count = max(int(UNLOADED_FRACTION * len(frames)), min(len(frames), 4))

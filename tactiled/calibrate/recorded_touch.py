@@ -12,6 +12,7 @@ from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.cover_search import Touch
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.presses import unloaded
 from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures, recorded_presses
 from tactiled.calibrate.tip import Tip, tip_touch
 from tactiled.cover.family import CoverFamily
@@ -48,7 +49,8 @@ def fit_touch(
     if way == "blind":
         pressure, saturated = pressures(series, calibration, recorded.ends)
         pressure[saturated] = np.nan
-        frames, noise_kpa = pressure.reshape(-1, *array.frame_shape), noise_of(pressure, calibration)
+        noise_kpa = noise_of(pressure, calibration)
+        frames = (pressure - unloaded(pressure, noise_kpa)).reshape(-1, *array.frame_shape)
         return fit_blind(frames, noise_kpa, CoverFamily(stack), array, float(np.median(gain_error)))
     presses = recorded_presses(series, array, calibration, recorded.ends, border=way == "edge")
     touch: Touch

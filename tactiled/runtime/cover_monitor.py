@@ -40,7 +40,7 @@ class CoverMonitor:
         errors = gain_errors(plan.calibration, plan.array.size)
         self._usable = (errors <= MAX_GAIN_ERROR).reshape(plan.array.frame_shape)
         self._gain_error = float(np.median(errors))
-        is_solved_grid = plan.array.shape is not None and kernel.model != "measured"
+        is_solved_grid = min(plan.array.shape or (1,)) > 1 and kernel.model != "measured"
         self._judges = is_solved_grid and self._usable.mean() >= MIN_TAXELS
         self._frames, self._due, self._began = 0, -np.inf, 0.0
         self._resets = self._resets_before = 0  # before the search under way

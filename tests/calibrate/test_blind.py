@@ -13,13 +13,17 @@ from tactiled.calibrate.blind import (
     fit_blind,
     still_means,
 )
+from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.deblur import REFINE, Convolution, deblurred
+from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid, layout
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
+from tests.calibrate.files import gain_section
 
 SIZE, NOISE = 20, 0.2
 ARRAY = grid(SIZE, SIZE, 1.0, 0.8)
@@ -134,9 +138,28 @@ def test_frames_are_averaged_while_the_contact_hardly_moves():
     assert noise == pytest.approx([0.1 / np.sqrt(3), 0.1])
 
 
-def test_a_layout_is_told_to_be_pressed_with_a_tip():
-    places = layout(np.random.default_rng(0).uniform(0, 9, (12, 2)))
-    assert "no grid" in fit_blind(np.zeros((4, 12)), NOISE, CoverFamily(rubber(1.0)), places).reason
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (layout(np.random.default_rng(0).uniform(0, 9, (12, 2))), "the array is no grid"),
+        (grid(1, 12, 1.0), "the array has 1 x 12 taxels"),
+        (grid(12, 1, 1.0), "the array has 12 x 1 taxels"),
+    ],
+)
+def test_an_array_that_a_blind_fit_cannot_use_is_named(array, message):
+    frames = np.where(np.arange(9)[:, None] % 3, 0, np.random.default_rng(2).uniform(0, 100, (9, 12)))
+    fit = fit_blind(frames.reshape(-1, *array.frame_shape), 0.1, CoverFamily(rubber(1.0)), array)
+    assert message in fit.reason
+
+
+def test_what_taxels_rest_at_is_no_pressure():
+    rest = np.random.default_rng(8).normal(500, 100, ARRAY.size)
+    counts = (rest + pressed(1.5, SHARP, seed=0).reshape(-1, ARRAY.size) / 0.05).astype(np.float32)
+    series, curves = FrameSeries(np.arange(len(counts)) / 100, counts), gain_section(np.full(400, 0.05)).curves
+    calibration = Calibration(0.05, 500, noise_kpa=NOISE, curves=curves)
+    fit = fit_touch(RecordedTouch(series, ARRAY, rubber(2.0), calibration, (0, 65535)), "blind", None)
+    assert fit.reason == ""
+    assert fit.factor == pytest.approx(0.75, rel=0.1)
 
 
 def test_scenes_end_where_nothing_touches_and_where_all_changes():

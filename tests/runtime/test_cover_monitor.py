@@ -98,12 +98,12 @@ def test_none_is_judged_without_calibrated_gains_or_from_saturated_frames_or_few
 
 
 @pytest.mark.parametrize("shape", [(1, 16), (16, 1), (1, 1)])
-def test_an_array_of_one_row_or_column_is_watched(shape):
+def test_an_array_of_one_row_or_column_is_not_judged(shape, searches):
     skin, curves = plan(shape, THICKNESS), gain_section(np.full(shape[0] * shape[1], 0.1)).curves
     monitor = CoverMonitor(replace(skin, calibration=replace(skin.calibration, curves=curves)))
-    for _ in range(2 * EVERY_FRAMES):
-        monitor.push(np.full(shape, 50.0, np.float32), np.zeros(shape, np.uint8), NOISE)
-    assert monitor.warning == ()
+    rows = contacts()[:, SIDE // 2]
+    searched(monitor, np.resize(rows, (len(rows), *shape)), flags=np.zeros(shape, np.uint8))
+    assert searches == []
 
 
 def test_a_warning_ends_with_the_next_judgement_and_with_a_tare(searches):
