@@ -156,12 +156,16 @@ def _summed(
 
     ConfigError where fewer than `need` loads lie away from the border.
     """
-    counts = points.counts[..., 0]
+    cells, counts = tiling(array), points.counts[..., 0]
+    if (border := cells.rim).all():
+        raise ConfigError(
+            "a force gives no gain: every taxel is at the border of the array, where part of a load is not "
+            "measured: use known pressures on the whole array"
+        )
     dead, around = _dead(counts, array)
     counts = np.where(dead, 0, counts)
     complete = np.isfinite(counts).all(axis=1)
-    cells = tiling(array)
-    lost = counts[:, border := cells.rim].sum(axis=1) + around[:, dead].sum(axis=1)
+    lost = counts[:, border].sum(axis=1) + around[:, dead].sum(axis=1)
     chance = RIM_SIGMAS * np.sqrt(np.square(np.median(noise, axis=0)[border | dead]).sum())
     usable = complete & (lost <= np.maximum(MAX_LOST_SHARE * counts.sum(axis=1), chance))
     firm = points.pressure > points.pressure.max() / 2

@@ -157,9 +157,8 @@ def _gain_line(fitted: "GainFit", taxel: int) -> Floats:
     """Counts over no load (n,), measured and fitted kPa of one taxel."""
     low, high = fitted.curves.reach_counts[taxel]
     counts = np.linspace(0, low + high, CURVE_POINTS)
-    each = fitted.points.counts
-    of_taxel = each[:, 0].sum(axis=1) if each.shape[1] == 1 else each[:, taxel, 0]  # a weight lies on all together
-    points = np.sign(low + high) * of_taxel
+    each = (fitted.points.counts * fitted.points.weight).sum(axis=2)  # a weight lies on all together
+    points = np.sign(low + high) * each[:, 0 if each.shape[1] == 1 else taxel]
     x = np.concatenate([counts, points])
     over = np.zeros((len(x), fitted.curves.size))
     over[:, taxel] = x

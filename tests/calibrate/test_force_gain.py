@@ -8,12 +8,15 @@ from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
+from tactiled.runtime.gain_procedure import _gain_line
 from tests.calibrate.skins import FULL_KPA, RATE_HZ, Skin, contact
 
 ARRAY = grid(16, 16, 2.0)
 WIDTH_MM = 1.5  # of the contact: its force is the sum of what the taxels bear, to 1e-4
 PEAK_N = 0.95e-3 * FULL_KPA * 2 * np.pi * WIDTH_MM**2
 SPAN_MM = 30.0
+FINE, COARSE = np.mgrid[0:13, 0:13] * 1.5, np.mgrid[7:14, -1:8] * 3.0
+UNEVEN = layout(np.concatenate([FINE.reshape(2, -1).T, COARSE.reshape(2, -1).T]))
 
 
 def log(series, force, offset_s=0.412):
@@ -111,15 +114,29 @@ def test_a_bad_weight_is_refused(weight_n, first, message):
         fit_weight(series, weight_n, ARRAY, Rails(sign=1))
 
 
+@pytest.mark.parametrize("array", [grid(1, 1, 2.0), grid(1, 4, 2.0), layout(np.zeros((1, 2)), 2.0)])
+def test_a_force_on_an_array_that_is_all_border_is_refused(array):
+    places, force = presses(np.zeros((2, 2)), seconds=10)
+    series = Skin(array.size, seed=39).series(contact(places, np.where(force > 0, PEAK_N, 0), array, WIDTH_MM))
+    with pytest.raises(ConfigError, match="every taxel is at the border"):
+        fit_weight(series, PEAK_N, array, Rails())
+
+
 @pytest.mark.parametrize("shape", ["linear", "power"])
 def test_a_force_gives_the_same_gain_wherever_it_lies_on_an_uneven_layout(shape):
-    fine, coarse = np.mgrid[0:13, 0:13] * 1.5, np.mgrid[7:14, -1:8] * 3.0
-    array = layout(np.concatenate([fine.reshape(2, -1).T, coarse.reshape(2, -1).T]))
-    skin = Skin(array.size, shape, 38, spread=0)
+    skin = Skin(UNEVEN.size, shape, 38, spread=0)
     places, force = presses(np.tile([[9.0, 9.0], [30.0, 9.0], [20.0, 9.0]], (4, 1)))
     force *= (2.5 / WIDTH_MM) ** 2
-    series = skin.series(contact(places, force, array, 2.5))
-    fit = fit_force(series, log(series, force), array, Rails())
+    series = skin.series(contact(places, force, UNEVEN, 2.5))
+    fit = fit_force(series, log(series, force), UNEVEN, Rails())
     assert fit.curves.form == shape
-    got = fit.curves.pressure(skin.relative(np.full(array.size, 40)) * skin.full)
+    got = fit.curves.pressure(skin.relative(np.full(UNEVEN.size, 40)) * skin.full)
     np.testing.assert_allclose(got, 40, rtol=0.01)
+
+
+def test_the_chart_of_a_weight_on_an_uneven_layout_has_its_loads_on_the_line():
+    places, force = presses(np.array([[9.0, 9.0], [30.0, 9.0]]), seconds=10)
+    kpa = contact(places, np.where(force > 0, PEAK_N, 0), UNEVEN, 2.5)
+    fit = fit_weight(Skin(UNEVEN.size, seed=40, spread=0).series(kpa), PEAK_N, UNEVEN, Rails())
+    counts, measured, _ = _gain_line(fit, 0)[:, -2:]
+    np.testing.assert_allclose(counts * fit.curves.gain[0], measured, rtol=0.01)
