@@ -30,6 +30,11 @@ def nanoseconds(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
+def number_text(value: float) -> str:
+    """Three significant digits, or more where a whole number has more."""
+    return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+
+
 def force_text(force: float, unit: Unit) -> str:
     """The force of a contact for people, from an image in `unit`."""
     return f"{force:.{2 if unit == PRESSURE else 0}f} {FORCE_UNITS[unit]}"

@@ -21,6 +21,7 @@ from tactiled.calibrate.means import (
 from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.reference import Alignment, Reference, align, resampled
 from tactiled.errors import ConfigError
+from tactiled.units import number_text
 
 STEP_TOLERANCE = 0.07  # of the smallest step: a plateau's readings keep within
 MIN_HOLD = 0.15  # of the mean time of a step: a shorter hold is none
@@ -194,7 +195,9 @@ def check_pressure(source: str, largest_kpa: float) -> None:
     """ConfigError where the largest pressure that `source` names is none that a skin bears."""
     low, high = PRESSURES_KPA
     if not low <= largest_kpa <= high:
-        raise ConfigError(f"{source}: {largest_kpa:.3g} kPa at most, outside {low:g} to {high:g}: check the unit")
+        raise ConfigError(
+            f"{source}: {number_text(largest_kpa)} kPa at most, outside {low:g} to {high:g}: check the unit"
+        )
 
 
 def log_points(
@@ -210,7 +213,8 @@ def log_points(
     level, ramp, starts = level[inside], ramp[inside], starts[inside]
     quiet = max(UNLOADED * full, 4 * float(noise(log.values)))
     if level[0] > max(STARTS_LOADED * full, quiet):
-        raise ConfigError(f"{log.path}: {level[0]:.3g} {log.unit} where the recording starts: start unloaded")
+        reading = f"{number_text(level[0])} {log.unit}"
+        raise ConfigError(f"{log.path}: {reading} where the recording starts: start unloaded")
     unloaded = np.abs(level) <= quiet
     unloaded[0] = True
     unloaded[1:] &= unloaded[:-1]  # the first block after a press may still recover

@@ -10,6 +10,7 @@ from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
 from tactiled.geometry import Array
 from tactiled.restore.noise import estimate
+from tactiled.units import number_text
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +50,9 @@ def recorded_presses(
     noise = noise_of(pressure, calibration)
     presses = find_presses(pressure, array, noise, saturated & ~still, border)
     if not presses:
-        raise ConfigError(f"no press stands out of the noise of {noise:.3g} kPa in {len(pressure)} frames")
+        raise ConfigError(
+            f"no press stands out of the noise of {number_text(noise)} kPa in {len(pressure)} frames"
+        )
     return presses
 
 

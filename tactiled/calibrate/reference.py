@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
 from tactiled.errors import ConfigError
+from tactiled.units import number_text
 
 Quantity = Literal["force_n", "pressure_kpa"]
 QUANTITIES = get_args(Quantity)
@@ -66,7 +67,7 @@ def read_reference(path: Path) -> Reference:
         raise ConfigError(f"{path}: {len(values)} rows: give {MIN_ROWS} or more")
     times, readings = np.array(values).T
     if (back := np.flatnonzero(np.diff(times) <= 0)).size:
-        raise ConfigError(f"{path}: time_s does not rise at line {back[0] + 3}: {times[back[0] + 1]:g}")
+        raise ConfigError(f"{path}: time_s does not rise at line {back[0] + 3}: {times[back[0] + 1]}")
     return Reference(path, quantity, times, readings)
 
 
@@ -119,7 +120,7 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
     absolute = min(ends[0][0], ends[1][0]) > ABSOLUTE_FROM_S
     if absolute and (max(times[0], log.times[0]) > min(times[-1], log.times[-1]) + MAX_CLOCK_OFFSET_S):
         apart = max(log.times[0] - times[-1], times[0] - log.times[-1])
-        raise ConfigError(f"{log.path}: does not overlap the recording: {apart:.3g} s lie between them")
+        raise ConfigError(f"{log.path}: does not overlap the recording: {number_text(apart)} s lie between them")
     span = max(np.ptp(times), np.ptp(log.times))
     step = max(float(np.median(np.diff(times))), float(span) / MAX_SAMPLES)
     series, reference = (

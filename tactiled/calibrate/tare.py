@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
-from tactiled.units import PRESSURE, Unit
+from tactiled.units import PRESSURE, Unit, number_text
 
 MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
 ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
@@ -79,15 +79,10 @@ def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: 
     scatter = MAD_TO_SIGMA * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
     taxels = np.count_nonzero(above > detection_threshold(max(noise, scatter), level.size))
     if taxels:
-        return f"contact of {_number(above.max())} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
+        return f"contact of {number_text(above.max())} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
     moved = float(np.nanmax(np.abs(values - level)))
     moves = moved > detection_threshold(noise, values.size)
-    return f"readings that move by {_number(moved)} {unit}" if moves else ""
-
-
-def _number(value: float) -> str:
-    """Three significant digits, or more where a whole number has more."""
-    return f"{value:.3g}" if value < 100 else f"{value:.0f}"
+    return f"readings that move by {number_text(moved)} {unit}" if moves else ""
 
 
 def _unloaded(level: Floats, noise: float) -> float:

@@ -20,6 +20,7 @@ from tactiled.config import schema
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.runtime.frame_series import read_frame_series
+from tactiled.units import number_text
 
 if TYPE_CHECKING:
     from tactiled.calibrate.frame_series import FrameSeries
@@ -151,7 +152,7 @@ def _lines(fit: "GainFit") -> list[str]:
     curves, live = fit.curves, np.setdiff1d(np.arange(fit.curves.size), fit.dead)
     ends = curves.reach_counts.sum(axis=1)
     reach = fit.points.pressure.max() if fit.force_n is None else np.median(curves.pressure(ends)[live])
-    largest = "" if fit.force_n is None else f"; the largest load is {fit.force_n.max():.3g} N"
+    largest = "" if fit.force_n is None else f"; the largest load is {number_text(fit.force_n.max())} N"
     scores = ", ".join(f"{form} {100 * each:.2g} %" for form, each in fit.scores.items() if np.isfinite(each))
     own = np.count_nonzero(curves.individual)
     dead = ", ".join(map(str, fit.dead[:MAX_DEAD_LISTED])) + (" ..." if len(fit.dead) > MAX_DEAD_LISTED else "")
@@ -160,7 +161,7 @@ def _lines(fit: "GainFit") -> list[str]:
         "gain": f"{_spread(curves.gain[live])} kPa per count; {own} of {curves.size} taxels have their own",
         "standard error": _worst(100 * curves.deviation, "%"),
         "hysteresis": _worst(curves.hysteresis, "% of full scale"),
-        "calibrated": f"up to {reach:.3g} kPa, {np.median(np.abs(ends)[live]):.0f} counts over no load "
+        "calibrated": f"up to {number_text(reach)} kPa, {np.median(np.abs(ends)[live]):.0f} counts over no load "
         f"(median taxel){largest}",
         "dead": f"{len(fit.dead)} ({dead})" if fit.dead else "none",
     }

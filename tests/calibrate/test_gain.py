@@ -156,9 +156,13 @@ def test_a_bad_log_is_refused_in_one_line_that_names_it():
     alike = Skin(16, seed=19).series(repeated, start_s=0.0)
     wandering = np.convolve(rng.normal(size=log.values.size), np.ones(30), "same")
     for other, recording, message in (
-        (replace(log, times=log.times + 3600), series, "does not overlap the recording: 3."),
+        (replace(log, times=log.times + 3600), series, "does not overlap the recording: 3571 s"),
         (replace(log, values=wandering), series, "correlates with the recording by 0."),
-        (replace(log, values=1000 * log.values), series, "outside 0.01 to 10000: check the unit"),
+        (
+            replace(log, values=np.round(1000 * log.values, -4)),
+            series,
+            ": 60000 kPa at most, outside 0.01",
+        ),
         (replace(log, values=log.values + 20), series, "kPa where the recording starts: start unloaded"),
         (pressure_log(alike, repeated, 5.0), alike, "press with uneven pauses"),
     ):

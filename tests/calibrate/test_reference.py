@@ -28,7 +28,7 @@ def test_a_log_is_read_by_the_units_in_its_header(tmp_path):
         ("time_s,n,force_n\n0,x,1\n1\n", "line 3: '1': give numbers"),
         ("time_s,n,force_n\n0,x,nan\n", "line 2: '0,x,nan': give numbers"),
         ("time_s,n,force_n\n0,x,1\n", "1 rows: give 20 or more"),
-        ("time_s,n,force_n\n" + ROWS + "1.0,x,5\n", "time_s does not rise at line 32: 1"),
+        ("time_s,n,force_n\n" + ROWS + "1234567.5,x,5\n1234567,x,5\n", "rise at line 33: 1234567.0"),
         ("", "columns '': give time_s"),
         ("\x00\xff", "f.csv: "),
     ],
