@@ -73,6 +73,13 @@ def layout(positions: NDArray[np.float64], width: float | None = None, aperture:
     distances = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
     np.fill_diagonal(distances, np.inf)
     pitch = float(distances.min())
+    if pitch == 0:
+        one, other = np.argwhere(distances == 0)[0]
+        x, y = positions[one]
+        raise ConfigError(
+            f"array.positions_mm: taxels {one} and {other} are both at [{x:g}, {y:g}]: "
+            "give each taxel a position of its own"
+        )
     return Array(positions, pitch, width or pitch, aperture)
 
 

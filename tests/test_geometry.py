@@ -30,7 +30,10 @@ def test_one_or_two_taxels_are_a_layout_too():
         (lambda: grid(4, 4, float("nan")), "pitch is nan mm"),
         (lambda: grid(4, 4, 1.0, -0.5), "width is -0.5 mm"),
         (lambda: grid(4, 4, 1.0, 1.2), "width is 1.2 mm: apertures overlap past the pitch of 1.0 mm"),
-        (lambda: layout(np.array([[1.0, 2.0], [1.0, 2.0]])), "pitch is 0.0 mm"),
+        (
+            lambda: layout([[0, 0], [1.5, 2], [3, 0], [1.5, 2]]),
+            r"array\.positions_mm: taxels 1 and 3 are both at \[1\.5, 2\]",
+        ),
     ],
 )
 def test_an_array_that_cannot_be_is_refused_by_name(make, text):
