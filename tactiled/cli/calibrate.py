@@ -86,14 +86,18 @@ def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> Non
 
 
 def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
-    """The calibration file that is to be brought up to date; ConfigError where it is of another array."""
+    """The calibration file that is to be brought up to date."""
     before = calibration_file.load(out)
-    if before is not None:
-        try:
-            before.need_fit(name, sensor.codec.name, make_array(sensor).size, make_stack(sensor))
-        except ConfigError as error:
-            raise ConfigError(f"{out}: {error}: name another file") from error
-    return before
+    return before and matching(out, before, name, sensor)
+
+
+def matching(path: Path, file: CalibrationFile, name: str, sensor: schema.Sensor) -> CalibrationFile:
+    """The file at `path`; ConfigError where it is of another array, or its cover of other layers."""
+    try:
+        file.need_fit(name, sensor.codec.name, make_array(sensor).size, make_stack(sensor))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    return file
 
 
 def made_from(recording: Path, method: str) -> Origin:

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
+from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cli import options
-from tactiled.cli.calibrate import Out, existing, made_from, update
+from tactiled.cli.calibrate import Out, made_from, matching, update
 from tactiled.config import schema
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
@@ -74,12 +75,14 @@ def cover(
 
 
 def _other_sections(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
-    """The calibration file to bring up to date, else the configured one, whose gain and no load the fit uses."""
-    if out.exists() or (configured := configured_file(sensor)) is None:
-        return existing(out, name, sensor)
-    others = configured.model_copy(update={"cover": None})
-    others.need_fit(name, sensor.codec.name, make_array(sensor).size, make_stack(sensor))
-    return others
+    """The calibration file to bring up to date, else the configured one, without its cover, which is fitted again.
+
+    The fit uses its gain and no load.
+    """
+    before, path = calibration_file.load(out), out
+    if before is None and sensor.calibration.file is not None:
+        before, path = configured_file(sensor), sensor.calibration.file
+    return before and matching(path, before.model_copy(update={"cover": None}), name, sensor)
 
 
 def _places(path: Path) -> Floats:

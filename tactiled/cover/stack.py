@@ -30,7 +30,7 @@ class Layer:
 
     def __str__(self) -> str:
         """Say it as a designer would."""
-        return f"{self.thickness:.3g} mm {self.young:.4g} MPa {self.poisson:.4g}"
+        return f"{self.thickness:.4g} mm {self.young:.4g} MPa {self.poisson:.4g}"
 
     @property
     def shear(self) -> float:
@@ -68,8 +68,9 @@ class Stack:
             raise PhysicsError(f"{len(self.bonds)} bonds for {count} interfaces: give one each, the base included")
 
     def __str__(self) -> str:
-        """Name the layers from the top down, a double line where stress is sensed."""
-        names = [str(layer) for layer in self.layers]
+        """Name the layers from the top down, which of them slide, and a double line where stress is sensed."""
+        bonds = zip(self.layers, self.bonds, strict=True)
+        names = [f"{layer}{'' if bonded else ' sliding'}" for layer, bonded in bonds]
         above, below = (" | ".join(part) for part in (names[: self.sensing], names[self.sensing :]))
         return f"{above} ‖ {below or 'base'}"
 

@@ -103,6 +103,7 @@ def test_a_truncated_or_altered_file_is_refused(file):
         ({"codec": "xela"}, "codec is 'packed', and the configuration has 'xela'"),
         ({"taxels": 9}, "taxels is 8, and the configuration has 9"),
         ({"stack": Stack((Layer(0.9, 0.6, 0.48),))}, "cover was fitted with 0.8 mm .* has 0.9 mm"),
+        ({"stack": Stack(STACK.layers, bonds=(False,))}, "with 0.8 mm 0.6 MPa 0.48 ‖ .* 0.48 sliding ‖"),
     ],
 )  # fmt: skip
 def test_a_file_of_another_array_is_refused_by_name(file, other, line):

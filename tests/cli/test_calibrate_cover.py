@@ -88,6 +88,24 @@ def test_an_edge_is_fitted_and_other_sections_stay(config, tips, tmp_path):
     assert printed.endswith(f"{out}: written; give it as calibration.file of the sensor\n")
 
 
+def test_a_cover_of_other_layers_is_fitted_again_and_a_gain_beside_it_is_refused(config, tips, tmp_path):
+    file, out = (
+        configured(144, gain=gain_section(np.full(144, 0.05)), cover=cover_section()),
+        tmp_path / "palm.json",
+    )
+    calibration_file.save(out, file)
+    arguments = (tips[0], "--config", config, "--out", out)
+    line = refusal("calibrate", "gain", *arguments, "--weight-n", 1)
+    assert line.startswith(
+        f"{out}: cover was fitted with 0.8 mm 0.6 MPa 0.48 ‖ base, and the configuration has 1.25"
+    )
+    assert line.endswith(" MPa 0.2: fit it again")
+    succeed("calibrate", "cover", *arguments, "--tip-mm", 1.6)
+    made = calibration_file.load(out)
+    assert made.gain == file.gain
+    assert made.cover.thickness_mm == pytest.approx(THICKNESS, rel=0.05)
+
+
 def test_another_file_begins_with_the_configured_one(config, tips, tmp_path):
     file = configured(144, gain=gain_section(np.full(144, 0.05)), cover=cover_section())
     calibration_file.save(tmp_path / "palm.json", file)
