@@ -150,7 +150,7 @@ def edge_touch(
     if np.linalg.matrix_rank(array.positions - array.positions[0], tol=1e-6) < 2:
         raise ConfigError("array is one line of taxels: an edge needs two dimensions")
     if width_mm is not None and not width_mm > 0:
-        raise ConfigError(f"edge_mm is {width_mm:g}: give a ridge's width above 0 mm")
+        raise ConfigError(f"the ridge is {width_mm:g} mm wide: give more than 0 mm")
     family = CoverFamily(configured)
     gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))
     own = np.zeros((len(usable), 6))

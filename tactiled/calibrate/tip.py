@@ -101,7 +101,7 @@ def tip_touch(
     width = float(np.ptp(array.positions, axis=0).min()) + array.pitch
     if tip.diameter_mm is not None and not 0 < tip.diameter_mm < width:
         raise ConfigError(
-            f"tip_mm is {tip.diameter_mm:g}: give more than 0 and less than the array's {width:g} mm"
+            f"the tip is {tip.diameter_mm:g} mm wide: give more than 0 and less than the array's {width:g} mm"
         )
     own = np.array([(1e3 * presses[at].force_n, *presses[at].place_mm) for at in usable])
     deviation = np.full(own.shape, np.inf)

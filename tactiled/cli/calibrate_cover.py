@@ -52,6 +52,10 @@ def cover(
     """Find a cover's thickness in a recording of presses."""
     if sum((tip_mm is not None, edge or edge_mm is not None, blind)) != 1:
         raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
+    if tip_mm is None:
+        _refuse({"--sphere": sphere, "--places": places}, "needs --tip-mm")
+    if blind:
+        _refuse({"--measured": measured, "--plot": plot}, "has no effect with --blind: leave it out")
     settings, name, one = options.one_sensor(config, sensor)
     before, stack = _other_sections(out, name, one), make_stack(one)
     with threadpool_limits(1):
@@ -60,8 +64,7 @@ def cover(
         recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends)
         way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
         size_mm = edge_mm if tip_mm is None else tip_mm or None
-        places_mm = _places(places) if places is not None and way == "tip" else None
-        fit = fit_touch(recorded, way, size_mm, sphere, places_mm)
+        fit = fit_touch(recorded, way, size_mm, sphere, None if places is None else _places(places))
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 
@@ -69,9 +72,16 @@ def cover(
     section = CoverSection.of(
         fit if measured else replace(fit, kernel=None), stack, made_from(file, f"cover: {fit.method}")
     )
-    typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack)]))
+    typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack, measured)]))
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
+
+
+def _refuse(options: dict[str, object], reason: str) -> None:
+    """ConfigError for the first option that is set."""
+    for name, value in options.items():
+        if value:
+            raise ConfigError(f"{name} {reason}")
 
 
 def _other_sections(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
@@ -88,17 +98,20 @@ def _other_sections(out: Path, name: str, sensor: schema.Sensor) -> CalibrationF
 def _places(path: Path) -> Floats:
     """Places (K, 2) in mm; ConfigError names what is wrong with the file."""
     try:
-        rows = np.atleast_2d(np.genfromtxt(path, delimiter=",", names=True).tolist())
-        header = path.read_text("utf-8").splitlines()[0].replace(" ", "")
-    except (OSError, ValueError, IndexError) as error:
-        raise ConfigError(f"--places {path}: {getattr(error, 'strerror', None) or error}") from error
-    if header != "x_mm,y_mm" or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        header, *lines = path.read_text("utf-8-sig").splitlines() or [""]
+        rows = np.array([line.split(",") for line in lines if line.strip()], float)
+        is_valid = header.replace(" ", "") == "x_mm,y_mm" and rows.shape[1:] == (2,) and np.isfinite(rows).all()
+    except OSError as error:
+        raise ConfigError(f"--places {path}: {error.strerror}") from error
+    except ValueError:
+        is_valid = False
+    if not is_valid:
         raise ConfigError(f"--places {path}: give a first line x_mm,y_mm, then two numbers a line")
-    return np.asarray(rows, float)
+    return rows
 
 
-def _lines(fit: CoverFit, stack: Stack) -> list[str]:
-    """What was found, a line each."""
+def _lines(fit: CoverFit, stack: Stack, measured: bool) -> list[str]:
+    """What was found, a line each; a `measured` kernel is kept."""
     (low, high), change = fit.interval_mm, 100 * (fit.factor - 1)
     rows = {
         "thickness": f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g}); configured {stack.depth:.4g} mm",
@@ -107,5 +120,6 @@ def _lines(fit: CoverFit, stack: Stack) -> list[str]:
         "left out": f"presses left out of the fit miss by {fit.residual:.2f} of noise and gain errors",
     }
     if fit.kernel is not None:
-        rows["kernel"] = f"measured at {fit.kernel.shape[1]} frequencies"
+        kept = "" if measured else ", not kept: give --measured"
+        rows["kernel"] = f"measured at {fit.kernel.shape[1]} frequencies{kept}"
     return [f"  {key:<10} {row}" for key, row in rows.items()] + [f"  note: {each}" for each in fit.notes]

@@ -48,7 +48,7 @@ def test_too_few_edges_and_arrays_of_one_line_are_refused():
     presses = laid(GRID, 0.9, 1, count=1)
     with pytest.raises(ConfigError, match="1 of 1 presses can be used: lay the edge at least 2 times, better 5"):
         edge_touch(presses, GRID, rubber(1.0), 0.01)
-    with pytest.raises(ConfigError, match="edge_mm is -1: give a ridge's width above 0 mm"):
+    with pytest.raises(ConfigError, match="the ridge is -1 mm wide: give more than 0 mm"):
         edge_touch(presses * 2, GRID, rubber(1.0), 0.01, -1.0)
     line = grid(1, 14, 1.0)
     with pytest.raises(ConfigError, match="array is one line of taxels: an edge needs two dimensions"):

@@ -115,7 +115,9 @@ def test_what_cannot_be_fitted_is_refused_or_has_a_reason():
         ConfigError, match=r"2 of 4 presses can be used \(reaches over the array's border\): press"
     ):
         fitted(two_usable, array, 1.0, Tip(1.6))
-    with pytest.raises(ConfigError, match="tip_mm is 12: give more than 0 and less than the array's 10 mm"):
+    with pytest.raises(
+        ConfigError, match="the tip is 12 mm wide: give more than 0 and less than the array's 10 mm"
+    ):
         fitted(presses, array, 1.0, Tip(12.0))
     with pytest.raises(ConfigError, match="3 places are given, and there are 4 presses"):
         fitted(presses, array, 1.0, Tip(1.6), places=places[:3])

@@ -5,6 +5,7 @@ import pytest
 
 from tactiled.build import make_array, make_codec
 from tactiled.calibrate import calibration_file
+from tactiled.cli.calibrate_cover import _lines
 from tactiled.config import parse
 from tests.calibrate.files import calibration_file as configured
 from tests.calibrate.files import cover_section, gain_section
@@ -53,7 +54,7 @@ def tips(tmp_path_factory):
     places = world.places(6, random)
     folder = tmp_path_factory.mktemp("tips")
     rows = "\n".join(f"{x:.2f},{y:.2f}" for x, y in places)
-    (folder / "places.csv").write_text(f"x_mm,y_mm\n{rows}\n")
+    (folder / "places.csv").write_text(f"x_mm,y_mm\n{rows}\n", "utf-8-sig")  # as spreadsheets write it
     path = recording(folder / "tips.log", np.array([world.tip(0.8, each) for each in places]), random)
     return path, folder / "places.csv"
 
@@ -117,17 +118,28 @@ def test_another_file_begins_with_the_configured_one(config, tips, tmp_path):
     assert made.cover.thickness_mm == pytest.approx(THICKNESS, rel=0.05)
 
 
+@pytest.mark.parametrize(("measured", "end"), [(True, ""), (False, ", not kept: give --measured")])
+def test_a_kernel_that_is_not_kept_is_called_so(measured, end):
+    section = cover_section(kernel=np.array([[0, 1, 2, 3], [1, 0.9, 0.5, 0.1]]))
+    assert _lines(section.fit, section.stack, measured)[-1] == f"  kernel     measured at 4 frequencies{end}"
+
+
 def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(config, tips, tmp_path):
     log, places = tips
     out = tmp_path / "palm.json"
     base = ("calibrate", "cover", log, "--config", config, "--out", out)
     assert refusal(*base) == "give one of --tip-mm, --edge (or --edge-mm) and --blind"
     assert refusal(*base, "--edge", "--tip-mm", 1) == refusal(*base)
-    places.with_name("bad.csv").write_text("x,y\n1,2\n")
-    assert "give a first line x_mm,y_mm" in refusal(
-        *base, "--tip-mm", 1.6, "--places", places.with_name("bad.csv")
-    )
-    assert refusal(*base, "--tip-mm", 1.6, "--places", "gone.csv") == "--places gone.csv: gone.csv not found."
+    for text in ("x,y\n1,2\n", "x_mm,y_mm\n1,2\n1\n", "x_mm,y_mm\n1,nan\n", "x_mm,y_mm\n", ""):
+        (bad := tmp_path / "bad.csv").write_text(text)
+        assert "give a first line x_mm,y_mm" in refusal(*base, "--tip-mm", 1.6, "--places", bad)
+    missing = refusal(*base, "--tip-mm", 1.6, "--places", "gone.csv")
+    assert missing == "--places gone.csv: No such file or directory"
+    assert refusal(*base, "--edge", "--sphere") == "--sphere needs --tip-mm"
+    assert refusal(*base, "--blind", "--places", places) == "--places needs --tip-mm"
+    for option in (("--measured",), ("--plot", "cover.svg")):
+        line = f"{option[0]} has no effect with --blind: leave it out"
+        assert refusal(*base, "--blind", *option) == line
     quiet = recording(tmp_path / "quiet.log", np.zeros((3, ARRAY.size)), np.random.default_rng(0))
     assert refusal("calibrate", "cover", quiet, *base[3:], "--tip-mm", 1.6).startswith(
         "no press stands out of the"
