@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from tactiled.errors import ConfigError
@@ -123,8 +122,9 @@ class Cells:
     @property
     def rim(self) -> NDArray[np.bool_]:
         """Cells (M,) at the border of the surface."""
-        cells = np.pad(self.raster, 1, constant_values=-1)
-        return np.isin(np.arange(self.owner.max() + 1), cells[binary_dilation(cells < 0)])
+        empty = np.pad(self.raster, 1, constant_values=-1) < 0
+        beside = empty[:-2, 1:-1] | empty[2:, 1:-1] | empty[1:-1, :-2] | empty[1:-1, 2:]
+        return np.isin(np.arange(self.owner.max() + 1), self.raster[beside])
 
     @property
     def corner(self) -> NDArray[np.float64]:
