@@ -21,6 +21,7 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
  * @typedef {object} Listener
  * @property {(frame: Frame, resumed: boolean) => void} onFrame a frame that may be shown; the first after some were held back?
  * @property {(status: Status, changed: boolean) => void} onStatus
+ * @property {() => void} onCalibration another calibration was applied
  * @property {() => void} onLink
  * @property {() => void} onContacts contacts of a frame came
  * @property {() => void} onOtherShape the sensor has another shape than before, or was restarted
@@ -196,6 +197,7 @@ export class Session {
   _takeStatus(status) {
     this._follow(status.sequence ?? -1);
     const changed = this.status?.state !== status.state || this.status?.method !== status.method;
+    const recalibrated = this.status && this.status.calibration !== status.calibration;
     this.status = status;
     this._statusAt = performance.now();
     if (status.ran && !this.paused) this._statuses.push(status);
@@ -205,6 +207,7 @@ export class Session {
       this._listener.onFrame(newest, true);
     }
     this._listener.onStatus(status, changed);
+    if (recalibrated) this._listener.onCalibration();
   }
 
   _linked() {

@@ -307,6 +307,7 @@ export class Viewer {
         this._listener.onChange();
         this.refresh();
       },
+      onCalibration: () => this.loadKernel(),
       onLink: () => this._listener.onChange(),
       onContacts: () => this.refresh(),
       onOtherShape: () => this.reopen(name),
