@@ -34,7 +34,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
         sensor.plan = replace(sensor.plan, stale_after_s=600)
     _, image = rig.both()
     assert image.unit == "counts"
-    page = open_page(f"{url}/#thumb", **PHONE)
+    page = open_page(f"{url}/#thumb?range=0:10000", **PHONE)
     page.evaluate(WATCH_TEXTS)
     page.keep(rig.both, "document.querySelectorAll('#contact-list tbody tr').length === 2")
     text = seen(page)
@@ -44,13 +44,13 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     assert page.text("peak-raw", "noise") == ["800.0", "0.3 counts"]
     lines = page.download("c").read_text().splitlines()
     assert next(line for line in lines if line[0] != "#").split(",")[5] == "counts"
-    page.set_range(0, 10000)
     ends = page.wait("window.drawn.filter(each => each.id === 'colorbar' && each.text === '10000')")
     assert ends[-1]["box"][2] <= ends[-1]["width"]
     page.press("1")
     page.wait("document.getElementById('about').innerText.startsWith('8')")
     page.keep(rig.both, "document.getElementById('peak-raw').innerText === '200.0'")
     assert {"kPa", "N"} <= set(CLAIM.findall(seen(page)))
+    assert page.locator("#range-auto").is_checked()  # the range of the address is in counts
     page.press("w")
     page.locator("#wall-scale").select_option("same")
     page.keep(rig.both, f"{TILES}.every(each => /\\d (N|counts·mm²)/.test(each))")

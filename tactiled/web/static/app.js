@@ -90,10 +90,11 @@ function choose(name) {
 
 /** Keep in the address what is shown, and how. */
 function writeAddress() {
+  if (!wall.open && !viewer.session) return; // the address says more than is known yet
   const query = new URLSearchParams(viewer.view.address(viewer.unit));
   playback.addTo(query);
-  const hash = wall.open ? WALL + viewer.view.wallAddress : viewer.name && `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
-  if (!hash || hash === location.hash) return;
+  const hash = wall.open ? WALL + viewer.view.wallAddress : `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
+  if (hash === location.hash) return;
   try {
     window.history.replaceState(null, "", hash);
   } catch {

@@ -48,8 +48,8 @@ export class View {
     pick(this._colors, given.get("colors") ?? loadSetting(KEY));
     pick(this._scales, given.get("scale") ?? loadSetting(SCALE_KEY));
     this._scales.addEventListener("change", () => saveSetting(SCALE_KEY, this._scales.value));
-    const [low, high] = (given.get("range") ?? "").split(":").map(Number);
-    for (const each of ranges) each.fix(low, high); // which refuses what is no range
+    /** @type {string[]} ends of the range in the address, in the unit of the sensor that it names */
+    this._rangeInAddress = (given.get("range") ?? "").split(":");
     const [azimuth, elevation] = (given.get("turn") ?? "").split(":").map(Number);
     if (Number.isFinite(azimuth) && Number.isFinite(elevation)) projection.aim(azimuth, elevation);
     this._cut();
@@ -67,6 +67,13 @@ export class View {
     this._surface.disabled = !isGrid;
     this._surface.text = isGrid ? "3-D surface" : "3-D surface: grids only";
     this._show();
+  }
+
+  /** Fix the range that the address has, once it is known of which unit it is. @param {number} unit */
+  fixRange(unit) {
+    const [low, high] = this._rangeInAddress.map(Number);
+    this._ranges[unit].fix(low, high); // which refuses what is no range
+    this._rangeInAddress = [];
   }
 
   /** @returns {boolean} each map of the wall has a scale of its own */

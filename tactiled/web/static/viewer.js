@@ -285,6 +285,7 @@ export class Viewer {
         this.refresh();
       },
     }) : this._live(sensor, plane);
+    this.view.fixRange(this.unit);
     if (this.session instanceof PlaybackSession) this._listener.onPlayback(this.session);
     const { history } = this.session;
     this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
