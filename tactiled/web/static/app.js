@@ -197,6 +197,14 @@ byId("demo-close").addEventListener("click", () => {
   byId("demo").hidden = true;
   saveSetting(DEMO_KEY, "closed");
 });
+byId("skip").addEventListener("click", (event) => {
+  event.preventDefault(); // an address is that of a sensor
+  byId(/** @type {HTMLAnchorElement} */ (event.currentTarget).hash.slice(1)).focus();
+});
+window.addEventListener("hashchange", ({ newURL }) => { // a link was opened in this tab
+  window.history.replaceState(null, "", newURL); // the page may have written its own already
+  location.reload();
+});
 new ResizeObserver(() => viewer.layout()).observe(byId("boxes"));
 new ResizeObserver(() => wall.restyle()).observe(byId("wall"));
 for (const id of ["section", "forces", "latencies", "kernel", "colorbar"]) {
