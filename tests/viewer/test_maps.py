@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 import can
 import numpy as np
 import pytest
+from PIL import Image
 
 from tactiled.restore.methods import METHODS
 from tests.conftest import ask, pressed, until
@@ -66,6 +67,13 @@ def test_a_paused_page_shows_kept_frames_and_goes_on_with_the_newest(rig, url, o
     page.wait("document.getElementById('when').innerText === 'newest'")
     page.refreshed()
     np.testing.assert_array_equal(page.pixels("restored"), images[2])
+    with page.expect_download() as saved:  # at once, before the screen's next turn
+        page.evaluate(
+            "['ArrowLeft', 's'].forEach(key => document.dispatchEvent(new KeyboardEvent('keydown', { key })))"
+        )
+    page.refreshed()
+    at_once, later = (np.array(Image.open(each))[:700] for each in (saved.value.path(), page.download("s")))
+    np.testing.assert_array_equal(at_once, later)  # above the state
     page.press("l")
     image = page.show(rig, pressed(0))
     page.wait(f"document.getElementById('sequence').innerText === '{image.sequence}'")

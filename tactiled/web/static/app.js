@@ -59,7 +59,7 @@ function read() {
   if (wall.open) document.title = "all sensors, tactiled";
   else {
     screen.read(viewer, reachable);
-    if (viewer.session?.frame) viewer.maps.write(viewer.session.frame, viewer.range, viewer.view);
+    viewer.write();
   }
   playback.read();
   byId("tare-undo").hidden = !canUndo(viewer.name) || playback.recording !== "";

@@ -135,6 +135,7 @@ async function chooseMethod(viewer) {
 
 /** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} targets */
 function save(kind, viewer, targets) {
+  viewer.paintNow();
   const { session, view: { colormap } } = viewer;
   if (!session?.frame || !colormap) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);

@@ -145,6 +145,17 @@ export class Viewer {
     session.painted();
   }
 
+  /** Write values in the cells of the frame that is shown. */
+  write() {
+    if (this.session?.frame) this.maps.write(this.session.frame, this.range, this.view);
+  }
+
+  /** Paint at once what is shown, for a picture of it. */
+  paintNow() {
+    this._paint(performance.now());
+    this.write();
+  }
+
   /** @param {Frame} frame @param {Session|PlaybackSession} session */
   _mark(frame, session) {
     const { marks, probe } = this;
@@ -184,7 +195,7 @@ export class Viewer {
     this.maps.layout();
     this.regions?.layout(this.maps.zoom);
     this.kernel.draw();
-    this._paint(performance.now()); // at once: a canvas of another size is empty
+    this._paint(performance.now()); // a canvas of another size is empty
   }
 
   /** The theme is another. */
