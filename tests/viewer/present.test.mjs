@@ -1,11 +1,13 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
+import { events } from "../../tactiled/web/static/api.js";
 import { addEvent } from "../../tactiled/web/static/event_rows.js";
 import { FrameRate } from "../../tactiled/web/static/frame_rate.js";
 import { Freshness } from "../../tactiled/web/static/freshness.js";
 import { healthOf } from "../../tactiled/web/static/health.js";
 import { Timeline, timeOffset } from "../../tactiled/web/static/timeline.js";
+import { View } from "../../tactiled/web/static/view.js";
 import { Warnings } from "../../tactiled/web/static/warnings.js";
 
 /** Which of these images are held back: each took `way` ms,
@@ -129,4 +131,38 @@ test("what repeats in the log of events is one row with its count", () => {
   for (const [time, text] of [[701, "by hand: nnls"], [702, "by hand: tv"], [703, "by hand: tv"]]) add(time, "method_set", text);
   assert.deepEqual(of().slice(0, 4).map(([, , count]) => count), [2, 1, 1, 1]);
   assert.equal(rows.length, 6);
+});
+
+/** Answer each request with the JSON that this makes of its query. */
+function answerBy(make) {
+  globalThis.fetch = async (path) => new Response(JSON.stringify(await make(new URL(path, "http://host").searchParams)));
+}
+
+test("the log asks for all events that the service has", async () => {
+  answerBy((query) => ({ events: Array.from({ length: query.get("limit") ?? 100 }, (_, i) => ({ id: i + 1 })), newest: 1000 }));
+  const answer = await events(0);
+  assert.equal(answer.events.at(-1).id, answer.newest);
+});
+
+test("of two colour maps the one that was chosen last is shown, whichever comes first", async () => {
+  const elements = {};
+  globalThis.document = {
+    getElementById: (id) => elements[id] ??= { options: [], dataset: {}, style: { setProperty() {} }, addEventListener() {} },
+  };
+  globalThis.location = { hash: "" };
+  const view = new View([], null, () => {});
+  let answerFirst;
+  const later = new Promise((resolve) => { answerFirst = resolve; });
+  answerBy(async (query) => {
+    if (query.get("name") === "turbo") await later;
+    return { colors: [[query.get("name").length, 0, 0]] };
+  });
+  const loads = ["turbo", "grey"].map((name) => {
+    elements.colors.value = name;
+    return view.load();
+  });
+  await loads[1];
+  answerFirst();
+  await loads[0];
+  assert.equal(view.colormap.css[0], `rgb(${"grey".length} 0 0)`);
 });

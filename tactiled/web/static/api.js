@@ -331,9 +331,9 @@ export const isDemo = async () => Object.values((await request("/config")).bus).
 
 /**
  * @param {number} after id of the newest event that is known
- * @returns {Promise<{events: Event[], newest: number}>}
+ * @returns {Promise<{events: Event[], newest: number}>} all that the service still has
  */
-export const events = (after) => request(`/events?after=${after}`);
+export const events = (after) => request(`/events?after=${after}&limit=1000`);
 
 /** @returns {Promise<Recording[]>} all of them, page by page */
 export async function recordings() {

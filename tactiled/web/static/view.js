@@ -99,7 +99,9 @@ export class View {
 
   /** Fetch the colours. */
   async load() {
-    const [colors, signed] = await Promise.all([api.colormap(this._colors.value), api.colormap(DIFFERENCE_COLORS)]);
+    const { value } = this._colors;
+    const [colors, signed] = await Promise.all([api.colormap(value), api.colormap(DIFFERENCE_COLORS)]);
+    if (value !== this._colors.value) return; // others were chosen meanwhile
     this.colormap = new Colormap(colors.colors);
     this.signed = new Colormap(signed.colors, true);
     this._onChange();
