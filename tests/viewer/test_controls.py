@@ -12,6 +12,9 @@ ANNOUNCED = "document.getElementById('announce-politely').textContent"
 NOTICE = "document.getElementById('notice').innerText"
 BACKGROUND = "getComputedStyle(document.body).backgroundColor"
 LIGHT, DARK = "rgb(238, 241, 244)", "rgb(14, 18, 22)"
+# Whether this key is left to the browser, which goes back by it.
+BACK = """document.body.dispatchEvent(
+  new KeyboardEvent("keydown", { key: "ArrowLeft", altKey: true, bubbles: true, cancelable: true }))"""
 NO_DIALOG = "!document.activeElement.closest('dialog')"
 
 
@@ -64,11 +67,13 @@ def test_the_probe_is_announced_when_it_is_pinned_or_moved_by_keys_but_not_when_
     page.locator("#probe", has_text="Point at a map").wait_for()
     assert page.box("#raw-frame") == frame  # the maps stay still
     assert page.evaluate(ANNOUNCED) == ""
+    assert page.evaluate(BACK)
     last = ""
     for key in ("p", "Alt+ArrowRight", "Alt+ArrowDown"):
         page.press(key)
         last = page.wait(f"{ANNOUNCED} !== '{last}' && {ANNOUNCED}")
         assert re.match(r"x .* restored", last)
+    assert not page.evaluate(BACK)
     page.wait(f"{ANNOUNCED} === document.getElementById('probe').textContent")
     for key, words in (("Escape", "Probe released."), ("x", "Cross-section along y.")):
         page.press(key)

@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.web.server import running
 from tests.conftest import Rig, ask, meanwhile, pressed
-from tests.viewer.conftest import CONTACTS, DESK, PAINTINGS, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
+from tests.viewer.conftest import CONTACTS, DESK, PAINTINGS, PAUSED, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
 
@@ -66,6 +66,9 @@ def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
                 at = f"{raw['x'] + raw['width'] * x / 100}, {raw['y'] + raw['height'] / 2}"
                 assert page.evaluate(f"document.elementFromPoint({at}).closest('.frame').id") == f"{name}-frame"
         assert page.violations() == []
+    page.locator("#split").focus()
+    page.press("ArrowRight")
+    page.wait(f"document.getElementById('split').value === '76' && !{PAUSED}")
 
 
 LABEL = "document.getElementById('restored-surface').ariaLabel"

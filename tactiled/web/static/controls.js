@@ -157,11 +157,11 @@ function save(kind, viewer, targets) {
   }
 }
 
-/** @param {Viewer} viewer @param {number} dx @param {number} dy @param {KeyboardEvent} event */
-function arrow(viewer, dx, dy, event) {
-  const plane = viewer.session?.plane;
-  if (event.altKey && plane) viewer.probe.nudge(dx * plane.restored.side, dy * plane.restored.side, plane);
-  else if (dx) viewer.step(dx * (event.shiftKey ? 10 : 1));
+/** Move the pinned probe by cells. @param {Viewer} viewer @param {number} dx @param {number} dy @returns {boolean} one is pinned */
+function nudge({ probe, session }, dx, dy) {
+  const plane = session?.plane;
+  if (plane) probe.nudge(dx * plane.restored.side, dy * plane.restored.side, plane);
+  return probe.pinned;
 }
 
 /** @param {Viewer} viewer */
@@ -186,8 +186,12 @@ function keyboard(viewer, targets) {
   const shear = byId("shear-on");
   listenForKeys({
     " ": () => viewer.pause(!viewer.session?.paused),
-    ArrowLeft: (event) => arrow(viewer, -1, 0, event),
-    ArrowRight: (event) => arrow(viewer, 1, 0, event),
+    ArrowLeft: ({ shiftKey }) => viewer.step(shiftKey ? -10 : -1),
+    ArrowRight: ({ shiftKey }) => viewer.step(shiftKey ? 10 : 1),
+    "Alt+ArrowLeft": () => nudge(viewer, -1, 0),
+    "Alt+ArrowRight": () => nudge(viewer, 1, 0),
+    "Alt+ArrowUp": () => nudge(viewer, 0, -1),
+    "Alt+ArrowDown": () => nudge(viewer, 0, 1),
     l: () => (targets.playback.recording ? targets.playback.close() : viewer.pause(false)),
     "<": () => targets.playback.changeSpeed(-1),
     ">": () => targets.playback.changeSpeed(1),
@@ -211,9 +215,4 @@ function keyboard(viewer, targets) {
       if (name) targets.choose(name);
     }])),
   }, /** @type {HTMLInputElement} */ (byId("keys-on")));
-  document.addEventListener("keydown", (event) => {
-    if (!event.altKey || !viewer.probe.pinned || (event.key !== "ArrowUp" && event.key !== "ArrowDown")) return;
-    event.preventDefault();
-    arrow(viewer, 0, event.key === "ArrowUp" ? -1 : 1, event);
-  });
 }

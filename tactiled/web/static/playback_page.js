@@ -5,6 +5,7 @@ import { Chart, line } from "./chart.js";
 import { roundUp } from "./display_range.js";
 import { byId, setText } from "./dom.js";
 import { positionText } from "./format.js";
+import { isBrowsers } from "./keyboard.js";
 import { messageOf, notice } from "./notice.js";
 import { SPEEDS, recordingName } from "./playback_clock.js";
 import { PlaybackSession } from "./playback_session.js";
@@ -117,7 +118,7 @@ export class PlaybackPage {
 
   /** Go to the first frame or the last, unless the key is for a field. @param {KeyboardEvent} event */
   _jump(event) {
-    const elsewhere = event.target instanceof Element && event.target.closest("input, select, dialog");
+    const elsewhere = isBrowsers(event) || (event.target instanceof Element && event.target.closest("input, select, dialog"));
     if (!this._session || elsewhere || (event.key !== "Home" && event.key !== "End")) return;
     event.preventDefault();
     this._session.show(event.key === "End" ? 0 : Infinity);

@@ -2,6 +2,7 @@
 
 import { context2d, element, fitCanvas, themeColors } from "./dom.js";
 import { hatching } from "./heatmap.js";
+import { isBrowsers } from "./keyboard.js";
 import { Columns } from "./projection.js";
 import { endsAndTicks, labelledTicks, tickText } from "./ticks.js";
 import { UNITS } from "./units.js";
@@ -85,7 +86,7 @@ export class Surface {
       onTurn();
     });
     canvas.addEventListener("keydown", (event) => {
-      if (!(event.key in KEYS) || event.altKey || event.ctrlKey || event.metaKey) return;
+      if (!(event.key in KEYS) || isBrowsers(event)) return;
       event.preventDefault(); // not for the frames that are kept
       turn(...KEYS[event.key]);
     });

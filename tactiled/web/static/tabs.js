@@ -1,6 +1,7 @@
 /** One tab a sensor, each with its state. @module */
 
 import { byId, element, setText } from "./dom.js";
+import { isBrowsers } from "./keyboard.js";
 
 /** @import { Sensor } from "./api.js" */
 
@@ -86,7 +87,7 @@ export class Tabs {
     const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     const names = [...this._tabs.keys()];
     const now = names.findIndex((each) => this._tabs.get(each) === document.activeElement);
-    if (!step || now < 0 || names.length < 2) return;
+    if (!step || now < 0 || names.length < 2 || isBrowsers(event)) return;
     event.stopPropagation();
     event.preventDefault();
     const next = names[(now + step + names.length) % names.length];
