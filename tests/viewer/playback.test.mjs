@@ -2,7 +2,9 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { positionText } from "../../tactiled/web/static/format.js";
+import { Plane } from "../../tactiled/web/static/geometry.js";
 import { PlaybackClock, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
+import { PlaybackSession } from "../../tactiled/web/static/playback_session.js";
 import { areasOf, curvesOf } from "../../tactiled/web/static/recorded_series.js";
 import { messageBytes } from "../../tactiled/web/static/wire.js";
 
@@ -38,6 +40,25 @@ test("a file's name becomes one that the service takes", () => {
     ["../../etc.blf", "etc.blf"], ["grasp", "grasp"], [".log", "recording.log"],
     [`${"x".repeat(200)}.blf`, `${"x".repeat(100)}.blf`],
   ]) assert.equal(recordingName(file), name);
+});
+
+test("a request of before does not end playback where it fails", async () => {
+  const plane = new Plane({
+    shape: [1, 1], positions_mm: [[0, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1,
+    raw: { rows: 1, columns: 1 }, restored: { rows: 1, columns: 1, cell_mm: 1 }, areas_mm2: null,
+  });
+  let tick, answer;
+  globalThis.requestAnimationFrame = (each) => { tick = each; };
+  globalThis.fetch = () => new Promise((resolve) => { answer = resolve; });
+  const session = new PlaybackSession("palm", plane, false, false, { name: "grasp.log", frames: 9 }, {
+    onFrame() {}, onChange: () => assert.fail("it said so"),
+  });
+  tick(0);
+  session.show(0);
+  session.pause(false);
+  answer(new Response(null, { status: 404 }));
+  await new Promise(setImmediate);
+  assert.ok(!session.paused);
 });
 
 test("an answer is taken apart into the messages of each frame", () => {

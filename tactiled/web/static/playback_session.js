@@ -114,6 +114,7 @@ export class PlaybackSession {
 
   stop() {
     this._stopped = true;
+    this._turn += 1;
   }
 
   painted() {}
@@ -255,14 +256,15 @@ export class PlaybackSession {
         this._queue.push({ number: first + n * step, position: positions[n], messages }));
       this._next = first + positions.length * step;
     } catch (error) {
-      await this._fail(error);
+      await this._fail(error, turn);
     } finally {
       this._fetching = false;
     }
   }
 
-  /** A request failed: try again, or say why not. @param {unknown} error */
-  async _fail(error) {
+  /** A request failed: try again, or say why not, unless it is of no use any more. @param {unknown} error @param {number} turn of the request */
+  async _fail(error, turn) {
+    if (turn !== this._turn) return;
     const status = error instanceof api.ApiError ? error.status : -1;
     if (status === 0) this._health = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
     else if (status !== 429 && status !== 409) {
@@ -290,7 +292,7 @@ export class PlaybackSession {
       this._take(details, method);
       this._detailed = this.paused && number !== this.number ? -1 : number;
     } catch (error) {
-      await this._fail(error);
+      await this._fail(error, turn);
     } finally {
       this._asking = false;
     }
