@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.runtime.region_monitor import MIN_GAP_S
 from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import PHONE
+from tests.viewer.conftest import PHONE, TOUCH
 
 # How many pixels of the chart have the first line's colour.
 INK = """(canvas => {
@@ -73,6 +73,29 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.resize(1280, 860)
     drag(page, box, (0.1, 0.1), (0.4, 0.4))  # draws nothing any more
     assert not page.locator("#region").is_visible()
+
+
+def test_a_polygon_is_closed_by_touch_at_its_first_corner_or_by_a_button(rig, url, open_page):
+    rig.show(pressed(3, force=3000))
+    page = open_page(url, **TOUCH)
+    side = page.box("#raw-frame")["width"]
+    button, title = page.locator("#region-polygon"), page.locator("#region-title")
+    for close in (lambda: page.tap("#raw-frame", position={"x": 18, "y": 2}), button.tap):
+        assert button.inner_text() == "Polygon"
+        button.tap()
+        for x, y in ((0, 0), (0.5, 0), (0, 0.5)):
+            page.tap("#raw-frame", position={"x": 3 + x * side, "y": 3 + y * side})
+        page.wait("document.getElementById('region-polygon').innerText === 'Done'")
+        assert not title.is_visible()
+        close()
+        title.get_by_text("New region: polygon").wait_for()
+        page.get_by_label("Name").fill("toe")
+        page.get_by_role("button", name="Save").tap()
+        page.wait("!document.querySelector('dialog[open]')")
+        (region,) = ask("GET", f"{url}/api/v1/sensors/palm/regions").json()["regions"]
+        assert len(region["points_mm"]) == 3
+        ask("DELETE", f"{url}/api/v1/sensors/palm/regions/toe").raise_for_status()
+        page.wait("!document.querySelector('#regions tbody tr')")
 
 
 def test_a_click_makes_a_region_of_one_cell(rig, url, open_page):

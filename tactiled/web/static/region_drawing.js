@@ -7,8 +7,9 @@ import { notice } from "./notice.js";
 
 const HINTS = {
   rectangle: "Drag on a map, or click a cell. Esc ends.", ellipse: "Drag on a map, or click a cell. Esc ends.",
-  polygon: "Click the corners on a map; Enter closes the polygon, Esc ends.",
+  polygon: "Click the corners on a map; the first one again, or Enter, closes the polygon. Esc ends.",
 };
+const CLOSE_PX = 10; // from the first corner, where a click closes a polygon; a finger may be twice as far off
 
 export class RegionDrawing {
   /**
@@ -44,6 +45,26 @@ export class RegionDrawing {
     this._onChange();
   }
 
+  /** @returns {boolean} it is a polygon that has corners enough */
+  get closable() {
+    return this.shape === "polygon" && this.points.length > 2;
+  }
+
+  /** Close the polygon, if that is possible; draw nothing any more. */
+  end() {
+    if (this.closable) this._finish();
+    else this.stop();
+  }
+
+  /** @param {[number, number]} place mm, of a corner @param {number} near mm, of the first one */
+  _add([x, y], near) {
+    if (this.closable && Math.hypot(x - this.points[0][0], y - this.points[0][1]) < near) this._finish();
+    else {
+      this.points.push([x, y]);
+      this._onChange();
+    }
+  }
+
   /** @param {Heatmap} map */
   _listen(map) {
     const at = (/** @type {PointerEvent} */ event) => {
@@ -60,11 +81,9 @@ export class RegionDrawing {
     root.addEventListener("pointerdown", (event) => {
       if (!this.shape || event.button !== 0) return;
       take(event);
-      if (this.shape === "polygon") this.points.push(at(event));
-      else {
-        this.points = [at(event), at(event)];
-        root.setPointerCapture(event.pointerId);
-      }
+      if (this.shape === "polygon") return;
+      this.points = [at(event), at(event)];
+      root.setPointerCapture(event.pointerId);
       this._onChange();
     }, true);
     root.addEventListener("pointermove", (event) => {
@@ -75,11 +94,13 @@ export class RegionDrawing {
       this._onChange();
     }, true);
     root.addEventListener("pointerup", (event) => {
-      if (!this.shape) return;
+      if (!this.shape || event.button !== 0) return;
       take(event);
-      if (this.shape === "polygon" || !this.points.length) return;
-      this.points[1] = at(event); // a quick drag's last move may not have come
-      this._finish();
+      if (this.shape === "polygon") this._add(at(event), (event.pointerType === "touch" ? 2 * CLOSE_PX : CLOSE_PX) / map.zoom);
+      else if (this.points.length) {
+        this.points[1] = at(event); // a quick drag's last move may not have come
+        this._finish();
+      }
     }, true);
   }
 
@@ -88,7 +109,7 @@ export class RegionDrawing {
     if (!this.shape || (event.key !== "Escape" && event.key !== "Enter")) return;
     event.stopPropagation();
     event.preventDefault();
-    if (event.key === "Enter" && this.shape === "polygon" && this.points.length > 2) this._finish();
+    if (event.key === "Enter") this.end();
     else this.stop();
   }
 

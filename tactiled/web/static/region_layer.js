@@ -6,6 +6,7 @@ import { context2d, fitCanvas } from "./dom.js";
 /** @import { Shape } from "./api.js" */
 
 const TEXT_PX = 12; // CSS px
+const HANDLE_PX = 5; // radius
 
 /** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean}} Outline */
 
@@ -52,6 +53,7 @@ export class RegionLayer {
         draw.stroke();
       }
       draw.setLineDash([]);
+      if (!name && shape === "polygon") drawHandle(draw, points[0]);
       draw.lineWidth = 3;
       draw.strokeStyle = "rgb(0 0 0 / 80%)";
       draw.fillStyle = exceeded ? "#ffb454" : "#fff";
@@ -60,6 +62,17 @@ export class RegionLayer {
       draw.fillText(name, Math.max(2, left), y);
     }
   }
+}
+
+/** Mark the corner at which a polygon is closed. @param {CanvasRenderingContext2D} draw @param {number[]} place px */
+function drawHandle(draw, [x, y]) {
+  draw.beginPath();
+  draw.arc(x, y, HANDLE_PX, 0, 2 * Math.PI);
+  draw.fillStyle = "#fff";
+  draw.fill();
+  draw.lineWidth = 2;
+  draw.strokeStyle = "rgb(0 0 0 / 80%)";
+  draw.stroke();
 }
 
 /**

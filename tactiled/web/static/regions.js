@@ -46,7 +46,7 @@ export class Regions {
     this._plotting = Promise.resolve();
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
-    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.stop() : this._drawing.start(shape)));
+    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.end() : this._drawing.start(shape)));
     byId("region-save").addEventListener("click", () => this._save());
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
@@ -137,8 +137,9 @@ export class Regions {
   }
 
   _draw() {
-    const { shape, points } = this._drawing;
+    const { shape, points, closable } = this._drawing;
     for (const each of SHAPES) byId(`region-${each}`).setAttribute("aria-pressed", String(each === shape));
+    setText(byId("region-polygon"), closable ? "Done" : "Polygon");
     const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
     for (const each of this._layers) each.draw([...this._regions, ...drawn]);
   }
