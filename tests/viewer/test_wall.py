@@ -168,8 +168,9 @@ def test_a_tile_whose_sensor_had_no_shape_or_another_one_asks_again(pair, open_p
 
 def test_a_tile_takes_the_pitch_that_a_reload_changed(pair, open_page, tmp_path):
     rig, url = pair
-    page = open_page(f"{url}/#/wall", ready=READY)
-    page.keep(rig.both, BOTH)
+    rig.stale_after(600)
+    page = open_page(f"{url}/#/wall", ready=f"{FORCES}[0] > 0")
+    assert rig.sequence == 0  # only a status says that another frame 0 is of the restarted sensor
     rig.service.path = tmp_path / "rig.toml"
     palm = CONFIG.format(channel=rig.config.bus["can0"].channel)
     rig.service.path.write_text(palm.replace("pitch_mm = 1.0", "pitch_mm = 3.0") + THUMB)
