@@ -15,6 +15,7 @@ const AXES = { x: "x, mm", y: "y, mm" };
 const BAND_DEVIATIONS = 2; // standard deviations to either side of the restored line
 const MARGIN = 0.06; // of the range, drawn below it
 const DEEP_MARGIN = 0.4; // of the range, drawn below it while something is there
+const LINE_STAYS = 0.85; // of the peak that the line must still reach where it is
 const DEEP_FRAMES = 180; // frames for which that stays, so that the axis does not jump
 
 export class CrossSection {
@@ -98,6 +99,25 @@ function goesBelow(of, floor) {
  */
 const emptyLine = (plane, cells, ink) =>
   line(Math.max(cells.rows, cells.columns), ink, plane.isGrid ? "steps" : "dots", plane.isGrid ? cells.side : 0);
+
+/**
+ * Lay the line through the probe, or the restored peak. It stays until the peak has clearly moved: noise alone must not
+ * make it jump between equal rows.
+ * @param {Plane} plane
+ * @param {Marks} marks where it was
+ * @param {{x: number, y: number}} probe mm, NaN for none
+ * @param {Frame} frame
+ * @returns {number} its place across, mm
+ */
+export function placeLine(plane, marks, probe, { ofRestored, restored }) {
+  const across = ACROSS[marks.along];
+  if (Number.isFinite(probe[across])) return probe[across];
+  if (ofRestored.contact) {
+    const stays = highestAlong(plane, marks, restored) >= LINE_STAYS * ofRestored.peak;
+    return stays ? marks.lineAt : plane.restored[across][ofRestored.peakIndex];
+  }
+  return Number.isFinite(marks.lineAt) ? marks.lineAt : plane.start(across) + plane.extent(across) / 2;
+}
 
 /**
  * The largest pressure along a cross-section.

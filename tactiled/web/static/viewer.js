@@ -2,11 +2,11 @@
 
 import * as api from "./api.js";
 import { ContactOutline } from "./contact_outline.js";
-import { CrossSection, highestAlong } from "./cross_section.js";
+import { CrossSection, placeLine } from "./cross_section.js";
 import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
 import { FrameRate } from "./frame_rate.js";
-import { ACROSS, Plane } from "./geometry.js";
+import { Plane } from "./geometry.js";
 import { KernelPanel } from "./kernel.js";
 import { Maps } from "./maps.js";
 import { notice, messageOf } from "./notice.js";
@@ -18,13 +18,11 @@ import { FORCE_SCALES, FORCE_UNITS, UNITS, forceText, unitOf } from "./units.js"
 import { View } from "./view.js";
 
 /** @import { Played, Sensor } from "./api.js" */
-/** @import { Contact, ContactsMessage } from "./sensor_stream.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
-/** @import { Status } from "./sensor_stream.js" */
+/** @import { Contact, ContactsMessage, Status } from "./sensor_stream.js" */
 
-const LINE_STAYS = 0.85; // of the peak that the cross-section must still reach where it is
 const MIN_FORCES = FORCE_SCALES.map((each) => 100 * each); // that the chart of forces reaches up to: 0.1 N
 const TREND_MS = 100; // between two drawings of what changes slowly
 
@@ -159,21 +157,13 @@ export class Viewer {
   /** @param {Frame} frame @param {Session|PlaybackSession} session */
   _mark(frame, session) {
     const { marks, probe } = this;
-    const { ofRestored } = frame;
-    const { plane } = session;
-    const across = ACROSS[marks.along];
-    if (Number.isFinite(probe[across])) marks.lineAt = probe[across];
-    else if (ofRestored.contact) {
-      // The line stays until the peak has clearly moved: noise alone must not make it jump between equal rows.
-      const stays = highestAlong(plane, marks, frame.restored) >= LINE_STAYS * ofRestored.peak;
-      if (!stays) marks.lineAt = plane.restored[across][ofRestored.peakIndex];
-    } else if (!Number.isFinite(marks.lineAt)) marks.lineAt = plane.start(across) + plane.extent(across) / 2;
+    marks.lineAt = placeLine(session.plane, marks, probe, frame);
     marks.probeX = probe.x;
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
     marks.contacts = this.contactsOfFrame?.contacts ?? null;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
-    marks.outline.update(frame, plane, marks.contacts, session.paused);
+    marks.outline.update(frame, session.plane, marks.contacts, session.paused);
     marks.outlined = session.paused ? frame.sequence : -1;
   }
 
@@ -256,13 +246,12 @@ export class Viewer {
       const [geometry, sensor, recorded] = await Promise.all([api.geometry(name), api.sensor(name), this.source?.(name) ?? null]);
       if (mine !== this._selection) return;
       this._open(sensor, new Plane(geometry), recorded);
+      await this.loadKernel();
     } catch (error) {
       if (mine !== this._selection) return;
       this.name = "";
       notice(`${name}: ${messageOf(error)}`, true);
-      return;
     }
-    await this.loadKernel();
   }
 
   /** Show the cover as it is now. */
