@@ -2,6 +2,7 @@
 
 import ctypes
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from threading import Lock, Thread, get_ident
 from types import TracebackType
@@ -25,6 +26,11 @@ def join_started(thread: Thread) -> None:
     """Wait for a thread's end; return at once if it was never started, which `Thread.join` refuses."""
     if thread.ident is not None:
         thread.join()
+
+
+def run_on_thread(work: Callable[[], None]) -> None:
+    """Start `work` on a thread; the interpreter waits for its end, as numpy's code aborts the process else."""
+    Thread(target=work, name="background").start()
 
 
 class FairLock:

@@ -54,6 +54,13 @@ def test_a_slow_thread_loses_the_lock_and_its_end_releases_no_other():
         pass
 
 
+def test_the_interpreter_waits_for_work_on_a_thread():
+    """A thread inside numpy that ends with the interpreter aborts the process."""
+    code = "import time; from tactiled.threads import run_on_thread as run; run(lambda: [time.sleep(1), print(1)])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=BUSY_S, check=True)
+    assert done.stdout == b"1\n"
+
+
 COUNT_HEAPS = """
 import ctypes, sys, tempfile, threading
 from tactiled.threads import limit_heaps

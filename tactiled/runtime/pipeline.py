@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf
+from operator import call
 from threading import Lock
 from time import monotonic, thread_time
 from typing import Any, cast
@@ -23,7 +24,7 @@ from tactiled.restore.noise import estimate, noise_ratio
 from tactiled.restore.scene import Restored
 from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
-from tactiled.runtime.thickness_search import ThicknessSearch
+from tactiled.runtime.thickness_search import Start, ThicknessSearch
 from tactiled.units import N_PER_KPA_MM2, Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
@@ -38,8 +39,11 @@ class Pipeline:
     `load_description`, `deviation` and `forces` may be called from any thread, too; the rest between two frames.
     """
 
-    def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None) -> None:
-        """`before` ran until now, of the same array by another calibration: its method and noise are a start."""
+    def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None, start: Start = call) -> None:
+        """`before` ran until now, of the same array by another calibration: its method and noise are a start.
+
+        `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings always.
+        """
         self._plan = plan
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
@@ -53,7 +57,7 @@ class Pipeline:
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
-        self._thickness = ThicknessSearch(plan)
+        self._thickness = ThicknessSearch(plan, start)
         self.cover = CoverMonitor(plan)
         self.method: str = before.method if before else plan.method
         self._noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy

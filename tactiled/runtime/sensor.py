@@ -22,7 +22,7 @@ from tactiled.runtime.hub import Hub, Publisher
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.runtime.region_monitor import RegionMonitor
 from tactiled.runtime.timings import Timings
-from tactiled.threads import FRAME_LOCK, join_started
+from tactiled.threads import FRAME_LOCK, join_started, run_on_thread
 
 State = Literal["live", "stale", "silent", "down", "ended"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
@@ -79,7 +79,7 @@ class Sensor:
         history: tuple[float, int] = (0.0, 0),  # s and bytes of images that are kept
     ) -> None:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
-        self.pipeline, self.hub, self.timings = Pipeline(plan), Hub(), Timings()
+        self.pipeline, self.hub, self.timings = Pipeline(plan, start=run_on_thread), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
         self.sends: Publisher[tuple[Image, float]] = Publisher()  # each to a client, and when (s): event loop
         self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
@@ -169,7 +169,7 @@ class Sensor:
 
         The new pipeline is made first, so that frames wait for the exchange alone.
         """
-        pipeline = Pipeline(plan, self.pipeline)
+        pipeline = Pipeline(plan, self.pipeline, run_on_thread)
         commit()
         with self._between_frames:
             pipeline.take_over(self.pipeline)

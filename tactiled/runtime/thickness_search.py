@@ -1,6 +1,6 @@
-"""Which cover would explain a frame that the configured one does not: searched on a thread, once a mismatch."""
+"""Which cover would explain a frame that the configured one does not: searched once a mismatch."""
 
-from threading import Thread
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,17 @@ from tactiled.frames import FrameWarning
 
 SUSPECTS: set[WarningCode] = {"cover_mismatch", "outliers"}  # what too thick a cover's model may look like
 PAUSE_FRAMES = 1000  # between two searches: each takes 0.2 to 0.5 s of a core
+Start = Callable[[Callable[[], None]], object]  # runs a search, at once or on a thread
 
 
 class ThicknessSearch:
     """Holds suspicions of one array back until a search has ended, then names the thickness that explains them."""
 
-    def __init__(self, plan: SensorPlan) -> None:
-        self._plan = plan
+    def __init__(self, plan: SensorPlan, start: Start) -> None:
+        self._plan, self._start = plan, start
         self._searchable = plan.array.shape is not None and plan.kernel.model != "measured"
-        self._thread: Thread | None = None
         self._thickness_mm: float | None = None
-        self._mismatched, self._pause = False, 0
+        self._mismatched, self._searching, self._pause = False, False, 0
 
     def __call__(
         self,
@@ -35,26 +35,26 @@ class ThicknessSearch:
         """The warnings of a frame: what a thinner cover explains is `cover_mismatch`, with that thickness."""
         self._pause = max(self._pause - 1, 0)
         mismatched = self._searchable and any(each.code in SUSPECTS for each in warnings)
-        if mismatched and not self._mismatched and not self._pause:
-            self._start(np.where(flags == 0, raw, np.nan), noise_kpa)
+        if mismatched and not (self._mismatched or self._searching or self._pause):
+            self._search(np.where(flags == 0, raw, np.nan), noise_kpa)
         self._mismatched = mismatched
         if not mismatched:
             return warnings
         others = tuple(each for each in warnings if each.code not in SUSPECTS)
-        if self._thread and self._thread.is_alive():
+        if self._searching:
             return others
         if self._thickness_mm is None:
             return warnings
         return (*others, cover_warning(self._thickness_mm, self._plan.kernel.stack.depth))
 
-    def _start(self, frame: NDArray[np.float32], noise_kpa: float) -> None:
-        if self._thread and self._thread.is_alive():
-            return
-        self._thickness_mm, self._pause = None, PAUSE_FRAMES
+    def _search(self, frame: NDArray[np.float32], noise_kpa: float) -> None:
+        self._thickness_mm, self._searching, self._pause = None, True, PAUSE_FRAMES
 
         def search() -> None:
-            family = CoverFamily(self._plan.kernel.stack)
-            self._thickness_mm = fitting_thickness(frame, noise_kpa, family, self._plan.array)
+            try:
+                family = CoverFamily(self._plan.kernel.stack)
+                self._thickness_mm = fitting_thickness(frame, noise_kpa, family, self._plan.array)
+            finally:
+                self._searching = False
 
-        self._thread = Thread(target=search, name=f"thickness {self._plan.name}", daemon=True)
-        self._thread.start()
+        self._start(search)

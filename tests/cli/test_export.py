@@ -5,6 +5,7 @@ import sys
 import tracemalloc
 from base64 import b64decode
 from collections import defaultdict
+from itertools import chain
 from types import SimpleNamespace
 
 import h5py
@@ -27,6 +28,7 @@ from tests.cli.recordings import CONFIG, FRAMES, HEEL, write
 from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
 from tests.conftest import BUSY_S
+from tests.diagnostics.test_checks import NOISE, SIDE, sense
 from tests.interop.test_foxglove_live import pressures
 from tests.skin import CONFIG as SKIN
 from tests.skin import X, Y, Z, messages
@@ -113,6 +115,22 @@ def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):
         assert got.attrs["provenance"] == npz["provenance"].item()
         assert got["raw"].attrs["units"] == "kPa"
         assert got["cells_mm"].attrs["units"].startswith("mm")
+
+
+def test_an_export_names_a_thinner_cover_from_the_frame_on_that_shows_it(tmp_path):
+    text = CONFIG.replace("0.8", "1.5").replace("pitch_mm = 1.0", "pitch_mm = 1.0, aperture_mm = 0.8")
+    counts = 2 * sense(thickness=0.75, pressure=300, radius=6) + 100
+    config = tmp_path / "a.toml"
+    config.write_text(text.replace("= 8", f"= {SIDE}").replace("4000", f"4000, noise_kpa = {NOISE}"))
+    codec = make_codec(load(config).sensor["palm"])
+    frames = [codec.encode(counts.round().astype(np.uint16).ravel(), n, 1.6e9 + n / 100) for n in range(36)]
+    log = write(tmp_path / "a.log", chain(*frames))
+    one, other = (exported(log, config, tmp_path / name) for name in ("a.mcap", "b.mcap"))
+    assert one.read_bytes() == other.read_bytes()
+    warnings = [each.decoded_message["warnings"] for each in topics(one)[0]["/palm/status"]]
+    named = [{each["code"]: each["thickness_mm"] for each in of_one}.get("cover_mismatch") for of_one in warnings]
+    assert named == 32 * [None] + 4 * named[-1:]  # the third check is the 33rd frame's
+    assert 0.75 < named[-1] < 1
 
 
 JSON = SimpleNamespace(decoder_for=lambda encoding, _: json.loads if encoding == "json" else None)
