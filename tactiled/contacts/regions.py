@@ -93,7 +93,7 @@ class RegionMeter:
         """What an image holds in the region."""
         noise, areas = image.noise * max(image.noise_gain, 1.0), self._areas
         pressure = image.restored.reshape(-1)[self._cells]
-        measured = ~np.isnan(pressure)
+        measured = ~np.isnan(pressure) & np.isfinite(image.raw).any()
         if not measured.all():
             pressure, areas = pressure[measured], areas[measured]
         if not len(pressure):

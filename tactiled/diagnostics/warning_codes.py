@@ -13,12 +13,12 @@ TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "pressure is in counts: calibrate, or give kpa_per_count{unused}",
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
     "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
-    "missing": "{taxels} did not arrive: restored from {their} neighbours",
-    "bad": "{taxels} called faulty by the sensor: restored from {their} neighbours",
-    "dead": "{taxels} dead: restored from {their} neighbours",
+    "missing": "{taxels} did not arrive: {instead}",
+    "bad": "{taxels} called faulty by the sensor: {instead}",
+    "dead": "{taxels} dead: {instead}",
     "saturated": "{taxels} saturated: {their} pressure is a lower bound",
     "out_of_range": "{taxels} beyond the calibrated range: {their} pressure is extrapolated",
-    "faulty": "{taxels} found not to work: restored from {their} neighbours",
+    "faulty": "{taxels} found not to work: {instead}",
     "wrong_map": "the map of taxels is wrong: {wrong}",
     "cover_mismatch": "the image does not match the data: check the cover settings and look for faulty taxels",
     "outliers": "single taxels disagree with their neighbours: list dead or damaged ones in calibration.dead",
@@ -36,7 +36,8 @@ def warning(code: WarningCode, taxels: int | None = None, **values: object) -> F
     counted = (
         {"taxels": "1 taxel", "their": "its"} if taxels == 1 else {"taxels": f"{taxels} taxels", "their": "their"}
     )
-    return FrameWarning(code, TEXTS[code].format(**counted, **values), taxels)
+    instead = "restored from {their} neighbours".format(**counted)
+    return FrameWarning(code, TEXTS[code].format(**{"instead": instead} | counted | values), taxels)
 
 
 def cover_warning(

@@ -59,6 +59,10 @@ class Inpainter:
         self._reading[self._unknown] = 0
         return np.multiply(self._reading, self._scale, out=self._frame)
 
+    def is_empty(self) -> bool:
+        """Whether the frame just masked has no taxel that is known."""
+        return bool(self._unknown.all())
+
     def fill(self) -> Image:
         """Give the frame just masked, unknown and noisy taxels inferred, saturated ones not below their values."""
         lost = self._unknown | self._bounded

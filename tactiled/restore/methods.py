@@ -25,6 +25,7 @@ from tactiled.restore.window import Windowed, fits
 RL_ITERATIONS = 30  # of Richardson-Lucy, at most
 FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five times the median at times
 BY_HAND = "selected by hand"
+NO_DATA = "no taxel has data, and the image is zero"
 NO_POINTS = "not a few point loads; used NNLS"
 NOT_TRAINED = "the network was trained on grids of eight taxels a side, one cell each: non-negative instead"
 NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
@@ -40,7 +41,10 @@ class Restorer:
         self.weigh(noise_ratio)
         self._method = METHODS[method](self._scene)
         self.prepare = self._method.prepare
-        self._filled = False  # the last frame
+        self._no_data = Restored(
+            np.zeros(blur.surface_shape, np.float32), "idle", NO_DATA, 0, 0.0, self._scene.widest_mm
+        )
+        self._empty = self._filled = False  # the last frame
 
     def __call__(
         self,
@@ -53,10 +57,14 @@ class Restorer:
         Once `expired` says so, the image is the best so far, and `cut_short`.
         """
         y, scene, self._filled = np.ascontiguousarray(frame, np.float32), self._scene, False
+        self._empty = False
         scene.measure_range(y)
         plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
         if not plausible or self._inpainter.weighs or (flags is not None and flags.any()):
             y = self._inpainter.mask(y, flags)
+            if self._inpainter.is_empty():
+                self._empty = True
+                return self._no_data
             scene.measure_range(y)
             if not self._method.is_idle(y):
                 y, self._filled = self._inpainter.fill(), True
@@ -66,7 +74,9 @@ class Restorer:
         return done._replace(cut_short=True) if scene.cut_short else done
 
     def deviation(self) -> Floats:
-        """Standard deviation (kPa) of every cell of the image last restored."""
+        """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""
+        if self._empty:
+            return np.full(self._no_data.image.shape, np.nan)
         spread = self._method.deviation()
         return np.hypot(spread, self._inpainter.deviation()) if self._filled else spread
 

@@ -19,7 +19,7 @@ from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
-from tactiled.restore.methods import Restorer, make, require
+from tactiled.restore.methods import NO_DATA, Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
 from tactiled.restore.scene import Restored
 from tactiled.runtime.cover_monitor import CoverMonitor
@@ -307,8 +307,9 @@ def flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
     """A warning for each flag that some taxels have."""
     if not flags.any():
         return ()
+    instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
     counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
-    return tuple(warning(code, count) for code, count in counts if count)
+    return tuple(warning(code, count, **instead) for code, count in counts if count)
 
 
 class Noise:
@@ -334,7 +335,7 @@ class Noise:
         if self._pause:
             self._pause -= 1
             return
-        self._frames.append(raw)
+        self._frames += [raw] if np.isfinite(raw).any() else []
         if len(self._frames) == NOISE_FRAMES:
             self._compare(max(self._floor, estimate(np.stack(self._frames))))
             self._frames, self._pause = [], NOISE_PAUSE_FRAMES

@@ -35,7 +35,7 @@ class TareFrames:
     def add(self, frame: RawFrame) -> NDArray[np.float32] | None:
         """All frames (T, 1, N) of counts, or (T, 3, N) with shear along x and y, once enough; NaN: unknown."""
         with self._lock:
-            if self._frames is None:
+            if self._frames is None or (frame.flags & UNKNOWN).all():
                 return None
             self._first_at = self._first_at if self._frames else frame.arrived
             values = np.asarray(frame.counts, np.float32)[None].copy()

@@ -102,6 +102,15 @@ def test_unknown_taxels_are_inferred_whatever_their_values(covered, pressed, met
     assert error(images[0], truth) < error(make(method, blur, SIGMA)(broken[0]).image, truth)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_frame_without_data_is_zero_and_says_so_instead_of_no_contact(covered, pressed, method):
+    restorer = make(method, covered(), SIGMA)
+    restorer(pressed(covered(), SIGMA)[0])
+    done = restorer(np.full((12, 12), np.nan, np.float32))
+    assert (done.why, done.image.any()) == ("no taxel has data, and the image is zero", False)
+    assert np.isnan(restorer.deviation()).all()
+
+
 def test_a_saturated_taxel_is_a_lower_bound(covered):
     blur = covered((16, 16))
     y, x = np.mgrid[:16, :16] - 7.3

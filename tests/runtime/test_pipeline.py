@@ -90,6 +90,15 @@ def test_a_taxel_without_data_is_nan_in_raw_inferred_in_restored_and_has_a_warni
     assert image.warnings[2].text == "1 taxel dead: restored from its neighbours"
 
 
+def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
+    pipeline, empty = make(noise_kpa=None), np.full(SHAPE, BAD)
+    pipeline.tare(TARED_AT)
+    images = [pipeline.process(frame(arrived=n * TARE_S, flags=empty)) for n in range(NOISE_FRAMES)]
+    text = "no taxel has data, and the image is zero"
+    assert images[-1].warnings == (FrameWarning("bad", f"64 taxels called faulty by the sensor: {text}", 64),)
+    assert (images[-1].why, pipeline.tared, pipeline.noise.settled) == (text, 0, False)
+
+
 def test_saturated_taxels_have_a_warning(make):
     image = make(saturation=500).process(frame())
     assert np.count_nonzero(image.flags & SATURATED) == 4
