@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
+from tactiled.files import whole_file
 
 # Okabe and Ito's palette, its yellow left out: too faint on white. Dashes tell the lines apart in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9")
@@ -40,10 +41,8 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     with mpl.rc_context(fname=STYLE):
         chart = Figure(figsize=(width, height), layout="constrained")
         yield chart
-        try:
-            chart.savefig(path, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
-        except OSError as error:
-            raise ConfigError(f"picture {path} cannot be written: {error.strerror}") from error
+        with whole_file(path, replace=True) as part:
+            chart.savefig(part, metadata={"Date": None} if path.suffix.lower() == ".svg" else None)
 
 
 def two_models(path: Path, fem: Kernel, exact: Kernel) -> None:

@@ -2,10 +2,12 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tactiled.config.example import EXAMPLE
 from tactiled.cover.layered import gain
 from tactiled.cover.stack import Layer, Stack
+from tactiled.study.charts import figure
 from tests.cli.commands import refusal, succeed
 
 Q = [0.25, 0.5, 1, 2, 3, 4]
@@ -77,9 +79,22 @@ def test_cover_and_array_of_a_configuration(tmp_path):
     np.testing.assert_allclose(got["gain"], gain(stack, np.array([0.1, 0.2])), atol=1e-3)
 
 
-def test_plot(tmp_path):
-    succeed("cover", "--model", "layered", "--plot", tmp_path / "cover.svg")
-    assert (tmp_path / "cover.svg").read_bytes().startswith(b"<?xml")
+def test_plot_replaces_the_file_before_unless_it_is_interrupted(tmp_path, monkeypatch):
+    path = tmp_path / "cover.svg"
+    path.write_text("old")
+
+    def interrupted(_, out, **_options):
+        out.write_text("half")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Figure, "savefig", interrupted)
+        with pytest.raises(KeyboardInterrupt), figure(path, 1, 1):
+            pass
+    assert path.read_text() == "old"
+    succeed("cover", "--model", "layered", "--plot", path)
+    assert path.read_bytes().startswith(b"<?xml")
+    assert [*tmp_path.iterdir()] == [path]
 
 
 @pytest.mark.parametrize(
@@ -100,6 +115,7 @@ def test_plot(tmp_path):
         ("--accuracy 0", "accuracy is 0.0"),
         ("--accuracy 1e-5 --budget 0", "accuracy 1e-05 is not met in the given time"),
         ("--plot cover.bmp", "picture cover.bmp: give a name"),
+        ("--plot gone/cover.svg", "gone/cover.svg: No such file or directory: nothing is written"),
         ("--config nowhere.toml", "nowhere.toml: No such file"),
     ],
 )
