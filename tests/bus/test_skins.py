@@ -1,6 +1,7 @@
 """Skins by name, and those of other packages; the one in the guide is installed and run as it stands there."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,9 @@ def sensor(codec='name = "my-skin"', array="rows = 2, columns = 4, pitch_mm = 4.
 
 
 def test_the_guides_example_works_and_is_recognised(install):
-    assert 'my-skin = "my_skin:MySkin"' in SECTION
+    project = tomllib.loads(re.search(r"```toml\n(.*?)```", SECTION, re.DOTALL)[1])["project"]
+    assert {*project} == {"name", "version", "entry-points"}  # without a name and a version pip refuses it
+    assert project["entry-points"] == {"tactiled.codecs": {"my-skin": "my_skin:MySkin"}}
     install()
     plan = sensor_plan("skin", sensor('name = "my-skin", base_id = 0x200'))
     assert (plan.codec_name, plan.codec.ids) == ("my-skin", {(0x200, False), (0x201, False)})
