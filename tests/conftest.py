@@ -171,7 +171,7 @@ def multicast():
 
 @pytest.fixture
 def udp_port():
-    """A port of UDP that is free, so that no other test's traffic comes: a multicast bus hears all of its port."""
+    """A port of UDP that is free, so that no other test's traffic comes."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("", 0))
         return one.getsockname()[1]

@@ -32,6 +32,7 @@ HINTS = {
 }
 BUFFER_BYTES = 8 << 20  # that the kernel keeps for us: 0.6 s of two full 1 Mbit/s buses
 SO_RCVBUFFORCE, SO_MEMINFO, MEMINFO = 33, 55, 9  # Linux's; the last of SO_MEMINFO's nine numbers counts drops
+MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (socket.IPPROTO_IPV6, 29)}  # Linux's
 BUS_OFF_HINT = (
     "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
     "restart-ms 100` brings it back by itself"
@@ -242,7 +243,11 @@ def only(settings: dict[str, Any], ids: Iterable[tuple[int, bool]]) -> dict[str,
 
 
 def _socket(bus: BusABC) -> socket.socket | None:
-    """A second handle of the socket behind a bus, its buffer enlarged; None for a bus of another kind."""
+    """A second handle of the socket behind a bus; None for a bus of another kind.
+
+    Its buffer is enlarged, and only its own multicast group comes: by default Linux gives every group of its port
+    that any program has joined.
+    """
     try:
         handle = socket.socket(fileno=os.dup(bus.fileno()))
     except (OSError, NotImplementedError):
@@ -251,6 +256,9 @@ def _socket(bus: BusABC) -> socket.socket | None:
         for option in (socket.SO_RCVBUF, SO_RCVBUFFORCE):  # the second goes past the system's bound, if allowed
             with suppress(OSError):
                 handle.setsockopt(socket.SOL_SOCKET, option, BUFFER_BYTES)
+    if sys.platform == "linux" and (every_group := MULTICAST_ALL.get(handle.family)):
+        with suppress(OSError):
+            handle.setsockopt(*every_group, 0)
     return handle
 
 

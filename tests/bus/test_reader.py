@@ -8,6 +8,7 @@ from can.interfaces.socketcan import SocketcanBus
 from tactiled.bus.reader import BUS_OFF_HINT, Reader, only, open_bus
 from tactiled.errors import BusError
 from tactiled.frames import Message
+from tests.conftest import BUSY_S
 
 
 class Broken(can.BusABC):
@@ -54,6 +55,17 @@ def test_what_is_sent_is_received_and_error_and_remote_frames_are_counted(reques
     sender.close()
     for _ in range(2):
         reader.close()
+
+
+def test_a_multicast_bus_has_only_the_messages_of_its_group(udp_port):
+    bus = {"interface": "udp_multicast", "port": udp_port, "hop_limit": 0}
+    groups = "239.74.163.78", "239.74.163.79"
+    readers, senders = ([open_bus(channel=group, **bus) for group in groups] for _ in range(2))
+    for id_, sender in enumerate(senders):
+        sender.send(Message(0.0, id_, b""))
+    assert [each.receive(BUSY_S).id for each in readers[::-1]] == [1, 0]
+    for each in (*readers, *senders):
+        each.close()
 
 
 class Socketcan(SocketcanBus):
