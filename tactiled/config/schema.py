@@ -283,7 +283,7 @@ class Sensor(Section):
     """Processor time for restoring a frame, after which its image is the best so far; left out: a tenth of the
     time from frame to frame (0.4 of it divided by the sensors if there are more than four), 1 ms at most."""
     refine: Annotated[int, Bounds(1, 8)] = 1
-    """Cells of the restored image along each side of a taxel."""
+    """Cells of the restored image along each side of a taxel; smaller cells show no finer detail."""
     stale_after_s: Annotated[float, Bounds(0.001, 3600.0, "s")] = 0.5
     """Age of the last frame from which the sensor is stale."""
 
