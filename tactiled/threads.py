@@ -30,7 +30,7 @@ def join_started(thread: Thread) -> None:
 
 def run_on_thread(work: Callable[[], None]) -> None:
     """Start `work` on a thread; the interpreter waits for its end, as numpy's code aborts the process else."""
-    Thread(target=work, name="background").start()
+    Thread(target=work, name="background", daemon=False).start()  # else it is as the caller's thread
 
 
 class FairLock:

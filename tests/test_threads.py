@@ -54,10 +54,22 @@ def test_a_slow_thread_loses_the_lock_and_its_end_releases_no_other():
         pass
 
 
+WORK = """
+import threading, time
+from tactiled.threads import run_on_thread
+
+def start():
+    run_on_thread(lambda: [time.sleep(1), print(1)])
+
+sensor = threading.Thread(target=start, daemon=True)
+sensor.start()
+sensor.join()
+"""
+
+
 def test_the_interpreter_waits_for_work_on_a_thread():
     """A thread inside numpy that ends with the interpreter aborts the process."""
-    code = "import time; from tactiled.threads import run_on_thread as run; run(lambda: [time.sleep(1), print(1)])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=BUSY_S, check=True)
+    done = subprocess.run([sys.executable, "-c", WORK], capture_output=True, timeout=BUSY_S, check=True)
     assert done.stdout == b"1\n"
 
 
