@@ -3,7 +3,7 @@
 import difflib
 import logging
 import sys
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from dataclasses import asdict, is_dataclass
 from functools import cache, lru_cache
 from importlib import import_module
@@ -13,17 +13,20 @@ from pkgutil import iter_modules
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from tactiled.bus import codecs
 from tactiled.bus.assembler import unpacked
-from tactiled.bus.codec import Codec, Skin
+from tactiled.bus.codec import Codec, Match, ShearCodec, Skin, Traffic
 from tactiled.bus.redact import redactor, seal, show
 from tactiled.errors import ConfigError, TactileError
+from tactiled.frames import Counts, Message
 from tactiled.geometry import Array
 
 GROUP = "tactiled.codecs"
 BUILT_IN = tuple(each.name for each in iter_modules(codecs.__path__))
+LARGE_SEQUENCE = 1 << 20  # no skin sends such a number: it wraps before
 LOG = logging.getLogger(__name__)
 
 
@@ -34,6 +37,15 @@ def skins() -> Iterator[tuple[str, type[Skin]]]:
             yield name, load(name)
         except ConfigError as error:
             LOG.warning("%s", error)
+
+
+def recognised(name: str, skin: type[Skin], traffic: Traffic) -> list[Match]:
+    """Every array of a skin in what came on a bus; a recogniser that fails is logged, and has none."""
+    try:
+        return list(skin.recognise(traffic))
+    except Exception as error:  # of another package's skin: none of ours raises here
+        LOG.warning("%r of %s: recognise fails: %s", name, _packages(_offers(), name), _line(error))
+        return []
 
 
 def load(name: str) -> type[Skin]:
@@ -113,22 +125,59 @@ def make(name: str, skin: Skin, array: Array) -> Codec:
 
 
 def _try_out(codec: Codec) -> None:
-    """Refuse a codec whose `decode` and `unpack` do not give back what `encode` was given."""
+    """Refuse a codec that does not give back what it encodes, or takes a lost message for one of other taxels."""
     counts = (np.arange(codec.size) % (codec.full_scale + 1)).astype(np.uint16)
+    payloads = _payloads(codec, codec.encode(counts, 0, 0.0))
+    unpacked(codec, [None] * codec.segments)
+    _require_counts(counts, unpacked(codec, payloads)[0])
+    for lost in {0, codec.segments // 2, codec.segments - 1}:
+        others = counts.copy()
+        others[codec.span(lost)] = 0
+        decoded, _ = unpacked(codec, [*payloads[:lost], None, *payloads[lost + 1 :]])
+        if wrong := np.flatnonzero(decoded != others).tolist():
+            raise ConfigError(
+                f"without segment {lost} taxel {wrong[0]} is {decoded[wrong[0]]} and not {others[wrong[0]]}: "
+                f"span({lost}) must give the taxels of this segment"
+            )
+    if not isinstance(codec, ShearCodec):
+        _payloads(codec, codec.encode(counts, LARGE_SEQUENCE, 0.0))
+        return
+    shear = (np.arange(2 * codec.size, dtype=np.float32) % 3 - 1).reshape(2, -1)
+    decoded, felt = unpacked(codec, _payloads(codec, codec.encode_sheared(counts, shear, LARGE_SEQUENCE, 0.0)))
+    _require_counts(counts, decoded)
+    if felt is not None and not np.allclose(felt, shear, rtol=0, atol=1):
+        axis, taxel = np.unravel_index(np.nanargmax(np.abs(felt - shear)), shear.shape)
+        raise ConfigError(
+            f"shear of taxel {taxel} along {'xy'[axis]} was encoded as {shear[axis, taxel]:g} and decoded as "
+            f"{felt[axis, taxel]:g}"
+        )
+
+
+def _payloads(codec: Codec, messages: Iterable[Message]) -> list[bytes | None]:
+    """The payloads of the segments of one encoded frame; ConfigError where they are not each there once."""
     payloads: list[bytes | None] = [None] * codec.segments
     covered = np.zeros(codec.size, int)
-    for message in codec.encode(counts, 0, 0.0):
+    for message in messages:
         if (message.id, message.extended) not in codec.ids:
             raise ConfigError(f"encode made a message with id {message.id:#x}, which the codec does not list")
         reading = codec.decode(message)
+        if not 0 <= reading.segment < codec.segments:
+            raise ConfigError(
+                f"decode gave segment {reading.segment} of message {message.id:#x}: expected 0 to "
+                f"{codec.segments - 1}"
+            )
         payloads[reading.segment] = reading.payload
         covered[codec.span(reading.segment)] += 1
     if None in payloads or not np.all(covered == 1):
         raise ConfigError("the segments that encode made do not carry every taxel once")
-    unpacked(codec, [None] * codec.segments)
-    decoded, _ = unpacked(codec, payloads)
-    if wrong := np.flatnonzero(decoded != counts).tolist():
-        raise ConfigError(f"taxel {wrong[0]} was encoded as {counts[wrong[0]]} and decoded as {decoded[wrong[0]]}")
+    return payloads
+
+
+def _require_counts(encoded: NDArray[np.uint16], decoded: Counts) -> None:
+    if wrong := np.flatnonzero(decoded != encoded).tolist():
+        raise ConfigError(
+            f"taxel {wrong[0]} was encoded as {encoded[wrong[0]]} and decoded as {decoded[wrong[0]]}"
+        )
 
 
 def _redactor(name: str, table: Mapping[str, Any]) -> Callable[[str], str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tactiled.bus.assembler import assemble
 from tactiled.bus.codec import Match, Traffic
-from tactiled.bus.skins import skins
+from tactiled.bus.skins import recognised, skins
 from tactiled.frames import Message
 
 SETTLED_FRAMES = 8  # in which the beginning of a frame without sequence numbers is learned
@@ -46,7 +46,7 @@ class Survey:
 def survey(messages: Iterable[Message]) -> Survey:
     """Every known skin among some messages, and the rest by id; a skin with sequence numbers comes first."""
     traffic = Traffic(messages)
-    matches = [(name, each) for name, skin in skins() for each in skin.recognise(traffic)]
+    matches = [(name, each) for name, skin in skins() for each in recognised(name, skin, traffic)]
     matches.sort(key=lambda each: each[1].codec.modulus is None)
     senders = []
     for name, match in matches:

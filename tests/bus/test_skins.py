@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from tactiled.build import make_array, make_calibration, make_codec, sensor_plan
 from tactiled.bus.assembler import assemble
+from tactiled.bus.codecs import xela
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import survey
 from tactiled.config import parse
@@ -90,6 +92,13 @@ def test_every_fault_of_a_skins_settings_is_named(install, codec, reasons):
         ("enumerate(rows)]", "enumerate(rows)][:1]", "do not carry every taxel once"),
         ("self.base_id + at, row", "at, row", "a message with id 0x0, which the codec does not list"),
         (", full_scale = 8, 4, 255", " = 8, 4", "NotImplementedError"),
+        ("message.id - self", "1 + message.id - self", "decode gave segment 2 of message 0x121: expected 0 to 1"),
+        ("row.tobytes()", "row.tobytes() + bytes([sequence])[:0]", "ValueError: bytes must be in range"),
+        (
+            "    def decode",
+            "    def span(self, segment): return slice(4 - 4 * segment, 8 - 4 * segment)\n\n    def decode",
+            r"without segment 0 taxel 1 is 0 and not 1: span\(0\) must give the taxels of this segment",
+        ),
     ],
 )  # fmt: skip
 def test_a_faulty_package_is_refused_by_its_name(install, old, new, reason):
@@ -97,6 +106,21 @@ def test_a_faulty_package_is_refused_by_its_name(install, old, new, reason):
     install(CODE.replace(old, new))
     with pytest.raises(ConfigError, match=f"{PACKAGE}.*{reason}"):
         make_codec(sensor())
+
+
+def test_a_skin_whose_shear_does_not_come_back_is_refused(monkeypatch):
+    decoded = xela.Xela.shear
+    monkeypatch.setattr(xela.Xela, "shear", lambda *args: decoded(*args) + 5)
+    with pytest.raises(ConfigError, match="shear of taxel 0 along x was encoded as -1 and decoded as"):
+        make_codec(sensor('name = "xela"'))
+
+
+def test_a_recogniser_that_fails_is_named_and_others_go_on(install, caplog):
+    install(CODE.replace("sorted(traffic)", "sorted_(traffic)"))
+    codec = make_codec(sensor('name = "barrett", node = 3'))
+    frames = [codec.encode(np.zeros(codec.size, np.uint16), n, n / 10) for n in range(9)]
+    assert [each.name for each in survey(chain(*frames)).senders] == ["barrett"]
+    assert "'my-skin' of my_skin 1.2: recognise fails: NameError: name 'sorted_' is not" in caplog.text
 
 
 def test_a_broken_package_is_imported_only_if_it_is_named(install, caplog):
