@@ -14,7 +14,8 @@ from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
 
-RESTART_S = 0.25  # of silence, after which a sequence number that looks old is that of a restarted sender
+# A sequence number that looks old is that of a restarted sender after this silence, or after these frames of such.
+RESTART_S, RESTART_FRAMES = 0.25, 3
 
 
 @dataclass(slots=True)
@@ -31,9 +32,10 @@ class Assembler:
 
     A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
-    one that it always comes before, begins a newer frame. A sender that restarts its sequence numbers after a
-    silence is followed at once. Of a segment that came twice and not the same neither is used: nobody knows which
-    of two senders is right. A codec's fault, of whatever kind, is a malformed message.
+    one that it always comes before, begins a newer frame. A sender that restarts its sequence numbers is
+    followed at once after a silence, else after RESTART_FRAMES. Of a segment that came twice and not the same
+    neither is used: nobody knows which of two senders is right. A codec's fault, of whatever kind, is a malformed
+    message.
 
     Ages and silences are of `now` (s), which is when a message came and never steps back; the times of messages,
     whose clock may, are data.
@@ -49,6 +51,7 @@ class Assembler:
         self._wire = NO_SEQUENCE  # sequence number, as on the bus, of the newest frame begun
         self._sequence = -1  # the same, not wrapped
         self._newest = float("-inf")  # s, when the newest message came
+        self._old = 0  # messages in a row of older frames
         self._cycle = Cycle() if codec.modulus is None else None
         self._others: list[_Others] = []  # of the batch that is taken
         self._ended = float("inf")  # s, when the frame closed last had its last message
@@ -107,7 +110,9 @@ class Assembler:
         self._newest = max(self._newest, now)
         if step <= 0 and (step < 0 or frame is None):
             self.count("repeated" if step == 0 and self._closed[segment] else "late")
+            self._old = self._old + 1 if step < 0 else 0
             return at + 1
+        self._old = 0
         if step or frame is None:
             frames += self._closed_by(arrivals.row(at))
             self.count("lost", (step - 1) * self.codec.segments)
@@ -160,7 +165,8 @@ class Assembler:
         ahead = (sequence - self._wire) % modulus
         step = ahead if ahead <= modulus // 2 else ahead - modulus
         old = step < 0 or (step == 0 and frame is None)
-        return 1 if old and now - self._newest > RESTART_S else step
+        restarted = now - self._newest > RESTART_S or self._old >= RESTART_FRAMES * self.codec.segments
+        return 1 if old and restarted else step
 
     def _begins(self, frame: OpenFrame, segment: int) -> bool:
         """Whether a segment without a sequence number cannot be of the open frame."""

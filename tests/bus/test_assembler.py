@@ -143,6 +143,12 @@ def test_a_step_of_the_clock_without_a_silence_is_no_restart(step):
     assert assembler.loss == Loss(late=3)
 
 
+def test_a_sender_that_begins_again_without_a_silence_is_followed_after_three_frames():
+    frames, loss = run(each._replace(time=0.0) for n in (100, 101, *range(6)) for each in frame_of(n))
+    assert [frame.counts[0] for frame in frames] == [n + 1 for n in (100, 101, 3, 4, 5)]
+    assert loss == Loss(late=9)
+
+
 @given(
     st.lists(st.booleans(), min_size=60, max_size=60),
     st.sampled_from([0, 1, 3, 127, 128, 200]),
