@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainSerializer, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
@@ -30,7 +30,8 @@ class Bounds:
         return f"{'0, or ' if self.zero else ''}{low} to {high}{self.unit and ' '}{self.unit}{sign}"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+        number = {**handler(source), "strict": True}  # neither text nor true
+        return core_schema.no_info_after_validator_function(self._checked, cast(CoreSchema, number))
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         low = -self.high if self.signed else 0 if self.zero else self.low

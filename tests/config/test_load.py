@@ -24,6 +24,8 @@ def test_the_example_is_valid():
         ("young_mpa = 0.6", "young_mpa = nan", COVER + ".young_mpa = nan: give 0.001 to 1e7 MPa"),
         ("poisson = 0.48", "poisson = 0.5", COVER + ".poisson = 0.5: give 0 to 0.49999"),
         ("bits = 12 ", "bits = 20 ", "sensor.palm.codec.bits = 20: give 8 to 16"),
+        ("bits = 12 ", 'bits = "12" ', "sensor.palm.codec.bits = '12': Input should be a valid integer"),
+        ("young_mpa = 0.6", "young_mpa = true", COVER + ".young_mpa = True: Input should be a valid number"),
         ('name = "packed"', 'name = "pakt"', "sensor.palm.codec: unknown codec 'pakt'; available: barrett, "),
         ('name = "packed"', "", "sensor.palm.codec.name: missing"),
         ('bus = "can0"', 'bus = "can1"', "sensor.palm.bus = 'can1': no such bus: the file has can0"),
