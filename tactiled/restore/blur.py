@@ -158,7 +158,7 @@ def _in_both_precisions(matrix: Floats) -> dict[np.dtype[Any], Array]:
 def _smooth_parts(stencil: Stencil, shape: tuple[int, int], refine: int) -> tuple[list[Floats], list[Floats]]:
     """Split the response to pressure that is smooth between cells into separable parts: rows and columns."""
     parts = max(FINE // refine, 2)
-    U, s, Vt = np.linalg.svd(np.asarray(stencil(refine * parts), float))
+    U, s, Vt = np.linalg.svd(np.asarray(stencil(refine * parts), float), full_matrices=False)
     rank = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
     down, across = (_between(refine * n, parts) for n in shape)
     rows = [_slide(U[:, k] * s[k], shape[0], refine * parts) @ down for k in range(rank)]

@@ -112,8 +112,7 @@ def grid_modes(rows: list[Floats], columns: list[Floats], stencil_rows: Floats, 
     Ux, Vx = _axis(stencil_columns)
     gain = np.zeros((len(Uy), len(Ux)))
     for A, B in zip(rows, columns, strict=True):
-        down = np.einsum("ia,ij,ja->a", Uy, A, Vy[:, : len(Uy)])
-        across = np.einsum("ia,ij,ja->a", Ux, B, Vx[:, : len(Ux)])
+        down, across = (((U.T @ part) * V[:, : len(U)].T).sum(axis=1) for U, part, V in ((Uy, A, Vy), (Ux, B, Vx)))
         gain += np.outer(down, across)
     y, x = (np.arange(len(V)) / (2 * len(V)) for V in (Vy, Vx))
     return Modes(gain, np.hypot(y[:, None], x), (Uy, Ux), (Vy, Vx))

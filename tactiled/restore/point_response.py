@@ -22,7 +22,7 @@ class PointResponse:
 
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
         self.shape = shape
-        U, s, Vt = np.linalg.svd(stencil * refine**2)
+        U, s, Vt = np.linalg.svd(stencil * refine**2, full_matrices=False)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         along = U[:, :parts] * s[:parts], Vt[:parts].T
         self._down, self._across = (_windows(part, n, refine) for part, n in zip(along, shape, strict=True))
