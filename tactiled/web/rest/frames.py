@@ -104,7 +104,7 @@ class PageQuery(BaseModel):
 
     kind: Kind = Field("restored", description="which images")
     last: str = Field("1s", pattern=WINDOW, description="window, back from the newest image", examples=["2s"])
-    before: str | None = Field(None, pattern=BEFORE, description=OLDER, examples=["5073@1763711998.250000"])
+    before: str | None = Field(None, pattern=BEFORE, description=OLDER, examples=["37545@72076.529173"])
     limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
 
 
