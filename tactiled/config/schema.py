@@ -79,13 +79,13 @@ class Server(Section):
     recordings_leave_mb: Annotated[float, Bounds(0, 1e9, "MB")] = 1000.0
     """Free space that recordings leave on the disk; 0: no bound."""
     state: Path | None = None
-    """File of the methods that clients keep; left out: in the user's state directory."""
+    """File of methods, tares and regions that are kept over a restart; left out: in the user's state directory."""
     history_s: Annotated[float, Bounds(0, 3600, "s")] = 5.0
     """Age up to which images are kept for clients that ask for past frames."""
     history_mb: Annotated[float, Bounds(0, 16384, "MB")] = 64.0
     """Memory for those images, all sensors together."""
     control_per_minute: Annotated[int, Bounds(0, 1_000_000)] = 600
-    """Changes per minute and client, and as many costly answers; 0: no bound."""
+    """Changes per minute and client, a sixth of them at once, and as many costly answers; 0: no bound."""
     streams_per_client: Annotated[int, Bounds(0, 65535)] = 64
     """WebSockets that one client may have open; 0: no bound."""
     streams: Annotated[int, Bounds(0, 65535)] = 256

@@ -34,7 +34,9 @@ class RateLimit:
         """Count one request; Problem 429 where it is one too many."""
         if wait_s := self.take(client_of(scope)):
             retry = {"Retry-After": str(math.ceil(wait_s))}
-            raise Problem(429, f"more than {60 * self._rate:g} a minute: wait", retry)
+            raise Problem(
+                429, f"more than {int(self._burst)} at once, or {60 * self._rate:g} a minute: wait", retry
+            )
 
     def take(self, client: str) -> float:
         """Take a token and return 0, or return the time (s) until there is one."""

@@ -45,7 +45,10 @@ PROBLEMS = {
     ),
     415: ("the body is not declared as JSON", "Content-Type: text/plain: give application/json"),
     422: ("a parameter or the body is wrong", "colour: no such parameter: there is none"),
-    429: ("too many requests: Retry-After gives the time to wait, s", "more than 600 a minute: wait"),
+    429: (
+        "too many requests: Retry-After gives the time to wait, s",
+        "more than 100 at once, or 600 a minute: wait",
+    ),
     503: (
         "not available now: no frame yet, the bus or the file cannot be opened, the disk is full",
         "sensor 'palm': no frame yet on can0",

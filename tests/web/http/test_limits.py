@@ -57,7 +57,7 @@ def test_the_rate_over_an_hour_is_the_configured_one(now):
 def test_a_refusal_says_when_to_try_again(now):
     limit = RateLimit(6, lambda: now[0])
     limit.count({"client": ("1.2.3.4", 1)})
-    with pytest.raises(Problem, match="more than 6 a minute: wait") as caught:
+    with pytest.raises(Problem, match="more than 1 at once, or 6 a minute: wait") as caught:
         limit.count({"client": ("1.2.3.4", 2)})
     assert (caught.value.status_code, caught.value.headers) == (429, {"Retry-After": "10"})
     now[0] += math.nextafter(10, 20)

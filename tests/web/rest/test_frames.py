@@ -285,4 +285,4 @@ def test_a_known_image_or_a_full_queue_uses_up_no_turn(rig, monkeypatch):
         etag = draw(url, 1).headers["etag"]
         statuses = [draw(url, 1, **{"If-None-Match": etag}).status_code for _ in range(5)]
         assert statuses == [304] * 5
-        assert problem(draw(url, 1), 429) == "more than 6 a minute: wait"
+        assert problem(draw(url, 1), 429) == "more than 1 at once, or 6 a minute: wait"
