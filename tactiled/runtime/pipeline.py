@@ -90,8 +90,8 @@ class Pipeline:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a zero from before the last tare."""
-        return self._zero_before is not None
+        """Whether a tare is under way, or there is a zero from before the last one."""
+        return self._tare_frames.under_way or self._zero_before is not None
 
     def set_zero(self, zero: Zero) -> None:
         """Take another zero; `undo_tare` takes the present one again."""
@@ -99,8 +99,8 @@ class Pipeline:
         self._use_zero()
 
     def undo_tare(self) -> None:
-        """Take the zero from before the last tare again, if there is one."""
-        if self._zero_before is not None:
+        """Give up a tare under way, else take the zero from before the last one again, if there is one."""
+        if not self._tare_frames.stop() and self._zero_before is not None:
             self.zero, self._zero_before = self._zero_before, None
             self._use_zero()
 

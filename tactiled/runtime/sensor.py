@@ -153,7 +153,7 @@ class Sensor:
         self.pipeline.tare(time.time(), force)
 
     def undo_tare(self) -> None:
-        """Take the zero from before the last tare again; TareStateError where there is none."""
+        """Give up a tare under way, else take the zero from before the last; TareStateError without either."""
         with self._between_frames:
             if not self.pipeline.can_undo:
                 raise TareStateError(f"sensor {self.name!r}: no tare to undo")

@@ -21,6 +21,11 @@ class TareFrames:
         self._first_at = 0.0  # s, when the first frame came
         self.time, self.force = 0.0, False  # of the tare under way, or the last
 
+    @property
+    def under_way(self) -> bool:
+        """Whether frames are collected."""
+        return self._frames is not None
+
     def start(self, time: float, force: bool) -> None:
         """Start over, at `time` (s, Unix); with `force` it is of a loaded array, too."""
         with self._lock:

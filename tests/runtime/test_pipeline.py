@@ -194,9 +194,12 @@ def test_a_tare_takes_as_long_as_it_must_and_no_longer(make):
     assert [frames_until_tared(rate) for rate in (10, 100, 400, 10**4)] == [16, 51, 201, 256]
 
 
-def test_a_tare_is_undone_once(make):
+def test_a_tare_is_undone_once_and_one_under_way_is_given_up(make):
     pipeline = make()
     tare(pipeline, sheared(UNLOADED + 5, 50, -30))
+    pipeline.tare(TARED_AT)
+    pipeline.undo_tare()
+    pipeline.process(frame())
     tare(pipeline, sheared(UNLOADED + 7, 50, -30))
     assert pipeline.zero.time == TARED_AT
     pipeline.undo_tare()

@@ -91,7 +91,7 @@ def tare(
 def undo_tare(
     sensor: NamedSensor, service: CurrentService, request: Request
 ) -> calibration_schemas.SensorCalibration:
-    """Undo the last tare: the no load from before it holds again."""
+    """Undo the last tare: the no load from before it holds again. One that still collects frames is given up."""
     service.undo_tare(sensor.name)
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
