@@ -68,9 +68,8 @@ def test_an_image_has_what_is_known_of_its_frame_and_keeps_it(make):
 
 
 def test_the_deviation_is_of_the_method_that_made_the_image(make, plan):
-    surface = Surface(plan.kernel, plan.array)
+    pipeline, surface = make("points"), Surface(plan.kernel, plan.array)
     point = 20_000.0 * (np.hypot(surface.x - 0.375, surface.y - 0.125) < 0.1)  # kPa, on one cell
-    pipeline = make("points")
     image = pipeline.process(frame(counts=np.round(NO_LOAD + surface.sense(point) / GAIN)))
     assert image.method == "points"
     deviation = pipeline.deviation(image)
@@ -108,9 +107,8 @@ def test_saturated_taxels_have_a_warning(make):
 
 @pytest.mark.parametrize("configured", [None, 0.5])
 def test_noise_is_measured_and_louder_than_configured_is_a_warning(make, configured):
-    random = np.random.default_rng(3)
-    pipeline = make(noise_kpa=configured)
-    noisy = (np.round(pressed() + random.normal(0, 8, SHAPE)) for _ in range(NOISE_FRAMES + 1))
+    pipeline, random = make(noise_kpa=configured), np.random.default_rng(3)
+    noisy = np.round(pressed() + random.normal(0, 8, (NOISE_FRAMES + 1, *SHAPE)))
     images = [pipeline.process(frame(n, counts)) for n, counts in enumerate(noisy)]
     if configured is None:
         assert images[0].noise == pytest.approx(GAIN * 12**-0.5)
@@ -126,8 +124,7 @@ def test_noise_is_measured_and_louder_than_configured_is_a_warning(make, configu
 def test_tare_takes_the_mean_of_the_next_frames(make):
     pipeline = make()
     tilted = np.arange(64).reshape(SHAPE) + 140
-    without_first = flags_of({(0, 0): MISSING})
-    image = tare(pipeline, frame(counts=tilted), frame(counts=tilted + 1, flags=without_first))
+    image = tare(pipeline, frame(counts=tilted), frame(counts=tilted + 1, flags=flags_of({(0, 0): MISSING})))
     np.testing.assert_array_equal(image.raw[1:], 0.5 * GAIN)  # the last frame is half a count over the mean
     assert pipeline.process(frame(counts=tilted)).raw[0, 0] == 0
 
