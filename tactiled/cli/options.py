@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from tactiled import logs
-from tactiled.config import load, schema
+from tactiled.config import Buses, load, schema
 from tactiled.errors import ConfigError
 from tactiled.files import whole_file
 
@@ -60,6 +60,19 @@ def one_sensor(config: Path, name: str | None) -> tuple[schema.Config, str, sche
 def present(**options: Any) -> dict[str, Any]:
     """Those options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
+
+
+def bus_settings(file: Buses | None, bus: str | None, keys: dict[str, Any]) -> dict[str, Any]:
+    """What to open a bus with: as a file says, or by the options `keys`; ConfigError where both say it."""
+    if file is not None:
+        if keys:
+            raise ConfigError(
+                "--config: says how to open the bus: leave out --interface and the options beside it"
+            )
+        return file.bus[choose("bus", bus, file.bus)].settings()
+    if bus is not None:
+        raise ConfigError(f"--bus {bus}: give --config, the file that has this bus")
+    return keys
 
 
 def write_configuration(path: Path, text: str) -> None:

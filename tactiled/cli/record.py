@@ -2,7 +2,7 @@
 
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -11,7 +11,7 @@ from tactiled.bus.recorder import Recorder
 from tactiled.bus.recorder import record as record_bus
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
-from tactiled.config import Config, Server, load
+from tactiled.config import Server, load_buses
 from tactiled.errors import ConfigError
 
 
@@ -36,28 +36,15 @@ def record(
     ] = None,
 ) -> None:
     """Record all messages of a bus to a file, also of other devices, and error frames."""
-    settings = load(config) if config else None
-    keys = options.present(channel=channel, bitrate=bitrate, fd=fd or None)
+    settings = load_buses(config) if config else None
+    keys = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
+    if settings is None and interface is None:
+        raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
     if leave_mb is None:
         leave_mb = (settings.server if settings else Server()).recordings_leave_mb
-    with closing(open_bus(**_bus(settings, bus, interface, keys))) as reader, interrupted() as stop:
+    with closing(open_bus(**options.bus_settings(settings, bus, keys))) as reader, interrupted() as stop:
         recorder = Recorder(out, leave_mb=leave_mb)
         typer.echo(f"{reader.label}: recording to {out}: press Ctrl-C to stop")
         written = record_bus(reader, recorder, stop, float("inf") if seconds is None else seconds)
     unreadable = f", and {reader.unreadable} that could not be decoded" if reader.unreadable else ""
     typer.echo(f"{out}: {written} messages{unreadable}")
-
-
-def _bus(config: Config | None, bus: str | None, interface: str | None, keys: dict[str, Any]) -> dict[str, Any]:
-    """What to open: a file's bus or that of the options; ConfigError where neither or both name one."""
-    if config is not None:
-        if interface is not None or keys:
-            raise ConfigError(
-                "--config: says how to open the bus: leave out --interface and the options beside it"
-            )
-        return config.bus[options.choose("bus", bus, config.bus)].settings()
-    if interface is None:
-        raise ConfigError("--interface is missing: give python-can's name, such as socketcan, or a --config")
-    if bus is not None:
-        raise ConfigError(f"--bus {bus}: give --config, the file that has this bus")
-    return {"interface": interface} | keys

@@ -13,7 +13,7 @@ from tactiled.bus.reader import open_bus
 from tactiled.bus.sniff import Sender, Survey, survey
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
-from tactiled.config import parse
+from tactiled.config import load_buses, parse
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 
@@ -54,9 +54,14 @@ pitch_mm = {pitch_mm}
 
 
 def sniff(
+    config: Annotated[
+        Path | None, typer.Option(help="Listen to a bus of this file, which need not have a sensor.")
+    ] = None,
+    bus: options.Bus = None,
     interface: Annotated[
-        str, typer.Option(help="python-can's name of the interface: socketcan, slcan, udp_multicast, ...")
-    ] = "socketcan",
+        str | None,
+        typer.Option(help="python-can's name of the interface: slcan, udp_multicast, ...; socketcan if left out."),
+    ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Its channel; can0 on SocketCAN if left out.", show_default=False)
     ] = None,
@@ -72,9 +77,10 @@ def sniff(
     """Listen to a bus and list the known skins on it; sends nothing."""
     if write is not None and write.exists():
         raise ConfigError(f"{write} is there already: name another file, or remove it first")
-    settings = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
-    if interface == "socketcan":
-        settings = {"channel": "can0"} | settings | {"fd": True}
+    keys = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
+    settings = options.bus_settings(load_buses(config) if config else None, bus, keys)
+    if config is None and interface in (None, "socketcan"):
+        settings = {"interface": "socketcan", "channel": "can0"} | settings | {"fd": True}
     messages, _ = listen(settings, seconds)
     result = survey(messages)
     typer.echo("\n".join(report(result, len(messages), seconds)))

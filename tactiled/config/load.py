@@ -8,7 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from tactiled import logs
@@ -16,6 +16,7 @@ from tactiled.bus import skins
 from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
 from tactiled.config.schema import Bus, Config, Served
+from tactiled.config.section import Section
 from tactiled.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -27,9 +28,25 @@ TABLES: dict[str, type[BaseModel]] = {
 FD_ON_REQUEST = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interfaces that speak CAN FD if fd = true
 
 
+class Buses(Section):
+    """What `tactiled sniff` and `record` read: sensors may be missing, and are not looked at."""
+
+    server: schema.Server = schema.Server()
+    zenoh: Any = None
+    bus: dict[schema.Name, Bus] = Field(min_length=1)
+    sensor: Any = None
+
+
 def load(path: Path) -> Config:
     """Read the file at `path`; ConfigError, a line a fault, if it cannot be read or holds what it may not."""
     return parse(_read(path), str(path), path.parent)
+
+
+def load_buses(path: Path) -> Buses:
+    """Read how a file opens its buses; ConfigError as of `load`."""
+    buses = validated(Buses, _parse(_read(path), str(path)), str(path), path.parent)
+    logs.hide({name: bus.settings() for name, bus in buses.bus.items()})
+    return buses
 
 
 def load_served(path: Path) -> Served:

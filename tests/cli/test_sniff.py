@@ -33,6 +33,18 @@ def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, pla
     assert load(path).bus.popitem()[1].settings() == {"interface": interface, "channel": channel}
 
 
+def test_a_bus_of_a_file_without_sensors_is_listened_to_and_recorded(tmp_path, request, playing):
+    bus = {"interface": "virtual", "channel": request.node.name}
+    file = tmp_path / "bus.toml"
+    file.write_text(
+        f'[bus.other]\ninterface = "virtual"\n[bus.mine]\n{chr(10).join(f"{k} = {v!r}" for k, v in bus.items())}\n'
+    )
+    playing(bus, Packed(64, 12))
+    of_file = ("--config", file, "--bus", "mine", "--seconds", 0.8)
+    assert "packed layout, classic, " in succeed("sniff", *of_file)
+    assert "recording to " in succeed("record", tmp_path / "a.log", *of_file)
+
+
 SKINS = ("barrett", "cyskin", "linker", "poweron", "xela", "xela-4x6-old")
 
 
