@@ -189,13 +189,15 @@ class WebSocket(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     def shutdown(self) -> None:
-        """Let an application that waits end when the server does, and tell the client why."""
+        """Let an application that waits end when the server does, and tell the client why, which may not read."""
         self._keeps_up.set()
         if not self.handshake_complete or self.transport.is_closing():
             self.transport.abort()
-        elif not self.close_sent:
+            return
+        if not self.close_sent:
             self.queue.put_nowait({"type": "websocket.disconnect", "code": int(CloseCode.SERVICE_RESTART)})
             self._fail(CloseCode.SERVICE_RESTART, ENDS)
+        self.loop.call_later(SHUTDOWN_S / 2, self.transport.abort)
 
     def _fail(self, code: CloseCode, why: str) -> None:
         if not self.close_sent:

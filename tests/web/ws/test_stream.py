@@ -12,6 +12,7 @@ from websockets.client import ClientProtocol
 from websockets.frames import Opcode
 
 from tactiled.web import answers
+from tactiled.web.http import protocols
 from tactiled.web.http.protocols import MARK, PING_EVERY, REQUESTED
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
@@ -252,6 +253,14 @@ def test_a_client_that_does_not_read_a_large_image_is_dropped_when_it_answers_no
     with running(rig.service) as url, unread(url):
         until(lambda: rig.sensor.hub._listeners)
         until(lambda: not rig.sensor.hub._listeners)
+
+
+def test_a_client_that_does_not_read_is_no_error_when_the_service_ends(rig, monkeypatch, caplog):
+    monkeypatch.setattr(protocols, "SHUTDOWN_S", 0.0)  # until a client is cut off
+    with ExitStack() as stack, running(rig.service) as url:
+        stack.enter_context(unread(url))
+        until(lambda: rig.sensor.hub._listeners)
+    assert not [each for each in caplog.records if each.name == "uvicorn.error"]
 
 
 def test_clients_that_leave_hold_no_listener_and_no_thread(rig, url):
