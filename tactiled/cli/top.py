@@ -128,7 +128,7 @@ def top(
     """Show rates, ages, losses, warnings and processor time of a running service.
 
     Ages are the median and the 99th percentile since a frame's last message, `restored ms` is the mean of each
-    method. Without a terminal, a plain table is printed every interval.
+    method. Without a terminal, a plain table is printed every interval. While the service is away, it says why.
     """
     console = Console(markup=False, highlight=False)
     if plain := not console.is_terminal:
@@ -141,7 +141,13 @@ def top(
             show = partial(live.update, refresh=True)
         while True:
             time.sleep(seconds)
-            after = Scrape(client)
+            try:
+                after = Scrape(client)
+            except TactileError as error:
+                if once:
+                    raise
+                show(logs.printable(str(error)))
+                continue
             show(table(client.url, Interval(before, after), plain))
             before = after
             if once:

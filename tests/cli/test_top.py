@@ -81,7 +81,7 @@ def test_what_is_no_service_is_named(text):
     assert refusal("top", "http://127.0.0.1:9", "--once").endswith("Connection refused: is the service running?")
 
 
-def test_on_a_terminal_the_table_is_live_and_ctrl_c_ends_it(rig):
+def test_on_a_terminal_the_table_is_live_also_after_the_service_was_away_and_ctrl_c_ends_it(rig):
     rig.show(pressed())
     ours, its = pty.openpty()
     with running(rig.service) as url:
@@ -90,6 +90,12 @@ def test_on_a_terminal_the_table_is_live_and_ctrl_c_ends_it(rig):
         os.close(its)
         output = b""
         while output.count(b"palm") < 2:
+            output += os.read(ours, 4096)
+    while b"is the service running?" not in output:
+        output += os.read(ours, 4096)
+    before = output.count(b"palm")
+    with running(rig.service, Server(port=int(url.rpartition(":")[2]))):
+        while output.count(b"palm") == before:
             output += os.read(ours, 4096)
         process.send_signal(signal.SIGINT)
         with suppress(OSError):  # the end of a terminal
