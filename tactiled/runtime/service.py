@@ -38,6 +38,7 @@ class Service:
     ) -> None:
         self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults, self.path = Faults(self.events), path
+        self.renew_tls: Callable[[], None] = lambda: None  # of a server with TLS; ConfigError where that fails
         self._reload_lock = Lock()  # one reload at a time, which may take long
         self._change_lock, self._stopped = Lock(), False  # what runs is changed, or stopped
         self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
@@ -256,6 +257,7 @@ class Service:
                 raise ReloadError("the service ends")
             if any(self.sensors[name].plan is not running[name] for name in outcome.sensors.restarted):
                 raise ReloadError("a calibration was applied meanwhile: reload again")
+            self.renew_tls()
             self._exchange(outcome, config, sensors)
         return outcome
 

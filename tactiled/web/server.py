@@ -114,12 +114,15 @@ def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) ->
             watchdog.look()
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    app.state.places = places = Places(limit(config.streams))
+    app.state.places = Places(limit(config.streams))
+    certified = partial(Connection, places=app.state.places, tls=tls.context(config))
+    if config.tls_certificate:
+        app.state.service.renew_tls = lambda: certified.keywords.update(tls=tls.context(config))
     server = _Server(
         uvicorn.Config(
             app,
             loop="asyncio" if config.tls_certificate else "auto",  # uvloop reads before `start_tls` can
-            http=cast(Any, partial(Connection, places=places, tls=tls.context(config))),
+            http=cast(Any, certified),
             ws=WebSocket,
             h11_max_incomplete_event_size=timeouts.MAX_HEAD,
             timeout_keep_alive=3600,  # State.IDLE has the bound

@@ -57,7 +57,7 @@ def config(request: Request, service: CurrentService) -> Config:
 
 
 @router.post("/config/reload", responses=problems(409, 503, *CONTROL))
-async def reload(service: CurrentService) -> Reload:
+async def reload(request: Request, service: CurrentService) -> Reload:
     """Read the configuration file again: only what changed restarts, and a wrong file changes nothing.
 
     The answer comes when the kernels of new and changed sensors are solved and everything runs. A sensor also
@@ -65,8 +65,10 @@ async def reload(service: CurrentService) -> Reload:
     """
     try:
         return await asyncio.wrap_future(service.start_reload())
-    except (ConfigError, PhysicsError) as error:  # the client sees the file's name, and not its path
-        text = str(error) if service.path is None else str(error).replace(str(service.path), service.path.name)
+    except (ConfigError, PhysicsError) as error:  # the client sees the names of files, and not their paths
+        text, server = str(error), request.app.state.server
+        for path in filter(None, (service.path, server.tls_certificate, server.tls_key)):
+            text = text.replace(str(path), path.name)
         raise Problem(422, text) from error
     except BusError as error:
         raise Problem(503, str(error)) from error

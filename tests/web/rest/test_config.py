@@ -1,5 +1,10 @@
+import ssl
+import subprocess
+
 import httpx
 
+from tactiled.config import Server
+from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, ask, problem
 from tests.skin import PALM
 
@@ -38,3 +43,24 @@ def test_a_wrong_file_is_refused_in_the_words_of_check_without_its_path(rig, url
     assert problem(ask("POST", url + RELOAD), 503).startswith("bus slcan /nowhere/tty: ")
     rig.service.path = None
     assert "no configuration file" in problem(ask("POST", url + RELOAD), 409)
+
+
+def test_a_reload_reads_the_certificate_again(rig, tmp_path):
+    rig.service.path, certificate, key = (tmp_path / name for name in ("rig.toml", "certificate.pem", "key.pem"))
+    rig.service.path.write_text(CONFIG.format(channel=rig.config.bus["can0"].channel))
+
+    def renewed():
+        command = f"openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=a -out {certificate} -keyout {key}"
+        subprocess.run(command.split(), check=True, capture_output=True)
+        return certificate.read_text()
+
+    first = renewed()
+    with running(rig.service, Server(port=0, tls_certificate=certificate, tls_key=key)) as url:
+        at = "127.0.0.1", int(url.rpartition(":")[2])
+        assert ssl.get_server_certificate(at) == first
+        second = renewed()
+        assert ask("POST", url + RELOAD, verify=False).status_code == 200
+        assert ssl.get_server_certificate(at) == second != first
+        key.write_text("")
+        assert problem(ask("POST", url + RELOAD, verify=False), 422).startswith("certificate.pem, key.pem: ")
+        assert ssl.get_server_certificate(at) == second
