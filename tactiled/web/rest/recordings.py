@@ -4,7 +4,8 @@ import os
 import re
 import stat
 from asyncio import to_thread
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from shutil import disk_usage
@@ -136,7 +137,8 @@ class Recordings:
         """Recordings by name, a running one whatever became of its file; links and other files are none."""
         with self._lock:
             running = {name for name, run in self._runs.items() if run.is_alive()}
-            names = running | {path.name for path in self._folder.glob("*") if _is_recording(path)}
+            with _failing("recordings"):
+                names = running | {path.name for path in self._folder.glob("*") if _is_recording(path)}
             after = [name for name in sorted(names) if query.after is None or name > query.after]
             page = tuple(map(self.recording, after[: query.limit]))
         return RecordingPage(recordings=page, after=page[-1].name if len(after) > query.limit else None)
@@ -153,16 +155,15 @@ class Recordings:
             if any(run.bus == bus and run.is_alive() for run in self._runs.values()):
                 raise Problem(409, f"bus {bus}: is being recorded already")
             self._need_ended(name)
-            if path.exists() or path.is_symlink():
-                other = "" if _is_recording(path) else "something else of that name "
-                raise Problem(409, f"recording {name}: {other}is there already")
-            try:
-                self._folder.mkdir(parents=True, exist_ok=True)
-                self._runs[name] = _Run(bus, self._buses[bus], path, self._events, self._leave_mb)
-            except TactileError as error:
-                raise Problem(503, f"recording {name}: {without_path(error, path)}") from error
-            except OSError as error:
-                raise Problem(503, f"recording {name}: {error.strerror}") from error
+            with _failing(f"recording {name}"):
+                if path.exists() or path.is_symlink():
+                    other = "" if _is_recording(path) else "something else of that name "
+                    raise Problem(409, f"recording {name}: {other}is there already")
+                try:
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    self._runs[name] = _Run(bus, self._buses[bus], path, self._events, self._leave_mb)
+                except TactileError as error:
+                    raise Problem(503, f"recording {name}: {without_path(error, path)}") from error
             self._events.add("recording_started", name, bus=bus)
             return self.recording(name)
 
@@ -207,7 +208,7 @@ class Recordings:
 
     def delete(self, name: str) -> None:
         """Delete one that does not run."""
-        with self._lock:
+        with self._lock, _failing(f"recording {name}"):
             self.ended(name).unlink(missing_ok=True)
             self._runs.pop(name, None)
 
@@ -237,6 +238,15 @@ class Recordings:
         return Recording(**Recording.shared(run) | file)  # a thread has a name of its own
 
 
+@contextmanager
+def _failing(what: str) -> Iterator[None]:
+    """Problem in the block where the disk or its rights fail."""
+    try:
+        yield
+    except OSError as error:
+        raise Problem(503, f"{what}: {error.strerror}") from error
+
+
 def _complete(path: Path) -> None:
     """Have a file on the disk; ConfigError where it is no recording of data frames."""
     with path.open("rb+") as file:
@@ -263,7 +273,7 @@ def make(recordings: Recordings) -> APIRouter:
     """The routes of a folder."""
     router = APIRouter(prefix="/api/v1/recordings", tags=["recordings"], responses=problems(*EVERY_RESOURCE))
 
-    @router.get("")
+    @router.get("", responses=problems(503))
     def page(query: Annotated[PageQuery, Query()]) -> RecordingPage:
         """The recordings in the folder, sorted by name, in pages."""
         return recordings.page(query)
@@ -289,7 +299,7 @@ def make(recordings: Recordings) -> APIRouter:
         size = int(request.headers.get("content-length", MAX_RECORDING_BYTES))
         return await recordings.add(name, request.stream(), size)
 
-    @router.delete("/{name}", status_code=204, responses=problems(404, 409, *CONTROL))
+    @router.delete("/{name}", status_code=204, responses=problems(404, 409, 503, *CONTROL))
     def delete(name: FileName) -> None:
         """Delete a recording that does not run."""
         recordings.delete(name)

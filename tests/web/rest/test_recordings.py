@@ -1,3 +1,4 @@
+import errno
 import shutil
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -233,6 +234,19 @@ def test_a_recording_ends_before_the_disk_is_full(api, folder, free_mb):
     free_mb[0] = 501
     assert api.start("b.blf").status_code == 201
     assert len(list(recording.read(folder / "a.blf"))) == 50
+
+
+def test_what_the_disk_refuses_is_named(folder, request, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    with Api(folder / ("a" * 300), request.node.name).serving() as api:
+        assert problem(api.start("a.log"), 503) == "recording a.log: File name too long"
+        assert problem(api.client.get(ROOT), 503) == "recordings: File name too long"
+    with Api(folder, request.node.name).serving() as api:
+        shutil.copy(recording.path("book_1"), folder / "a.log")
+        monkeypatch.setattr(recordings.Path, "unlink", refuse)
+        assert problem(api.client.delete(f"{ROOT}/a.log"), 503) == "recording a.log: Read-only file system"
 
 
 def test_the_end_of_the_service_completes_a_recording(folder, request):
