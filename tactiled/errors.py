@@ -29,7 +29,7 @@ class UnknownSensorError(TactileError):
     @classmethod
     def among(cls, name: str, configured: Iterable[str]) -> "UnknownSensorError":
         """The error for a name that is not configured; a long one is cut."""
-        return cls(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(configured)}")
+        return cls(f"sensor {name[:80]!r}: no such sensor: there are {', '.join(configured) or 'none'}")
 
 
 class NotLiveError(TactileError):

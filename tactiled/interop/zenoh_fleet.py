@@ -223,7 +223,8 @@ class Fleet:
         if not looks:
             return
         self._look_at = now + LOOK_S
-        linked = self._session is not None and connected(self._session)
+        session, peers = self._session, self._settings.connect  # without any, readers alone make a connection
+        linked = session is not None and (not peers or connected(session))
         for line in self._lines.values():
             line.look_at_link(linked)
             if line.down is None and now >= line.due:

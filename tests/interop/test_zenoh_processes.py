@@ -10,6 +10,8 @@ from contextlib import suppress
 
 import pytest
 
+from tactiled.errors import UnknownSensorError
+from tactiled.interop.zenoh_session import connected
 from tests.conftest import BUSY_S, until
 from tests.interop.zenoh_kit import NAME, detail, fleet_at, free_port, kinds, state
 
@@ -115,6 +117,21 @@ def test_a_router_may_die_and_come_back(reader, router):
         assert fleet.sensors[NAME].line.session == session
         assert fleet.sensors[NAME].status().loss.undelivered > 0
         nothing_doubled(images)
+
+
+def test_a_server_that_only_listens_tells_how_its_last_reader_ended(reader):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with fleet_at(endpoint, mode="peer", connect=[], listen=[endpoint]) as fleet:
+        with pytest.raises(UnknownSensorError, match="there are none"):
+            fleet.sensor(NAME)
+        for end, why in ((signal.SIGKILL, "died"), (signal.SIGTERM, "stopped")):
+            one = reader(endpoint, "r1")
+            until(lambda: state(fleet) == "live")
+            one.send_signal(end)
+            until(lambda: state(fleet) == "down" and not connected(fleet._session))
+            fleet._look_at, turns = 0.0, fleet._turns
+            until(lambda turns=turns: fleet._turns > turns + 1)
+            assert why in detail(fleet)
 
 
 class Cable:
