@@ -75,7 +75,8 @@ def test_one_table_is_printed_plainly_with_the_token_of_the_environment(rig, mon
 
 
 @pytest.mark.parametrize("text", ["<html>another</html>\n", "up 1\n"])
-def test_what_is_no_service_is_named(text):
+def test_what_is_no_service_is_named_and_a_server_may_have_no_sensor(text):
+    Scrape(SimpleNamespace(url="http://here", metrics=lambda: "# TYPE tactiled_state gauge\n"))
     with pytest.raises(TactileError, match="http://here: no service of tactiled: "):
         Scrape(SimpleNamespace(url="http://here", metrics=lambda: text))
     assert refusal("top", "http://127.0.0.1:9", "--once").endswith("Connection refused: is the service running?")
