@@ -272,6 +272,9 @@ class Service:
         before = self.sensors
         for name in outcome.sensors.ending:
             before[name].down = "restarts" if name in sensors else "is no longer in the configuration"
+        for name in outcome.sensors.beginning:
+            if bus := kept.get(sensors[name].plan.bus):
+                bus.introduce(sensors[name])
         self.sensors, self.config = sensors, config
         self._share_time()
         self._watch.sensors = tuple(sensors.values())

@@ -8,6 +8,7 @@ from tactiled.bus.reader import open_bus
 from tactiled.config import load
 from tactiled.errors import ConfigError, ReloadError, TactileError
 from tactiled.runtime.reload import new_plans
+from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tests.conftest import CONFIG, NO_LOAD, pressed, until
@@ -130,6 +131,15 @@ def test_no_frame_of_an_unchanged_sensor_is_lost_whatever_comes_and_goes_beside_
     sender.join()
     assert received == list(range(len(received)))
     assert palm.status().loss.lost == palm.status().loss.incomplete == 0
+
+
+def test_a_sensor_that_comes_shows_at_once_what_its_bus_has_counted(live, monkeypatch):
+    bus, start, seen = live.service._sources["can0"], Sensor.start, []
+    bus._kinds["bus_off"] = bus._counts["bus_off"] = 2
+    monkeypatch.setattr(Sensor, "start", lambda sensor: (seen.append(sensor.status()), start(sensor)))
+    live.write(palm=1, tip=3)
+    live.service.reload()
+    assert [(each.errors["bus_off"], each.loss.bus_off) for each in seen] == [(2, 2)]
 
 
 def test_a_sensor_that_changed_restarts_with_what_is_kept_of_it(live):
