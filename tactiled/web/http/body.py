@@ -19,6 +19,12 @@ RECORDINGS_PATH = "/api/v1/recordings/"
 FILE_PATH_END = "/calibration/file"  # of a calibration file, which may be longer than other bodies
 
 
+def is_recording(scope: Scope) -> bool:
+    """Whether a request uploads a recording."""
+    path: str = scope["path"]
+    return scope["method"] == "PUT" and path.startswith(RECORDINGS_PATH)
+
+
 class Body:
     """The body of a request: Problem 413 as soon as it is too large, 408 where it is too late."""
 
@@ -28,7 +34,7 @@ class Body:
         self._receive, self._upload = receive, path == UPLOAD_PATH
         is_file = path.endswith(FILE_PATH_END)
         self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BYTES if is_file else MAX_BODY_BYTES
-        if scope["method"] == "PUT" and path.startswith(RECORDINGS_PATH):
+        if is_recording(scope):
             self._upload, self._limit, self._timeout_s = True, MAX_RECORDING_BYTES, RECORDING_TIMEOUT_S
         self._length, self._size = headers.get("content-length", "0"), 0
         self._deadline = asyncio.get_running_loop().time() + self._timeout_s

@@ -9,13 +9,15 @@ import logging
 import ssl
 from collections.abc import Iterable
 from time import perf_counter
-from typing import Any
+from typing import Any, cast
 
 import h11
+from starlette.types import Scope
 from uvicorn.config import Config
 from uvicorn.server import ServerState
 
 from tactiled.web.http import timeouts
+from tactiled.web.http.body import is_recording
 from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import network
 from tactiled.web.http.protocols import Http, WebSocket, refusal
@@ -188,7 +190,9 @@ class Connection(asyncio.Protocol):
         theirs = inner.conn.their_state
         if theirs is h11.IDLE:
             return State.HEAD if self.state is State.HEAD else State.IDLE
-        return State.BODY if theirs is h11.SEND_BODY else State.ANSWERING
+        if theirs is not h11.SEND_BODY:
+            return State.ANSWERING
+        return State.UPLOAD if is_recording(cast(Scope, inner.scope)) else State.BODY
 
     def _enter(self, state: State) -> None:
         self.state, self._bound, self._received = state, BOUNDS[state], 0

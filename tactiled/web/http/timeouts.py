@@ -12,6 +12,7 @@ class State(Enum):
     TLS = auto()  # the handshake
     HEAD = auto()  # a request line and headers, the first bytes of a connection included
     BODY = auto()  # a request's body and trailers
+    UPLOAD = auto()  # the same of a recording
     ANSWERING = auto()  # the whole request has come
     IDLE = auto()  # between two requests
     UPGRADING = auto()  # a WebSocket's handshake, until it is answered
@@ -34,6 +35,7 @@ BOUNDS = {
     State.TLS: Bound(10.0, None, evictable=True),  # bytes: OpenSSL's own bound on a handshake
     State.HEAD: Bound(10.0, 80 * KIB, evictable=True),  # h11 answers 431 to more than MAX_HEAD
     State.BODY: Bound(62.0, 80 * MIB),  # `Body` answers 408 after 60 s, and 413 by route; h11 bounds trailers
+    State.UPLOAD: Bound(602.0, 1280 * MIB),  # `Body`: 408 after 600 s, 413 above 1 GiB
     State.ANSWERING: Bound(None, None),  # time: the resource's, and UNREAD_S; nothing is read meanwhile
     State.IDLE: Bound(5.0, 0, evictable=True),
     State.UPGRADING: Bound(10.0, 64 * KIB),

@@ -15,9 +15,11 @@ from tactiled.config import Server, parse
 from tactiled.runtime.events import Events
 from tactiled.runtime.service import Service
 from tactiled.web.http import body
+from tactiled.web.http.timeouts import BOUNDS, State
 from tactiled.web.rest import recordings
 from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, problem, until
+from tests.web.http.raw import bound
 
 ROOT = "/api/v1/recordings"
 
@@ -162,6 +164,14 @@ def test_a_file_that_is_uploaded_is_a_recording_or_refused_and_leaves_nothing(ap
     problem(put("b.log", iter([text] * 5)), 413)
     assert [each.name for each in folder.iterdir()] == ["a.log"]
     assert [(each.kind, each.text) for each in api.events.after(0)] == [("recording_added", "a.log")]
+
+
+def test_a_recording_may_be_larger_and_take_longer_than_other_bodies(api, monkeypatch):
+    bound(monkeypatch, State.BODY, bytes=1 << 16)
+    text = b"(1.000000) can0 123#00 R\n" * 10_000
+    assert api.client.put(f"{ROOT}/a.log", content=text).status_code == 201
+    assert BOUNDS[State.UPLOAD].seconds > body.RECORDING_TIMEOUT_S
+    assert BOUNDS[State.UPLOAD].bytes > body.MAX_RECORDING_BYTES
 
 
 def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):
