@@ -70,13 +70,14 @@ class Events(Publisher[Event]):
         bus: str | None = None,
         warning: FrameWarning | None = None,
         error: Exception | None = None,
+        failed: bool = False,
     ) -> None:
-        """Note and log what happened, with the traceback of an error, and call the listeners."""
+        """Note and log what happened, as a warning if it `failed`, and call the listeners."""
         with self._lock:
             event = Event(self.newest + 1, time.time(), kind, sensor, bus, text, warning)
             self._events.append(event)
             self.newest = event.id
-        level = logging.WARNING if kind in LOGGED_AS_WARNINGS else logging.INFO
+        level = logging.WARNING if failed or kind in LOGGED_AS_WARNINGS else logging.INFO
         fields = {"event": kind, "sensor": sensor, "bus": bus, "code": warning and warning.code}
         LOG.log(level, "%s", text, exc_info=error, extra={"fields": fields})
         self.publish(event)

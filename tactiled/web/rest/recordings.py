@@ -117,7 +117,8 @@ class _Run(Thread):
             self._reader.close()
             unreadable = f", and {self.unreadable} that could not be decoded" if self.unreadable else ""
             ending = (self.error or f"{self.messages} messages") + unreadable
-            self._events.add("recording_ended", f"{path.name}: {ending}", bus=self.bus)
+            text = f"{path.name}: {ending}"
+            self._events.add("recording_ended", text, bus=self.bus, failed=self.error is not None)
 
 
 class Recordings:

@@ -230,7 +230,7 @@ def test_links_and_folders_are_no_recordings(api, folder):
     assert problem(api.start("a.log"), 503) == "recording a.log: File exists"
 
 
-def test_a_recording_ends_before_the_disk_is_full(api, folder, free_mb):
+def test_a_recording_ends_before_the_disk_is_full(api, folder, free_mb, caplog):
     api.start("a.blf")
     api.send(50, 50)
     free_mb[0] = 499
@@ -239,6 +239,7 @@ def test_a_recording_ends_before_the_disk_is_full(api, folder, free_mb):
     error = f"{why}: the recording ends early, after 50 messages"
     assert api.only()["error"] == error
     assert [each.text for each in api.events.after(0)] == ["a.blf", f"a.blf: {error}"]
+    assert [each.levelname for each in caplog.records if each.message == f"a.blf: {error}"] == ["WARNING"]
     assert problem(api.start("b.blf"), 503) == f"recording b.blf: {why}"
     assert not (folder / "b.blf").exists()
     free_mb[0] = 501
