@@ -37,14 +37,14 @@ def run(
     for finding in findings_of(config):
         if not finding.hint:
             logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run
-    with threadpool_limits(1):  # frames are small: a second thread costs more than it gives
+    with stoppable(), threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config)
         address = service.config.server.model_dump(exclude_unset=True) | options.present(foxglove=foxglove)
         server = validated(Server, address, f"--foxglove {foxglove}")
         zenoh = service.config.zenoh
         if publishes and (zenoh is None or zenoh.robot is None):
             raise ConfigError(f"{config}: zenoh.robot: missing: --publish needs the table [zenoh] with robot")
-        with stoppable(), _reloadable(service), service.running(), to_viewer(service, rerun):
+        with _reloadable(service), service.running(), to_viewer(service, rerun):
             if publishes and zenoh:
                 publish(service, server, zenoh)
             else:

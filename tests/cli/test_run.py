@@ -6,7 +6,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.cli.commands import TACTILED
+from tactiled.cli.app import handled
+from tests.cli.commands import TACTILED, run
 from tests.conftest import BUSY_S, CONFIG, ask
 from tests.systemd import Manager
 
@@ -56,3 +57,10 @@ def test_without_its_bus_or_its_own_socket_a_unit_is_never_ready(tmp_path, line)
         with pytest.raises(BlockingIOError):
             manager.receive()
         assert process.returncode == 2
+
+
+def test_a_start_that_is_stopped_while_a_cover_is_solved_is_no_failure(tmp_path, monkeypatch):
+    (tmp_path / "palm.toml").write_text(CONFIG.format(channel="none"))
+    monkeypatch.setattr("tactiled.cli.run.prepared", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    with handled(lambda *_: pytest.fail("not caught"), signal.SIGTERM):
+        assert run("run", tmp_path / "palm.toml").exit_code == 0
