@@ -70,8 +70,8 @@ class ZarrWriter:
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Write the rest; units are attributes of the arrays, `provenance` is one of the group."""
         self._append()
-        for name, places in self._places.items():
-            self._group.create_array(name, data=places)
+        for (name, places), of in zip(self._places.items(), ("taxel", "cell"), strict=True):
+            self._group.create_array(name, data=places, dimension_names=(of, "axis"))
         for name, unit in provenance["units"].items():
             if name in self._group:
                 self._group[name].attrs["units"] = unit

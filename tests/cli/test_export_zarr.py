@@ -45,6 +45,7 @@ def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenanc
         assert {name: got[name].attrs["units"] for name in got if name != "method"} == about["units"]
         assert got["restored"].metadata.dimension_names == ("time", "cell_row", "cell_column")
         assert got["loss"].metadata.dimension_names == ("time", "loss_kind")
+        assert got["cells_mm"].metadata.dimension_names == ("cell", "axis")
 
 
 def test_no_gap_is_hidden(exports):
