@@ -56,7 +56,7 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
 
 
 def measured_noise(frames: Frames, steps_kpa: tuple[float, ...]) -> float:
-    """Standard deviation (kPa) of a taxel, at least that of rounding to multiples of one of the steps."""
+    """Standard deviation (kPa) of a taxel, at least that of rounding to one of the steps."""
     starts = np.unique(np.linspace(0, max(len(frames) - NOISE_RUN_FRAMES, 0), NOISE_RUNS).astype(int))
     runs = [_copy(frames, start, NOISE_RUN_FRAMES) for start in starts if len(frames)]
     noise = float(np.median([estimate(run) for run in runs])) if runs else 0.0
@@ -64,10 +64,10 @@ def measured_noise(frames: Frames, steps_kpa: tuple[float, ...]) -> float:
 
 
 def _rounding_noise(runs: list[Frames], steps_kpa: tuple[float, ...]) -> float:
-    """Noise (kPa) of rounding, where values differ by whole multiples of one of the steps; else 0."""
+    """Noise (kPa) of rounding to the largest of the steps that all values differ by multiples of; else 0."""
     values = np.concatenate([np.empty(0), *(np.ravel(run).astype(float) for run in runs)])
     values = values[np.abs(values) < IMPLAUSIBLE_KPA]
-    for step in steps_kpa:
+    for step in sorted(steps_kpa, reverse=True):
         multiples = (values - values[:1]) / step
         rounded = multiples.round()
         if rounded.any() and float(np.abs(multiples - rounded).max()) < MAX_ROUNDING_ERROR:

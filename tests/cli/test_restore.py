@@ -101,7 +101,7 @@ def test_the_noise_is_measured(plan):
     assert Offline(plan, 1e-3 * frames).noise_kpa == pytest.approx(1e-3 * noise, rel=0.2)
 
 
-@pytest.mark.parametrize(("step", "noise"), [(0.5, 0.5 / 12**0.5), (1.0, 0.5 / 12**0.5), (1e-4, 0.05)])
+@pytest.mark.parametrize(("step", "noise"), [(0.5, 0.5 / 12**0.5), (1.0, 1 / 12**0.5), (1e-4, 0.05)])
 def test_rounding_is_noise(plan, step, noise):
     """Most taxels of quiet frames stay at one count, which looks like less noise than rounding has."""
     frames = np.round(0.1 * press(60) / step) * step
