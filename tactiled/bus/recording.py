@@ -62,10 +62,11 @@ def read(path: Path) -> Iterator[Message]:
     count = 0
     try:
         with open_log(path) as log:
-            for count, each in enumerate(log, 1):
+            for each in log:
                 stamp = each.time if isinstance(each, Message) else each.timestamp
                 if not 0 <= stamp < MAX_TIME_S:
-                    raise ValueError(f"message {count}: time {stamp:g} s is outside 1970 to 2106")
+                    raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
+                count += 1
                 if isinstance(each, Message):
                     yield each
                 elif not (each.is_error_frame or each.is_remote_frame):
@@ -77,8 +78,9 @@ def read(path: Path) -> Iterator[Message]:
         raise TactileError(f"recording {path}: this machine's memory is full, after {count} messages") from error
     except Exception as error:  # readers raise what they like, AssertionError and struct.error included
         reason = " ".join(str(error).split()) or type(error).__name__
+        where = f"message {count + 1}: " if count else ""
         raise ConfigError(
-            f"recording {path}: {reason}: give a recording in a format that python-can reads"
+            f"recording {path}: {where}{reason}: give a recording in a format that python-can reads"
         ) from error
 
 

@@ -166,7 +166,7 @@ def refused(path, reason):
         ("gone.log", None, "No such file"),
         ("a.xyz", b"", "give a recording in a format"),
         ("a.log", b"(0.0) can0 123\n", "give a recording in a format"),
-        ("a.log", LINE + b"nonsense\n" + LINE + LINE[:-5], "give a recording in a format"),  # its end is cut, too
+        ("a.log", LINE + b"nonsense\n" + LINE + LINE[:-5], "message 2: .*give a rec"),  # its end is cut, too
         *(
             (f"a.log{packed}", LINE * 2 + LINE.replace(b"1.000000", number.encode()) + LINE,
              rf"message 3: time {float(number):g} s is outside 1970 to 2106".replace("+", r"\+"))
