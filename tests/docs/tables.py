@@ -55,7 +55,8 @@ def form(each, text=unquoted, number=decimal):
         return codes(text(one) for one in each.get("enum", [each.get("const")]))
     if each["type"] == "array":
         if "prefixItems" in each:
-            return "pair of numbers"
+            count = len(each["prefixItems"])
+            return "pair of numbers" if count == 2 else f"{count} numbers"
         item, *rest = form(each["items"], text, number).partition(",")
         return f"list of {item.replace('pair of', 'pairs of').rstrip('s')}s{''.join(rest)}"
     name = {"path": "path", "password": "secret"}.get(each.get("format"), each["type"])
