@@ -52,6 +52,14 @@ def test_an_export_has_the_arrays_of_the_recordings_page(tmp_path, monkeypatch, 
     assert "counts" in capsys.readouterr().out
 
 
+def test_the_restoration_page_restores_an_array_of_frames(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hand.toml").write_text(GRASP)
+    np.save("frames.npy", np.zeros((3, 60)))
+    exec(program("restoration.md").replace("palm", "hand"), {})
+    assert capsys.readouterr().out == "0.0 counts idle\n"
+
+
 def test_the_codecs_page_has_a_line_for_every_codec():
     lines = re.search(r"# one of these.*?\n(.*?)```", read("codecs.md"), re.DOTALL)[1].splitlines()
     assert sorted(tomllib.loads(line)["codec"]["name"] for line in lines) == sorted(skins.BUILT_IN)
