@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Sequence
 from contextlib import closing
+from os.path import isdir
 from typing import Annotated
 
 import typer
@@ -30,6 +31,8 @@ def single(
         return None
     if len(paths) > 1:
         raise ConfigError(f"--out {out}: is one file for {len(paths)} inputs: put {NAME} where their names go")
+    if isdir(paths[0]):  # noqa: PTH112  # which fails for a name that is too long
+        raise ConfigError(f"--out {out}: is one file for a folder: put {NAME} where the names of its files go")
     if workers or scheduler:
         raise ConfigError(
             f"--out {out}: is one file, and workers are for several: put {NAME} where their names go"

@@ -112,6 +112,11 @@ def test_what_fails_or_is_somebody_elses_stops_no_other(recordings, config):
     assert not list(out.glob(".tactiled-*"))
 
 
+def test_a_folder_needs_more_than_one_output(recordings, config):
+    text = refusal("export", recordings, "--config", config, "-o", "a.npz")
+    assert text == "--out a.npz: is one file for a folder: put {} where the names of its files go"
+
+
 def test_from_memory_to_memory(recordings, config, memory):  # noqa: F811
     memory.put(str(recordings), "/in", recursive=True)
     summaries = [
