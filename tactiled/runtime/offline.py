@@ -42,7 +42,9 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
             f"{path}: {error.strerror or 'no .npy file'}: give frames in {plan.unit} as .npy"
         ) from error
     except Exception as error:  # numpy reads the header as Python's text, which goes wrong in many ways
-        raise ConfigError(f"{path}: no .npy file of numbers: give frames in {plan.unit} as .npy") from error
+        raise ConfigError(
+            f"{path}: no complete .npy file of numbers: give frames in {plan.unit} as .npy"
+        ) from error
     if not isinstance(frames, np.ndarray):
         frames.close()
         raise ConfigError(f"{path}: several arrays in one file: give one array of frames as .npy")

@@ -209,11 +209,12 @@ def several_arrays(path):
     ("spoil", "message"),
     [
         (lambda path: path.unlink(), "frames.npy: No such file"),
-        (lambda path: path.write_text("not numbers"), "frames.npy: no .npy file"),
+        (lambda path: path.write_text("not numbers"), "frames.npy: no complete .npy file"),
         (lambda path: np.save(path, np.zeros((8, 6))), r"shape (8, 6) for sensor palm: give (T, 8, 6)"),
         (lambda path: np.save(path, np.zeros((9, 6, 8))), r"shape (9, 6, 8) for sensor palm: give (T, 8, 6)"),
         (lambda path: np.save(path, np.zeros((2, 8, 6), bool)), "dtype bool: give real numbers"),
-        (lambda path: np.save(path, np.full((2, 8, 6), None)), "no .npy file of numbers"),
+        (lambda path: np.save(path, np.full((2, 8, 6), None)), "no complete .npy file of numbers"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-9]), "no complete .npy file of numbers"),
         (several_arrays, "several arrays in one file"),
     ],
 )

@@ -59,11 +59,11 @@ def test_frames_are_restored_as_offline(rig, url, frames, query):
 def test_wrong_frames_and_parameters_are_named(url):
     good = npy(np.zeros((3, 8, 8)))
     for content, query, status, detail in (
-        (b"", {}, 422, "body: no .npy file of numbers"),
-        (b"\x93NUMPY junk", {}, 422, "body: no .npy file of numbers"),
+        (b"", {}, 422, "body: no complete .npy file of numbers"),
+        (b"\x93NUMPY junk", {}, 422, "body: no complete .npy file of numbers"),
         (npy(np.zeros((3, 4, 4))), {}, 422, "body: shape (3, 4, 4) for sensor palm: give (T, 8, 8)"),
         (npy(np.zeros((3, 8, 8), complex)), {}, 422, "body: dtype complex128: give real numbers"),
-        (npy(np.array([[None]])), {}, 422, "body: no .npy file of numbers"),
+        (npy(np.array([[None]])), {}, 422, "body: no complete .npy file of numbers"),
         (good, {"method": "sharpen"}, 422, "method = 'sharpen': no such method"),
         (good, {"noise_kpa": -1}, 422, "noise_kpa = '-1'"),
         (good, {"sensor": "plam"}, 404, "sensor 'plam': no such sensor"),
