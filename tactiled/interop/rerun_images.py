@@ -66,9 +66,9 @@ class SensorLog:
         self._log("force", rr.Scalars(force))
         self._log("peak", rr.Scalars(peak))
         warnings = {each.code: each.text for each in image.warnings}
-        for code in warnings.keys() - self._warnings.keys():
+        for code in [each for each in warnings if each not in self._warnings]:
             self._log("warnings", rr.TextLog(warnings[code], level=rr.TextLogLevel.WARN))
-        for code in self._warnings.keys() - warnings.keys():
+        for code in [each for each in self._warnings if each not in warnings]:
             self._log("warnings", rr.TextLog(f"over: {code}", level=rr.TextLogLevel.INFO))
         self._warnings = warnings
 

@@ -9,8 +9,8 @@ from rerun.chunk import RrdReader
 
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
-from tests.cli.recordings import HEEL
-from tests.cli.test_export import exported
+from tests.cli.recordings import HEEL, traffic, write
+from tests.cli.test_export import exported, topics
 from tests.cli.test_export_rosbag2 import pictures, values
 from tests.conftest import BUSY_S
 
@@ -56,6 +56,17 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
     assert texts[0].startswith("41 taxels did not arrive")
     assert texts[1] == "over: missing"
     assert json.loads(static["/__properties/provenance", "json"][0]) == json.loads(npz["provenance"].item())
+
+
+def test_warnings_that_begin_together_are_in_their_order(tmp_path, config):
+    text = config.read_text().replace("kpa_per_count = 0.5, ", "")
+    config.write_text(text.replace("saturation = 4000", "saturation = 101, dead = [60]"))
+    log = write(tmp_path / "a.log", traffic(missing={(0, 0)}))
+    got, _ = columns(exported(log, config, tmp_path / "a.rrd"))
+    status = topics(exported(log, config, tmp_path / "a.mcap"))[0]["/palm/status"][0].decoded_message
+    texts = [each["text"] for each in status["warnings"]]
+    assert len(texts) > 3
+    assert [each[0] for each in got["/palm/warnings"]["text"]][: len(texts)] == texts
 
 
 def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy, keep_regions):
