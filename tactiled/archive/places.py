@@ -127,7 +127,8 @@ def place(text: str, *, plain: bool = True) -> Place:
 def inputs(paths: Sequence[str], endings: Collection[str]) -> dict[str, Place]:
     """Every input by its name: files, those that match a *, and those in folders that have one of the endings.
 
-    The name is without ending, of a file in a folder with the folders between; ConfigError where two are the same.
+    Endings may be in capitals. The name is without ending, of a file in a folder with the folders between;
+    ConfigError where two are the same.
     """
     places: dict[str, Place] = {}
     for text in paths:
@@ -138,13 +139,15 @@ def inputs(paths: Sequence[str], endings: Collection[str]) -> dict[str, Place]:
         elif not origin.name.endswith(tuple(endings)) and origin.call("isdir"):
             folder = origin.path.rstrip("/") + "/"
             paths = origin.call("find")
-            names = {path: path.removeprefix(folder) for path in paths if path.endswith(tuple(endings))}
+            names = {path: path.removeprefix(folder) for path in paths if path.lower().endswith(tuple(endings))}
         else:
             names = {origin.path: origin.name}
         if not names:
             raise ConfigError(f"{origin}: no file there: give files, or a folder with {', '.join(endings)}")
         for path in sorted(names):
-            name = str(Path(names[path].removesuffix(".gz")).with_suffix(""))
+            name = str(Path(names[path]).with_suffix(""))
+            if path.lower().endswith(".gz"):
+                name = str(Path(name).with_suffix(""))
             one = Place(path, origin.files)
             if places.setdefault(name, one) != one:
                 raise ConfigError(f"{one}: {places[name]} has the same name: rename one")

@@ -24,7 +24,7 @@ def memory():
 
 @pytest.fixture
 def folder(tmp_path):
-    for name in ("a.log", "b.log.gz", "deep/c.blf", "deep/notes.txt"):
+    for name in ("a.log", "b.log.gz", "deep/c.blf", "deep/notes.txt", "E.LOG.GZ"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(name)
     return tmp_path
@@ -41,6 +41,7 @@ def test_inputs_are_files_patterns_and_all_recordings_of_folders(folder):
     assert names(folder) == {
         "a": f"{folder}/a.log",
         "b": f"{folder}/b.log.gz",
+        "E": f"{folder}/E.LOG.GZ",
         "deep/c": f"{folder}/deep/c.blf",
     }
     assert names(f"{folder}/*.log", f"file://{folder}/deep/notes.txt") == {
