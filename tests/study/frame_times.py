@@ -22,7 +22,7 @@ from tests.study.judge import NOISES, THICKNESSES
 PASSES = 3  # through the same frames, of whose times the least counts: others empty the caches
 CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
 ROUNDS = 28  # of a pass through every setting: each makes restorers anew, which takes longer than many frames
-SLOWEST, AGAIN = 3, 20  # so many of a pass' slowest frames are timed so often again: others may have slowed them
+SLOWEST, AGAIN = 20, 20  # so many of a pass' slowest frames are timed so often again: others may have slowed them
 COLD, WIENERS = 2, 3  # frames of a pass on a fresh, prepared restorer, and those of scikit-image
 IDLE = 0.05  # of the runs: nothing touches
 SPOTS = ("bumps", "caps")  # of which fits of points may fail
