@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.health import NOISY_RATIO
+from tactiled.calibrate.plateaus import noise as taxel_noise
 from tactiled.calibrate.presses import Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
@@ -23,7 +25,8 @@ def pressures(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Pressures (T, N) in kPa (in counts without a gain), NaN: unknown, and which readings are at their ceiling.
 
-    Where no ceiling is configured, it is one of the codec's `ends`.
+    Where no ceiling is configured, it is one of the codec's `ends`. A taxel of NOISY_RATIO times the array's noise
+    is left out.
     """
     size = series.counts.shape[1]
     with np.errstate(invalid="ignore"):
@@ -33,6 +36,8 @@ def pressures(
             rising = calibration.kpa_per_count > 0
             ceiling = series.counts >= ends[1] if rising else series.counts <= ends[0]
             saturated = saturated | ceiling
+        noise = taxel_noise(_middle(pressure))
+        pressure[:, noise > NOISY_RATIO * max(float(np.median(noise)), calibration.floor_kpa)] = np.nan
     return pressure.astype(np.float64), saturated
 
 
@@ -58,8 +63,13 @@ def recorded_presses(
 
 def noise_of(pressure: Floats, calibration: Calibration) -> float:
     """Standard deviation (kPa) of a taxel in frames (T, N), not below what rounding to counts makes."""
-    start = max(0, (len(pressure) - NOISE_FRAMES) // 2)
-    return max(estimate(pressure[start : start + NOISE_FRAMES]), calibration.floor_kpa)
+    return max(estimate(_middle(pressure)), calibration.floor_kpa)
+
+
+def _middle(frames: NDArray[np.floating]) -> NDArray[np.floating]:
+    """NOISE_FRAMES of frames (T, N), if there are as many."""
+    start = max(0, (len(frames) - NOISE_FRAMES) // 2)
+    return frames[start : start + NOISE_FRAMES]
 
 
 def gain_errors(calibration: Calibration, size: int) -> Floats:

@@ -74,8 +74,9 @@ class CoverProcedure:
         from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch  # here: the service starts faster
 
         sensor = self._sensor
-        no_loads = sensor.pipeline.calibrator.no_load.astype(float)  # that hold now
-        calibration = replace(sensor.plan.calibration, no_loads=no_loads)
+        now = sensor.pipeline.calibrator
+        dead = tuple(np.flatnonzero(now.dead | (now.faulty > 0)).tolist())
+        calibration = replace(sensor.plan.calibration, no_loads=now.no_load.astype(float), dead=dead)
         recorded = RecordedTouch(series, sensor.array, self._stack, calibration, sensor.codec.ends)
         return self._outcome(process.run(fit_touch, recorded, self.way, self.size_mm))
 

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
+from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import find_presses
+from tactiled.calibrate.recorded_presses import recorded_presses
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid
 from tests.touched import World, recorded, rubber
@@ -61,3 +64,12 @@ def test_a_recording_of_nothing_has_no_press_and_one_without_a_pause_is_refused(
     steady = WORLD.tip(0.8, np.array([6.0, 6.0])) + random.normal(0, 1, (50, ARRAY.size))
     with pytest.raises(ConfigError, match=r"no frame is without a load .*contact of .* kPa"):
         find_presses(steady, ARRAY, 1.0)
+
+
+def test_a_noisy_taxel_is_left_out_and_seems_no_press(random):
+    frames = recorded(np.array([WORLD.tip(0.8, place) for place in WORLD.places(3, random)]), random)
+    frames[:, 90] += random.normal(0, 40, len(frames))
+    series = FrameSeries(np.arange(len(frames)) / 100, np.round(100 + 10 * frames).astype(np.float32))
+    presses = recorded_presses(series, ARRAY, Calibration(0.1, 100), (0, 65535))
+    assert [each.reason for each in presses] == [""] * 3
+    assert [np.flatnonzero(np.isnan(each.mean)).tolist() for each in presses] == [[90]] * 3

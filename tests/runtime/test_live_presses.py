@@ -1,6 +1,11 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from tactiled.build import make_stack
+from tactiled.frames import FAULTY
+from tactiled.runtime.cover_procedure import CoverProcedure
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_presses import LiveContact, LivePresses, presses_of
 from tests.calibrating import LOAD, RATE_HZ, CalibratedSkin
@@ -60,3 +65,13 @@ def test_contact_is_timed(rig, skin, collector):
         skin.offer(load * np.tile(touched, (2 * RATE_HZ, 1)))
         contact.look(collector)
     assert contact.seconds == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_fit_leaves_out_taxels_that_are_found_faulty(rig, collector):
+    rig.sensor.pipeline.calibrator.faulty[[7, 27]] = FAULTY
+    procedure, fitted = CoverProcedure(rig.sensor, make_stack(rig.config.sensor["palm"]), "tip", 1.0), []
+    fit = SimpleNamespace(
+        run=lambda _, recorded, *_rest: fitted.append(recorded) or SimpleNamespace(reason="none")
+    )
+    procedure.fit(collector.series(), fit)
+    assert fitted[0].calibration.dead == (7, 27)
