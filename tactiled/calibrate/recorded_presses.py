@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.health import NOISY_RATIO
+from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.plateaus import noise as taxel_noise
 from tactiled.calibrate.presses import Press, find_presses
 from tactiled.errors import ConfigError
@@ -36,8 +37,9 @@ def pressures(
             rising = calibration.kpa_per_count > 0
             ceiling = series.counts >= ends[1] if rising else series.counts <= ends[0]
             saturated = saturated | ceiling
-        noise = taxel_noise(_middle(pressure))
-        pressure[:, noise > NOISY_RATIO * max(float(np.median(noise)), calibration.floor_kpa)] = np.nan
+    with unknown_taxels():
+        noisy = taxel_noise(_middle(pressure)) > NOISY_RATIO * noise_of(pressure, calibration)
+    pressure[:, noisy] = np.nan
     return pressure.astype(np.float64), saturated
 
 
