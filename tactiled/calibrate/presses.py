@@ -97,8 +97,9 @@ def unloaded(frames: NDArray[np.floating], noise: float) -> Floats:
     totals = np.where(taxels > 0, np.nansum(frames, axis=1) / np.maximum(taxels, 1), np.inf)
     count = max(int(UNLOADED_FRACTION * len(frames)), min(len(frames), 4))
     lowest = frames[np.argsort(totals)[:count]]
-    zero = np.asarray(np.nansum(lowest, axis=0) / np.maximum(np.isfinite(lowest).sum(axis=0), 1), float)
-    if load := load_description([zero.astype(np.float32)], noise):
+    readings = np.isfinite(lowest).sum(axis=0)
+    zero = np.asarray(np.nansum(lowest, axis=0) / np.maximum(readings, 1), float)
+    if load := load_description([np.where(readings, zero, np.nan).astype(np.float32)], noise):
         raise ConfigError(f"no frame is without a load ({load}): lift everything off between presses")
     return zero
 

@@ -63,7 +63,7 @@ def recorded_presses(
     return presses
 
 
-def noise_of(pressure: Floats, calibration: Calibration) -> float:
+def noise_of(pressure: NDArray[np.floating], calibration: Calibration) -> float:
     """Standard deviation (kPa) of a taxel in frames (T, N), not below what rounding to counts makes."""
     return max(estimate(_middle(pressure)), calibration.floor_kpa)
 

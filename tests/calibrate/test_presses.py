@@ -66,10 +66,10 @@ def test_a_recording_of_nothing_has_no_press_and_one_without_a_pause_is_refused(
         find_presses(steady, ARRAY, 1.0)
 
 
-def test_a_noisy_taxel_is_left_out_and_seems_no_press(random):
+def test_noisy_and_dead_taxels_are_left_out_and_seem_no_press(random):
     frames = recorded(np.array([WORLD.tip(0.8, place) for place in WORLD.places(3, random)]), random)
     frames[:, 90] += random.normal(0, 40, len(frames))
     series = FrameSeries(np.arange(len(frames)) / 100, np.round(100 + 10 * frames).astype(np.float32))
-    presses = recorded_presses(series, ARRAY, Calibration(0.1, 100, dead=(20,)), (0, 65535))
+    presses = recorded_presses(series, ARRAY, Calibration(0.1, 200, dead=(20,)), (0, 65535))
     assert [each.reason for each in presses] == [""] * 3
     assert [np.flatnonzero(np.isnan(each.mean)).tolist() for each in presses] == [[20, 90]] * 3
