@@ -66,7 +66,7 @@ def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -
 def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails) -> GainFit:
     """The common gain from one known weight, laid on once or more often."""
     if not (np.isfinite(weight_n) and weight_n > 0):
-        raise ConfigError(f"--weight-n {weight_n:g}: give the weight's force in N, above 0")
+        raise ConfigError(f"weight of {weight_n:g} N: give its force, above 0")
     signal = response(series, tiling(array).areas)
     size = require_press(signal)
     holds = plateaus(signal, WEIGHT_TOLERANCE * size, round(MIN_WEIGHT_HOLD * signal.size))
@@ -76,9 +76,7 @@ def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails)
     loaded = share > BETWEEN[1]
     mixed = (share < -BETWEEN[0]) | (share > BETWEEN[0]) & ~loaded
     if not loaded.any() or loaded[0] or sign == -rails.sign or mixed.any():
-        raise ConfigError(
-            "--weight-n: the recording must start unloaded, and show no load, or the weight held still"
-        )
+        raise ConfigError("the recording must start unloaded, and show no load, or the weight held still")
     means = mean_counts(series, [each.core for each in holds], ~loaded, sign, rails)
     count = int(np.count_nonzero(loaded))
     order, force = np.arange(count), np.full(count, weight_n)
@@ -92,7 +90,7 @@ def _weighed(points: Points, means: Means, array: Array, loaded: NDArray[np.bool
     _require_total(summed, means.noise[loaded])
     end = np.array([summed.counts.max()])
     fitted = fit(summed, end, "linear")
-    check_pressure("--weight-n", float(fitted.parameters[0, 0]))
+    check_pressure("weight", float(fitted.parameters[0, 0]))
     count = summed.pressure.size
     error = (
         f"{100 * fitted.variance[0] ** 0.5:.2g} % by their scatter" if count > 1 else "unknown: lay it on again"

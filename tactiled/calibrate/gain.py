@@ -149,12 +149,12 @@ def _checked(steps_kpa: Sequence[float]) -> Floats:
     steps = np.array(steps_kpa, np.float64)
     listing = ",".join(f"{each:g}" for each in steps)
     if not (np.isfinite(steps) & (steps >= 0)).all() or steps.size < 2 or steps[0] != 0:
-        raise ConfigError(f"--steps-kpa {listing}: give two pressures or more, in kPa, the first of them 0")
+        raise ConfigError(f"pressures {listing} kPa: give two or more, the first of them 0")
     if not np.diff(steps).all():
-        raise ConfigError(f"--steps-kpa {listing}: a pressure follows itself: give it once")
+        raise ConfigError(f"pressures {listing} kPa: one follows itself: give it once")
     if not PRESSURES_KPA[0] <= steps.max() <= PRESSURES_KPA[1]:
         raise ConfigError(
-            f"--steps-kpa {listing}: give kPa, the largest {PRESSURES_KPA[0]:g} to {PRESSURES_KPA[1]:g}"
+            f"pressures {listing}: give kPa, the largest {PRESSURES_KPA[0]:g} to {PRESSURES_KPA[1]:g}"
         )
     return steps
 
@@ -164,7 +164,7 @@ def _require_order(steps: Floats, levels: list[float]) -> None:
     for n, (step, change) in enumerate(zip(np.diff(steps), np.diff(levels), strict=True)):
         if step * change < 0:
             what = f"from {steps[n]:g} to {steps[n + 1]:g} kPa the readings {'rise' if change > 0 else 'fall'}"
-            raise ConfigError(f"--steps-kpa: {what}: give the pressures in the order of the recording")
+            raise ConfigError(f"{what}: give the pressures in the order of the recording")
 
 
 def require_press(signal: Floats) -> float:
@@ -185,7 +185,7 @@ def find_steps(signal: Floats, steps: Floats) -> list[Plateau]:
     if len(holds) != steps.size:
         levels = ", ".join(f"{each.level:.0f}" for each in holds)
         raise ConfigError(
-            f"--steps-kpa names {steps.size} pressures, and the recording holds {len(holds)}, at {levels} counts "
+            f"{steps.size} pressures are given, and the recording holds {len(holds)}, at {levels} counts "
             "(median taxel): give every pressure in its order, and hold each for the same time"
         )
     return holds

@@ -99,10 +99,9 @@ class GainProcedure:
     def fit(self, series: FrameSeries, process: FitProcess) -> GainOutcome:
         """Curves from the loads taken."""
         del series  # the loads taken hold what is needed
-        if len(self._marks) < 2:
-            raise ConfigError(
-                f"{self.mark_key}: {len(self._marks)} loads: take 0 with nothing on the array, and one more"
-            )
+        if (count := len(self._marks)) < 2:
+            loads = f"{count} load{'' if count == 1 else 's'}"
+            raise ConfigError(f"{self.mark_key}: {loads}: take 0 with nothing on the array, and one more")
         frames = self._joined()
         fitted, plan, made = self._fitted(frames, process), self._sensor.plan, origin(f"gain: {self.way}, guided")
         file = with_sections(

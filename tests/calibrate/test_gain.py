@@ -123,13 +123,13 @@ def hand_at_the_start(counts):
 
 
 BAD = {
-    "other steps": (None, (0, 10, 20, 0), "names 4 pressures, and the recording holds 13, at"),
+    "other steps": (None, (0, 10, 20, 0), "4 pressures are given, and the recording holds 13, at"),
     "noise": (noise_alone, STEPS, "no press above the noise"),
     "loaded start": (hand_at_the_start, STEPS, "the recording starts loaded: "),
     "saturated": (lambda counts: np.minimum(counts, 1500), STEPS, "readings under load are saturated"),
     "order": (None, (0, 5, 15, 30, 40, 60, 50, 60, 40, 30, 15, 5, 0), "from 60 to 50 kPa the readings rise"),
     "no zero": (None, (5, 15, 0), "the first of them 0"),
-    "twice": (None, (0, 15, 15, 0), "a pressure follows itself"),
+    "twice": (None, (0, 15, 15, 0), "one follows itself"),
     "pascal": (None, (0, 15000, 30000, 0), "give kPa"),
 }
 

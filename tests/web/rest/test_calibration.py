@@ -130,6 +130,10 @@ def test_a_fit_of_nothing_says_why_and_collecting_goes_on(client, skin):
     client.delete(SESSION)
     client.post(SESSION, json={"way": "uniform"})
     assert "pressure_kpa: 0 loads" in fitted(client)["error"]
+    for kpa, entered in ((0, 0), (40, 40), (20, 60)):
+        skin.level(kpa)
+        client.post(SESSION + "/mark", json={"pressure_kpa": entered})
+    assert fitted(client)["error"].startswith("from 40 to 60 kPa the readings fall: ")  # no word of an option
 
 
 @pytest.mark.usefixtures("skin")
