@@ -63,6 +63,31 @@ def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
     assert not page.evaluate("document.getElementById('calibrate').open")
 
 
+@pytest.mark.usefixtures("rig")
+def test_what_has_failed_is_said_once_and_does_not_cover_later_messages(skin, url, open_page):
+    page = open_page(url)
+    page.press("k")
+    page.get_by_role("button", name="Gain").click()
+    page.get_by_role("button", name="Start").click()
+    page.wait(VISIBLE.format("collect"))
+    for kpa in (0, 150):
+        skin.level(kpa)
+        page.get_by_label("The array is under").fill(str(kpa))
+        page.get_by_role("button", name="Take").click()
+        page.wait(f"{MESSAGE} === 'Taken: {kpa} kPa.'")
+        if not kpa:
+            page.get_by_role("button", name="Fit", exact=True).click()
+            page.wait(f"{MESSAGE}.startsWith('pressure_kpa: 1 load: ')")
+    for _ in range(2):
+        with page.expect_response(lambda answer: answer.url.endswith("/calibration/session")):
+            pass
+    assert page.evaluate(MESSAGE) == "Taken: 150 kPa."
+    page.route("**/sensors/palm/calibration", lambda route: route.abort(), times=1)
+    page.wait(f"{MESSAGE} !== 'Taken: 150 kPa.'")
+    page.wait(f"{MESSAGE} === ''")
+    page.finish("ERR_FAILED")
+
+
 def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(rig, skin, open_page):
     skin.gain[:] = 0.5
     at = Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))

@@ -52,6 +52,8 @@ export class CalibrationPage {
     this._verdict = null;
     this._busy = false; // with a look at the service
     this._acting = false;
+    this._error = ""; // of the last fit, as it was said
+    this._unseen = false; // the last look failed
     this._isFirstLook = false; // since it was opened, and no step was chosen: it goes to that of a session that is there
     this._wire();
   }
@@ -86,6 +88,7 @@ export class CalibrationPage {
     setText(byId("calibrate-title"), `Calibrate ${this._name}`);
     this._plane = null;
     this._session = null;
+    this._error = "";
     this._say("");
     this._go("tare");
     this._isFirstLook = true;
@@ -116,6 +119,8 @@ export class CalibrationPage {
       if (this._acting) return; // what comes of it is the newest
       const session = calibration.session ? await api.calibrationSession(name) : null;
       if (this._acting || name !== this._name || !dialog.open) return;
+      if (this._unseen) this._say("");
+      this._unseen = false;
       this._showTare(calibration);
       this._take(session);
       if (this._isFirstLook) {
@@ -124,6 +129,7 @@ export class CalibrationPage {
         this._focus();
       }
     } catch (error) {
+      this._unseen = true;
       this._say(messageOf(error), true);
     } finally {
       this._busy = false;
@@ -210,7 +216,8 @@ export class CalibrationPage {
     saturated.classList.toggle("some", quality.presses_saturated > 0);
     setText(byId("calibrate-frames"), `${Math.round(session.seconds)} of ${session.seconds_limit} s${session.full ? ", full: fit or discard" : ""}`);
     fit.disabled = quality.presses === 0;
-    if (session.error) this._say(session.error, true);
+    if (session.error && session.error !== this._error) this._say(session.error, true);
+    this._error = session.error;
     if (state === "fitted") this._result.show(session);
   }
 
