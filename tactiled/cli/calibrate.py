@@ -83,6 +83,12 @@ def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> Non
         curves = content.gain.curves
         typer.echo(f"  gain      {curves.form}, {_spread(curves.gain)} kPa per count")
         typer.echo(f"            standard error {_worst(100 * curves.deviation, '%')}")
+    if content.cover is not None:
+        (low, high), fit = content.cover.interval_mm, content.cover.fit
+        interval = f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g})"
+        typer.echo(f"  cover     {interval}, {fit.factor:.3f} times the configured one")
+    if content.health is not None:
+        typer.echo(f"  health    dead: {_listed(content.health.dead)}")
 
 
 def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
@@ -159,7 +165,6 @@ def _lines(fit: "GainFit") -> list[str]:
     largest = "" if fit.force_n is None else f"; the largest load is {number_text(fit.force_n.max())} N"
     scores = ", ".join(f"{form} {100 * each:.2g} %" for form, each in fit.scores.items() if np.isfinite(each))
     own = np.count_nonzero(curves.individual)
-    dead = ", ".join(map(str, fit.dead[:MAX_DEAD_LISTED])) + (" ..." if len(fit.dead) > MAX_DEAD_LISTED else "")
     rows = {
         "curve": curves.form + (f" (rms error of left-out points: {scores})" if scores else ""),
         "gain": f"{_spread(curves.gain[live])} kPa per count; {own} of {curves.size} taxels have their own",
@@ -167,7 +172,7 @@ def _lines(fit: "GainFit") -> list[str]:
         "hysteresis": _worst(curves.hysteresis, "% of full scale"),
         "calibrated": f"up to {number_text(reach)} kPa, {np.median(np.abs(ends)[live]):.0f} counts over no load "
         f"(median taxel){largest}",
-        "dead": f"{len(fit.dead)} ({dead})" if fit.dead else "none",
+        "dead": _listed(fit.dead),
     }
     if fit.alignment is not None:
         clock = fit.alignment
@@ -175,6 +180,11 @@ def _lines(fit: "GainFit") -> list[str]:
             f"log {clock.offset_s:+.4g} s from the recording's, standard error {clock.deviation_s:.2g} s"
         )
     return [f"  {key:<15} {row}" for key, row in rows.items()] + [f"  {each}" for each in fit.notes]
+
+
+def _listed(dead: tuple[int, ...]) -> str:
+    names = ", ".join(map(str, dead[:MAX_DEAD_LISTED])) + (" ..." if len(dead) > MAX_DEAD_LISTED else "")
+    return f"{len(dead)} ({names})" if dead else "none"
 
 
 def _spread(gains: np.ndarray) -> str:

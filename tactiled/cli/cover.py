@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from tactiled.build import make_array, make_stack
+from tactiled.build import configured_file, make_array, make_stack
 from tactiled.cli import options
+from tactiled.cli.calibrate import matching
 from tactiled.cli.check import summary_rows
 from tactiled.cover.fem import Press, pressed
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.stack import Layer, Profile, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.errors import ConfigError
-from tactiled.geometry import grid
+from tactiled.geometry import Array, grid
 
 Floats = NDArray[np.float64]
 
@@ -33,10 +34,13 @@ PROFILE_HELP = (
     "R,RISE: at radius R mm the top layer is RISE mm thicker; repeat it from R = 0 out to a RISE of 0 "
     "for a boss, a dimple (RISE below 0) or an edge round the load."
 )
+COVER, BASE = ("thickness", "young", "poisson"), ("sensor_thickness", "sensor_young", "sensor_poisson")
+REPLACED = {"layer": COVER, "config": (*COVER, "layer", *BASE, "pitch")}  # options, by the one in place of them
 ROUND_FREQUENCIES = (np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]).round(9).ravel()  # 1/mm
 
 
 def cover(
+    context: typer.Context,
     thickness: Annotated[float, typer.Option(help="Cover: thickness, mm.")] = 0.2,
     young: Annotated[float, typer.Option(help="Cover: Young's modulus, MPa.")] = 98.0,
     poisson: Annotated[float, typer.Option(help="Cover: Poisson's ratio, 0 to less than 0.5.")] = 0.3,
@@ -48,7 +52,9 @@ def cover(
     footprint: Annotated[
         float | None, typer.Option(help="Press evenly on a disc of this radius, mm, and print the stress.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="Take cover and array from this file.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="Take cover, as thick as calibrated, and array from this file.")
+    ] = None,
     sensor: options.Sensor = None,
     pitch: Annotated[float, typer.Option(help="Distance between taxels, mm.")] = 1.0,
     noise: Annotated[float, typer.Option(help="A taxel's noise over the indenters' pressure.")] = 0.01,
@@ -60,15 +66,11 @@ def cover(
     plot: Annotated[Path | None, typer.Option(help="Draw both models into FILE.svg or FILE.png.")] = None,
 ) -> None:
     """Print a cover's gain over spatial frequency, and the resolution that it leaves."""
+    _refuse_unused(context)
     base = Layer(sensor_thickness, sensor_young, sensor_poisson)
     stack = _stack(layer, base) if layer else Stack((Layer(thickness, young, poisson), base))
-    array = grid(1, 1, pitch)
-    if config:
-        *_, configured = options.one_sensor(config, sensor)
-        stack, array = make_stack(configured), make_array(configured)
+    stack, array = _configured(config, sensor) if config else (stack, grid(1, 1, pitch))
     q, rise = None if at is None else _frequencies(at), _profile(profile or [])
-    if footprint is not None and model != "fem":
-        raise ConfigError("--footprint needs --model fem: leave one of them out")
     start, press = perf_counter(), None
     late = partial(_is_past, start + budget)
     kernel = solve(stack, model, accuracy, rise, late)
@@ -86,6 +88,29 @@ def cover(
             _show_press(footprint, press)
     if plot:
         _plot(plot, kernel)
+
+
+def _refuse_unused(context: typer.Context) -> None:
+    """ConfigError for the first option that another one takes the place of."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    present = {name for name, source in sources.items() if source and source.name == "COMMANDLINE"}
+    for by, names in REPLACED.items():
+        for name in names:
+            if {by, name} <= present:
+                raise ConfigError(f"--{name.replace('_', '-')} has no effect with --{by}: leave one of them out")
+    if "sensor" in present and "config" not in present:
+        raise ConfigError("--sensor needs --config")
+    if "footprint" in present and context.params["model"] != "fem":
+        raise ConfigError("--footprint needs --model fem: leave one of them out")
+
+
+def _configured(config: Path, name: str | None) -> tuple[Stack, Array]:
+    """Cover, as thick as it was fitted, and array of a sensor in a configuration file."""
+    _, name, sensor = options.one_sensor(config, name)
+    stack, file, path = make_stack(sensor), configured_file(sensor), sensor.calibration.file
+    if file and path and (cover := matching(path, file, name, sensor).cover):
+        stack = stack.thickened(cover.factor)
+    return stack, make_array(sensor)
 
 
 def _is_past(end: float) -> bool:

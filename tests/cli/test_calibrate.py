@@ -62,6 +62,7 @@ def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
     listing = succeed("calibrate", "show", out)
     assert f"palm, packed, 64 taxels, id {file.id}" in listing
     assert file.gain.form in listing
+    assert "dead: 1 (9)" in listing
 
 
 def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):

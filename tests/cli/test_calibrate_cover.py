@@ -74,6 +74,7 @@ def test_presses_with_a_tip_become_a_section_of_the_calibration_file(config, tip
     assert lines[1].startswith(f"  thickness  {section.thickness_mm:.4g} mm (95 %: ")
     assert lines[1].endswith("configured 1.25 mm")
     assert "<svg" in chart.read_text()
+    assert lines[1].split("  ")[-1].split("; ")[0] in succeed("calibrate", "show", out)
 
 
 def test_an_edge_is_fitted_and_other_sections_stay(config, tips, tmp_path):

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from tactiled.calibrate.calibration_file import save
 from tactiled.config.example import EXAMPLE
 from tactiled.cover.layered import gain
 from tactiled.cover.stack import Layer, Stack
 from tactiled.study.charts import figure
+from tests.calibrate.files import calibration_file, cover_section
 from tests.cli.commands import refusal, succeed
 
 Q = [0.25, 0.5, 1, 2, 3, 4]
@@ -77,6 +79,10 @@ def test_cover_and_array_of_a_configuration(tmp_path):
     stack = Stack((Layer(1.2, 0.6, 0.48), Layer(1, 980, 0.3)))
     got = record(f"--config {path} --model layered --at 0.1,0.2")
     np.testing.assert_allclose(got["gain"], gain(stack, np.array([0.1, 0.2])), atol=1e-3)
+    path.write_text(EXAMPLE.replace("[sensor.palm.calibration]", '[sensor.palm.calibration]\nfile = "palm.json"'))
+    save(tmp_path / "palm.json", calibration_file(1024, cover=cover_section(1.3, stack)))
+    got = record(f"--config {path} --model layered --at 0.1,0.2")
+    np.testing.assert_allclose(got["gain"], gain(stack.thickened(1.3), np.array([0.1, 0.2])), atol=1e-3)
 
 
 def test_plot_replaces_the_file_before_unless_it_is_interrupted(tmp_path, monkeypatch):
@@ -117,6 +123,9 @@ def test_plot_replaces_the_file_before_unless_it_is_interrupted(tmp_path, monkey
         ("--plot cover.bmp", "picture cover.bmp: give a name"),
         ("--plot gone/cover.svg", "gone/cover.svg: No such file or directory: nothing is written"),
         ("--config nowhere.toml", "nowhere.toml: No such file"),
+        ("--config palm.toml --thickness 3", "--thickness has no effect with --config: leave one of them out"),
+        ("--layer 1,2,0.3 --young 3", "--young has no effect with --layer: leave one of them out"),
+        ("--sensor palm", "--sensor needs --config"),
     ],
 )
 def test_wrong_input_is_refused(arguments, message):
