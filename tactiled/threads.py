@@ -29,7 +29,7 @@ def join_started(thread: Thread) -> None:
 
 
 def run_on_thread(work: Callable[[], None]) -> None:
-    """Start `work` on a thread; the interpreter waits for its end, as numpy's code aborts the process else."""
+    """Start `work` on a thread. The interpreter waits for it: one stopped inside numpy aborts the process."""
     Thread(target=work, name="background", daemon=False).start()  # else it is as the caller's thread
 
 

@@ -14,7 +14,7 @@ from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
 
-# A sequence number that looks old is that of a restarted sender after this silence, or after these frames of such.
+# A lower sequence number is of a restarted sender after so long a silence, or after so many frames of lower ones.
 RESTART_S, RESTART_FRAMES = 0.25, 3
 
 
