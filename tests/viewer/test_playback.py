@@ -38,7 +38,13 @@ def recorded(rig, tmp_path):
     write(tmp_path / "grasp.log", messages)
     rig.show(pressed(0))
     with running(rig.service, Server(port=0, recordings=tmp_path, control_per_minute=0)) as url:
+        wait_until_read(url, "grasp.log")
         yield url, tmp_path
+
+
+def wait_until_read(url, name):
+    """Until a recording's file is read: no frame is next to the first while it is the only one."""
+    until(lambda: not ask("GET", f"{url}/api/v1/recordings/{name}/playback?sensor=palm").json()["reading"])
 
 
 def open_recording(page, name="grasp.log"):
@@ -148,7 +154,6 @@ def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, op
             body |= {"reading": True, "frames": 10, "duration_s": 0.2, "positions_s": [0, 0.2], "force": [1, 1]}
         route.fulfill(response=looks[-1], json=body)
 
-    until(lambda: not ask("GET", f"{url}/api/v1/recordings/grasp.log/playback?sensor=palm").json()["reading"])
     page.route("**/grasp.log/playback?*", answer)
     page.evaluate(WATCH_TEXTS)
     open_recording(page)

@@ -178,6 +178,16 @@ def need_frame(sensor: Sensor, recorded: RecordedFrames, number: int) -> None:
     raise Problem(404, f"recording {name}: no frame {number}: {why}")
 
 
+def _number_at(sensor: Sensor, recorded: RecordedFrames, position_s: float) -> int:
+    """Number of the last frame that had come at a position. Problem 409 where that is not read yet."""
+    reading = recorded.reading  # first: more may come meanwhile
+    if count := recorded.count(sensor.name):
+        (last,) = recorded.heads(sensor.name, count - 1, 1)
+        if reading and position_s > last["position"]:
+            raise Problem(409, f"recording {recorded.path.name}: position {position_s:g} s is not read yet", SOON)
+    return recorded.at(sensor.name, position_s)
+
+
 def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Response:
     """A sensor's part of a recording, as far as it was read."""
     reading, plan = recorded.reading, sensor.plan  # first: more may come meanwhile
@@ -201,7 +211,7 @@ def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: 
     if query.shear:
         sensor.need_shear()
     playback = playbacks.playback(sensor, recorded)
-    first = recorded.at(sensor.name, query.at or 0.0) if query.first is None else query.first
+    first = _number_at(sensor, recorded, query.at or 0.0) if query.first is None else query.first
     need_frame(sensor, recorded, first)
     last = min(recorded.count(sensor.name), first + query.count * query.step)
     kinds, end = (KINDS if query.shear else PRESSURES), time.monotonic() + ANSWER_S

@@ -15,6 +15,7 @@ from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
 from tactiled.config import Server, parse
 from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
+from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.service import Service
 from tactiled.web.rest import playback
 from tactiled.web.server import running
@@ -132,6 +133,15 @@ def test_frames_by_position_and_in_steps(client):
     assert [each["id"] for each in contacts] == [1]
     (raw, same) = images(client, "a.log", first=50, method="raw")[2]
     np.testing.assert_array_equal(raw.values, same.values)
+
+
+def test_frames_that_are_not_read_yet_are_refused_by_number_and_position(client, monkeypatch):
+    opened(client, "a.log")
+    monkeypatch.setattr(RecordedFrames, "reading", True)
+    for query, what in ({"first": FRAMES}, f"frame {FRAMES} is"), ({"at": 99.5}, "position 99.5 s is"):
+        answer = client.get("/a.log/frames", params=PALM | query)
+        assert problem(answer, 409) == f"recording a.log: {what} not read yet"
+    assert images(client, "a.log", at=0.2)[0] == 19
 
 
 def test_an_answer_is_short_where_restoring_takes_long(client, monkeypatch):
