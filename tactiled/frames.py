@@ -62,9 +62,7 @@ class Loss:
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
     unsent: int = 0  # messages to skins, requests among them, that the bus did not take
     unreadable: int = 0  # what came on the bus and its interface could not decode, whosesoever it was
-    undelivered: int = (
-        0  # images that a reader published and that did not reach the server, or were overtaken there
-    )
+    undelivered: int = 0  # images that a reader published and that were lost, or overtaken, on their way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,9 +123,7 @@ class Image:
     resolution_mm: float  # the finest half-period that the restored image carries above its noise
     loss: Loss = field(default_factory=Loss)
     warnings: tuple[FrameWarning, ...] = ()
-    shear: NDArray[np.float32] | None = (
-        None  # counts, two of the raw image's shape, x and y; as sensed, NaN as there
-    )
+    shear: NDArray[np.float32] | None = None  # counts, x and y of the raw image's shape; as sensed, NaN as there
     arrived: float = 0.0  # s, as of its frame
     unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits

@@ -58,9 +58,7 @@ class Unpacked(NamedTuple):
     sequence: int
     timestamp: float  # s, of the frame's first CAN message
     made_at: float  # s, Unix, of the message
-    values: NDArray[
-        np.float32
-    ]  # in `unit`, (rows, columns), one row where the layout is no grid; shear (2, ...), counts
+    values: NDArray[np.float32]  # in `unit`, (rows, columns), a layout in one row; shear (2, ...), counts
     flags: NDArray[np.uint8]  # (taxels,) for a raw image, else empty
     noise: float  # in `unit`
     noise_gain: float
@@ -106,26 +104,6 @@ def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
         METHOD_NAMES.index(image.method) if image.method in METHOD_NAMES else 0,
     )
     return b"".join((head, values.astype("<f4", copy=False).tobytes(), flags, name))
-
-
-def unpack_all(data: bytes) -> list[Unpacked]:
-    """Read a message of one image or, with `together=1`, several; ValueError if it is not of this version."""
-    images: list[Unpacked] = []
-    at = 0
-    while at < len(data) or not images:
-        end = at + _size(data, at)
-        images.append(unpack(data[at:end]))
-        at = end
-    return images
-
-
-def _size(data: bytes, at: int) -> int:
-    """The bytes that the image at an offset says it has, and at least those of a header."""
-    if len(data) < at + HEADER.size:
-        return HEADER.size
-    _, _, kind, rows, columns, flagged, named, *_ = HEADER.unpack_from(data, at)
-    size: int = HEADER.size + 4 * rows * columns * (1 if kind < len(PRESSURES) else 2) + flagged + named
-    return size
 
 
 def unpack(data: bytes) -> Unpacked:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tactiled.frames import MISSING, Image
 from tactiled.restore.methods import METHODS
-from tactiled.wire import HEADER, METHOD_NAMES, pack, unpack, unpack_all
+from tactiled.wire import HEADER, METHOD_NAMES, pack, unpack
 
 
 def image(raw, restored):
@@ -60,19 +60,6 @@ def test_unpack_inverts_pack(grid):
     assert (unpack(counted).unit, counted[:14], counted[14:16]) == ("counts", pack(grid, "raw", 2.0)[:14], b"\1\0")
     with pytest.raises(ValueError, match="unit 2"):
         unpack(counted[:14] + b"\2" + counted[15:])
-
-
-def test_a_message_of_several_images_is_unpacked(grid):
-    shear = replace(grid, shear=np.arange(12, dtype=np.float32).reshape(2, 2, 3))
-    each = [pack(shear, kind, 2.0, "palm") for kind in ("raw", "shear", "restored")]
-    for count in range(1, 4):
-        for one, alone in zip(unpack_all(b"".join(each[:count])), map(unpack, each[:count]), strict=True):
-            assert one[:4] + one[6:] == alone[:4] + alone[6:]
-            np.testing.assert_array_equal(one.values, alone.values)
-            np.testing.assert_array_equal(one.flags, alone.flags)
-    for wrong in (b"", each[0][:-1], each[0] + each[1][:9], each[0] + each[1][:-1], each[0] + bytes(64)):
-        with pytest.raises(ValueError, match=r"bytes"):
-            unpack_all(wrong)
 
 
 def test_every_method_has_a_number_and_an_unknown_one_has_no_name(grid):

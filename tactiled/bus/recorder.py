@@ -147,20 +147,16 @@ class Recorder:
         self.check()
         self._queue.put(message)
 
-    def check(self) -> None:
-        """TactileError where the recording has ended before its time."""
-        self._raise()
+    def check(self, more: str = "") -> None:
+        """TactileError where the recording has ended before its time; `more` ends its text."""
+        if self._fault is not None:
+            raise TactileError(f"{self.path}: {self._fault}: the recording ends early{more}")
 
     def close(self) -> None:
         """Write what waits and close the file; TactileError where not all of it is on the disk."""
         self._queue.put(None)
         self._thread.join()
-        self._raise(f", after {self.written} messages")
-
-    def _raise(self, more: str = "") -> None:
-        """TactileError where there is a fault."""
-        if self._fault is not None:
-            raise TactileError(f"{self.path}: {self._fault}: the recording ends early{more}")
+        self.check(f", after {self.written} messages")
 
     def _run(self) -> None:
         try:

@@ -54,9 +54,7 @@ class Touch:
 
     def only(self, presses: NDArray[np.intp]) -> Self:
         """The same with some presses."""
-        own, deviation = self.prior.own[presses], self.prior.own_deviation[presses]
-        prior = replace(self.prior, own=own, own_deviation=deviation)
-        return replace(self, presses=tuple(self.presses[at] for at in presses), prior=prior)
+        return replace(self, presses=tuple(self.presses[at] for at in presses), prior=self.prior.of(presses))
 
     def spectrum(self, nodes: Quadrature) -> Spectrum:
         """The family's gain times the load's transform."""

@@ -122,9 +122,8 @@ class EdgeTouch(Touch):
 
     def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
         """Readings (K, N) within `reach` of an edge, and far enough from the array's border."""
-        border = -(ConvexHull(self.centred).equations @ np.vstack([self.centred.T, np.ones(self.array.size)])).max(
-            0
-        )
+        homogeneous = np.vstack([self.centred.T, np.ones(self.array.size)])
+        border = -(ConvexHull(self.centred).equations @ homogeneous).max(axis=0)
         inside = border >= min(BORDER_DEPTHS * depth, (1 - MIN_INSIDE) * border.max()) - 1e-9
         across = [distances(self.centred, angle, offset)[0] for *_, angle, offset in self.prior.own]
         return np.asarray((np.abs(across) < reach + np.nan_to_num(self.width, posinf=0) / 2) & inside)

@@ -49,6 +49,10 @@ class Prior:
     own: Floats  # (K, P)
     own_deviation: Floats
 
+    def of(self, presses: Ints) -> "Prior":
+        """That of some presses only."""
+        return replace(self, own=self.own[presses], own_deviation=self.own_deviation[presses])
+
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -93,18 +97,12 @@ class Likelihood:
 
     def of(self, presses: Ints) -> "Likelihood":
         """The same of some presses only, numbered anew."""
-        readings, prior = self.readings, self.prior
+        readings = self.readings
         keep = np.isin(readings.press, presses)
         press = np.searchsorted(presses, readings.press[keep])
-        fewer = replace(
-            readings,
-            value=readings.value[keep],
-            error=readings.error[keep],
-            press=press,
-            taxel=readings.taxel[keep],
-        )
-        prior = replace(prior, own=prior.own[presses], own_deviation=prior.own_deviation[presses])
-        return Likelihood(fewer, self.model.of(keep, press), prior, self.reference[keep])
+        value, error, taxel = readings.value[keep], readings.error[keep], readings.taxel[keep]
+        fewer = Readings(value, error, press, taxel, readings.gain_error)
+        return Likelihood(fewer, self.model.of(keep, press), self.prior.of(presses), self.reference[keep])
 
     def solve(
         self, shared: Floats, own: Floats, fixed: tuple[int, ...] = (), max_steps: int = MAX_STEPS

@@ -167,14 +167,11 @@ def _mean(
     sides = free[free < plateau[0]][::-1], free[free > plateau[-1]]
     zeros = [frames[side[SETTLING_FRAMES:][:MAX_UNLOADED_FRAMES]] for side in sides]
     zeros = [each for each in zeros if len(each)]
-    unloaded = [np.isfinite(each).sum(axis=0) for each in zeros]
+    unloaded, sides_used = [np.isfinite(each).sum(axis=0) for each in zeros], max(len(zeros), 1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.nansum(values, axis=0) / counts
-        if zeros:
-            mean = mean - sum(np.nansum(each, axis=0) / n for each, n in zip(zeros, unloaded, strict=True)) / len(
-                zeros
-            )
-        variance = 1 / counts + sum(1 / n for n in unloaded) / max(len(zeros), 1) ** 2
+        zero = sum(np.nansum(each, axis=0) / n for each, n in zip(zeros, unloaded, strict=True)) / sides_used
+        mean = np.nansum(values, axis=0) / counts - zero
+        variance = 1 / counts + sum(1 / n for n in unloaded) / sides_used**2
     mean[~np.isfinite(variance)] = np.nan
     return mean, np.where(np.isfinite(variance), noise * np.sqrt(variance), np.inf)
 

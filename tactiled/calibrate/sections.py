@@ -22,7 +22,6 @@ Value = Annotated[float, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}
 Values = tuple[Value, ...]
 OptionalValues = tuple[Value | None, ...]  # None: unknown
 Made = TypeVar("Made", bound=BaseModel)
-Taxels = Annotated[int, Field(ge=1, le=1 << 20)]
 
 
 class Table(BaseModel):

@@ -122,9 +122,8 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: missing"
     if not place:
         return message
-    if fault["type"] == "value_error" or place.endswith(
-        ("_token", ".password")
-    ):  # of a table whose values may be secrets
+    secret = place.endswith(("_token", ".password"))
+    if secret or fault["type"] == "value_error":  # of a table whose values may be secrets
         return f"{place}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
         (value,) = show([*seal({"": value}).values()])

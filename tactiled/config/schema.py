@@ -248,9 +248,7 @@ class Calibration(Section):
 
     file: FileBeside | None = None
     """Calibration file; a relative path starts at the folder of the configuration."""
-    kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, PRESSURE, signed=True)] | None = (
-        None  # 2^30 counts a Pa, 1 GPa
-    )
+    kpa_per_count: Annotated[float, Bounds(1e-9, 1e6, PRESSURE, signed=True)] | None = None  # to 1 GPa
     """Pressure of one count, negative if counts fall under pressure; left out: 1 (`icub`: -1), with a warning."""
     no_load: Counts | None = None
     """Counts of an unloaded taxel; left out: 0 (`icub`: 240)."""

@@ -1,7 +1,6 @@
 """The sensors of all robots on a Zenoh network, as a service has them; and the way back to their readers."""
 
 import json
-import logging
 import threading
 import time
 from collections import deque
@@ -33,7 +32,6 @@ from tactiled.wire import KINDS
 if TYPE_CHECKING:
     import zenoh
 
-LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # between two looks at the states, where nothing but images comes
 LINK_S = 2 * LOOK_S  # in which the end of our own link is seen, after that of the tokens
 CLOCK_S = 5.0  # between two comparisons with a reader's clock: 100 ppm of drift are 0.5 ms

@@ -47,9 +47,8 @@ class Scene:
     def __init__(self, blur: Blur, noise: float) -> None:
         self.blur, self.noise = blur, noise
         self.modes = blur.modes
-        excess = max(
-            blur.thickness_error**2 - THICKNESS_ERROR**2, 0.0
-        )  # the filters' constants allow for the rest
+        # The filters' constants allow for the rest.
+        excess = max(blur.thickness_error**2 - THICKNESS_ERROR**2, 0.0)
         self.gain_variance = self.modes.gain_variance(excess)  # of the cover's model, that filters are to count
         self.prior = Prior(self.modes, noise, self.gain_variance)
         self._analyse = self.modes.to_taxel_modes()

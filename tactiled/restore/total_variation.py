@@ -104,9 +104,8 @@ class TotalVariation:
         self._exact, self._c = scene.blur.forward_in_modes(), np.empty_like(scene.c)
         # Norm of a frame up to which noise hides what the modes miss of it.
         self._hidden = scene.noise * sqrt(scene.flat.size) / MODES_MISS
-        self._rest, self._z, self._mirrored = (
-            np.zeros((rows, columns), np.float32) for _ in range(3)
-        )  # rest: z - x
+        # The rest is z - x.
+        self._rest, self._z, self._mirrored = (np.zeros((rows, columns), np.float32) for _ in range(3))
         self._edges = Edges((rows, columns))
         self._flat = self._edges.x
         self.image = self._flat.reshape(rows, columns)

@@ -19,9 +19,9 @@ from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.service import Service
 from tactiled.web.rest import playback
 from tactiled.web.server import running
-from tactiled.wire import unpack_all
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, traffic, write
 from tests.conftest import HTTP, ask, problem, until
+from tests.web.ws.clients import unpack_all
 
 ROOT = "/api/v1/recordings"
 PALM = {"sensor": "palm"}

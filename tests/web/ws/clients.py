@@ -7,7 +7,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from tactiled.wire import unpack
+from tactiled.wire import HEADER, KINDS, unpack
 from tests.conftest import BUSY_S
 from tests.web.http.raw import websocket_url
 
@@ -28,6 +28,18 @@ def images(client, count, timeout=BUSY_S):
         if isinstance(data, bytes):
             got.append(unpack(data))
             end = time.monotonic() + timeout
+    return got
+
+
+def unpack_all(data):
+    """The images that lie one behind the other."""
+    got = []
+    while data:
+        _, _, kind, rows, columns, flags, name, *_ = HEADER.unpack_from(data)
+        planes = 2 if KINDS[kind] == "shear" else 1
+        size = HEADER.size + 4 * planes * rows * columns + flags + name
+        got.append(unpack(data[:size]))
+        data = data[size:]
     return got
 
 

@@ -19,10 +19,9 @@ from tactiled.web.server import running
 from tactiled.web.ws import feed, session
 from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.stream import Stream, due_after
-from tactiled.wire import unpack_all
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
 from tests.web.http.raw import UPGRADE, bound, plug, read_all
-from tests.web.ws.clients import NEXT, ONE, images, stream, text, text_of, texts
+from tests.web.ws.clients import NEXT, ONE, images, stream, text, text_of, texts, unpack_all
 
 IN_FLIGHT = 10  # messages that may be on their way to a client that does not read
 
