@@ -2,20 +2,31 @@
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 from tactiled import systemd
 from tactiled.runtime.bus_thread import BACK_OFF_S
-from tactiled.runtime.sensor_view import ServiceView
 
 HANGS_AFTER_S = 2 * BACK_OFF_S[1]  # the longest wait of a sound thread is that of a bus that is away
 LOG = logging.getLogger(__name__)
 
 
+class Supervised(Protocol):
+    """A service, whether its buses are here or elsewhere."""
+
+    @property
+    def sensors(self) -> Mapping[str, Any]:
+        """Every sensor, with its name and state."""
+
+    def turns(self) -> dict[str, int | None]:
+        """Turns by now of every thread that must move; None for one that waits."""
+
+
 class Watchdog:
     """Looks at the turns of every thread; call `look` about once a second, from a thread that must move, too."""
 
-    def __init__(self, service: ServiceView, url: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, service: Supervised, url: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._service, self._url, self._clock = service, url, clock
         self._turns: dict[str, int | None] = {}  # by thread, when all had last moved
         self._moved_at: float | None = None  # s, by `clock`, the same; None before the first look

@@ -14,15 +14,21 @@ from tactiled.calibrate.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image
+from tactiled.interop.zenoh_sensor import RemoteSensor
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
-from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
 
 if TYPE_CHECKING:
+    from tactiled.interop.zenoh_fleet import Fleet
     from tactiled.runtime.service import Service
+
+    ServiceView = Service | Fleet
+else:
+    ServiceView = Any  # a server of readers elsewhere imports no python-can
+SensorView = Sensor | RemoteSensor  # whose bus is here, or elsewhere
 
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 

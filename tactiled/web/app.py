@@ -15,9 +15,9 @@ from tactiled import __version__
 from tactiled.config import Server
 from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.runtime.guided_calibration import GuidedCalibrations
-from tactiled.runtime.sensor_view import ServiceView
 from tactiled.runtime.side_process import SideProcess
 from tactiled.web import forward
+from tactiled.web.answers import ServiceView
 from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns

@@ -22,7 +22,7 @@ from tactiled.interop import foxglove
 from tactiled.interop.foxglove_live import bridge
 from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.interop.zenoh_session import need
-from tactiled.runtime.sensor_view import ServiceView
+from tactiled.web.answers import ServiceView
 from tactiled.web.app import create, create_for_fleet
 from tactiled.web.forward import Requests, publisher
 from tactiled.web.http import timeouts
@@ -151,7 +151,7 @@ def _url(listener: socket.socket, config: Server) -> str:
     return f"{'https' if config.tls_certificate else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def _application(service: "Service | Fleet", config: Server) -> FastAPI:
+def _application(service: ServiceView, config: Server) -> FastAPI:
     return create_for_fleet(service, config) if isinstance(service, Fleet) else create(service, config)
 
 
@@ -164,7 +164,7 @@ def _watchdog(service: ServiceView, url: str) -> "Watchdog | None":
     return Watchdog(service, url)
 
 
-def serve(service: "Service | Fleet", config: Server) -> None:
+def serve(service: ServiceView, config: Server) -> None:
     """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
     listener = _socket_of_unit(config) or _listen(config)
     try:
@@ -206,7 +206,7 @@ def publishing(service: "Service", config: Server, settings: Zenoh) -> Iterator[
         yield
 
 
-def running(service: "Service | Fleet", config: Server | None = None) -> AbstractContextManager[str]:
+def running(service: ServiceView, config: Server | None = None) -> AbstractContextManager[str]:
     """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
     config = config or Server(port=0)
     return _on_thread(_application(service, config), config)

@@ -10,10 +10,12 @@ from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
 from starlette.requests import HTTPConnection
 
+from tactiled.build import SensorPlan
 from tactiled.errors import PhysicsError, StateError
+from tactiled.interop.zenoh_sensor import RemotePlan
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.sensor_view import PlanView, SensorView
 from tactiled.units import PRESSURE
+from tactiled.web.answers import SensorView
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.openapi import MEDIA
@@ -95,7 +97,9 @@ def _weighed(part: str) -> tuple[float, str]:
     return (float(weight) if weight.isascii() and weight.replace(".", "", 1).isdigit() else 0.0), media
 
 
-def in_unit(plan: PlanView, name: str, value: float | None, value_kpa: float | None) -> float | None:
+def in_unit(
+    plan: SensorPlan | RemotePlan, name: str, value: float | None, value_kpa: float | None
+) -> float | None:
     """A parameter in the unit of the sensor's pressure, sent as `name`, else in kPa as `name`_kpa.
 
     Problem 409 where kPa is sent of a sensor that is uncalibrated.

@@ -14,9 +14,9 @@ from starlette.concurrency import run_in_threadpool
 from tactiled.frames import Image
 from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Status
-from tactiled.runtime.sensor_view import SensorView
 from tactiled.units import SHEAR, Unit
 from tactiled.web import answers, schemas
+from tactiled.web.answers import SensorView
 from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.openapi import MEDIA, problems, success

@@ -14,8 +14,8 @@ from prometheus_client.metrics_core import HistogramMetricFamily, Metric
 
 from tactiled.bus.error_frames import KINDS
 from tactiled.runtime.sensor import Sensor, State
-from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.runtime.timings import BOUNDS_S, Histogram
+from tactiled.web.answers import SensorView, ServiceView
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import CurrentService

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import Image
-from tactiled.runtime.sensor_view import SensorView
 from tactiled.web import answers
+from tactiled.web.answers import SensorView
 from tactiled.web.rest.drawing import Picture
 from tactiled.web.schemas import PressureKind
 

@@ -8,9 +8,9 @@ from threading import Lock
 from typing import NamedTuple
 
 from tactiled.frames import Image
-from tactiled.runtime.sensor_view import SensorView, ServiceView
 from tactiled.threads import FRAME_LOCK
 from tactiled.web import answers, schemas
+from tactiled.web.answers import SensorView, ServiceView
 from tactiled.web.http.protocols import frame
 from tactiled.wire import Kind, pack
 

@@ -19,7 +19,7 @@ from tactiled.bus.codecs.xela import REST, Xela
 from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
 from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.sensor_view import ServiceView
+from tactiled.web.answers import ServiceView
 from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
