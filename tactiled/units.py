@@ -15,6 +15,7 @@ PRESSURE: Pressure = "kPa"  # of a sensor that is calibrated
 COUNTS: Literal["counts"] = "counts"  # of pressure and shear that are not; above zero under a load
 SHEAR: Shear = COUNTS
 LENGTH, FORCE, STIFFNESS = "mm", "N", "MPa"
+M_PER_MM = 1e-3
 N_PER_KPA_MM2 = 1e-3  # force of a pressure on an area
 FORCE_UNITS: dict[Unit, ForceUnit] = {PRESSURE: "N", COUNTS: "counts mm2"}
 FORCE_SCALES: dict[Unit, float] = {PRESSURE: N_PER_KPA_MM2, COUNTS: 1.0}  # force of a pressure of 1 on 1 mm2

@@ -25,6 +25,7 @@ MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
 MAX_LONE_SPEED = 100.0  # pitches a second that one may go beyond that where no other is near
 SPEED_GAIN = 0.5  # share of the difference from the predicted place that changes the speed
 GONE_AFTER_S = 0.2  # until then a contact may come back
+OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
 FORBIDDEN = 1e6  # cost of a link: more than any number of links within reach
 
 

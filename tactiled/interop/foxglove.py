@@ -14,20 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
 from tactiled.contacts.regions import Measures
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, PRESSURE, Unit, force_text, nanoseconds
+from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, M_PER_MM, PRESSURE, Unit, force_text, nanoseconds
 
 try:
     from foxglove import messages
 except ImportError:
     messages = None  # type: ignore[assignment]
 
-M_PER_MM = 1e-3
 LABEL_MM, DISC_MM = 1.0, 0.05  # height of a contact's text, and of its disc
-DISC_SIGMAS = 2.0  # radius of a contact's disc, in standard deviations of its pressure
 INTEGER, NUMBER, STRING, BOOLEAN, OBJECT = (
     {"type": each} for each in ("integer", "number", "string", "boolean", "object")
 )  # in JSON Schema
@@ -232,7 +230,7 @@ def contacts_message(name: str, time: float, unit: Unit, contacts: tuple[Contact
 
 
 def _ellipse(contact: Contact) -> Any:
-    across = 2 * DISC_SIGMAS * M_PER_MM
+    across = 2 * OUTLINE_SIGMAS * M_PER_MM
     return messages.CylinderPrimitive(
         pose=_pose(contact.x_mm, contact.y_mm, contact.angle_rad),
         size=messages.Vector3(x=across * contact.major_mm, y=across * contact.minor_mm, z=M_PER_MM * DISC_MM),

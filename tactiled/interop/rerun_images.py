@@ -12,13 +12,12 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.units import FORCE_SCALES, FORCE_UNITS, force_text
 
-DISC_SIGMAS = 2.0  # radius of a contact's outline, in standard deviations of its pressure
 CIRCLE = np.exp(1j * np.linspace(0, 2 * np.pi, 33))  # an outline's corners, x + i y
 CLASSES = [(0, "data", (0, 0, 0, 0)), (1, "no data", (70, 70, 70, 255))]  # of squares, and their colours (RGBA)
 OUTLINE = 255, 255, 255  # colour
@@ -104,7 +103,7 @@ class SensorLog:
         """An ellipse for each contact, with its force."""
         strips, labels = [], []
         for each in contacts:
-            ellipse = DISC_SIGMAS * (each.major_mm * CIRCLE.real + 1j * each.minor_mm * CIRCLE.imag)
+            ellipse = OUTLINE_SIGMAS * (each.major_mm * CIRCLE.real + 1j * each.minor_mm * CIRCLE.imag)
             points = each.x_mm + 1j * each.y_mm + ellipse * np.exp(1j * each.angle_rad)
             strips.append(np.column_stack([points.real, points.imag]))
             labels.append(force_text(each.force, self._plan.unit))

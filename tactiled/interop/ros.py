@@ -14,16 +14,14 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.config import ros_name
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
-from tactiled.units import FORCE_SCALES, FORCE_UNITS, PRESSURE, force_text, nanoseconds
+from tactiled.units import FORCE_SCALES, FORCE_UNITS, M_PER_MM, PRESSURE, force_text, nanoseconds
 
-M_PER_MM = 1e-3
 DIAGNOSTICS_EVERY_S = 1.0  # at least, as ROS's diagnostic_updater by default
-DISC_SIGMAS = 2.0  # radius of a contact's disc, in standard deviations of its pressure
 DISC_M, LABEL_M = 5e-5, 1e-3  # height of that disc, and of its text
 CYLINDER, TEXT_VIEW_FACING, DELETE_ALL = 3, 9, 3  # of visualization_msgs/Marker
 OK, WARN = 0, 1  # of diagnostic_msgs/DiagnosticStatus
@@ -123,7 +121,7 @@ class Topics:
 
     def _contact_markers(self, contact: Contact) -> Iterator[Fields]:
         """An ellipse, and the force beside it."""
-        half, across = contact.angle_rad / 2, 2 * DISC_SIGMAS * M_PER_MM
+        half, across = contact.angle_rad / 2, 2 * OUTLINE_SIGMAS * M_PER_MM
         place = {"x": M_PER_MM * contact.x_mm, "y": M_PER_MM * contact.y_mm}
         both = {"id": contact.id, "pose": {"position": place, "orientation": {"z": sin(half), "w": cos(half)}}}
         scale = {"x": across * contact.major_mm, "y": across * contact.minor_mm, "z": DISC_M}

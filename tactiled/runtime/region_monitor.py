@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,7 @@ MAX_CROSSINGS = 64  # between two looks, ten a second
 MAX_GAP_S = 1.0  # between two images that an integral bridges
 
 
-@dataclass(frozen=True, slots=True)
-class Crossing:
+class Crossing(NamedTuple):
     """A value went over its threshold, or came back under it."""
 
     region: str

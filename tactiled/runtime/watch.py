@@ -3,7 +3,6 @@
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterable
-from dataclasses import astuple
 
 from tactiled.calibrate.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
@@ -124,7 +123,7 @@ class Watch:
             self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)
 
     def _look_at_regions(self, sensor: Sensor) -> None:
-        for name, above, value in map(astuple, sensor.regions.drain_crossings()):
+        for name, above, value in sensor.regions.drain_crossings():
             limit = sensor.regions.regions[name].threshold if name in sensor.regions.regions else None
             if limit is not None:
                 unit = measure_units(sensor.plan.unit)[limit.quantity]
