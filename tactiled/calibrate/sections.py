@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Annotated, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.curves import Curves, Form
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
+
+if TYPE_CHECKING:
+    from tactiled.calibrate.gain import GainFit
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
@@ -202,6 +205,15 @@ class HealthSection(Section):
     def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
         """From indices of dead taxels and noise (N,), NaN where unknown."""
         return build(cls, origin=origin, dead=dead, noise_counts=optional(noise_counts))
+
+
+def gain_sections(fit: "GainFit", noise_counts: NDArray[np.floating], origin: Origin) -> dict[str, Section]:
+    """All that a fitted gain tells of an array whose taxels have that noise (N,)."""
+    return {
+        "gain": GainSection.of(fit.curves, origin),
+        "no_load": NoLoadSection.of(fit.no_load, origin),
+        "health": HealthSection.of(fit.dead, noise_counts, origin),
+    }
 
 
 def build(table: type[Made], **values: Any) -> Made:

@@ -14,7 +14,7 @@ from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.reference import read_reference
-from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection, Origin, Section, build, utc
+from tactiled.calibrate.sections import Origin, Section, build, gain_sections, utc
 from tactiled.cli import options
 from tactiled.config import schema
 from tactiled.errors import ConfigError
@@ -55,12 +55,7 @@ def gain(
         series = read_frame_series(file, name, settings)
         fit = _fit(series, one, steps_kpa, reference, weight_n)
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
-    origin = made_from(file, f"gain: {load}"[:200])
-    new: dict[str, Section] = {
-        "gain": GainSection.of(fit.curves, origin),
-        "no_load": NoLoadSection.of(fit.no_load, origin),
-        "health": HealthSection.of(fit.dead, noise(series.counts), origin),
-    }
+    new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
     if plot is not None:
         from tactiled.study.gain_chart import draw  # matplotlib takes a second
 

@@ -62,10 +62,8 @@ class Scene:
         of_modes = analyse(blur.reach, analyse.empty())
         self.reach = of_modes[self.modes.head].ravel()  # total force of each mode, by the blur
         noise_of_sum = noise * float(np.sqrt(ones.size))
-        self._force_clear, self._force_agrees = (
-            FORCE_CLEAR_SIGMAS * noise_of_sum,
-            FORCE_AGREES_SIGMAS * noise_of_sum,
-        )
+        self._force_clear = FORCE_CLEAR_SIGMAS * noise_of_sum
+        self._force_agrees = FORCE_AGREES_SIGMAS * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
         self.spectrum = self.prior.spectra[0]
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest

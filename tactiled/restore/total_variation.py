@@ -37,12 +37,8 @@ class Edges:
         self._across, self._down = self._both
         self._before, self._above = p[:cells], p[1 + cells :][:cells]
         self._length, self._square_down = self._squares.reshape(2, part)[:, :cells]
-        self._inner, self._right, self._upper, self._lower = (
-            self.x[:-1],
-            self.x[1:],
-            self.x[:-columns],
-            self.x[columns:],
-        )
+        self._inner, self._right = self.x[:-1], self.x[1:]
+        self._upper, self._lower = self.x[:-columns], self.x[columns:]
         self._rightward, self._downward = self._changes[: cells - 1], self._changes[part:][: cells - columns]
         self._row_ends = self._changes[:cells].reshape(shape)[:, -1]
         self._step, self._limit = (np.asarray(each, np.float32) for each in (DUAL_STEP, 1))

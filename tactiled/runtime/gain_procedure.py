@@ -12,7 +12,7 @@ from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.quality import Need, Quality, advice, enough, zone_counts
-from tactiled.calibrate.sections import GainSection, HealthSection, NoLoadSection
+from tactiled.calibrate.sections import gain_sections
 from tactiled.errors import CalibrationStateError, ConfigError
 from tactiled.restore.noise import NORMAL_95
 from tactiled.runtime.fit_process import FitProcess
@@ -104,12 +104,7 @@ class GainProcedure:
             raise ConfigError(f"{self.mark_key}: {loads}: take 0 with nothing on the array, and one more")
         frames = self._joined()
         fitted, plan, made = self._fitted(frames, process), self._sensor.plan, origin(f"gain: {self.way}, guided")
-        file = with_sections(
-            plan,
-            gain=GainSection.of(fitted.curves, made),
-            no_load=NoLoadSection.of(fitted.no_load, made),
-            health=HealthSection.of(fitted.dead, noise(frames.counts), made),
-        )
+        file = with_sections(plan, **gain_sections(fitted, noise(frames.counts), made))
         return _outcome(plan, file, fitted)
 
     def _joined(self) -> FrameSeries:

@@ -346,20 +346,20 @@ export async function recordings() {
   return all;
 }
 
+/** @param {string} name @returns {string} a recording's path */
+const atRecording = (name) => `/recordings/${encodeURIComponent(name)}`;
+
 /** @param {string} bus @returns {Promise<Recording>} */
 export const startRecording = (bus) => request("/recordings", sending("POST", { bus }));
 
 /** @param {string} name @returns {Promise<Recording>} */
-export const stopRecording = (name) => request(`/recordings/${encodeURIComponent(name)}/stop`, { method: "POST" });
+export const stopRecording = (name) => request(`${atRecording(name)}/stop`, { method: "POST" });
 
 /** @param {string} name @returns {Promise<unknown>} */
-export const deleteRecording = (name) => request(`/recordings/${encodeURIComponent(name)}`, { method: "DELETE" });
+export const deleteRecording = (name) => request(atRecording(name), { method: "DELETE" });
 
 /** @param {string} name @returns {string} where the file is to be had */
-export const recordingUrl = (name) => `${ROOT}/recordings/${encodeURIComponent(name)}`;
-
-/** @param {string} name @returns {string} a recording's path */
-const atRecording = (name) => `/recordings/${encodeURIComponent(name)}`;
+export const recordingUrl = (name) => ROOT + atRecording(name);
 
 /** @param {Record<string, string|number|boolean>} values @returns {string} */
 const asQuery = (values) => `?${new URLSearchParams(Object.entries(values).map(([key, value]) => [key, String(value)]))}`;

@@ -65,8 +65,8 @@ export class CalibrationPage {
     press("calibrate-next", () => this._go("gain"));
     press("calibrate-tare-now", () => tare(this._name, (text, bad = false) => this._say(text, bad)));
     press("calibrate-tare-undo", () => undoTare(this._name, (text, bad = false) => this._say(text, bad)));
-    press("calibrate-fit", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
-    press("calibrate-again", () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit")));
+    const startFit = () => this._act("Not fitted", () => api.calibrationAction(this._name, "fit"));
+    for (const each of ["calibrate-fit", "calibrate-again"]) press(each, startFit);
     press("calibrate-cancel", () => this._act("Not cancelled", () => api.calibrationAction(this._name, "cancel")));
     press("calibrate-apply", () => this._apply());
     for (const each of dialog.querySelectorAll(".discard")) each.addEventListener("click", () => this._discard());
