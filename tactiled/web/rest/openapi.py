@@ -21,7 +21,7 @@ MEDIA = {
     "calibration": "application/vnd.tactiled.calibration+json",
 }
 PROBLEMS = {
-    400: ("the body is no JSON text", "body: no JSON at character 0: Expecting value"),
+    400: ("the body is no JSON text, or Range no range of bytes", "body: no JSON at character 0: Expecting value"),
     401: ("no token, where one is needed", "a token is needed: Authorization: Bearer TOKEN, or /?token=TOKEN"),
     403: (
         "a token that reads only; a page of another site; on loopback, another host name than loopback's",
@@ -44,6 +44,7 @@ PROBLEMS = {
         f"a body of more than {MAX_BODY_BYTES >> 10} KiB: send it in parts",
     ),
     415: ("the body is not declared as JSON", "Content-Type: text/plain: give application/json"),
+    416: ("Range is not within the file", "Range: bytes=48231-: is not within the file"),
     422: ("a parameter or the body is wrong", "colour: no such parameter: there is none"),
     429: (
         "too many requests: Retry-After gives the time to wait, s",

@@ -280,6 +280,8 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
     @router.get("/frames", response_class=Response, responses=faults | IMAGES)
     async def frames(name: FileName, request: Request, query: Annotated[FramesQuery, Query()]) -> Response:
         """Frames of a recording, raw and restored, each by itself: they do not depend on the order of requests."""
+        if query.first is not None and query.at is not None:
+            raise Problem(422, "first and at: give one of them")
         return await answer(request, name, query, partial(_images, playbacks, query))
 
     @router.get("/frames/{number}", response_model=PlayedFrame, responses=faults)

@@ -16,6 +16,8 @@ from fastapi import APIRouter, Query, Request
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
+from starlette.datastructures import Headers
+from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import Recorder, record
@@ -30,11 +32,10 @@ from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
 
 FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
-FILE = (
-    success("the whole file", "file")
-    | success("the part of it that Range asks for; of several parts multipart/byteranges", "file", status=206)
-    | success("Range begins after the end", status=416)
+FILE = success("the whole file", "file") | success(
+    "the part of it that Range asks for; of several parts multipart/byteranges", "file", status=206
 )
+WRONG_RANGES = {400: "give bytes=FIRST-LAST", 416: "is not within the file"}
 CONTENT = {MEDIA["file"]: {"schema": {"type": "string", "format": "binary"}}}
 BODY = {"requestBody": {"required": True, "content": CONTENT}}
 FileName = Annotated[str, PathParameter(pattern=FILE_NAME, description="a recording's file name")]
@@ -119,6 +120,20 @@ class _Run(Thread):
             ending = (self.error or f"{self.messages} messages") + unreadable
             text = f"{path.name}: {ending}"
             self._events.add("recording_ended", text, bus=self.bus, failed=self.error is not None)
+
+
+class _File(FileResponse):
+    """A file or a part of it; Problem where `Range` cannot be met."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_or_refuse(message: Message) -> None:
+            if message["type"] == "http.response.start" and (status := message["status"]) in WRONG_RANGES:
+                value, answer = Headers(scope=scope)["range"], Headers(raw=message["headers"])
+                size = {"Content-Range": answer["content-range"]} if status == 416 else None
+                raise Problem(status, f"Range: {value:.80}: {WRONG_RANGES[status]}", size)
+            await send(message)
+
+        await super().__call__(scope, receive, send_or_refuse)
 
 
 class Recordings:
@@ -289,10 +304,10 @@ def make(recordings: Recordings) -> APIRouter:
         """Stop a recording; its file is complete when the answer comes."""
         return recordings.stop(name)
 
-    @router.get("/{name}", response_class=FileResponse, responses=problems(404, 409) | FILE)
+    @router.get("/{name}", response_class=FileResponse, responses=problems(400, 404, 409, 416) | FILE)
     def download(name: FileName) -> FileResponse:
         """The file of a recording that does not run, or a `Range` of it."""
-        return FileResponse(recordings.ended(name), media_type=MEDIA["file"], filename=name)
+        return _File(recordings.ended(name), media_type=MEDIA["file"], filename=name)
 
     @router.put("/{name}", status_code=201, responses=problems(408, 409, 413, 503, *CONTROL), openapi_extra=BODY)
     async def upload(name: FileName, request: Request) -> Recording:

@@ -119,6 +119,11 @@ def test_a_recording_from_its_start_to_its_end(api, folder):
     assert file.content == (folder / "a.log").read_bytes()
     part = api.client.get(f"{ROOT}/a.log", headers={"Range": "bytes=2-9"})
     assert (part.status_code, part.content) == (206, file.content[2:10])
+    refusals = ("bytes=9-2", 400, "give bytes=FIRST-LAST"), ("bytes=99999-", 416, "is not within the file")
+    for wrong, status, why in refusals:
+        part = api.client.get(f"{ROOT}/a.log", headers={"Range": wrong})
+        assert problem(part, status) == f"Range: {wrong}: {why}"
+    assert part.headers["content-range"] == f"bytes */{len(file.content)}"
     numbers = [int.from_bytes(each.data, "big") for each in recording.read(folder / "a.log")]
     assert numbers == [*range(100), *range(20)]
     assert api.client.delete(f"{ROOT}/a.log").status_code == 204
