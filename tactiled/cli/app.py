@@ -17,6 +17,7 @@ from tactiled.errors import TactileError
 
 EXIT_REFUSED, EXIT_INTERRUPTED = 2, 130
 STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
+SERVICES = {"run", "demo", "replay", "serve"}
 
 app = typer.Typer(
     name="tactiled",
@@ -50,8 +51,15 @@ def tactiled(
 
 
 def main() -> None:
-    """Run the command line; SIGTERM ends it as Ctrl-C does, so that temporary files are removed."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    """Run the command line; SIGTERM ends it as Ctrl-C does, so that temporary files are removed.
+
+    A service that is stopped before it runs ends as one that runs: with exit code 0.
+    """
+    if SERVICES.intersection(sys.argv[1:2]):
+        for each in STOP_SIGNALS:
+            signal.signal(each, lambda *_: sys.exit())
+    else:
+        signal.signal(signal.SIGTERM, _interrupt)
     gc.disable()  # imports leave no garbage; `Verbs` enables it again
     completion_init()  # answers shells that ask by the environment
     try:

@@ -9,6 +9,7 @@ from pkgutil import iter_modules
 import pytest
 
 import tactiled.cli
+from tactiled.cli.app import SERVICES
 from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS, CalibrateVerbs
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
@@ -81,6 +82,16 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
     collects, *names = output.split()
     assert collects == "True"
     assert not of(names, "skfem", "skimage", "matplotlib", "scipy.ndimage", "tactiled.study", "rerun", "rosbags")
+
+
+@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("verb", sorted(SERVICES))
+def test_a_service_that_is_stopped_while_it_is_imported_ends_well(verb, kind):
+    program = (
+        "import os, signal; from tactiled.cli import main, verbs;"
+        f"verbs.import_module = lambda _: os.kill(os.getpid(), signal.{kind}); main()"
+    )
+    assert not python(program, verb)
 
 
 @pytest.mark.parametrize(("table", "group"), [(0, []), (1, ["bench"]), (2, ["calibrate"])])
