@@ -1,6 +1,8 @@
 """Any frame of a recording restored by itself, in whatever order: what does not depend on the frames before."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from time import perf_counter
 from typing import NamedTuple
 
@@ -13,14 +15,15 @@ from tactiled.calibrate.tare import Zero
 from tactiled.contacts.detection import Contact, Finder
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import FrameWarning, Image, RawFrame
+from tactiled.frames import UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make
 from tactiled.restore.noise import estimate, noise_ratio
-from tactiled.runtime.pipeline import flag_warnings, make_image, without_zero
+from tactiled.runtime.pipeline import NOISE_FRAMES, flag_warnings, make_image, without_zero
 from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
+MAX_NOISE_SEARCH = 1000  # frames from which those with data are taken
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 
 
@@ -31,15 +34,24 @@ class Overview(NamedTuple):
     force: NDArray[np.float64]  # (P,) N, or counts mm^2
 
 
+def noise_frames(plan: SensorPlan, recorded: FrameFiles) -> tuple[int, ...]:
+    """Numbers of the first frames with data, from which noise is measured; none where it is configured."""
+    if plan.calibration.noise_kpa:
+        return ()
+    every = range(min(recorded.count(plan.name), MAX_NOISE_SEARCH))
+    with_data = (n for n in every if (recorded.frame(plan.name, n).flags & UNKNOWN == 0).any())
+    return tuple(islice(with_data, NOISE_FRAMES))
+
+
 class Playback:
     """Restores the frames of one sensor of a recording, on one thread.
 
     Pressures are by `plan` and, if it was done before the first frame, the tare of `zero`. Drift is not tracked,
-    and no faulty taxels are looked for. The noise is as configured, else measured from the first frames.
+    and no faulty taxels are looked for. The noise is as configured, else measured from the first frames with data.
     """
 
-    def __init__(self, plan: SensorPlan, zero: Zero, recorded: FrameFiles, noise_frames: int) -> None:
-        """There must be a frame, and `noise_frames` from which noise is measured unless it is configured."""
+    def __init__(self, plan: SensorPlan, zero: Zero, recorded: FrameFiles, noise_frames: Sequence[int]) -> None:
+        """There must be a frame; the noise is measured from those of `noise_frames` unless it is configured."""
         self.plan, self.zero, self._recorded = plan, zero, recorded
         calibration, size = plan.calibration, plan.array.size
         self._calibrator = Calibrator(calibration, size)
@@ -57,9 +69,9 @@ class Playback:
         self._finder = Finder(plan.array, plan.cells)
         self._areas = tiling(plan.array).areas  # (N,) mm^2
 
-    def _measured_noise(self, count: int) -> float:
-        raw = [self._pressure(self._recorded.frame(self.plan.name, n))[0] for n in range(count)]
-        return max(self.plan.calibration.floor_kpa, estimate(np.stack(raw)))
+    def _measured_noise(self, numbers: Sequence[int]) -> float:
+        raw = [self._pressure(self._recorded.frame(self.plan.name, n))[0] for n in numbers]
+        return max(self.plan.calibration.floor_kpa, estimate(np.stack(raw)) if raw else 0.0)
 
     def _pressure(self, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         pressure, flags = self._calibrator(frame.counts, frame.flags)

@@ -19,8 +19,7 @@ from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero
 from tactiled.contacts.regions import Measures, Region, RegionMeter
 from tactiled.runtime.fit_process import Cancelled, FitProcess
-from tactiled.runtime.pipeline import NOISE_FRAMES
-from tactiled.runtime.playback import MAX_POINTS, Playback
+from tactiled.runtime.playback import MAX_POINTS, Playback, noise_frames
 from tactiled.runtime.recorded_frames import FLUSH_S, FrameFiles, RecordedFrames, SharedFile, check_goes_on
 from tactiled.threads import join_started
 
@@ -51,7 +50,7 @@ class SeriesJob:
 def write_measures(job: SeriesJob, target: SharedFile) -> None:
     """Write a row for each frame; TactileError where the disk is full or the service has ended."""
     count = job.frames.count(job.plan.name)
-    playback = Playback(job.plan, job.zero, job.frames, min(NOISE_FRAMES, count))
+    playback = Playback(job.plan, job.zero, job.frames, noise_frames(job.plan, job.frames))
     meters = [RegionMeter(each, job.plan.cells) for each in (None, *job.regions.values())]
     row, parent, flushed = np.zeros((), job.row), os.getppid(), time.monotonic()
     for number in range(count):

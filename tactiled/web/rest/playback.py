@@ -12,8 +12,7 @@ from fastapi import Path as PathParameter
 from pydantic import Field
 
 from tactiled.frames import Loss
-from tactiled.runtime.pipeline import NOISE_FRAMES
-from tactiled.runtime.playback import Playback
+from tactiled.runtime.playback import Playback, noise_frames
 from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.recorded_series import SeriesRuns
 from tactiled.runtime.sensor import Sensor
@@ -154,8 +153,8 @@ class Playbacks:
     def playback(self, sensor: Sensor, recorded: RecordedFrames) -> Playback:
         """What restores a sensor's frames, by its present calibration; Problem where there is none yet."""
         need_frame(sensor, recorded, 0)
-        noise_frames = min(NOISE_FRAMES, recorded.count(sensor.name))
-        return self._restoring(sensor.plan, sensor.pipeline.zero, recorded, noise_frames)
+        measured = noise_frames(sensor.plan, recorded)
+        return self._restoring(sensor.plan, sensor.pipeline.zero, recorded, measured)
 
     def close(self) -> None:
         """Close all."""

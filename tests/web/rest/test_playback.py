@@ -1,7 +1,7 @@
 """Frames of recordings: any of them at once, as a replay restores them."""
 
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -14,6 +14,7 @@ from tactiled.bus.recording import Recording
 from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
 from tactiled.config import Server, parse
+from tactiled.frames import BAD
 from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
 from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.service import Service
@@ -160,6 +161,19 @@ def test_the_tare_from_before_a_recording_is_its_zero_and_a_later_one_is_not(cli
         assert opened(client, "a.log")["tared_at"] == (time if shift else None)
         np.testing.assert_allclose(images(client, "a.log", first=0)[2][0].values, before.values + shift, atol=1e-4)
     pipeline.set_zero(zero)
+
+
+def test_noise_is_measured_from_frames_with_data(client, folder, monkeypatch):
+    frame = RecordedFrames.frame
+
+    def partly_bad(self, sensor, number):
+        each = frame(self, sensor, number)
+        return replace(each, flags=np.full_like(each.flags, BAD)) if number % 2 else each
+
+    monkeypatch.setattr(RecordedFrames, "frame", partly_bad)
+    path = write(folder / "half.log", list(traffic())[:100])  # before the presses
+    assert opened(client, path.name)["noise"] == pytest.approx(1.0, rel=0.1)  # 2 counts
+    path.unlink()
 
 
 def test_what_cannot_be_played_is_refused_in_a_line(client, folder):
