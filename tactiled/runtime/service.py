@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from threading import Lock, Thread
 from types import MappingProxyType
@@ -186,12 +186,13 @@ class Service:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Run meanwhile."""
-        try:
-            self.start()
-            yield
-        finally:
-            self.stop()
+        """Run meanwhile; ConfigError where another service has the state file."""
+        with self.state.alone() if self.state else nullcontext():
+            try:
+                self.start()
+                yield
+            finally:
+                self.stop()
 
     def _share_time(self) -> None:
         """Give every sensor its share of the time for restoring: all together do not fill a core."""

@@ -1,10 +1,12 @@
 """The state file: methods that clients set and keep, and tares, read at start."""
 
+import fcntl
 import hashlib
 import json
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -73,6 +75,21 @@ class StateFile:
     def of(cls, config: Path, path: Path | None) -> "StateFile":
         """The state of a configuration file's service: at the path that it names, or at the default one."""
         return cls(path or default_path(config))
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Have the file for this process alone meanwhile; ConfigError where another service runs with it."""
+        with ExitStack() as stack:
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                lock = stack.enter_context(self.path.with_name(f".{self.path.name}.lock").open("ab"))
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                why = "another service runs with it: give each a server.state of its own"
+                raise ConfigError(f"state {self.path}: {why}") from error
+            except OSError:
+                pass  # nothing can be kept then; a client that asks for it is told why
+            yield
 
     def keep(self, sensor: str, method: str | None) -> None:
         """Keep a sensor's method (None: the configured one); StateError, and nothing kept, where that fails."""

@@ -92,6 +92,14 @@ def test_a_state_that_cannot_be_written_changes_nothing(path, monkeypatch, fails
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_a_second_service_with_the_same_file_does_not_start(path):
+    error = pytest.raises(ConfigError, match=f"state {path}: another service runs with it")
+    with service(path).running(), error, service(path).running():
+        pass
+    with service(path).running():
+        pass
+
+
 def test_every_configuration_has_a_default_state_file_of_its_own(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     one, other = default_path(Path("a/palm.toml")), default_path(Path("b/palm.toml"))
