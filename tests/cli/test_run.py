@@ -18,7 +18,7 @@ def unit(folder, interface="virtual", port=None, sockets=1):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         (host, own), number = listener.getsockname(), listener.fileno()
         text = CONFIG.format(channel="none").replace('"virtual"', f'"{interface}"\nfd = true')
-        (folder / "palm.toml").write_text(f'[server]\nstate = "state.json"\nport = {port or own}\n{text}')
+        (folder / "palm.toml").write_text(f'[server]\nstate = "{folder}/state.json"\nport = {port or own}\n{text}')
         shell = ["bash", "-c", f'LISTEN_PID=$$ exec "$@" 3<&{number}', "-"]
         environment = os.environ | {"NOTIFY_SOCKET": f"{folder}/notify", "LISTEN_FDS": f"{sockets}"}
         streams = {"pass_fds": [number], "stderr": subprocess.PIPE, "text": True}
