@@ -107,7 +107,10 @@ class _Writer:
 def write_frames(
     path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[SharedFile, SharedFile]], leave_mb: float
 ) -> str:
-    """Write every frame of a recording; returns a summary of it. TactileError where it or the disk ends early."""
+    """Write every frame of a recording; returns how its end is cut off, "" where it is whole.
+
+    TactileError where it or the disk ends early.
+    """
     recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
     parent, flushed = os.getppid(), time.monotonic()
     try:
@@ -121,7 +124,7 @@ def write_frames(
     finally:
         for each in writers.values():
             each.flush()
-    return recording.summary()
+    return "its end is cut off" if recording.torn else ""
 
 
 def check_goes_on(parent: int, folder: Path, leave_mb: float) -> None:
@@ -192,7 +195,7 @@ class RecordedFrames(FrameFiles):
         self.path, self.leave_mb, self._made_of, self.used_at = path, leave_mb, (_version(path), codecs), 0.0
         files = {name: (SharedFile.temporary(path.parent), SharedFile.temporary(path.parent)) for name in codecs}
         super().__init__({name: each.size for name, each in codecs.items()}, files)
-        self.summary = self.error = ""  # of the recording; why it, or its reading, ended early
+        self.error = ""  # why it, or its reading, ended early
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
         self._thread.start()
@@ -216,7 +219,7 @@ class RecordedFrames(FrameFiles):
 
     def _read(self, codecs: Mapping[str, Codec]) -> None:
         try:
-            self.summary = self._process.run(write_frames, self.path, codecs, self._files, self.leave_mb)
+            self.error = self._process.run(write_frames, self.path, codecs, self._files, self.leave_mb)
         except Cancelled:
             pass
         except Exception as error:

@@ -163,6 +163,14 @@ def test_the_tare_from_before_a_recording_is_its_zero_and_a_later_one_is_not(cli
     pipeline.set_zero(zero)
 
 
+def test_an_end_that_is_cut_off_is_reported(client, folder):
+    path = folder / "cut.asc.gz"
+    path.write_bytes((folder / "a.asc.gz").read_bytes()[:-100])
+    state = opened(client, path.name)
+    assert (state["error"], 0 < state["frames"] < FRAMES) == ("its end is cut off", True)
+    path.unlink()
+
+
 def test_noise_is_measured_from_frames_with_data(client, folder, monkeypatch):
     frame = RecordedFrames.frame
 
