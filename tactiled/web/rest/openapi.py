@@ -21,7 +21,10 @@ MEDIA = {
     "calibration": "application/vnd.tactiled.calibration+json",
 }
 PROBLEMS = {
-    400: ("the body is no JSON text, or Range no range of bytes", "body: no JSON at character 0: Expecting value"),
+    400: (
+        "the body is no JSON text or only a part of a file, or Range no range of bytes",
+        "body: no JSON at character 0: Expecting value",
+    ),
     401: ("no token, where one is needed", "a token is needed: Authorization: Bearer TOKEN, or /?token=TOKEN"),
     403: (
         "a token that reads only; a page of another site; on loopback, another host name than loopback's",

@@ -37,6 +37,7 @@ FILE = success("the whole file", "file") | success(
 )
 WRONG_RANGES = {400: "give bytes=FIRST-LAST", 416: "is not within the file"}
 CONTENT = {MEDIA["file"]: {"schema": {"type": "string", "format": "binary"}}}
+UPLOAD = (400, 408, 409, 413, 503, *CONTROL)
 BODY = {"requestBody": {"required": True, "content": CONTENT}}
 FileName = Annotated[str, PathParameter(pattern=FILE_NAME, description="a recording's file name")]
 
@@ -204,7 +205,7 @@ class Recordings:
         except OSError as error:
             raise Problem(503, f"recording {name}: {error.strerror}") from error
         except ConfigError as error:
-            raise Problem(422, f"recording {name}: {without_path(error, part)}") from error
+            raise Problem(422, str(error).replace(str(part), name)) from error
         self._events.add("recording_added", name)
         return self.recording(name)
 
@@ -268,7 +269,7 @@ def _complete(path: Path) -> None:
     with path.open("rb+") as file:
         os.fsync(file.fileno())
     if next(iter(Recorded(path)), None) is None:
-        raise ConfigError("it holds no data frame")
+        raise ConfigError(f"recording {path}: it holds no data frame")
 
 
 def _is_recording(path: Path) -> bool:
@@ -309,9 +310,11 @@ def make(recordings: Recordings) -> APIRouter:
         """The file of a recording that does not run, or a `Range` of it."""
         return _File(recordings.ended(name), media_type=MEDIA["file"], filename=name)
 
-    @router.put("/{name}", status_code=201, responses=problems(408, 409, 413, 503, *CONTROL), openapi_extra=BODY)
+    @router.put("/{name}", status_code=201, responses=problems(*UPLOAD), openapi_extra=BODY)
     async def upload(name: FileName, request: Request) -> Recording:
         """Add a recording, in the format that its name has; nothing is overwritten."""
+        if "content-range" in request.headers:
+            raise Problem(400, "Content-Range: send the whole file")
         size = int(request.headers.get("content-length", MAX_RECORDING_BYTES))
         return await recordings.add(name, request.stream(), size)
 

@@ -4,7 +4,7 @@ import csv
 import io
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
@@ -121,7 +121,9 @@ def series(
     points: Annotated[
         int, Query(ge=2, le=MAX_POINTS, description="at most; of more images the ones of highest peak")
     ] = MAX_POINTS,
-    form: Annotated[str, Query(alias="format", pattern="^(json|csv)$", description="json or csv")] = "json",
+    form: Annotated[
+        Literal["json", "csv"], Query(alias="format", description="a CSV has a line an image")
+    ] = "json",
 ) -> Response:
     """Force, mean, peak and contact area of a region, image by image."""
     time, values, unit = watched(sensor, region).series(seconds, points)
