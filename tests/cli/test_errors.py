@@ -41,9 +41,9 @@ def test_check_and_run_refuse_the_same(tmp_path, config, verb):
          "sensor.palm: dead names taxel 2000: the array has 0 to 1023"),
         ("port = 0", f'state = "{bad}"', VIRTUAL, f"state {bad}: "),
         ("port = 0", f'port = 0\ntls_certificate = "{bad}"\ntls_key = "{bad}"', VIRTUAL, f"{bad}, {bad}: "),
-        ("port = 0", 'tls_certificate = "/gone"\ntls_key = "/gone"', VIRTUAL,
+        ("port = 0", 'port = 0\ntls_certificate = "/gone"\ntls_key = "/gone"', VIRTUAL,
          "/gone: No such file or directory: give the PEM files"),
-        ("port = 0", f'tls_certificate = "{bad}"\ntls_key = "/{bad.name * 100}"', VIRTUAL,
+        ("port = 0", f'port = 0\ntls_certificate = "{bad}"\ntls_key = "/{bad.name * 100}"', VIRTUAL,
          ": File name too long: give the PEM files"),
     ):  # fmt: skip
         assert message in refusal(verb, config(old, new, text))
