@@ -1,8 +1,14 @@
+import cProfile
+
 import can
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tactiled.bus.error_frames import KINDS
+from tactiled.runtime.timings import Histogram
+from tactiled.web.http.connection_limit import Places
+from tactiled.web.http.limits import ConcurrencyLimit
+from tactiled.web.rest import metrics as prometheus
 from tests.conftest import ask, pressed, until
 from tests.web.ws.clients import images, stream
 
@@ -71,6 +77,14 @@ def test_histograms_count_every_image_that_was_restored_and_sent(rig, url):
     stages_s = sum(metrics[palm("stage_seconds_sum", stage=stage)] for stage in stages)
     assert metrics[palm("frame_age_seconds_sum", at="publish")] == pytest.approx(stages_s)
     assert metrics[palm("frame_age_seconds_sum", at="send")] > 0
+
+
+def test_a_line_of_a_histogram_takes_few_calls_and_any_name(rig):
+    rig.sensor.name, rig.sensor.timings.methods = 'pa"l\\m', {f"m{n}": Histogram() for n in range(500)}
+    profile = cProfile.Profile()
+    text = profile.runcall(prometheus.text, rig.service, ConcurrencyLimit(1, 1), Places(1)).decode()
+    assert samples(text)["tactiled_restore_seconds_count", ("method", "m0"), ("sensor", 'pa"l\\m')] == 0
+    assert sum(each.callcount for each in profile.getstats()) < 5 * text.count("\n")
 
 
 def at_bucket(name, at):
