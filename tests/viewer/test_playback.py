@@ -219,6 +219,9 @@ def test_a_region_is_drawn_on_a_recording_and_its_highest_force_is_read_seen_and
     row.get_by_role("button", name="0:00.6").first.click()
     page.wait(f"{FRAME} === '30' && document.getElementById('force-span').innerText === 'restored'")
     assert "# state: grasp.log at 0:00.6" in page.download("c").read_text().splitlines()
+    page.evaluate(WATCH_TEXTS)
+    page.locator("#series-of").select_option("total, peak")
+    page.wait("window.drawn.some(({ saved, text }) => saved && text === 'kPa')")
     page.inspect()
     page.resize(1280, 860)
     with page.expect_download() as saved:

@@ -36,6 +36,8 @@ export class PlaybackPage {
     this.recording = given.get("recording") ?? "";
     this._series = new RecordedSeriesPanel((number) => viewer.show(viewer.session instanceof PlaybackSession ? viewer.session.recorded.frames - 1 - number : 0));
     this._regions = ""; // the sensor's, of which the values are known
+    /** @type {Curve|null} that the chart was last asked to draw */
+    this._curve = null;
     this._position = Number(given.get("at") ?? 0) || 0;
     this._speed = /** @type {HTMLSelectElement} */ (byId("speed"));
     this._loop = /** @type {HTMLInputElement} */ (byId("loop"));
@@ -185,6 +187,8 @@ export class PlaybackPage {
     document.body.classList.toggle("playback", session !== null);
     byId("recorded").hidden = session === null;
     const curve = session && this._series.curve;
+    if (curve !== this._curve) this._viewer.refresh();
+    this._curve = curve;
     setText(byId("force-name"), curve ? "Whole recording" : "Total force");
     setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : "last 10 s");
     byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : "Total force over the last ten seconds, raw and restored");
