@@ -1,6 +1,7 @@
 """TOML to a checked Config; every fault of the file at once, each with its place."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
@@ -122,6 +123,8 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: missing"
     if not place:
         return message
+    if isinstance(value, str):  # of a secret
+        message = re.sub(r"item(s?) after validation", r"character\1", message)
     secret = place.endswith(("_token", ".password"))
     if secret or fault["type"] == "value_error":  # of a table whose values may be secrets
         return f"{place}: {message}"

@@ -58,6 +58,9 @@ class Finding:
 def config_findings(config: schema.Config) -> list[Finding]:
     """What is hard to believe of a configuration; a sensor that `build` refuses is left to it."""
     findings: list[Finding] = []
+    if (token := config.server.read_token) is not None and token == config.server.control_token:
+        reason = "the same as control_token: whoever may see images may change everything; give two"
+        findings.append(Finding("server.read_token", "", reason))
     for name, sensor in config.sensor.items():
         with suppress(TactileError):
             findings += _sensor(f"sensor.{name}", sensor)

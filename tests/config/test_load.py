@@ -47,6 +47,8 @@ def test_the_example_is_valid():
          "sensor.palm.kernel.method: unknown key: did you mean sensor.method?"),
         ("fd = true\n\n", "\n", "sensor.palm.codec.fd = true: bus can0 is not CAN FD: set bus.can0.fd = true"),
         ('host = "127.0.0.1"', 'host = "0.0.0.0"', "server: other machines could reach it: give control_token"),
+        ("port = 8000", 'control_token = "secret"',
+         "server.control_token: Value should have at least 16 characters, not 6"),
         ('"socketcan"', '"soketcan"',
          "bus.can0.interface = 'soketcan': python-can has no interface of that name: choose one of canalystii, "),
     ],

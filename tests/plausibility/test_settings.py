@@ -151,6 +151,13 @@ def test_a_slip_is_one_finding_that_names_it(line, value, table, reason):
     assert finding.endswith(reason)
 
 
+def test_a_read_token_that_allows_control_is_a_finding():
+    tokens = '[server]\nread_token = "{}"\ncontrol_token = "0123456789abcdef"\n'
+    (finding,) = findings(tokens.format("0123456789abcdef") + RIGS["rig"])
+    assert finding.startswith("server.read_token: the same as control_token: ")
+    assert not findings(tokens.format("fedcba9876543210") + RIGS["rig"])
+
+
 # The same, into one of SKINS: cover, substrate or others.
 SKIN_SLIPS = [
     ("iCub in kPa", ["kpa_per_count = 0.8"], "no_load = 240: leaves 15 counts for pressure: if counts fall under"),
