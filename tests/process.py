@@ -25,7 +25,7 @@ class Running:
             env=settings,
         )
         self.lines = []
-        self.url = re.search(r"https?://[^/]+", self.line(" live at "))[0]
+        self.url = re.search(r"https?://[^/]+", self.line(" served at "))[0]
         host, _, port = self.url.partition("//")[2].rpartition(":")
         while True:  # the line comes a moment before it accepts
             with suppress(ConnectionRefusedError), socket.create_connection((host, int(port))):

@@ -47,12 +47,13 @@ WHY_NOT_BOUND = {
 
 
 def _listen(config: Server) -> socket.socket:
-    """Bind the port; TactileError, one line, where it cannot be had."""
+    """Listen, so that clients wait from now on; TactileError, one line, where it cannot be had."""
     family, kind, address = _address(config)
     listener = socket.socket(family, kind)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind(address)
+        listener.listen()
     except OSError as error:
         listener.close()
         why = WHY_NOT_BOUND.get(error.errno or 0, error.strerror)
@@ -178,7 +179,7 @@ def serve(service: ServiceView, config: Server) -> None:
             also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
             also += "" if address is None else f", for XELA's clients at {address}"
             names = "sensors of all robots" if isinstance(service, Fleet) else ", ".join(service.sensors)
-            logs.announce(f"{names} live at {_url(listener, config)}/{also} (stop: Ctrl-C)")
+            logs.announce(f"{names} served at {_url(listener, config)}/{also} (stop: Ctrl-C)")
             server.run(sockets=[listener])
     finally:
         listener.close()

@@ -1,11 +1,13 @@
+import re
 import socket
 
 import pytest
 from pydantic import SecretStr
 
+from tactiled import logs
 from tactiled.config import Server
 from tactiled.errors import TactileError
-from tactiled.web.server import running, xela_clients
+from tactiled.web.server import running, serve, xela_clients
 
 
 def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
@@ -22,3 +24,13 @@ def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
     for host in ("nowhere.invalid", "203.0.113.7", "a" * 64):
         assert host in error(host=host)
         assert "\n" not in error(host=host)
+
+
+def test_a_client_that_comes_as_soon_as_the_address_is_announced_is_not_refused(rig, monkeypatch):
+    def connect(text):
+        socket.create_connection(("127.0.0.1", int(re.search(r":(\d+)/", text)[1]))).close()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(logs, "announce", connect)
+    with pytest.raises(KeyboardInterrupt):
+        serve(rig.service, Server(port=0))
