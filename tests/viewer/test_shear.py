@@ -105,6 +105,9 @@ def test_the_wall_has_arrows_on_the_same_socket_and_a_sensor_without_shear_has_n
         page.evaluate("document.querySelectorAll('.tile .frame canvas')[1].id = 'tile-shear'")
         assert inked(page.pixels("tile-shear")).sum() > 100
         page.inspect()
+        page.resize(320, 420)
+        page.keep(lambda: rig.show(X, Y), "document.querySelector('.tile .warning').clientWidth >= 100")
+        assert all(scale.evaluate(FITS) for scale in page.locator(".tile .scale").all())
         page.press("1")
         page.wait("!document.getElementById('shear-key').hidden")
         for key in ("v", "w"):
