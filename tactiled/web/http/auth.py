@@ -30,7 +30,9 @@ LOOPBACK_HOST = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
 )
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-UNAUTHORIZED = "a token is needed: Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
+HOW = "Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
+UNAUTHORIZED = f"a token is needed: {HOW}"
+UNKNOWN = f"this token is unknown: show the read_token or the control_token: {HOW}"
 READ_ONLY = "this token reads only: show the control token to change anything"
 
 
@@ -141,7 +143,8 @@ class AccessControl:
         self._check_origin(scope, headers)
         allowed = self._tokens.allowed(headers, query)
         if "read" not in allowed:
-            raise Problem(401, UNAUTHORIZED, {"WWW-Authenticate": "Bearer"})
+            reason = UNKNOWN if token_of(headers, query) else UNAUTHORIZED
+            raise Problem(401, reason, {"WWW-Authenticate": "Bearer"})
         if scope.get("method", "GET") not in SAFE_METHODS and "control" not in allowed:
             raise Problem(403, READ_ONLY)
 
