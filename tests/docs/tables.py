@@ -64,6 +64,8 @@ def form(each, text=unquoted, number=decimal):
         return "`true`, `false`"
     if "minLength" in each and "maxLength" in each:
         return f"{name}, {each['minLength']} to {each['maxLength']} characters"
+    if "exclusiveMinimum" in each and "maximum" in each:
+        return f"{name}, above {number(each['exclusiveMinimum'])} to {number(each['maximum'])}"
     return f"{name}, {number(each['minimum'])} to {number(each['maximum'])}" if "minimum" in each else name
 
 

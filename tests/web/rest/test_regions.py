@@ -24,6 +24,8 @@ def test_a_region_is_watched_measured_and_removed(rig, client, url):
     lines = client.get("/sensors/palm/regions/heel/series?format=csv").text.splitlines()
     assert lines[0] == "time_s,force_N,mean_kPa,peak_kPa,area_mm2"
     assert len(lines) == 1 + len(series["time"])
+    refused = client.get("/sensors/palm/regions/heel/series?format=xml")
+    assert "should be 'json' or 'csv'" in problem(refused, 422)
     metrics = ask("GET", f"{url}/metrics").text
     assert f'tactiled_region_peak{{region="heel",sensor="palm"}} {heel["now"]["peak"]}' in metrics
     assert client.post("/sensors/palm/regions/heel/reset").status_code == 204
