@@ -1,6 +1,6 @@
 """Every error of the API in one form: RFC 9457 problem details."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -74,7 +74,7 @@ def install(app: FastAPI) -> None:
             kind = request.headers.get("content-type", "none")
             return response(415, f"Content-Type: {kind:.80}: give application/json")
         status = 400 if any(each["type"] == "json_invalid" for each in wrong) else 422
-        return response(status, "; ".join(_describe(each) for each in wrong))
+        return response(status, "; ".join(_describe(each) for each in wrong if not _follows(each, wrong)))
 
 
 async def _refused(_: Request, error: Exception) -> Response:
@@ -93,6 +93,13 @@ def _methods(app: FastAPI, request: Request) -> list[str]:
 
     methods = list(filter(exists, VERBS)) or ["GET"]
     return sorted([*methods, "HEAD"]) if "GET" in methods else methods
+
+
+def _follows(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a list is only too short because items of it are wrong, which pydantic does not count."""
+    place = error["loc"]
+    inside = (each["loc"] for each in errors if each is not error)
+    return error["type"] == "too_short" and any(each[: len(place)] == place for each in inside)
 
 
 def _describe(error: Mapping[str, Any]) -> str:
