@@ -15,7 +15,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from tactiled.config import Server, Zenoh
-from tactiled.errors import TactileError
+from tactiled.errors import ReaderError, TactileError
 from tactiled.interop import zenoh_session
 from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.interop.zenoh_publisher import Publisher
@@ -67,7 +67,10 @@ class Forward:
         forwarded = zenoh_session.Request(
             request.method, resource, urlencode(query), headers, await request.body()
         )
-        answer = await run_in_threadpool(self._fleet.request, name, forwarded)
+        try:
+            answer = await run_in_threadpool(self._fleet.request, name, forwarded)
+        except ReaderError as error:  # the application's handlers do not see it
+            return problems.response(503, str(error), problems.SOON)
         return Response(_renamed(answer, name), answer.status, answer.headers)
 
 

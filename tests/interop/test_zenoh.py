@@ -153,6 +153,16 @@ def test_a_tare_through_the_server_is_done_and_reported_there(rig, served):
     assert rig.sensor.pipeline.tared == 1
 
 
+def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    listening = fleet_at("", mode="peer", connect=[], listen=[endpoint])
+    with listening as fleet, running(fleet, Server(port=0)) as url:
+        with published(rig, endpoint):
+            until(lambda: NAME in fleet.sensors)
+        until(lambda: state(fleet) == "down")
+        assert "was stopped" in problem(ask("GET", f"{url}/api/v1/sensors/{NAME}/geometry"), 503)
+
+
 def test_a_reader_without_a_token_lets_nothing_change_beyond_its_machine(rig):
     server = Server()
     for endpoint, status in (("tcp/127.0.0.1:7447", 200), ("tcp/10.0.0.1:7447", 403)):
