@@ -29,6 +29,7 @@ WEBSOCKETS_LOG = logging.getLogger("tactiled.client.websockets")
 WEBSOCKETS_LOG.setLevel(logging.CRITICAL)  # LOG has why a connection ended
 ANSWER_S = 10.0  # that the service may take to answer, or to accept a stream
 MIN_CONNECT_S = 0.1  # that an attempt to connect has when `patience_s` is nearly over
+CLOSE_S = 0.1  # that closing a connection may take: a service that hangs delays the end of `patience_s` so long
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 MAX_PATIENCE_S = 1e6
 MAX_RATE_HZ = 1e4  # that the service takes
@@ -189,7 +190,7 @@ class Stream:
         query |= {"shear": ",".join(sheared)} if sheared else {}
         self.address = f"ws{service.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
         self._options: dict[str, Any] = {"additional_headers": service.headers, "compression": None}
-        self._options |= {"max_queue": MAX_QUEUE, "close_timeout": 1, "logger": WEBSOCKETS_LOG}
+        self._options |= {"max_queue": MAX_QUEUE, "close_timeout": CLOSE_S, "logger": WEBSOCKETS_LOG}
         self._options |= {"ssl": service.ssl_context} if service.ssl_context else {}
         self._back_off_s = BACK_OFF_S[0]
         self._error = ""  # of the newest connection, unless a message came

@@ -46,9 +46,12 @@ def answering(data):
             thread.join()
 
 
-@pytest.mark.parametrize(
+BOTH = pytest.mark.parametrize(
     "ask", [first, lambda *args, **options: run(afirst(*args, **options))], ids=["sync", "async"]
 )
+
+
+@BOTH
 def test_patience_ends_whatever_fails(url, caplog, ask):
     with answering(None) as silent:
         for address, reason in (
@@ -85,6 +88,27 @@ def websocket_server(handle):
     with serve(handle, "127.0.0.1", 0) as service:
         threading.Thread(target=service.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{service.socket.getsockname()[1]}"
+
+
+@BOTH
+def test_a_service_that_hangs_does_not_delay_the_end_of_patience(ask):
+    ended = threading.Event()
+
+    def hang(socket):
+        with socket.protocol_mutex:
+            ended.wait()
+
+    def excess_s():
+        began = time.monotonic()
+        with pytest.raises(TactileError, match=r"no image for 0\.2 s"):
+            ask(url, patience_s=0.2)
+        return time.monotonic() - began - 0.2
+
+    with websocket_server(hang) as url:
+        try:
+            assert min(excess_s() for _ in range(3)) < 0.7
+        finally:
+            ended.set()
 
 
 @pytest.mark.parametrize("message", ["hello", '{"type": "status"}', b"hello"])
