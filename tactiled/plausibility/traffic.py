@@ -16,7 +16,8 @@ from tactiled.config import schema
 from tactiled.frames import Message, RawFrame
 from tactiled.plausibility.settings import Finding
 
-MAX_LOST_FRACTION = 0.01  # of an array's messages
+MAX_LOST_FRACTION = 0.01  # of an array's messages; as many may repeat others
+REPEATED = "repeat others: the sequence number does not count frames, or two boards send on one id"
 MAX_REST_FRACTION = 0.05  # of the full scale between no load and an unloaded array; fingertips of an iCub: 0.02
 MIN_FRAMES_STUCK = 20  # a taxel with noise of a count repeats itself so often with a chance under 1e-8
 MAX_LISTED = 8  # taxels
@@ -47,7 +48,7 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
             lost = loss.lost - own[:SETTLED_FRAMES][-1].loss.lost
             rate = f"{mean_rate_hz([each.time for each in own]):.1f} frames a second"
             report.lines.append(f"{name}: {rate}, {lost} messages lost, {loss.malformed} malformed")
-            report.findings.extend(_frames(f"sensor.{name}", sensor, own, lost))
+            report.findings.extend(_frames(f"sensor.{name}", sensor, own, lost, loss.repeated))
         elif _waits(assembler.codec):
             report.lines.append(f"{name}: no frame: it waits until asked or started, and a check sends nothing")
         else:
@@ -85,11 +86,14 @@ def _differ(configured: Any, sender: Any) -> bool:
     return bool((list(configured) if isinstance(configured, tuple) else configured) != sender)
 
 
-def _frames(place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int) -> Iterator[Finding]:
-    """Loss, pauses, counts at rest and taxels that do not move."""
+def _frames(
+    place: str, sensor: schema.Sensor, frames: list[RawFrame], lost: int, repeated: int
+) -> Iterator[Finding]:
+    """Loss, repetition, pauses, counts at rest and taxels that do not move."""
     codec, calibration = make_codec(sensor), make_calibration(sensor, configured_file(sensor))
-    if (share := lost / (lost + len(frames) * codec.segments)) > MAX_LOST_FRACTION:
-        yield Finding(place, "", f"{100 * share:.2g} % of its messages are lost")
+    for number, what in ((lost, "are lost"), (repeated, REPEATED)):
+        if (share := number / (number + len(frames) * codec.segments)) > MAX_LOST_FRACTION:
+            yield Finding(place, "", f"{100 * share:.1f} % of its messages {what}")
     pauses = np.diff([each.time for each in frames])
     if (longest := max(pauses, default=0.0)) > sensor.stale_after_s:
         typical = float(np.median(pauses))

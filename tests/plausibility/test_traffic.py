@@ -83,6 +83,9 @@ FAULTS = {
     ),
     "strangers": ([Message(0.1, 0x6A1, b"")], {}, "sensor.a.codec = packed: no complete frame on ids 0x500"),
     "loss": ([each for n, each in enumerate(HEALTHY) if n % 10 != 9], {}, "7.7 % of its messages are lost"),
+    "a sequence number that stands still": (
+        [each._replace(data=b"\0" + each.data[1:]) for each in HEALTHY], {}, "97.5 % of its messages repeat others"
+    ),
     "pauses": (HEALTHY, {"more": "\nstale_after_s = 0.015"}, "stale_after_s = 0.015: frames come 0.02 s apart"),
     "one pause": (
         [each._replace(time=each.time + (n > 20)) for n, each in enumerate(HEALTHY)],
