@@ -78,17 +78,17 @@ class Codec(ABC):
     @cached_property
     def size(self) -> int:
         """Taxels in a frame."""
-        raise NotImplementedError
+        raise NotImplementedError("size")
 
     @cached_property
     def segments(self) -> int:
         """Messages in a whole frame."""
-        raise NotImplementedError
+        raise NotImplementedError("segments")
 
     @cached_property
     def full_scale(self) -> int:
         """Largest count."""
-        raise NotImplementedError
+        raise NotImplementedError("full_scale")
 
     @cached_property
     def ends(self) -> tuple[float, float]:
@@ -98,7 +98,7 @@ class Codec(ABC):
     @cached_property
     def ids(self) -> frozenset[Key]:
         """The (id, whether it has 29 bits) of the messages that it reads."""
-        raise NotImplementedError
+        raise NotImplementedError("ids")
 
     @cached_property
     def ordered(self) -> int:
@@ -244,7 +244,7 @@ class Skin:
 
     def codec(self, array: Array) -> Codec:
         """The codec for an array; ConfigError where it cannot carry it."""
-        raise NotImplementedError
+        raise NotImplementedError("codec")
 
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:

@@ -166,6 +166,11 @@ def _payloads(codec: Codec, messages: Iterable[Message]) -> list[bytes | None]:
                 f"decode gave segment {reading.segment} of message {message.id:#x}: expected 0 to "
                 f"{codec.segments - 1}"
             )
+        if codec.modulus is not None and reading.sequence is None:
+            raise ConfigError(
+                f"decode gave no sequence number of message {message.id:#x}: every one needs it, as modulus is "
+                f"{codec.modulus}"
+            )
         payloads[reading.segment] = reading.payload
         covered[codec.span(reading.segment)] += 1
     if None in payloads or not np.all(covered == 1):
