@@ -44,6 +44,8 @@ def run(
         zenoh = service.config.zenoh
         if publishes and (zenoh is None or zenoh.robot is None):
             raise ConfigError(f"{config}: zenoh.robot: missing: --publish needs the table [zenoh] with robot")
+        if zenoh and not publishes:
+            logs.announce("[zenoh] has no effect without --publish", logging.WARNING)
         with _reloadable(service), service.running(), to_viewer(service, rerun):
             if publishes and zenoh:
                 publish(service, server, zenoh)

@@ -70,7 +70,10 @@ def _read(path: Path) -> str:
 
 def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     """Read a configuration from TOML text; `source` names it in the ConfigError, its paths begin in `folder`."""
-    config = validated(Config, _parse(text, source), source, folder)
+    data = _parse(text, source)
+    if "zenoh" in data and not {"bus", "sensor"} & data.keys():
+        raise ConfigError(f"{source}: bus, sensor: missing: only `tactiled serve` needs neither")
+    config = validated(Config, data, source, folder)
     if faults := list(_faults_between_sections(config)):
         raise ConfigError("\n".join(f"{source}: {fault}" for fault in faults))
     logs.hide(_secrets(config))

@@ -64,3 +64,11 @@ def test_a_start_that_is_stopped_while_a_cover_is_solved_is_no_failure(tmp_path,
     monkeypatch.setattr("tactiled.cli.run.prepared", lambda _: os.kill(os.getpid(), signal.SIGTERM))
     with handled(lambda *_: pytest.fail("not caught"), signal.SIGTERM):
         assert run("run", tmp_path / "palm.toml").exit_code == 0
+
+
+def test_a_zenoh_table_without_publish_is_said_to_have_no_effect(tmp_path, monkeypatch):
+    zenoh = '[zenoh]\nconnect = ["tcp/127.0.0.1:7447"]\nrobot = "r1"\n'
+    (tmp_path / "palm.toml").write_text(zenoh + CONFIG.format(channel="none"))
+    monkeypatch.setattr("tactiled.cli.run.serve", lambda *_: None)
+    done = run("run", tmp_path / "palm.toml")
+    assert (done.exit_code, done.stderr) == (0, "tactiled: [zenoh] has no effect without --publish\n")

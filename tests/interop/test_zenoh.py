@@ -9,7 +9,7 @@ import pytest
 from websockets.sync.client import connect
 
 from tactiled.config import Server, Zenoh, parse
-from tactiled.errors import TactileError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.interop.zenoh_session import Request, open_session
 from tactiled.web.app import create
 from tactiled.web.forward import Requests, publisher
@@ -194,3 +194,8 @@ def test_an_interrupted_reader_closes_what_its_resources_have_open(rig):
 def test_a_wrong_table_is_refused_by_its_key(table, error):
     with pytest.raises(Exception, match=error):
         parse(CONFIG.format(channel="x") + f"\n[zenoh]\n{table}\n")
+
+
+def test_a_servers_file_is_for_tactiled_serve():
+    with pytest.raises(ConfigError, match="bus, sensor: missing: only `tactiled serve` needs neither"):
+        parse('[zenoh]\nlisten = ["tcp/127.0.0.1:7447"]\n')
