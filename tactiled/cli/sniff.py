@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from tactiled.bus.reader import open_bus
+from tactiled.bus.skins import load
 from tactiled.bus.sniff import Sender, Survey, survey
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
@@ -43,7 +44,7 @@ poisson = 0.48
 
 [sensor.{name}.calibration]
 no_load = {one.no_load}  # median of what came: right if most of the array was not touched
-# kpa_per_count = 0.05  # EDIT: without it pressure is in counts
+# kpa_per_count = {sign}0.05  # EDIT: without it pressure is in counts
 """
 ARRAY = """
 [sensor.{name}.array]                  # EDIT: what the bus does not tell
@@ -152,7 +153,8 @@ def _sensor(one: Sender, name: str, bus: str) -> str:
         rows, columns = match.shape
         array = ARRAY.format(name=name, rows=rows, columns=columns, pitch_mm=match.pitch_mm)
     codec = _lines({"name": one.name} | match.settings) + "".join(f"\n# {note}" for note in match.notes)
-    return SENSOR.format(name=name, bus=bus, one=one, match=match, codec=codec, array=array)
+    sign = "-" if (load(one.name).kpa_per_count or 0) < 0 else ""  # counts that fall under pressure
+    return SENSOR.format(name=name, bus=bus, one=one, match=match, codec=codec, array=array, sign=sign)
 
 
 def _lines(settings: dict[str, Any]) -> str:
