@@ -52,7 +52,8 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
         elif _waits(assembler.codec):
             report.lines.append(f"{name}: no frame: it waits until asked or started, and a check sends nothing")
         else:
-            report.lines.append(f"{name}: no complete frame")
+            counts = f", {loss.lost} messages lost, {loss.malformed} malformed"
+            report.lines.append(f"{name}: no complete frame{counts if loss.lost or loss.malformed else ''}")
             if messages:
                 report.findings.append(_silent(f"sensor.{name}", sensor, survey(messages), assembler.codec))
     return report

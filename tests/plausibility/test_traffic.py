@@ -105,6 +105,12 @@ def test_a_fault_is_one_finding_with_its_likely_reason(fault):
     assert reason in finding
 
 
+def test_what_a_sensor_without_a_complete_frame_sends_is_counted():
+    first_is_1 = [each._replace(data=each.data[:1] + b"\1" + each.data[2:]) for each in HEALTHY]
+    assert report(first_is_1).lines == [f"a: no complete frame, 0 messages lost, {len(HEALTHY)} malformed"]
+    assert report([Message(0.1, 0x6A1, b"")]).lines == ["a: no complete frame"]
+
+
 def test_what_a_healthy_array_may_do_is_no_fault():
     assert not findings(altered(stick), calibration="no_load = 80, dead = [3, 7]")
     assert not findings(altered(lambda counts: counts.fill(80)))
