@@ -42,7 +42,10 @@ def skins() -> Iterator[tuple[str, type[Skin]]]:
 def recognised(name: str, skin: type[Skin], traffic: Traffic) -> list[Match]:
     """Every array of a skin in what came on a bus; a recogniser that fails is logged, and has none."""
     try:
-        return list(skin.recognise(traffic))
+        matches = list(skin.recognise(traffic))
+        if wrong := [each for each in matches if not isinstance(each, Match)]:
+            raise TypeError(f"{wrong[0]!r} is no Match")
+        return matches
     except Exception as error:  # of another package's skin: none of ours raises here
         LOG.warning("%r of %s: recognise fails: %s", name, _packages(_offers(), name), _line(error))
         return []

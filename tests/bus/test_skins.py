@@ -116,12 +116,20 @@ def test_a_skin_whose_shear_does_not_come_back_is_refused(monkeypatch):
         make_codec(sensor('name = "xela"'))
 
 
-def test_a_recogniser_that_fails_is_named_and_others_go_on(install, caplog):
-    install(CODE.replace("sorted(traffic)", "sorted_(traffic)"))
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        ("sorted(traffic)", "sorted_(traffic)", "NameError: name 'sorted_' is not"),
+        ("for id_,", "yield 3\n        for id_,", "TypeError: 3 is no Match"),
+    ],
+)
+def test_a_recogniser_that_fails_is_named_and_others_go_on(install, caplog, old, new, error):
+    assert CODE.count(old) == 1
+    install(CODE.replace(old, new))
     codec = make_codec(sensor('name = "barrett", node = 3'))
     frames = [codec.encode(np.zeros(codec.size, np.uint16), n, n / 10) for n in range(9)]
     assert [each.name for each in survey(chain(*frames)).senders] == ["barrett"]
-    assert "'my-skin' of my_skin 1.2: recognise fails: NameError: name 'sorted_' is not" in caplog.text
+    assert f"'my-skin' of my_skin 1.2: recognise fails: {error}" in caplog.text
 
 
 def test_a_broken_package_is_imported_only_if_it_is_named(install, caplog):
