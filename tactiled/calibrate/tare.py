@@ -6,13 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
+from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, detection_threshold
 from tactiled.units import PRESSURE, Unit, number_text
 
 MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
 ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
 SKIRT_FRACTION = 0.05  # of the highest reading: so little is a contact's skirt, and reads zero as well
 UNPRESSED_FRACTION = 0.1  # of the taxels: if so many read zero, zero is right
+MIN_JITTER_FRAMES = 8  # that a taxel's own noise is measured from
+JITTER_MARGIN = 1.5  # of a noise measured from so few frames
+CLEARLY_NOISY = 4.0  # times the noise: of 100 000 healthy taxels none seemed to have 3.5 in 16 frames
+MAX_NOISY_FRACTION = 0.01  # of the taxels, or one: if more are noisy at once, a load shakes them
 
 SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike
 SPIKE_COUNTS = 1.5  # of whole counts: neighbouring counts are noise, even where most readings are the same
@@ -61,7 +65,24 @@ def blocks(values: NDArray[np.floating]) -> list[Floats]:
     return [robust_mean(each) for each in np.array_split(values, MOVING_BLOCKS)]
 
 
-def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: Unit = PRESSURE) -> str:
+def own_noise(frames: NDArray[np.floating], noise: float) -> Floats:
+    """Noise (N,) of each taxel in successive frames (T, N): `noise`, more for the few that are clearly noisier.
+
+    By second differences in time, so that what moves slowly is no noise.
+    """
+    own = np.full(frames.shape[1], noise, float)
+    if len(frames) < MIN_JITTER_FRAMES:
+        return own
+    jitter = np.nan_to_num(MAD_TO_SIGMA * _median(np.abs(np.diff(frames, 2, axis=0))) / np.sqrt(6))
+    clearly = np.count_nonzero(jitter > CLEARLY_NOISY * noise)
+    if clearly <= max(1, MAX_NOISY_FRACTION * own.size):
+        own = np.where(jitter > NOISY_RATIO * noise, JITTER_MARGIN * jitter, own)
+    return own
+
+
+def load_description(
+    frames: Sequence[NDArray[np.float32]], noise: float, unit: Unit = PRESSURE, own: Floats | None = None
+) -> str:
     """The load in the newest frames (in `unit`, NaN: unknown), in words; "" where there is only an offset.
 
     An offset stands still and is all over the array, scattered as far below the array's median as above it. So a
@@ -69,20 +90,27 @@ def load_description(frames: Sequence[NDArray[np.float32]], noise: float, unit: 
     what moves between frames by more than noise. The median of an array that is half pressed is no offset: where
     it is clearly above the noise, but a tenth of the taxels read zero and none less, zero takes its place.
     A steady load that leaves fewer free, or lies on half of an array whose zero is wrong, passes for an offset.
+    A taxel is compared with its `own` noise (N,), measured from the frames where it is left out.
     """
     values = np.array([each.ravel() for each in frames], float)
-    values = values[:, np.isfinite(values).any(axis=0)] if values.size else values
-    if not values.size:
+    taxels = np.flatnonzero(np.isfinite(values).any(axis=0)) if values.size else np.zeros(0, int)
+    if not taxels.size:
         return ""
+    own = (own_noise(values, noise) if own is None else own)[taxels]
+    values = values[:, taxels]
     level = np.nanmean(values, axis=0)
     above = level - _unloaded(level, noise)
     scatter = MAD_TO_SIGMA * float(np.median(-above[above < 0])) if (above < 0).any() else 0.0
-    taxels = np.count_nonzero(above > detection_threshold(max(noise, scatter), level.size))
-    if taxels:
-        return f"contact of {number_text(above.max())} {unit} on {taxels} taxel{'s' if taxels > 1 else ''}"
-    moved = float(np.nanmax(np.abs(values - level)))
-    moves = moved > detection_threshold(noise, values.size)
-    return f"readings that move by {number_text(moved)} {unit}" if moves else ""
+    pressed = taxels[above > np.maximum(own, scatter) * detection_threshold(1.0, level.size)]
+    if pressed.size:
+        where = f"{pressed.size} taxels" if pressed.size > 1 else f"taxel {pressed[0]}"
+        return f"contact of {number_text(above.max())} {unit} on {where}"
+    moved = np.nanmax(np.abs(values - level), axis=0)
+    moving = taxels[moved > own * detection_threshold(1.0, values.size)]
+    if not moving.size:
+        return ""
+    where = f" on taxel {moving[0]}" if moving.size == 1 else ""
+    return f"readings that move by {number_text(moved.max())} {unit}{where}"
 
 
 def _unloaded(level: Floats, noise: float) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.monitor import SkinMonitor
-from tactiled.calibrate.tare import Zero, blocks, load_description, robust_mean
+from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
 from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
@@ -248,11 +248,11 @@ class Pipeline:
 
     def _load_during(self, counts: NDArray[np.float32]) -> str:
         """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""
-        noise = self.noise.kpa
+        pressure, noise = self.calibrator.pressure(counts), self.noise.kpa
         if not self.noise.settled:
-            noise = max(noise, estimate(self.calibrator.pressure(counts)))
+            noise = max(noise, estimate(pressure))
         means = [self.calibrator.pressure(each) for each in blocks(counts)]
-        return load_description(means, noise, self._plan.unit)
+        return load_description(means, noise, self._plan.unit, own_noise(pressure, noise))
 
 
 class Deadline:

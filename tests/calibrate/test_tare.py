@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -100,7 +102,7 @@ def test_a_load_is_described_in_kpa_and_taxels():
     frame = np.zeros((4, 4), np.float32)
     assert load_description([frame], NOISE) == ""
     frame[1, 1] = 12
-    assert load_description([frame], NOISE) == "contact of 12 kPa on 1 taxel"
+    assert load_description([frame], NOISE) == "contact of 12 kPa on taxel 5"
     frame[:2, :2] = 12, 9
     assert load_description([frame], NOISE) == "contact of 12 kPa on 4 taxels"
     assert load_description([frame], NOISE, "counts") == "contact of 12 counts on 4 taxels"
@@ -116,7 +118,26 @@ def test_an_unknown_taxel_is_left_out():
     assert load_description([frame, once], NOISE) == ""
     assert load_description([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
     frame[2, 2] = 50
-    assert load_description([frame, once], NOISE) == "contact of 25 kPa on 1 taxel"
+    assert load_description([frame, once], NOISE) == "contact of 25 kPa on taxel 10"
+
+
+@pytest.mark.parametrize("times", [10, 30])
+def test_a_noisy_taxel_is_no_load_and_what_lies_on_it_or_beside_it_is(times):
+    random = np.random.default_rng(4)
+    for _ in range(100):
+        frames = random.normal(0, NOISE, (FRAMES, 256)).astype(np.float32)
+        frames[:, 37] *= times
+        assert load_description(frames, NOISE) == ""
+        frames[:, 37] += 20 * times * NOISE
+        assert re.fullmatch(r"contact of \S+ kPa on taxel 37", load_description(frames, NOISE))
+        frames[:, 90:92] += 30 * times * NOISE
+        assert load_description(frames, NOISE).endswith("on 3 taxels")
+
+
+def test_a_load_that_shakes_several_taxels_is_no_noise():
+    frames = np.random.default_rng(4).normal(0, NOISE, (FRAMES, 256)).astype(np.float32)
+    frames[:, 40:46] *= 20
+    assert load_description(frames, NOISE)
 
 
 def zero_errors(estimate, noise, spikes, frames=50, taxels=20_000):

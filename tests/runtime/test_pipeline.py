@@ -155,11 +155,10 @@ def test_a_load_that_comes_while_a_tare_is_under_way_ends_it_unless_it_is_forced
         assert (pipeline.tared, pipeline.refused, pipeline.can_undo) == (1, 1, True)
 
 
-def test_noise_that_is_not_measured_yet_is_no_load(make):
-    random = np.random.default_rng(1)
-    noisy = [frame(counts=np.round(UNLOADED + random.normal(0, 12, SHAPE))) for _ in range(TARE_FRAMES)]
-    pipeline = make(noise_kpa=None)
-    tare(pipeline, *noisy)
+def test_noise_that_is_not_measured_yet_and_a_noisy_taxel_are_no_load(make):
+    noise, pipeline = np.random.default_rng(1).normal(0, 12, (TARE_FRAMES, *SHAPE)), make(noise_kpa=None)
+    noise[:, 3, 3] *= 10
+    tare(pipeline, *(frame(counts=np.round(UNLOADED + each)) for each in noise))
     assert (pipeline.tared, pipeline.refused) == (1, 0)
 
 
