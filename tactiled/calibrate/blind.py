@@ -41,6 +41,11 @@ MAX_NEAR_FRAMES = 8  # on either side that are averaged
 MAX_NOISE = 0.005  # of the peak: at 0.8 % the thickness from most recordings of the tour was wrong by 25 to 60 %
 RESAMPLES = 400
 MAX_INTERVAL = 1.4  # of its upper over its lower end: more does not tell the thickness
+# Flat tips of 0.5 to 2 pitches (16 x 16 and 20 x 20 taxels, t/pitch 0.5 to 3, noise 0.1 to 0.4 % of the peak) gave
+# covers up to 20 % too thin in intervals of a few per cent. All of these had fewer cells or more misfit than here;
+# three pitches have 37 cells and more, the tour's scenes 40 and more, and a misfit of 0.9 at most.
+MIN_CELLS, NARROW_SHARE = 36.0, 0.2  # cells in effect of a narrow contact, and the share of these that misleads
+MISFIT = 1.2  # of all scenes under the best thickness, over noise and gain errors
 NOTE = "assumes sharp edges in the sharpest scenes: with none, the result may be wrong"
 # w = max(1, (peak / noise / WEIGHT_SNR)^WEIGHT_POWER), for which the factor has no bias, was chosen on 91
 # recordings of five random scenes each of tactiled/study/scenes.py: 24 x 24 taxels, t/pitch 0.5 to 3, noise 0.1
@@ -209,7 +214,7 @@ def _fit(profiles: Profiles, family: CoverFamily) -> CoverFit:
         interval_mm=(low * depth, high * depth),
         presses=len(profiles.scene),
         residual=_left_out(profiles, objective),
-        reason=_reason(at, low, high),
+        reason=_reason(at, low, high) or _narrow(profiles, at),
         notes=(NOTE,),
     )
 
@@ -231,6 +236,21 @@ def _reason(at: int, low: float, high: float) -> str:
         )
     if high > MAX_INTERVAL * low:
         return f"the scenes allow {low:.2g} to {high:.2g} times the configured thickness: press sharper things"
+    return ""
+
+
+def _narrow(profiles: Profiles, at: int) -> str:
+    """Why contacts are too narrow for the cells, which make them look as under a thinner cover; "" if not."""
+    cells = profiles.cells[:, np.abs(LOG_FACTORS - FINE_FACTORS[at]).argmin()]
+    if (cells < MIN_CELLS).mean() > NARROW_SHARE:
+        return "contacts narrower than three taxels look like a thinner cover: press wider things with sharp edges"
+    chi2 = CubicSpline(LOG_FACTORS, profiles.chi2.sum(axis=0))(FINE_FACTORS).min()
+    misfit = float(np.sqrt(max(chi2, 0.0) / profiles.readings.sum()))
+    if misfit > MISFIT:
+        return (
+            f"no thickness explains the scenes to better than {misfit:.2g} times noise and gain errors: press "
+            "things wider than three taxels, and check the gain"
+        )
     return ""
 
 

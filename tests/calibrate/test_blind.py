@@ -23,6 +23,7 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid, layout
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
+from tactiled.study.presses import Disc, press_series, simulated_skin
 from tests.calibrate.files import gain_section
 
 SIZE, NOISE = 20, 0.2
@@ -82,6 +83,21 @@ def test_scenes_without_a_sharp_edge_do_not_tell(thickness, scenes):
     fit = fit_blind(pressed(thickness, scenes, seed=2), NOISE, CoverFamily(rubber(thickness)), ARRAY)
     assert fit.reason
     assert not 0.9 < fit.factor < 1.1
+
+
+@pytest.mark.parametrize(
+    ("thickness", "noise", "radius", "reason"),
+    [(1.0, 0.4, 0.5, "narrower than three taxels"), (2.0, 0.1, 1.0, "no thickness explains")],
+)
+def test_a_narrow_tip_does_not_tell(thickness, noise, radius, reason):
+    random = np.random.default_rng(1)
+    skin = simulated_skin(rubber(thickness), ARRAY, random, noise, spread=0.0)
+    tips = [Disc(*random.uniform(-5, 5, 2), radius) for _ in range(6)]
+    series = press_series(skin, tips, np.full(6, 100.0), random)
+    frames = ((series.counts - skin.no_load) * skin.kpa_per_count).reshape(-1, SIZE, SIZE)
+    fit = fit_blind(frames, noise, CoverFamily(rubber(1.1 * thickness)), ARRAY)
+    assert fit.interval_mm[1] < thickness
+    assert reason in fit.reason
 
 
 def profiles(best, slope):
