@@ -11,6 +11,7 @@ from tactiled.calibrate.cover_search import Fitted, Touch, search
 from tactiled.calibrate.free_kernel import free_kernel
 from tactiled.calibrate.likelihood import interval, left_out, pooled, schur
 from tactiled.calibrate.presses import Press
+from tactiled.calibrate.recorded_presses import UNCALIBRATED_SPREAD
 from tactiled.cover import layered
 from tactiled.cover.family import FACTORS, CoverFamily
 from tactiled.cover.stack import Layer, Stack
@@ -33,7 +34,8 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
     ends = interval(likelihood, solution, dispersion, ENDS)
     low, high = (float(each) for each in np.exp(ends))
     factor, depth = float(np.exp(np.clip(solution.shared[0], *ENDS))), family.configured.depth
-    misfits, reason = left_out(likelihood, solution), _reason(ends, depth)
+    uncalibrated = float(np.median(touch.gain_error)) >= UNCALIBRATED_SPREAD
+    misfits, reason = left_out(likelihood, solution), _reason(ends, depth, uncalibrated)
     others = [] if reason else _other_parameters(fitted, dispersion)
     fit = CoverFit(
         method=method,
@@ -50,12 +52,13 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
     return fit if reason else _explained(fit, fitted, misfits)
 
 
-def _reason(ends: tuple[float, float], depth: float) -> str:
+def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:
     """Why presses cannot tell the thickness, whose interval reaches an end of the family; "" where they can."""
     low, high = (f"{np.exp(each) * depth:.3g} mm" for each in ends)
     thin, thick = ends[0] <= ENDS[0] + 1e-6, ends[1] >= ENDS[1] - 1e-6
     if thin and thick:
-        return f"every cover from {low} to {high} explains the presses: press harder, and with a smaller tip"
+        advice = "calibrate the gain first" if uncalibrated else "press harder, and with a smaller tip"
+        return f"every cover from {low} to {high} explains the presses: {advice}"
     if thin:
         return f"any cover thinner than {high} explains the presses: is the cover configured far too thick?"
     return (

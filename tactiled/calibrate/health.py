@@ -85,7 +85,7 @@ class TaxelHealth:
         self, array: Array, joined: float, ends: tuple[float, float], full_scale: float, calibrated: bool = False
     ) -> None:
         n = array.size
-        self._neighbours, self._pairs = _neighbours(array)
+        self._neighbours, self._pairs = neighbours(array)
         self._joined, self._ends, self.full_scale, self._calibrated = joined, ends, full_scale, calibrated
         self._scores = {fault: np.zeros(n, np.float32) for fault in RULES}
         self._active = {fault: np.zeros(n, bool) for fault in RULES}
@@ -209,7 +209,7 @@ class _Presses:
         return ended, ratio, weight
 
 
-def _neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Neighbours (8, N) of every taxel and pairs (2, 4, N) of opposite ones; N where there are no more."""
     tree = cKDTree(array.positions)
     near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # sorted lists of int

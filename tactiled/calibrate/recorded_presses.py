@@ -1,14 +1,16 @@
 """From frames in counts to presses in kPa, and how well their taxels' gains are known."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.health import NOISY_RATIO
+from tactiled.calibrate.health import DEAD_RATIO, NOISY_RATIO, neighbours
 from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.plateaus import noise as taxel_noise
-from tactiled.calibrate.presses import Press, find_presses
+from tactiled.calibrate.presses import MIN_PEAK, Press, find_presses
 from tactiled.errors import ConfigError
 from tactiled.frames import SATURATED
 from tactiled.geometry import Array
@@ -18,6 +20,7 @@ from tactiled.units import number_text
 Floats = NDArray[np.float64]
 
 UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of gains that nobody calibrated
+CLEARLY_PRESSED = 0.2  # of a press's peak: what lies between two taxels that feel more is pressed, too
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 
 
@@ -61,6 +64,22 @@ def recorded_presses(
             f"no press stands out of the noise of {number_text(noise)} kPa in {len(pressure)} frames"
         )
     return presses
+
+
+def without_dead(presses: list[Press], array: Array) -> tuple[list[Press], list[int]]:
+    """The presses, unknown at taxels that feel none of them while two opposite neighbours do; and these taxels."""
+    pressed, silent, pairs = np.zeros(array.size, bool), np.ones(array.size, bool), neighbours(array)[1]
+    for press in presses:
+        if not press.reason:
+            mean = np.append(np.where(np.isfinite(press.mean), press.mean, -np.inf), -np.inf)
+            opposite = mean[pairs].min(axis=0).max(axis=0)
+            threshold = np.maximum(CLEARLY_PRESSED * mean.max(), MIN_PEAK * press.error)
+            clear = np.isfinite(press.mean) & (opposite > threshold)
+            pressed |= clear
+            silent &= ~clear | (mean[:-1] < DEAD_RATIO * opposite)
+    dead = pressed & silent
+    rest = [replace(each, mean=np.where(dead, np.nan, each.mean)) for each in presses]
+    return rest, np.flatnonzero(dead).tolist()
 
 
 def noise_of(pressure: NDArray[np.floating], calibration: Calibration) -> float:

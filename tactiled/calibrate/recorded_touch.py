@@ -1,6 +1,6 @@
 """A recording of what touched an array, and the ways to fit the cover to it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,13 @@ from tactiled.calibrate.cover_search import Touch
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import unloaded
-from tactiled.calibrate.recorded_presses import gain_errors, noise_of, pressures, recorded_presses
+from tactiled.calibrate.recorded_presses import (
+    gain_errors,
+    noise_of,
+    pressures,
+    recorded_presses,
+    without_dead,
+)
 from tactiled.calibrate.tip import Tip, tip_touch
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
@@ -52,10 +58,16 @@ def fit_touch(
         noise_kpa = noise_of(pressure, calibration)
         frames = (pressure - unloaded(pressure, noise_kpa)).reshape(-1, *array.frame_shape)
         return fit_blind(frames, noise_kpa, CoverFamily(stack), array, float(np.median(gain_error)))
-    presses = recorded_presses(series, array, calibration, recorded.ends, border=way == "edge")
+    presses, dead = without_dead(
+        recorded_presses(series, array, calibration, recorded.ends, border=way == "edge"), array
+    )
     touch: Touch
     if way == "edge":
         touch = edge_touch(presses, array, stack, gain_error, size_mm)
     else:
         touch = tip_touch(presses, array, stack, Tip(size_mm, sphere=sphere), gain_error, places_mm)
-    return fit_cover(touch, presses, way)
+    fit = fit_cover(touch, presses, way)
+    notes = [
+        f"taxel {each} feels nothing where its neighbours do and is left out: list it as dead" for each in dead
+    ]
+    return replace(fit, notes=(*notes, *fit.notes))

@@ -6,11 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactiled.calibrate.cover_result import fit_cover
+from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.cover_result import ENDS, _reason, fit_cover
+from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.recorded_presses import without_dead
+from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.tip import Tip, tip_touch
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
-from tests.touched import Skin, World, rubber
+from tests.touched import Skin, World, recorded, rubber
 
 CONFIGURED = 1.3  # times the true thickness
 SCATTERED = np.random.default_rng(8).uniform(-0.2, 0.2, (196, 2)) + grid(14, 14, 1.0).positions
@@ -98,6 +102,33 @@ def test_a_press_of_something_else_is_put_aside_and_places_may_be_known():
     assert fit.notes[0].startswith("press 4 of 8 is not used: fits far worse than the others")
     assert fit.notes[1].startswith("press 6 of 8 is not used: saturated: 3 taxels")
     assert fit.thickness_mm == pytest.approx(1.0, rel=0.03)
+
+
+def test_dead_taxels_that_nobody_listed_are_left_out_and_named():
+    array, random = grid(12, 12, 1.0), np.random.default_rng(3)
+    world = world_of(array, 1.0)
+    places = world.places(12, random)
+    tips = np.array([world.tip(0.8, each) for each in places])
+    dead = {int(np.linalg.norm(array.positions - each, axis=1).argmin()) for each in places[:3]}
+    tips[:, list(dead)] = 0
+    counts = np.round(recorded(tips, random, noise=0.5) / 0.05 + 100)
+    series, calibration = FrameSeries(np.arange(len(counts)) / 100, counts), Calibration(0.05, 100)
+    fit = fit_touch(RecordedTouch(series, array, rubber(CONFIGURED), calibration, (0, 4095)), "tip", 1.6)
+    assert fit.reason == ""
+    assert fit.thickness_mm == pytest.approx(1.0, rel=0.02)
+    advice = "feels nothing where its neighbours do and is left out: list it as dead"
+    assert fit.notes[:3] == tuple(f"taxel {each} {advice}" for each in sorted(dead))
+
+
+@pytest.mark.parametrize("tip_mm", [0.5, 4.0])
+def test_taxels_beside_a_press_are_not_dead(tip_mm):
+    array = grid(12, 12, 1.0)
+    presses, _ = pressed(array, 0.3, tip_mm=tip_mm, gain_error=0.2, dead=0.0)
+    assert without_dead(presses, array)[1] == []
+
+
+def test_gains_come_first_where_presses_do_not_tell():
+    assert _reason(ENDS, 1.0, True).endswith("explains the presses: calibrate the gain first")
 
 
 def test_notes_say_what_modulus_and_compressibility_do():
