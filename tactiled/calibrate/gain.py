@@ -33,6 +33,7 @@ STARTS_LOADED = 0.05  # of the log's largest value
 MAX_RAMP = 0.1  # of the log's largest value: a block in which it changes by more is left out
 MIN_POINTS = 10
 FOLDS = 10  # pieces of time, left out in turn
+UNLIKE_GAIN = 5.0  # times the gain before, or one over it: grams for newtons make 102, kilograms 0.102
 PRESSURES_KPA = (0.01, 1e4)  # of a skin's largest: beyond, the log has another unit
 Floats = NDArray[np.float64]
 
@@ -198,6 +199,16 @@ def check_pressure(source: str, largest_kpa: float) -> None:
         raise ConfigError(
             f"{source}: {number_text(largest_kpa)} kPa at most, outside {low:g} to {high:g}: check the unit"
         )
+
+
+def unlike_gain(curves: Curves, before: float | None) -> tuple[str, ...]:
+    """A note where the median gain is far from the one `before` (kPa per count), as a slip of units makes it."""
+    ratio = 1.0 if before is None else abs(float(np.median(curves.gain)) / before)
+    if 1 / UNLIKE_GAIN <= ratio <= UNLIKE_GAIN:
+        return ()
+    return (
+        f"the gain is {ratio:.3g} times the one before: check the unit of the load (N or kPa; 1 kg weighs 9.81 N)",
+    )
 
 
 def log_points(

@@ -1,6 +1,7 @@
 """`tactiled calibrate`: the calibration file of an array, from recordings."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,9 +52,12 @@ def gain(
         raise ConfigError("give one of --steps-kpa, --reference and --weight-n")
     settings, name, one = options.one_sensor(config, sensor)
     before = existing(out, name, one)
+    from tactiled.calibrate.gain import unlike_gain
+
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
         fit = _fit(series, one, steps_kpa, reference, weight_n)
+    fit = replace(fit, notes=(*unlike_gain(fit.curves, _gain_before(before, one)), *fit.notes))
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
     if plot is not None:
@@ -113,6 +117,13 @@ def update(
     """Write a calibration file with these sections, and the others that it had."""
     codec, taxels = sensor.codec.name, make_array(sensor).size
     calibration_file.save(out, calibration_file.with_sections(before, name, codec, taxels, **sections))
+
+
+def _gain_before(file: CalibrationFile | None, sensor: schema.Sensor) -> float | None:
+    """Median kPa per count of a calibration file, else as configured; None: uncalibrated."""
+    if file is not None and file.gain is not None:
+        return float(np.median(file.gain.curves.gain))
+    return sensor.calibration.kpa_per_count
 
 
 def _fit(

@@ -126,7 +126,9 @@ class GainProcedure:
 
 
 def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:
-    curves = fitted.curves
+    from tactiled.calibrate.gain import unlike_gain
+
+    curves, before = fitted.curves, plan.calibration.kpa_per_count if plan.calibrated else None
     live = np.setdiff1d(np.arange(curves.size), fitted.dead)
     gains = curves.gain[live]
     middle = live[np.argsort(gains)[gains.size // 2]]
@@ -139,10 +141,10 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
         form=curves.form,
         kpa_per_count=gain,
         interval_kpa_per_count=(ends[0], ends[1]) if np.isfinite(error) else None,
-        before_kpa_per_count=plan.calibration.kpa_per_count if plan.calibrated else None,
+        before_kpa_per_count=before,
         spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
         hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,
-        notes=(*dead, *fitted.notes),
+        notes=(*unlike_gain(curves, before), *dead, *fitted.notes),
         line=_gain_line(fitted, int(middle)),
     )
 

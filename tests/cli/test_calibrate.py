@@ -92,6 +92,11 @@ def test_a_weight_is_printed_with_the_pressure_at_the_counts_that_it_reached(bag
     assert float(reach) == pytest.approx(0.02 * float(counts), rel=0.02)
     assert load == "0.05"
     assert "known force (N)" in chart.read_text()
+    assert "check the unit" not in output
+    grams = succeed("calibrate", "gain", log, *arguments, "--weight-n", 5.1)
+    assert (
+        "the gain is 102 times the one before: check the unit of the load (N or kPa; 1 kg weighs 9.81 N)" in grams
+    )
 
 
 def test_bad_input_is_one_line_and_changes_nothing(bag, tmp_path):
