@@ -11,7 +11,7 @@ a sharp scene rises steeply, so that the sharpest scenes decide. Scenes without 
 each other by far more than noise explains, so the interval is that of resampled scenes, with the error of w.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ MAX_INTERVAL = 1.4  # of its upper over its lower end: more does not tell the th
 # three pitches have 37 cells and more, the tour's scenes 40 and more, and a misfit of 0.9 at most.
 MIN_CELLS, NARROW_SHARE = 36.0, 0.2  # cells in effect of a narrow contact, and the share of these that misleads
 MISFIT = 1.2  # of all scenes under the best thickness, over noise and gain errors
+MAX_GAIN_ERROR = 0.03  # of a taxel: uncalibrated gains, 20 % apart, bias the thickness
+GAIN_NOTE = "gains that are not calibrated may make thickness and interval wrong: calibrate the gain first"
 NOTE = "assumes sharp edges in the sharpest scenes: with none, the result may be wrong"
 # w = max(1, (peak / noise / WEIGHT_SNR)^WEIGHT_POWER), for which the factor has no bias, was chosen on 91
 # recordings of five random scenes each of tactiled/study/scenes.py: 24 x 24 taxels, t/pitch 0.5 to 3, noise 0.1
@@ -120,7 +122,8 @@ def fit_blind(
             f"noise is {100 * share:.2g} % of the pressure, and {100 * MAX_NOISE:.2g} % is the most that "
             "a blind fit stands: press harder, or hold still",
         )
-    return _fit(profile(over_noise, scene, max(gain_error, GAIN_ERROR), (family, array)), family)
+    fit = _fit(profile(over_noise, scene, max(gain_error, GAIN_ERROR), (family, array)), family)
+    return replace(fit, notes=(GAIN_NOTE, *fit.notes)) if gain_error > MAX_GAIN_ERROR else fit
 
 
 def add_contacts(

@@ -192,7 +192,8 @@ def _unusable(mean: Floats, error: Floats, plateau: NDArray[np.intp], array: Arr
 def _ceiling(saturated: Flags) -> str:
     """Reason against a plateau with taxels at their ceiling in any of its frames (n, N)."""
     taxels = int(saturated.any(axis=0).sum())
-    return f"saturated: {taxels} taxels at their ceiling, press less hard" if taxels else ""
+    where = f"{taxels} taxels at their ceiling" if taxels > 1 else "1 taxel at its ceiling"
+    return f"saturated: {where}, press less hard" if taxels else ""
 
 
 @lru_cache(maxsize=8)  # of arrays: 0.1 s for 32 x 32 taxels, at every look at presses that come live

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.blind import CLEAR, MAX_NEAR_FRAMES, Profiles, add_contacts
+from tactiled.calibrate.blind import CLEAR, MAX_GAIN_ERROR, MAX_NEAR_FRAMES, Profiles, add_contacts
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.recorded_presses import gain_errors
 from tactiled.diagnostics.warning_codes import cover_warning
@@ -17,7 +17,6 @@ from tactiled.frames import SATURATED, FrameWarning
 from tactiled.runtime.fit_process import start
 
 EVERY_FRAMES = 8  # is looked at
-MAX_GAIN_ERROR = 0.03  # of a taxel that counts: uncalibrated gains, 20 % apart, bias the thickness
 MIN_TAXELS = 0.9  # of all, that count
 SAME_SHAPE = 0.7  # correlation of two frames in turn, from which they are of one contact
 MIN_SNR = 100.0  # of a frame that counts: with 200, 240 s of the tour had no six under 3.9 mm at 0.2 kPa

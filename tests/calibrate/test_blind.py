@@ -124,6 +124,7 @@ def test_gains_do_not_count_as_known_better_than_cells_explain_frames():
     frames = np.where(np.arange(9)[:, None, None] % 3, 0, random.uniform(0, 100, (9, 8, 8)))
     fits = [fit_blind(frames, 0.1, CoverFamily(rubber(1.0)), array, error) for error in (0.001, 0.01, 0.1)]
     assert fits[0].residual == fits[1].residual > fits[2].residual
+    assert ["calibrate the gain first" in each.notes[0] for each in fits] == [False, False, True]
 
 
 @pytest.mark.parametrize(

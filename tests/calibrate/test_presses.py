@@ -3,7 +3,7 @@ import pytest
 
 from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.presses import find_presses
+from tactiled.calibrate.presses import _ceiling, find_presses
 from tactiled.calibrate.recorded_presses import recorded_presses
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid
@@ -55,6 +55,7 @@ def test_presses_that_cannot_be_used_are_listed_with_their_reason(random):
     assert reasons[1].startswith("hardly leaves the noise: its peak is ")
     assert reasons[2] == "reaches over the array's border"
     assert reasons[3] == "saturated: 3 taxels at their ceiling, press less hard"
+    assert _ceiling(np.eye(1, 3, dtype=bool)) == "saturated: 1 taxel at its ceiling, press less hard"
     assert reasons[4].startswith("never stands still: ")
     assert find_presses(frames, ARRAY, 1.0, border=True)[2].reason == ""
 
