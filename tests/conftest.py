@@ -20,6 +20,7 @@ from tactiled.config import parse
 from tactiled.logs import HANDLER
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
+from tests.process import free_port
 
 # A shell that runs the tests in the background has them, and all that they start, ignore it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -33,6 +34,8 @@ HTTP = {"timeout": BUSY_S, "verify": ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)}  #
 ask = partial(httpx.request, **HTTP)
 
 SIDE = 8
+READ, CONTROL = "r" * 16, "c" * 16
+TOKENS = {"read_token": READ, "control_token": CONTROL}
 NO_LOAD, GAIN = 100, 0.5  # counts, kPa a count
 CONFIG = """
 [bus.can0]
@@ -172,9 +175,7 @@ def multicast():
 @pytest.fixture
 def udp_port():
     """A port of UDP that is free, so that no other test's traffic comes."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("", 0))
-        return one.getsockname()[1]
+    return free_port(socket.SOCK_DGRAM)
 
 
 @contextmanager

@@ -10,6 +10,21 @@ from contextlib import suppress
 from pathlib import Path
 
 
+def free_port(kind=socket.SOCK_STREAM):
+    """A port of this machine that nobody has."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("", 0))
+        return one.getsockname()[1]
+
+
+def self_signed(folder):
+    """The files of a new certificate and its key."""
+    files = folder / "certificate.pem", folder / "key.pem"
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=localhost"]
+    subprocess.run([*command, "-out", files[0], "-keyout", files[1]], check=True, capture_output=True)
+    return files
+
+
 class Running:
     """A service that runs by a configuration file; it is there when this is made."""
 

@@ -32,6 +32,7 @@ cover = { thickness_mm = 0.8, young_mpa = 0.6, poisson = 0.48 }
 kernel = { model = "layered" }
 calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
 """  # feels none
+TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
 X, Y = np.array([100, -200, 0, 1388, -1388, 7]), np.array([1, 2, 3, 4, 5, 6])
 Z = np.full(6, 0x9000)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import httpx
 
 from tests.attack.wire import HOST
+from tests.process import free_port, self_signed
 
 GROUP = "239.74.163.78"
 READ, CONTROL = "attack-read-token", "attack-control-token"
@@ -64,10 +65,6 @@ cover = {{ thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }}
 kernel = {{ model = "layered" }}
 calibration = {{ kpa_per_count = 0.02, no_load = 36000 }}
 """
-CERTIFICATE = (
-    "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost"
-    " -out {folder}/certificate.pem -keyout {folder}/key.pem"
-)
 TLS_FILES = """
 tls_certificate = "{folder}/certificate.pem"
 tls_key = "{folder}/key.pem"
@@ -83,13 +80,6 @@ class Kind:
 
 
 HTTP, TLS, DESCRIPTORS_256 = Kind(), Kind(tls=True), Kind(descriptors=256)
-
-
-def free_port(kind=socket.SOCK_STREAM):
-    """A port of loopback that nobody has."""
-    with socket.socket(socket.AF_INET, kind) as one:
-        one.bind((HOST, 0))
-        return one.getsockname()[1]
 
 
 class Target:
@@ -109,8 +99,7 @@ class Target:
             CONFIG.format(folder=self.folder, tls=tls, group=GROUP, read=READ, control=CONTROL, **ports)
         )
         if kind.tls:
-            command = CERTIFICATE.format(folder=self.folder).split()
-            subprocess.run(command, check=True, capture_output=True)
+            self_signed(self.folder)
         self.process = self._run("run", str(self.config))
         self._skin: subprocess.Popen[bytes] | None = None
 

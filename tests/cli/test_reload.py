@@ -10,10 +10,9 @@ from tactiled.config import load
 from tactiled.web.http.protocols import ENDS
 from tests.conftest import CONFIG, ask, until
 from tests.process import Running
-from tests.skin import PALM
+from tests.skin import TIP
 from tests.web.ws.clients import closed, stream, text
 
-TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
 SERVER = '[server]\nport = 0\nstate = "{folder}/state.json"\n'
 BUS = 'interface = "udp_multicast"\nport = {port}\nhop_limit = 0'
 

@@ -13,6 +13,7 @@ from rerun.chunk import RrdReader
 from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
 from tests.conftest import BUSY_S, pressed, until
+from tests.process import free_port
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # it is not complete
 VIEWER = f"{rerun_cli.__path__[0]}/rerun"
@@ -20,8 +21,7 @@ VIEWER = f"{rerun_cli.__path__[0]}/rerun"
 
 @pytest.fixture
 def port():
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return free.getsockname()[1]
+    return free_port()
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from tactiled.interop.zenoh_session import open_session
 from tactiled.units import nanoseconds
 from tests.conftest import BUSY_S, pressed, until
 from tests.interop.test_zenoh import TOKEN, published
-from tests.interop.zenoh_kit import free_port
+from tests.process import free_port
 
 IMAGE = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"  # of Jazzy, as that of Trigger
 SERVICE = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"

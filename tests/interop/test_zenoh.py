@@ -16,7 +16,8 @@ from tactiled.web.forward import Requests, publisher
 from tactiled.web.server import running
 from tactiled.wire import unpack
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, problem, until
-from tests.interop.zenoh_kit import NAME, detail, fleet_at, free_port, kinds, pass_on, state
+from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, pass_on, state
+from tests.process import free_port
 
 TOKEN = "0123456789abcdef"
 

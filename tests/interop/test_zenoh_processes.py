@@ -13,7 +13,8 @@ import pytest
 from tactiled.errors import UnknownSensorError
 from tactiled.interop.zenoh_session import connected
 from tests.conftest import BUSY_S, until
-from tests.interop.zenoh_kit import NAME, detail, fleet_at, free_port, kinds, state
+from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, state
+from tests.process import free_port
 
 ROUTER = """
 import sys, time, zenoh

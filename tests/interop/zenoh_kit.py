@@ -1,4 +1,3 @@
-import socket
 from contextlib import contextmanager, suppress
 from functools import partial
 
@@ -7,12 +6,6 @@ from tactiled.interop.zenoh_fleet import Fleet
 from tests.conftest import until
 
 NAME = "r1/palm"
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """What a Zenoh network costs between readers and a server: rates, cores, and the time on the way."""
 
 import multiprocessing
-import socket
 import time
 from dataclasses import replace
 from typing import Annotated
@@ -18,6 +17,7 @@ from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.web import answers
 from tests.conftest import CONFIG
+from tests.process import free_port
 
 RATE_HZ, SIDE = 100.0, 32
 CASES = ((1, 1), (4, 1), (16, 1), (16, 2), (64, 1))  # sensors, readers
@@ -72,9 +72,7 @@ def route(endpoint, out):
 
 def measure(sensors, readers, seconds):
     """One row of HEAD."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{one.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     context = multiprocessing.get_context("spawn")
     out, late = context.Queue(), []
     router = context.Process(target=route, args=(endpoint, out), daemon=True)

@@ -123,6 +123,15 @@ class ViewerPage:
         assert len(report["passes"]) > 15  # it did look
         return [(each["id"], [node["target"] for node in each["nodes"]]) for each in report["violations"]]
 
+    def swipe(self, x, y, dx, dy):
+        """Move a finger over the page from (x, y), px, in steps."""
+        send = self.context.new_cdp_session(self.page).send
+        for step in range(11):
+            points = [] if step == 10 else [{"x": x + step / 9 * dx, "y": y + step / 9 * dy}]
+            kind = "touchEnd" if step == 10 else "touchMove" if step else "touchStart"
+            send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+            self.refreshed()
+
     def inspect(self):
         """Nothing is inaccessible or cut off, light or dark, on a desk or a phone."""
         for size in (DESK, PHONE):

@@ -17,16 +17,16 @@ from tactiled.runtime.service import Service
 from tactiled.simulate import player
 from tactiled.web.server import running
 from tests.conftest import HTTP
-from tests.viewer.measure import CONFIG
+from tests.viewer.measure import BUS, SENSOR
 
 RATE_HZ, SEEKS, PAUSE_S = 100.0, 200, 0.5
-PALM = {"sensor": "palm"}
-SETTINGS = CONFIG.replace("64", "32").replace("wiener", "auto")
+S0 = {"sensor": "s0"}
+SETTINGS = (BUS + SENSOR.format(number=0, side=32)).replace("wiener", "auto")
 
 
 def write(path: Path, minutes: float, service: Service) -> None:
     """A recording as candump writes it."""
-    sensor = service.sensor("palm")
+    sensor = service.sensor("s0")
     one = player(sensor.array, sensor.plan.kernel, sensor.codec, sensor.plan.calibration, "fingertip", 0.2)
     frames = [one.messages(sequence, 0.0, 0.0) for sequence in range(256)]
     with path.open("w") as file:
@@ -49,7 +49,7 @@ def main() -> None:
         httpx.Client(**HTTP, base_url=f"{url}/api/v1/recordings/a.log") as client,
     ):
         began, first = time.monotonic(), 0.0
-        while (state := client.get("/playback", params=PALM).json())["reading"]:
+        while (state := client.get("/playback", params=S0).json())["reading"]:
             if state["frames"] and not first:
                 first = time.monotonic() - began
             time.sleep(PAUSE_S)
@@ -61,7 +61,7 @@ def main() -> None:
         times = []
         for at in np.random.default_rng(1).uniform(0, state["duration_s"], SEEKS):
             start = time.perf_counter()
-            answer = client.get("/frames", params=PALM | {"at": at})
+            answer = client.get("/frames", params=S0 | {"at": at})
             times.append(1e3 * (time.perf_counter() - start))
             assert abs(float(answer.headers["x-tactiled-positions"]) - at) < 2 / RATE_HZ
         print(

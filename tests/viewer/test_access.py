@@ -1,14 +1,12 @@
 """axe-core finds nothing in the page, whatever is open, in either theme, at either size; the keyboard does all."""
 
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import pressed
+from tests.conftest import CONTROL, READ, TOKENS, pressed
 from tests.viewer.conftest import LEVELS, LIVE, PAUSED, TILES, playing
 
-READ, CONTROL = "r" * 16, "c" * 16
 READY = f"{TILES}.length === 2"
 TOKEN_OPEN = "document.getElementById('token').open"
 FOCUSED = "document.activeElement.id"
@@ -54,7 +52,7 @@ def test_the_wall_is_accessible_and_its_keys_lead_to_a_sensor(pair, open_page):
 
 
 def test_the_token_dialog_keeps_the_focus_and_is_accessible_as_are_recordings(rig, tmp_path, open_page):
-    at = Server(port=0, recordings=tmp_path, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))
+    at = Server(port=0, recordings=tmp_path, **TOKENS)
     rig.show(pressed())
     with running(rig.service, at) as url, playing(rig):
         page = open_page(f"{url}/?token={READ}")

@@ -1,14 +1,13 @@
 """The guided calibration: every step from loads and presses to what is applied."""
 
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.calibrating import TIP_MM, TRUE_FACTOR, CalibratedSkin
+from tests.conftest import CONTROL, READ, TOKENS
 from tests.viewer.conftest import SCROLL_WIDTH
 
-READ, CONTROL = "r" * 16, "c" * 16
 VISIBLE = "document.getElementById('calibrate-{}').checkVisibility()"
 MESSAGE = "document.getElementById('calibrate-message').innerText"
 ADVICE = "document.getElementById('calibrate-advice').innerText"
@@ -90,8 +89,7 @@ def test_what_has_failed_is_said_once_and_does_not_cover_later_messages(skin, ur
 
 def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(rig, skin, open_page):
     skin.gain[:] = 0.5
-    at = Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))
-    with running(rig.service, at) as url:
+    with running(rig.service, Server(port=0, **TOKENS)) as url:
         page = open_page(f"{url}/?token={READ}")
         page.get_by_role("button", name="Calibrate").click()
         page.get_by_role("button", name="Cover").click()

@@ -197,23 +197,13 @@ def test_a_tare_asks_where_the_array_is_loaded(rig, page):
     page.finish("409")
 
 
-def swipe(page, x, y, distance):
-    """Move a finger up over the page, px, in steps."""
-    send = page.context.new_cdp_session(page.page).send
-    send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
-    for moved in range(0, distance + 1, 15):
-        send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y - moved}]})
-        page.refreshed()
-    send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-
-
 def test_on_a_phone_a_tap_reads_a_map_a_swipe_scrolls_and_the_help_begins_at_its_top(rig, url, open_page):
     rig.show(pressed())
     page = open_page(url, **TOUCH)
     (hint,) = page.text("probe")
     frame = page.box("#raw")
     x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
-    swipe(page, x, y, 150)
+    page.swipe(x, y, 0, -150)
     page.wait("window.scrollY > 100")
     assert page.text("probe") == [hint]
     page.evaluate("window.scrollTo(0, 0)")

@@ -1,14 +1,12 @@
 """A service that goes away and comes back, its tokens, and the page of its REST API."""
 
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import CONFIG, ask, meanwhile, pressed, until
+from tests.conftest import CONFIG, CONTROL, READ, TOKENS, ask, meanwhile, pressed, until
 from tests.viewer.conftest import LEVELS, PAINTINGS, THUMB, Pair
 
-READ, CONTROL = "r" * 16, "c" * 16
 # Whether anything is drawn on a canvas.
 INKED = """(id => {
   const canvas = document.getElementById(id);
@@ -78,7 +76,7 @@ def test_a_page_follows_sensors_that_a_reload_adds_restarts_and_removes(serve, o
 
 @pytest.fixture
 def locked(rig):
-    with running(rig.service, Server(port=0, read_token=SecretStr(READ), control_token=SecretStr(CONTROL))) as url:
+    with running(rig.service, Server(port=0, **TOKENS)) as url:
         yield url
 
 

@@ -75,16 +75,6 @@ LABEL = "document.getElementById('restored-surface').ariaLabel"
 VIEW = rf"{LABEL}.match(/by (-?\d+)°, seen from (\d+)°/).slice(1).map(Number)"
 
 
-def swipe(page, at, dx, dy):
-    """Move a finger over an element from its middle."""
-    box, session = page.box(at), page.context.new_cdp_session(page.page)
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    for step in range(9):
-        points = [] if step == 8 else [{"x": x + step / 7 * dx, "y": y + step / 7 * dy}]
-        kind = "touchEnd" if step == 8 else "touchMove" if step else "touchStart"
-        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-
 def test_surfaces_are_turned_by_pointer_and_keys_and_a_link_restores_the_view(pair, open_page):
     _rig, url = pair
     page = open_page(f"{url}/#palm?range=0:5", **DESK)
@@ -125,9 +115,11 @@ def test_surfaces_are_turned_by_pointer_and_keys_and_a_link_restores_the_view(pa
     page.locator("#notice", has_text="Link copied.").wait_for()
     phone = open_page(page.evaluate("navigator.clipboard.readText()"), **TOUCH)
     phone.wait(f"{VIEW}.join() === '-30,90'")
-    swipe(phone, "#raw-surface", 80, 0)
+    box = phone.box("#raw-surface")
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    phone.swipe(x, y, 80, 0)
     phone.wait(f"{VIEW}[0] < -45 && scrollY === 0")
-    swipe(phone, "#raw-surface", 0, -150)
+    phone.swipe(x, y, 0, -150)
     phone.wait("scrollY > 50")  # the page's own
     assert phone.evaluate(VIEW)[1] == 90
 

@@ -1,26 +1,24 @@
 """Tokens, foreign pages and foreign host names."""
 
 import secrets
-import subprocess
 from itertools import product
 
 import httpx
 import pytest
-from pydantic import SecretStr, ValidationError
+from pydantic import ValidationError
 from websockets.sync.client import connect
 
 from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.web.http.auth import Tokens
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONFIG, HTTP, ask, pressed, problem
+from tests.conftest import BUSY_S, CONFIG, CONTROL, HTTP, READ, TOKENS, ask, pressed, problem
+from tests.process import self_signed
 from tests.web.http.raw import send_raw, websocket_url
 from tests.web.ws.clients import closed
 
 METHOD = "/api/v1/sensors/palm/method"
 RAW = {"method": "raw"}
-READ, CONTROL = "r" * 16, "c" * 16
-TOKENS = {"read_token": SecretStr(READ), "control_token": SecretStr(CONTROL)}
 
 
 @pytest.fixture
@@ -152,7 +150,7 @@ VALID = "".join(set(map(chr, range(33, 127))) - set('"#%&+,;\\'))
 
 
 def test_a_valid_token_can_be_sent_unencoded_in_header_address_and_cookie(rig):
-    with running(rig.service, Server(port=0, control_token=SecretStr(VALID))) as url:
+    with running(rig.service, Server(port=0, control_token=VALID)) as url:
         line = "GET /api/v1/health"
         assert send_raw(url, f"{line}?token={VALID}")[0] == 200
         assert send_raw(url, line, f"Authorization: Bearer {VALID}")[0] == 200
@@ -166,7 +164,7 @@ def test_a_valid_token_can_be_sent_unencoded_in_header_address_and_cookie(rig):
 @pytest.mark.parametrize("character", ["ü", "\u2028", " ", "\t", "\0", "\x7f", *'"#%&+,;\\'])
 def test_a_token_that_a_client_cannot_show_is_refused(character):
     with pytest.raises(ValidationError, match="holds what a client cannot show"):
-        Server(control_token=SecretStr("x" * 16 + character))
+        Server(control_token="x" * 16 + character)
 
 
 def test_every_token_is_compared_in_constant_time(monkeypatch):
@@ -206,9 +204,7 @@ def test_a_slash_at_the_end_of_an_address_redirects_no_token(url):
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_a_browser_keeps_to_tls_except_on_loopback(rig, tmp_path, host):
     """On loopback every other server of this machine would need it."""
-    command = "openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=localhost -out certificate.pem -keyout key.pem"
-    subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
-    files = {"tls_certificate": tmp_path / "certificate.pem", "tls_key": tmp_path / "key.pem"}
+    files = dict(zip(("tls_certificate", "tls_key"), self_signed(tmp_path), strict=True))
     for tls in (files, {}):
         with running(rig.service, Server(host=host, port=0, **TOKENS, **tls)) as url:
             answer = ask("GET", url, headers=bearer(READ), params={"token": READ}, verify=False)

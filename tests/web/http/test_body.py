@@ -9,13 +9,12 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.http import body, timeouts
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
+from tests.conftest import BUSY_S, CONTROL, HTTP, ask, pressed, problem, until
 from tests.web.http.raw import bound, npy, plug, read_all, send_raw
 
 EXECUTED = Path("/tmp/was-here-by-an-upload")
@@ -156,7 +155,7 @@ def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
 @pytest.fixture
 def guarded(rig):
     """A service that needs a token."""
-    with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as address:
+    with running(rig.service, Server(port=0, control_token=CONTROL)) as address:
         yield address
 
 

@@ -2,11 +2,10 @@ from pathlib import Path
 
 import httpx
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import HTTP, ask, pressed, until
+from tests.conftest import CONTROL, HTTP, ask, pressed, until
 
 VARIABLE = ("date", "x-tactiled-age", "content-length")  # at another time; of a text with an age in it
 
@@ -53,9 +52,9 @@ def test_head_of_a_file_reads_none_of_it(client, tmp_path):
 
 
 def test_head_changes_nothing_and_needs_the_same_token(rig):
-    with running(rig.service, Server(port=0, control_token=SecretStr("c" * 16))) as url:
+    with running(rig.service, Server(port=0, control_token=CONTROL)) as url:
         assert ask("HEAD", url + "/api/v1/health").status_code == 401
-        bearer = {"Authorization": "Bearer " + "c" * 16}
+        bearer = {"Authorization": f"Bearer {CONTROL}"}
         assert ask("HEAD", url + "/api/v1/health", headers=bearer).status_code == 200
         assert ask("HEAD", url + "/api/v1/sensors/palm/tare", headers=bearer).status_code == 405
     assert rig.sensor.pipeline.tared == 0

@@ -3,13 +3,12 @@
 import time
 
 import pytest
-from pydantic import SecretStr
 
 from tactiled.config import Server, parse
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
 from tests.calibrate.files import CREATED, calibration_file
-from tests.conftest import CONFIG, ask, pressed, problem
+from tests.conftest import CONFIG, READ, TOKENS, ask, pressed, problem
 
 SCALARS = "kpa_per_count = 0.5, no_load = 100, "
 ORIGIN = {"recording": "steps.log", "sha256": "5" * 64, "method": "steps", "created": CREATED}
@@ -70,9 +69,9 @@ def test_what_cannot_be_applied_is_refused_in_a_line_without_a_path(palm, tmp_pa
 
 def test_a_client_that_only_reads_may_download_and_not_change(tmp_path):
     text = CONFIG.format(channel="none").replace(SCALARS, 'file = "palm.json", ')
-    server = Server(port=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
+    server = Server(port=0, **TOKENS)
     with running(Service(parse(text, folder=tmp_path)), server) as url:
-        path, reader = url + "/api/v1/sensors/palm", {"Authorization": "Bearer " + "r" * 16}
+        path, reader = url + "/api/v1/sensors/palm", {"Authorization": f"Bearer {READ}"}
         content = calibration_file().text
         problem(ask("PUT", path + "/calibration/file", content=content, headers=reader), 403)
         problem(ask("POST", path + "/calibration/history/1", headers=reader), 403)

@@ -1,14 +1,13 @@
 import ssl
-import subprocess
 
 import httpx
 
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, ask, problem
-from tests.skin import PALM
+from tests.process import self_signed
+from tests.skin import TIP
 
-TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
 RELOAD = "/api/v1/config/reload"
 
 
@@ -46,19 +45,15 @@ def test_a_wrong_file_is_refused_in_the_words_of_check_without_its_path(rig, url
 
 
 def test_a_reload_reads_the_certificate_again(rig, tmp_path):
-    rig.service.path, certificate, key = (tmp_path / name for name in ("rig.toml", "certificate.pem", "key.pem"))
+    rig.service.path = tmp_path / "rig.toml"
     rig.service.path.write_text(CONFIG.format(channel=rig.config.bus["can0"].channel))
-
-    def renewed():
-        command = f"openssl req -x509 -newkey rsa:2048 -nodes -subj /CN=a -out {certificate} -keyout {key}"
-        subprocess.run(command.split(), check=True, capture_output=True)
-        return certificate.read_text()
-
-    first = renewed()
+    certificate, key = self_signed(tmp_path)
+    first = certificate.read_text()
     with running(rig.service, Server(port=0, tls_certificate=certificate, tls_key=key)) as url:
         at = "127.0.0.1", int(url.rpartition(":")[2])
         assert ssl.get_server_certificate(at) == first
-        second = renewed()
+        self_signed(tmp_path)
+        second = certificate.read_text()
         assert ask("POST", url + RELOAD, verify=False).status_code == 200
         assert ssl.get_server_certificate(at) == second != first
         key.write_text("")

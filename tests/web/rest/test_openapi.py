@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import schemathesis
 from hypothesis import strategies as st
-from pydantic import SecretStr
 from schemathesis.checks import CHECKS
 from schemathesis.config import SchemathesisConfig
 from schemathesis.engine import events, from_schema
@@ -14,7 +13,7 @@ from tactiled.config import Server
 from tactiled.runtime.state import StateFile
 from tactiled.web.server import running
 from tests.calibrate.files import calibration_file
-from tests.conftest import BUSY_S, ask, until
+from tests.conftest import BUSY_S, CONTROL, ask, until
 from tests.web.http.raw import npy
 
 schemathesis.openapi.media_type(
@@ -107,8 +106,7 @@ def test_answers_as_csv_are_described(openapi):
 
 def test_a_token_is_described_where_one_is_needed(rig, openapi):
     assert "security" not in openapi
-    token = "c" * 16
-    with running(rig.service, Server(port=0, control_token=SecretStr(token))) as url:
-        guarded = ask("GET", f"{url}/api/v1/openapi.json?token={token}").json()
+    with running(rig.service, Server(port=0, control_token=CONTROL)) as url:
+        guarded = ask("GET", f"{url}/api/v1/openapi.json?token={CONTROL}").json()
     assert guarded["security"] == [{"token": []}]
     assert guarded["components"]["securitySchemes"]["token"]["scheme"] == "bearer"

@@ -1,13 +1,11 @@
 """Streams of a service whose configuration is reloaded."""
 
-import time
-
-import numpy as np
 import pytest
 
-from tests.conftest import CONFIG, NO_LOAD, pressed, until
+from tests.conftest import CONFIG, pressed
+from tests.skin import TIP
 from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, images, stream, text
-from tests.web.ws.test_streams import TIP, rig  # noqa: F401  # the palm and the tip
+from tests.web.ws.test_streams import rig, show  # noqa: F401  # the palm and the tip
 
 THUMB = TIP.replace("tip", "thumb").replace("array_id = 1", "array_id = 2")
 REMOVED = "is no longer in the configuration"
@@ -23,16 +21,6 @@ def reload(rig, tmp_path):  # noqa: F811
         return rig.service.reload()
 
     return write
-
-
-def show(rig, name):  # noqa: F811
-    """Send a frame of a sensor and wait for its image."""
-    sensor = rig.service.sensor(name)
-    before = sensor.hub.latest()
-    counts = np.full(sensor.codec.size, NO_LOAD + 20, np.uint16)
-    for message in sensor.codec.encode(counts, before.sequence + 1 if before else 0, time.time()):
-        rig.bus.send(message)
-    until(lambda: sensor.hub.latest() is not before)
 
 
 def test_a_stream_of_all_goes_on_with_the_sensors_that_there_are(rig, url, reload):  # noqa: F811

@@ -10,11 +10,9 @@ from websockets.sync.client import connect
 from tactiled.web import answers
 from tactiled.web.ws.feed import Feed
 from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, until
-from tests.skin import PALM
+from tests.skin import TIP
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import NEXT, SEVERAL, closed, images, stream, text, text_of, texts
-
-TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
 
 
 @pytest.fixture
@@ -25,10 +23,14 @@ def rig(request):
         yield made
 
 
-def show_tip(rig, sequence):
-    for message in rig.tip.codec.encode(np.full(16, NO_LOAD + 20, np.uint16), sequence, time.time()):
+def show(rig, name):
+    """Send a frame of a sensor and wait for its image."""
+    sensor = rig.service.sensor(name)
+    before = sensor.hub.latest()
+    counts = np.full(sensor.codec.size, NO_LOAD + 20, np.uint16)
+    for message in sensor.codec.encode(counts, before.sequence + 1 if before else 0, time.time()):
         rig.bus.send(message)
-    until(lambda: (image := rig.tip.hub.latest()) and image.sequence == sequence)
+    until(lambda: sensor.hub.latest() is not before)
 
 
 def streams(url, query=""):
@@ -38,7 +40,7 @@ def streams(url, query=""):
 @pytest.mark.parametrize("query", ["", "?sensors=palm,tip", "?sensors=tip,palm&kinds=restored"])
 def test_one_socket_has_images_and_states_of_several_sensors(rig, url, query):
     rig.show(pressed())
-    show_tip(rig, 0)
+    show(rig, "tip")
     kinds = ["restored"] if "kinds" in query else ["raw", "restored"]
     with streams(url, query) as client:
         got = images(client, 2 * len(kinds))
@@ -55,7 +57,7 @@ def test_an_error_at_one_sensor_is_a_fault_and_stops_no_other(rig, url, monkeypa
         broken.setattr(Feed, method, lambda one, *a: original(one, *a) if one.sensor is not rig.tip else 1 / 0)
         with streams(url, "?flow=credit&kinds=raw") as client:
             rig.show(pressed())
-            show_tip(rig, 0)
+            show(rig, "tip")
             client.send(NEXT)
             (image,) = images(client, 1)
             assert (image.sensor, image.sequence) == ("palm", 0)
@@ -79,7 +81,7 @@ def test_a_failed_search_for_contacts_is_repeated_with_the_next_image(rig, url, 
         rig.show(pressed())
         contacts = {"type": "contacts", "sensor": "palm", "sequence": 1}
         text(client, lambda message: contacts.items() <= message.items())
-        show_tip(rig, 0)
+        show(rig, "tip")
         until(lambda: not rig.service.faults.now)
 
 
@@ -92,14 +94,14 @@ def test_a_fault_ends_when_its_clients_have_left(rig, url, monkeypatch):
 
 def test_credit_is_for_one_sensor_or_for_all(rig, url):
     rig.show(pressed())
-    show_tip(rig, 0)
+    show(rig, "tip")
     with streams(url, "?flow=credit&kinds=raw") as client:
         texts(client, 0.3)
         client.send('{"type": "next", "sensor": "tip"}')
         assert images(client, 1)[0].sensor == "tip"
         texts(client, 0.3)
         rig.show(pressed(4))
-        show_tip(rig, 1)
+        show(rig, "tip")
         client.send(NEXT)
         assert {each.sensor for each in images(client, 2)} == {"palm", "tip"}
         texts(client, 0.3)

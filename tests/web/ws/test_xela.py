@@ -11,14 +11,13 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import websocket
-from pydantic import SecretStr
 from websockets.sync.client import connect
 
 from tactiled.config import Server
 from tactiled.frames import Message
 from tactiled.web import server
 from tactiled.web.server import running, serve, xela_clients
-from tests.conftest import BUSY_S, CONFIG, Rig, ask, meanwhile, problem, until
+from tests.conftest import BUSY_S, CONFIG, TOKENS, Rig, ask, meanwhile, problem, until
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import closed
 
@@ -254,7 +253,7 @@ def test_a_message_is_made_once_for_all_clients_and_those_of_clients_are_ignored
     assert not pipeline._tare_frames.stop()  # none is under way
 
 
-GUARDED = Server(port=0, xela=0, read_token=SecretStr("r" * 16), control_token=SecretStr("c" * 16))
+GUARDED = Server(port=0, xela=0, **TOKENS)
 
 
 def test_the_extra_port_needs_no_token_and_has_nothing_else(rig):
