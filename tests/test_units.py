@@ -8,9 +8,6 @@ import h5py
 import numpy as np
 import pytest
 
-from tactiled.build import sensor_plan
-from tactiled.calibrate.calibration import Calibrator
-from tactiled.config import parse
 from tactiled.interop import foxglove
 from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.web.rest.drawing import draw
@@ -140,16 +137,3 @@ def test_exports_and_commands_of_a_sensor(unit, tmp_path):
     assert {name: bool(each) for name, each in matches.items()} == dict.fromkeys(seen, unit == "kPa"), matches
     assert unit in seen["restore"]
     assert CLAIM.findall(succeed("check", config)) == []
-
-
-def test_counts_that_fall_under_pressure_are_shown_above_zero():
-    """An iCub's counts fall from about 245."""
-    hand = (
-        '[bus.can0]\ninterface = "virtual"\n[sensor.hand]\nbus = "can0"\n'
-        'codec = { name = "icub", board = 14, triangles = [0] }\narray = { aperture_mm = 3.6 }\n'
-        "cover = { thickness_mm = 2.0, young_mpa = 0.3, poisson = 0.45 }\n"
-    )
-    plan = sensor_plan("hand", parse(hand).sensor["hand"])
-    pressure, _ = Calibrator(plan.calibration, 12)(np.full(12, 45, np.uint16), np.zeros(12, np.uint8))
-    assert plan.unit == "counts"
-    assert (pressure > 100).all()

@@ -64,8 +64,6 @@ ATTACKS = {
     "polls": Attack(requests.polls),
     "bad-upgrades": Attack(each(sockets.BAD_UPGRADES, 200, wait_s=1.0, ends=False), at_once=100),
     "slow": Attack(each(requests.SLOW_SENDERS, 50, pause_s=0.2)),
-    "tokens": Attack(requests.tokens, at_once=50),
-    "strangers": Attack(requests.strangers, at_once=50),
     "nonsense": Attack(requests.nonsense, at_once=50),
     "frames": Attack(each(ACCEPTED, 5, pause_s=0.5, expect=_upgraded), at_once=50),
     "handshakes": Attack(each(sockets.HANDSHAKES, 15, wait_s=late_s("refused"), expect=_unauthorized), at_once=50),

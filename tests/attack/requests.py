@@ -2,12 +2,11 @@
 
 import json
 import random
-from functools import partial
 
 import numpy as np
 
-from tests.attack.harness import Try, late_s
-from tests.attack.service import CONTROL, READ
+from tests.attack.harness import Try
+from tests.attack.service import CONTROL
 from tests.attack.wire import request, upgrade
 from tests.web.http.raw import npy
 
@@ -22,64 +21,11 @@ METHOD, RECORD, RESTORE = (
     "POST /api/v1/recordings",
     "POST /api/v1/restore?sensor=palm0",
 )
-CHANGES = (METHOD, "POST /api/v1/sensors/palm0/tare", RECORD, "DELETE /api/v1/recordings/a.log", RESTORE)
 
 
 def closed_with(code, ending):
     """Whether a WebSocket was closed with a code, or its handshake refused."""
     return code.to_bytes(2, "big") in ending.received or ending.status in (400, code - 4000)
-
-
-def _wrong_token(number, rng):
-    token = rng.choice((READ, CONTROL))
-    at = rng.randrange(len(token))
-    changed = token[:at] + "?" + token[at + 1 :]
-    wrong = (token[:at], token + "x", changed, token.upper(), "", token[::-1], f"{at:032}")
-    return wrong[number % len(wrong)]
-
-
-def tokens(_):
-    """1000 requests with a wrong token, or with one that does not suffice."""
-    rng = random.Random(1)
-    lines = [f"GET {path}" for path in READS] + list(CHANGES)
-    for number in range(1000):
-        line, token = rng.choice(lines), _wrong_token(number, rng)
-        address = f"{line}{'&' if '?' in line else '?'}token={token or 'x'}"
-        ways = [
-            ("wrong in the header", line, [f"Authorization: Bearer {token}"]),
-            ("wrong in the cookie", line, [f"Cookie: tactiled={token}"]),
-            ("wrong in the address", address, []),
-        ]
-        if line in CHANGES:
-            ways.append(("read token", line, [f"Authorization: Bearer {READ}"]))
-        name, line, headers = ways[number % len(ways)]
-        data = request(line, *headers, LAST, "Content-Length: 0")
-        yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (401, 403))
-
-
-FOREIGN = {
-    "rebinding": ("Host: elsewhere.example",),
-    "rebinding, two hosts": ("Host: localhost", "Host: elsewhere.example"),
-    "origin": ("Origin: https://elsewhere.example",),
-    "origin null": ("Origin: null",),
-    "cross-site": ("Sec-Fetch-Site: cross-site",),
-    "same site": ("Sec-Fetch-Site: same-site",),
-}
-
-
-def strangers(_):
-    """300 requests and handshakes of pages of another site, or of one that has its own name lead to loopback.
-
-    The latter has no token: no cookie is for its name.
-    """
-    for name, headers in list(FOREIGN.items()) * 10:
-        token, code = ("", 4401) if name.startswith("rebinding") else (CONTROL, 4403)
-        for line in ("GET /api/v1/health", *CHANGES[:3]):
-            data = request(line, *headers, JSON, "Content-Length: 2", LAST, token=token, body=b"{}")
-            yield Try(name, [data], late_s("refused"), expect=lambda ending: ending.status in (400, 401, 403))
-        stream = upgrade(*headers, token=token)
-        refused = partial(closed_with, code)
-        yield Try(f"{name}, stream", [stream], late_s("refused"), expect=refused)
 
 
 def _mutated(data, rng):

@@ -66,11 +66,6 @@ def test_the_noise_floor_of_curves_is_that_of_the_median_taxel():
     assert Calibration(curves=LINES).floor_kpa == pytest.approx(0.75 / 12**0.5)
 
 
-def test_curves_of_another_array_are_refused():
-    with pytest.raises(ConfigError, match="gain has 4 taxels: the array has 5"):
-        Calibrator(Calibration(curves=LINES), 5)
-
-
 def test_tare_moves_the_zero_of_known_taxels():
     calibrator = Calibrator(Calibration(2.0, no_load=10), 4)
     calibrator.tare(np.array([20.5, np.nan, 4000.0, 50.0]))
@@ -94,7 +89,9 @@ def test_an_impossible_calibration_is_refused(key, value):
         Calibration(**{key: value})
 
 
-def test_a_dead_taxel_that_the_array_does_not_have_is_refused():
+def test_a_calibration_of_another_array_is_refused():
+    with pytest.raises(ConfigError, match="gain has 4 taxels: the array has 5"):
+        Calibrator(Calibration(curves=LINES), 5)
     with pytest.raises(ConfigError, match="dead names taxel 4: the array has 0 to 3"):
         Calibrator(Calibration(dead=(4,)), 4)
 

@@ -50,7 +50,7 @@ def export(recordings, config, *options, out="out/{}.npz"):
     return done.exit_code, done.stdout.strip(), done.stderr
 
 
-@pytest.mark.parametrize("ending", [".mcap", ".zarr"])
+@pytest.mark.parametrize("ending", [".mcap", ".zarr", ".h5"])
 def test_several_exports_have_the_bytes_of_single_ones(recordings, config, ending):
     code, summary, lines = export(recordings, config, out=f"out/{{}}{ending}")
     assert (code, summary) == (0, "3 written, 0 complete before, 0 failed")

@@ -39,7 +39,7 @@ def test_check_and_run_refuse_the_same(tmp_path, config, verb):
          "sensor.palm: method = 'sharpen': no such method: choose one of"),
         ("# dead = [17, 301]", "dead = [2000]", EXAMPLE,
          "sensor.palm: dead names taxel 2000: the array has 0 to 1023"),
-        ("port = 0", f'state = "{bad}"', VIRTUAL, f"state {bad}: "),
+        ("port = 0", f'port = 0\nstate = "{bad}"', VIRTUAL, f"state {bad}: "),
         ("port = 0", f'port = 0\ntls_certificate = "{bad}"\ntls_key = "{bad}"', VIRTUAL, f"{bad}, {bad}: "),
         ("port = 0", 'port = 0\ntls_certificate = "/gone"\ntls_key = "/gone"', VIRTUAL,
          "/gone: No such file or directory: give the PEM files"),
@@ -49,12 +49,6 @@ def test_check_and_run_refuse_the_same(tmp_path, config, verb):
         assert message in refusal(verb, config(old, new, text))
     message = refusal(verb, "nowhere.toml")
     assert message.startswith("nowhere.toml: No such file or directory: give the path of a config")
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_unknown_interface_is_named(config):
-    message = refusal("run", config('channel = "can0"', 'channel = "nocan7"'))
-    assert message.startswith("bus socketcan nocan7: ")
 
 
 def test_wrong_arguments_of_demo_are_refused():

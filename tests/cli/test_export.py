@@ -98,12 +98,6 @@ def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, 
     assert "regions of sensor palm: points_mm: no cell of the image has its centre in it" in text
 
 
-def test_the_same_export_is_the_same_file(tmp_path, config, lossy):
-    for ending in ("npz", "h5", "mcap"):
-        one, other = (exported(lossy, config, tmp_path / f"{name}.{ending}") for name in "ab")
-        assert one.read_bytes() == other.read_bytes(), ending
-
-
 def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):
     npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
     with h5py.File(exported(lossy, config, tmp_path / "a.h5")) as got:

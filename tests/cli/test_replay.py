@@ -109,15 +109,6 @@ def test_a_step_of_the_recordings_clock_is_an_event_and_a_short_pause(tmp_path, 
     assert sensor.status().detail == "a.log has ended after 40 messages, with 1 step of their clock"
 
 
-@pytest.mark.parametrize("step", [3600.0, -3600.0])
-def test_a_sender_that_restarts_at_a_step_of_the_clock_is_followed(step):
-    frame = np.full(64, 100, np.uint16)
-    rows = [*((n, 1e9 + n / 100) for n in (100, 101)), *((n, 1e9 + step + n / 100) for n in (0, 1))]
-    router = Router({"palm": CODEC})
-    got = list(frames([each for n, when in rows for each in CODEC.encode(frame, n, when)], router))
-    assert (len(got), router.assemblers["palm"].loss.late) == (4, 0)
-
-
 def test_a_bug_ends_the_replay_with_a_reason(lossy, monkeypatch):
     monkeypatch.setattr(Router, "push", lambda *_: {}["byte 7"])
     _, sensor = images(lossy)

@@ -7,12 +7,6 @@ from tactiled.errors import ConfigError
 COVER = "sensor.palm.cover[0]"
 
 
-def test_the_example_is_valid():
-    config = parse(EXAMPLE)
-    assert config.sensor["palm"].cover[0].thickness_mm == 1.2
-    assert config.bus["can0"].settings() == {"interface": "socketcan", "channel": "can0", "fd": True}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [

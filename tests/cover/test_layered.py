@@ -4,41 +4,24 @@ import pytest
 from tactiled.cover.layered import gain
 from tactiled.cover.stack import Layer, Stack
 
-Q = np.array([0.25, 0.5, 1, 1.5, 2, 3, 4])
-
-BY_THICKNESS = {
-    0.1: [0.995, 0.978, 0.922, 0.852, 0.772, 0.594, 0.417],
-    0.2: [0.979, 0.923, 0.772, 0.594, 0.417, 0.170, 0.061],
-    0.4: [0.929, 0.774, 0.417, 0.170, 0.061, 0.007, 0.001],
-    0.6: [0.863, 0.596, 0.170, 0.036, 0.007, 0.000, 0.000],
-}
-
-
-@pytest.mark.parametrize("thickness", BY_THICKNESS)
-def test_gain_by_thickness(paper, thickness):
-    np.testing.assert_allclose(gain(paper(thickness), Q), BY_THICKNESS[thickness], atol=5.1e-4)
-
-
-@pytest.mark.parametrize(
-    ("young", "expected"),
-    [
-        (98, (0.772, 0.417)),
-        (490, (0.702, 0.343)),
-        (980, (0.642, 0.285)),
-        (4903, (0.411, 0.125)),
-        (9807, (0.288, 0.074)),
-    ],
-)
-def test_gain_by_modulus(paper, young, expected):
-    np.testing.assert_allclose(gain(paper(young=young), np.array([1.0, 2.0])), expected, atol=5.1e-4)
+PAPER = [  # cover, cycles/mm, gains
+    ({"thickness": 0.1}, [0.25, 0.5, 1, 1.5, 2, 3, 4], [0.995, 0.978, 0.922, 0.852, 0.772, 0.594, 0.417]),
+    ({"thickness": 0.2}, [0.25, 0.5, 1, 1.5, 2, 3, 4], [0.979, 0.923, 0.772, 0.594, 0.417, 0.170, 0.061]),
+    ({"thickness": 0.4}, [0.25, 0.5, 1, 1.5, 2, 3, 4], [0.929, 0.774, 0.417, 0.170, 0.061, 0.007, 0.001]),
+    ({"thickness": 0.6}, [0.25, 0.5, 1, 1.5, 2, 3, 4], [0.863, 0.596, 0.170, 0.036, 0.007, 0.000, 0.000]),
+    ({"young": 490}, [1, 2], [0.702, 0.343]),
+    ({"young": 980}, [1, 2], [0.642, 0.285]),
+    ({"young": 4903}, [1, 2], [0.411, 0.125]),
+    ({"young": 9807}, [1, 2], [0.288, 0.074]),
+    ({"poisson": 0.2}, [1, 2], [0.791, 0.414]),
+    ({"poisson": 0.4}, [1, 2], [0.755, 0.427]),
+    ({"poisson": 0.45}, [1, 2], [0.747, 0.436]),
+]
 
 
-@pytest.mark.parametrize(
-    ("poisson", "expected"),
-    [(0.2, (0.791, 0.414)), (0.3, (0.772, 0.417)), (0.4, (0.755, 0.427)), (0.45, (0.747, 0.436))],
-)
-def test_gain_by_poisson(paper, poisson, expected):
-    np.testing.assert_allclose(gain(paper(poisson=poisson), np.array([1.0, 2.0])), expected, atol=5.1e-4)
+@pytest.mark.parametrize(("cover", "q", "expected"), PAPER)
+def test_gains_are_those_of_the_paper(paper, cover, q, expected):
+    np.testing.assert_allclose(gain(paper(**cover), np.array(q, float)), expected, atol=5.1e-4)
 
 
 @pytest.mark.parametrize("poisson", [0.0, 0.3, 0.4999])

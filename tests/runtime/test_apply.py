@@ -47,7 +47,7 @@ def restored(service, n=0, **fields):
     return sensor.hub.latest()
 
 
-def test_a_file_applies_from_the_next_frame_on_and_after_a_restart(make, tmp_path):
+def test_a_file_applies_from_the_next_frame_on_and_after_a_restart(make):
     service, file = make(), lines(0.25)
     assert kinds(service) == [("calibration_missing", "palm.json: not there yet: the configuration holds")]
     before = restored(service)
@@ -61,12 +61,6 @@ def test_a_file_applies_from_the_next_frame_on_and_after_a_restart(make, tmp_pat
     again = make()
     assert restored(again).calibration == file.id
     assert kinds(again) == []
-    again.apply_calibration("palm", calibration_file())
-    assert again.former_calibrations("palm") == {1: file}
-    again.apply_calibration("palm", again.former_calibrations("palm")[1])
-    assert load(tmp_path / "palm.json") == file
-    (tmp_path / "palm.json.1").write_text("{")
-    assert again.former_calibrations("palm")[1].startswith("truncated, or not JSON")
 
 
 def test_without_a_configured_file_it_lasts_until_the_service_ends(make):

@@ -212,11 +212,6 @@ def test_a_wrong_file_changes_nothing_and_says_why_in_a_line(live, caplog, old, 
     assert {each.status().loss.lost for each in live.service.sensors.values()} == {0}
 
 
-def test_without_a_file_there_is_nothing_to_reload(rig):
-    with pytest.raises(ReloadError, match="no configuration file"):
-        rig.service.reload()
-
-
 def test_two_reloads_at_once_come_one_after_the_other(live, monkeypatch):
     running, largest = [0], [0]
 

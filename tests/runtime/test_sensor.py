@@ -32,19 +32,6 @@ def test_status_is_silent_then_live_then_stale_and_down_while_the_bus_is(plan):
     assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
 
 
-def test_a_frame_that_waits_when_the_next_one_comes_is_skipped_and_counted(plan):
-    sensor = Sensor(plan)
-    for n in range(5):
-        sensor.offer(frame(n))
-    sensor.start()
-    until(sensor.hub.latest)
-    image = sensor.hub.latest()
-    sensor.stop()
-    assert image.sequence == 4
-    assert (image.loss.skipped, image.loss.lost) == (4, 3)
-    assert sensor.status().loss.skipped == 4
-
-
 def test_a_slow_sensor_delays_no_other_and_restores_its_newest_frame_next(plan, monkeypatch):
     slow, other = Sensor(plan), Sensor(plan)
     begun, go_on, process, sequences = Event(), Event(), slow.pipeline.process, []

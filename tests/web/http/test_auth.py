@@ -99,10 +99,11 @@ def test_a_link_from_another_site_opens_the_viewer_and_changes_nothing(url):
 
 def test_every_resource_needs_a_token(guarded):
     paths = ("/", "/api/v1/health", "/api/v1/openapi.json", "/static/app.js")
-    for path, token in product(paths, ("", "r", "x" * 16, READ + "r", "ü" * 16)):
+    for path, token in product(paths, ("", "r", "x" * 16, READ + "r", READ.upper(), "ü" * 16)):
         answer = ask("GET", guarded + path, params={"token": token})
         assert answer.headers["www-authenticate"] == "Bearer"
         assert problem(answer, 401).startswith("this token is unknown" if token else "a token is needed")
+        assert ask("GET", guarded + path, headers=bearer("x" * 16)).status_code == 401
     with connect(websocket_url(guarded)) as client:
         assert closed(client)[0] == 4401
     with connect(websocket_url(guarded, f"/api/v1/stream?token={READ}")) as client:
