@@ -1,5 +1,6 @@
 import errno
 import os
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,17 +18,10 @@ def write(path, meanwhile=id, **options):
         meanwhile(part)
 
 
-def fails_with(error):
-    def fail(*_, **__):
-        raise error
-
-    return fail
-
-
 @pytest.mark.parametrize("links", [True, False])
 def test_a_new_file_never_overwrites_one_that_exists_by_the_end(tmp_path, monkeypatch, links):
     if not links:
-        monkeypatch.setattr(os, "link", fails_with(OSError(errno.EPERM, "Operation not permitted")))
+        monkeypatch.setattr(os, "link", Mock(side_effect=OSError(errno.EPERM, "Operation not permitted")))
     path = tmp_path / "a"
     write(path)
     assert (path.read_text(), names(tmp_path)) == ("new", ["a"])
@@ -43,7 +37,7 @@ def test_a_new_file_never_overwrites_one_that_exists_by_the_end(tmp_path, monkey
 def test_an_unfinished_file_is_removed(tmp_path, replace):
     for fault in (OSError(errno.ENOSPC, "full"), KeyboardInterrupt(), ValueError()):
         with pytest.raises(type(fault)):
-            write(tmp_path / "a", fails_with(fault), replace=replace)
+            write(tmp_path / "a", Mock(side_effect=fault), replace=replace)
     with pytest.raises(FileNotFoundError):  # somebody removed it
         write(tmp_path / "a", lambda part: part.unlink(), replace=replace)
     assert not names(tmp_path)
@@ -51,7 +45,7 @@ def test_an_unfinished_file_is_removed(tmp_path, replace):
 
 def test_a_failed_rename_leaves_no_name_behind(tmp_path, monkeypatch):
     for call in ("link", "replace"):
-        monkeypatch.setattr(os, call, fails_with(OSError(errno.ENOTSUP, "Operation not supported")))
+        monkeypatch.setattr(os, call, Mock(side_effect=OSError(errno.ENOTSUP, "Operation not supported")))
     with pytest.raises(OSError, match="not supported"):
         write(tmp_path / "a")
     assert not names(tmp_path)

@@ -1,5 +1,6 @@
 import errno
 import socket
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -174,11 +175,8 @@ def test_a_bus_that_cannot_be_opened_is_refused_in_one_line(settings, reason):
     ],
 )
 def test_whatever_a_driver_raises_is_an_error_of_its_bus_that_says_what_to_do(monkeypatch, error, reason):
-    def fail(**_):
-        raise error
-
     broken = Reader(Broken(error), "socketcan can0")
-    monkeypatch.setattr("tactiled.bus.reader.Bus", fail)
+    monkeypatch.setattr("tactiled.bus.reader.Bus", Mock(side_effect=error))
     for act in (
         lambda: open_bus(interface="socketcan", channel="can0"),
         lambda: broken.receive(0),

@@ -2,6 +2,7 @@ import json
 from dataclasses import replace
 from functools import reduce
 from operator import getitem
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -128,7 +129,7 @@ def test_the_last_ten_files_are_kept_and_a_failed_write_changes_nothing(tmp_path
     assert load(path) == files[-1]
     assert [load(each) for each in kept(path).values()] == files[-2 : -FILES_KEPT - 2 : -1]
     before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
-    monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr("os.fsync", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(StateError, match=r"palm.json: No space left on device: nothing was written"):
         save(path, file)
     monkeypatch.undo()

@@ -2,6 +2,7 @@ import sqlite3
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import mcap.reader
 import numpy as np
@@ -182,10 +183,8 @@ def test_the_same_export_is_the_same_bag_and_sqlite3_holds_the_same_messages(tmp
 
 @pytest.mark.parametrize("to", ["rosbag2", "rosbag2-sqlite3"])
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, to, monkeypatch):
-    def full(*_):
-        raise sqlite3.OperationalError("database or disk is full") if "sql" in to else OSError(28, "No space left")
-
-    monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
+    full = sqlite3.OperationalError("database or disk is full") if "sql" in to else OSError(28, "No space left")
+    monkeypatch.setattr("rosbags.rosbag2.Writer.write", Mock(side_effect=full))
     before = sorted(tmp_path.iterdir())
     message = refusal("export", lossy, "--config", config, "-o", tmp_path / "grasp", "--to", to)
     assert message.endswith(("disk is full: nothing is written", "No space left: nothing is written"))

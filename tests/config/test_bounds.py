@@ -1,6 +1,7 @@
 """Any configuration is refused by name, or runs: nothing that is accepted fails later."""
 
 from itertools import product
+from unittest.mock import Mock
 
 import hypothesis.strategies as st
 import numpy as np
@@ -149,10 +150,7 @@ def test_too_much_of_anything_is_refused(old, new, message):
 
 
 def test_history_larger_than_memory_is_refused(monkeypatch):
-    def full(*_, **__):
-        raise MemoryError
-
-    monkeypatch.setattr("tactiled.runtime.sensor.History", full)
+    monkeypatch.setattr("tactiled.runtime.sensor.History", Mock(side_effect=MemoryError))
     with pytest.raises(ConfigError, match=r"server\.history_mb = 64: this machine has less memory: give less"):
         Service(parse(text(USUAL)))
 

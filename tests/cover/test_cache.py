@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -49,13 +50,6 @@ def cache(tmp_path):
     cache.ask()
     assert (cache.computed, cache.lines) == (1, [])
     return cache
-
-
-def refuse(error):
-    def refused(*_):
-        raise error
-
-    return refused
 
 
 def test_a_table_is_computed_once_and_read_to_the_bit(cache):
@@ -107,14 +101,14 @@ def test_a_folder_in_the_files_place(cache):
 
 
 def test_a_file_that_may_not_be_read(cache, monkeypatch):
-    monkeypatch.setattr(Path, "read_bytes", refuse(PermissionError(13, "Permission denied")))
+    monkeypatch.setattr(Path, "read_bytes", Mock(side_effect=PermissionError(13, "Permission denied")))
     cache.ask()
     assert cache.lines == [f"{cache.path}: Permission denied: it is computed again"]
 
 
 def test_a_full_disk_leaves_no_part_of_a_file(cache, monkeypatch):
     cache.path.unlink()
-    monkeypatch.setattr(Path, "replace", refuse(OSError(28, "No space left on device")))
+    monkeypatch.setattr(Path, "replace", Mock(side_effect=OSError(28, "No space left on device")))
     cache.ask()
     assert [line.partition(".table: ")[2] for line in cache.lines] == ["No space left on device: it is not kept"]
     assert not list(cache.folder.iterdir())
@@ -122,7 +116,7 @@ def test_a_full_disk_leaves_no_part_of_a_file(cache, monkeypatch):
 
 def test_a_user_without_a_home(cache, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", refuse(RuntimeError("Could not determine home directory.")))
+    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
     cache.folder = None
     cache.ask()
     assert cache.lines == ["no table is kept: there is no home directory: set HOME or XDG_CACHE_HOME"]
@@ -175,5 +169,5 @@ def test_an_operator_is_built_once_on_a_machine(text, paper, tmp_path, monkeypat
     built = partial(make_blur, solve(paper(1.0, 0.6, 0.48), "layered"), array, sensor.refine)
     pressure = np.random.default_rng(1).random(array.frame_shape)
     first = built().forward(pressure)
-    monkeypatch.setattr(operator, "_response", refuse(AssertionError("computed again")))
+    monkeypatch.setattr(operator, "_response", Mock(side_effect=AssertionError("computed again")))
     np.testing.assert_array_equal(built().forward(pressure), first)

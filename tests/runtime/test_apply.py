@@ -2,6 +2,7 @@
 
 import threading
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_what_cannot_be_applied_changes_nothing(make, tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=r"sensor.palm: palm.json: sensor is 'thumb'"):
         service.apply_calibration("palm", calibration_file(sensor="thumb"))
     full = OSError(28, "No space left on device")
-    monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(full))
+    monkeypatch.setattr("os.fsync", Mock(side_effect=full))
     with pytest.raises(StateError, match="No space left on device: nothing was written"):
         service.apply_calibration("palm", lines(1.0))
     monkeypatch.undo()

@@ -1,6 +1,7 @@
 import signal
 import threading
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -85,12 +86,8 @@ def test_a_fit_or_an_apply_that_fails_changes_nothing_and_more_can_be_collected(
     assert len(session.collector) == 2
     session.fit()
     finish(session, 1.2)
-
-    def refuse(_):
-        raise ConfigError("disk")
-
     with pytest.raises(ConfigError, match="disk"):
-        session.apply(refuse)
+        session.apply(Mock(side_effect=ConfigError("disk")))
     assert (session.state, session.outcome) == ("fitted", 1.2)
     with pytest.raises(ConfigError, match="moving"):
         session.mark(-1.0)

@@ -1,6 +1,7 @@
 import json
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -80,11 +81,7 @@ def test_a_state_that_cannot_be_written_changes_nothing(path, monkeypatch, fails
     palm = service(path)
     palm.set_method("palm", "nnls", keep=True)
     before = path.read_bytes()
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(fails, full)
+    monkeypatch.setattr(fails, Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(StateError, match="No space left on device: nothing was kept"):
         palm.set_method("palm", "raw", keep=True)
     assert (palm.sensor("palm").method, palm.state.methods) == ("nnls", {"palm": "nnls"})
@@ -107,6 +104,6 @@ def test_every_configuration_has_a_default_state_file_of_its_own(monkeypatch, tm
     assert one != other
     assert one == default_path(Path("a/../a/palm.toml"))
     monkeypatch.delenv("XDG_STATE_HOME")
-    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("no home")))
     with pytest.raises(ConfigError, match=r"there is no home directory: set server\.state, HOME"):
         default_path(Path("palm.toml"))

@@ -1,6 +1,7 @@
 """Errors in one form, whatever is wrong, and without secrets."""
 
 from contextlib import ExitStack
+from unittest.mock import Mock
 
 import pytest
 from can.interfaces.virtual import VirtualBus
@@ -67,10 +68,7 @@ def test_an_internal_error_has_no_details_and_the_security_headers(rig, url, mon
 def test_no_answer_has_the_login_of_a_bus(tmp_path, monkeypatch):
     channel = "socket://palm:hush-hush@adapter:1?pin=hush"
     service = Service(parse(CONFIG.format(channel=channel)))
-
-    def fail(*_, **__):
-        raise OSError(f"no answer from {channel}")
-
+    fail = Mock(side_effect=OSError(f"no answer from {channel}"))
     with ExitStack() as stack:
         service.start()
         stack.callback(service.stop)

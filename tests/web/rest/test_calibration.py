@@ -1,3 +1,5 @@
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
@@ -31,10 +33,6 @@ def image_kpa(rig):
     return rig.sensor.hub.latest().raw.ravel()
 
 
-def refuse(*_):
-    raise StateError("calibration: No space left on device")
-
-
 def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin, monkeypatch):
     started = client.post(SESSION, json={"way": "uniform"})
     assert started.status_code == 201, started.text
@@ -53,7 +51,8 @@ def test_steps_of_pressure_are_fitted_and_applied(rig, client, skin, monkeypatch
     points = [each for each in gain["line"]["measured_kpa"] if each is not None]
     assert points == [100, 200, 400]
     with monkeypatch.context() as patched:
-        patched.setattr(rig.service, "apply_calibration", refuse)
+        error = StateError("calibration: No space left on device")
+        patched.setattr(rig.service, "apply_calibration", Mock(side_effect=error))
         assert problem(client.post(SESSION + "/apply"), 503) == "calibration: No space left on device"
     assert client.post(SESSION + "/apply").status_code == 204
     problem(client.get(SESSION), 404)

@@ -3,6 +3,7 @@ import shutil
 from contextlib import contextmanager
 from threading import Event, Thread
 from types import SimpleNamespace
+from unittest.mock import Mock
 from urllib.parse import quote
 
 import can
@@ -255,9 +256,7 @@ def test_a_recording_ends_before_the_disk_is_full(api, folder, free_mb, caplog):
 
 
 def test_what_the_disk_refuses_is_named(folder, request, monkeypatch):
-    def refuse(*_, **__):
-        raise OSError(errno.EROFS, "Read-only file system")
-
+    refuse = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
     with Api(folder / ("a" * 300), request.node.name).serving() as api:
         assert problem(api.start("a.log"), 503) == "recording a.log: File name too long"
         assert problem(api.client.get(ROOT), 503) == "recordings: File name too long"
