@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tactiled.bus.reader import open_bus
-from tactiled.config import parse
+from tactiled.config import Server, parse
 from tactiled.logs import HANDLER
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
@@ -198,6 +198,13 @@ def rig(request):
 @pytest.fixture
 def url(rig):
     with running(rig.service) as address:
+        yield address
+
+
+@pytest.fixture
+def guarded(rig):
+    """The address of a service that needs a token."""
+    with running(rig.service, Server(port=0, **TOKENS)) as address:
         yield address
 
 

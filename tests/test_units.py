@@ -1,6 +1,5 @@
 """The unit of pressure follows the calibration: all that people and programs see of a sensor."""
 
-import io
 import json
 import re
 
@@ -19,6 +18,7 @@ from tests.cli.recordings import traffic, write
 from tests.cli.test_export import exported, topics
 from tests.client.test_stream import first
 from tests.conftest import CONFIG, NO_LOAD, SIDE, Rig, ask, meanwhile, pressed, until
+from tests.web.http.raw import npy
 from tests.web.ws.clients import stream, text_of
 
 GAIN = "kpa_per_count = 0.5, "
@@ -47,10 +47,9 @@ def requested(rig, url):
     answer = ask("POST", api + "/sensors/palm/tare")
     assert answer.status_code == 409
     seen["tare"] = answer.text
-    frames = io.BytesIO()
-    np.save(frames, np.zeros((2, SIDE, SIDE)))
+    frames = npy(np.zeros((2, SIDE, SIDE)))
     for query in ("noise=2", "noise_kpa=2"):
-        answer = ask("POST", f"{api}/restore?sensor=palm&{query}", content=frames.getvalue())
+        answer = ask("POST", f"{api}/restore?sensor=palm&{query}", content=frames)
         seen[f"restore, {query}"] = f"{answer.status_code} {answer.headers}"
     for query in ("top=9", "top_kpa=9"):
         seen[query] = str(ask("GET", f"{api}/sensors/palm/frames/raw?format=png&{query}").status_code)

@@ -189,11 +189,6 @@ def open_page(browser):
     assert faults == []
 
 
-def playing(rig, rate_hz=20):
-    """Frames come meanwhile."""
-    return Rig.playing(rig, rate_hz)
-
-
 def one_more(name, number, array):
     """The configuration of one more sensor on the palm's bus."""
     palm = CONFIG[CONFIG.index("[sensor.palm]") :].replace('"wiener"', '"raw"').replace("palm", name)

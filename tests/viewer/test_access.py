@@ -5,7 +5,7 @@ import pytest
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.conftest import CONTROL, READ, TOKENS, pressed
-from tests.viewer.conftest import LEVELS, LIVE, PAUSED, TILES, playing
+from tests.viewer.conftest import LEVELS, LIVE, PAUSED, TILES
 
 READY = f"{TILES}.length === 2"
 TOKEN_OPEN = "document.getElementById('token').open"
@@ -22,7 +22,7 @@ UNREACHED = """[...document.querySelectorAll('a[href], button, input, select, [t
 
 
 def test_a_page_that_is_live_or_stale_and_its_help_are_accessible(rig, page):
-    with playing(rig):
+    with rig.playing(20):
         page.wait(LIVE)
         page.inspect()
     page.wait("/STALE[^]*last frame [1-9][.\\d]* s ago/.test(document.getElementById('banner').innerText)")
@@ -39,7 +39,7 @@ def test_a_page_that_is_live_or_stale_and_its_help_are_accessible(rig, page):
 def test_the_wall_is_accessible_and_its_keys_lead_to_a_sensor(pair, open_page):
     rig, url = pair
     page = open_page(f"{url}/#/wall", ready=READY)
-    with playing(rig):
+    with rig.playing(20):
         page.wait(f"{LEVELS} === 'live,stale'")
         page.inspect()
     page.evaluate("document.activeElement.blur()")
@@ -54,7 +54,7 @@ def test_the_wall_is_accessible_and_its_keys_lead_to_a_sensor(pair, open_page):
 def test_the_token_dialog_keeps_the_focus_and_is_accessible_as_are_recordings(rig, tmp_path, open_page):
     at = Server(port=0, recordings=tmp_path, **TOKENS)
     rig.show(pressed())
-    with running(rig.service, at) as url, playing(rig):
+    with running(rig.service, at) as url, rig.playing(20):
         page = open_page(f"{url}/?token={READ}")
         page.locator("#tare").focus()
         page.press("Enter")

@@ -1,10 +1,8 @@
 """A service that goes away and comes back, its tokens, and the page of its REST API."""
 
-import pytest
-
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import CONFIG, CONTROL, READ, TOKENS, ask, meanwhile, pressed, until
+from tests.conftest import CONFIG, CONTROL, READ, ask, meanwhile, pressed, until
 from tests.viewer.conftest import LEVELS, PAINTINGS, THUMB, Pair
 
 # Whether anything is drawn on a canvas.
@@ -74,14 +72,8 @@ def test_a_page_follows_sensors_that_a_reload_adds_restarts_and_removes(serve, o
     page.finish("404", "503")  # of the sensor that is gone, and of one without a frame
 
 
-@pytest.fixture
-def locked(rig):
-    with running(rig.service, Server(port=0, **TOKENS)) as url:
-        yield url
-
-
-def test_an_action_beyond_the_read_token_asks_for_the_control_token(rig, locked, open_page):
-    page = open_page(f"{locked}/?token={READ}", ready="!!document.querySelector('#method option')")
+def test_an_action_beyond_the_read_token_asks_for_the_control_token(rig, guarded, open_page):
+    page = open_page(f"{guarded}/?token={READ}", ready="!!document.querySelector('#method option')")
     page.get_by_label("Method").select_option("raw")
     page.get_by_role("dialog").wait_for()
     assert "control token" in page.locator("#token-why").inner_text()
@@ -99,13 +91,13 @@ def test_an_action_beyond_the_read_token_asks_for_the_control_token(rig, locked,
     page.finish("401", "403")
 
 
-def test_the_page_of_the_api_shows_every_route_and_its_requests_carry_the_cookie(locked, open_page):
+def test_the_page_of_the_api_shows_every_route_and_its_requests_carry_the_cookie(guarded, open_page):
     for path in ("/docs", "/static/swagger/swagger-ui.css"):
-        assert ask("GET", locked + path).status_code == 401, path
-    page = open_page(f"{locked}/?token={CONTROL}", ready="document.title")
-    page.goto(f"{locked}/docs")
+        assert ask("GET", guarded + path).status_code == 401, path
+    page = open_page(f"{guarded}/?token={CONTROL}", ready="document.title")
+    page.goto(f"{guarded}/docs")
     page.wait("document.querySelectorAll('.opblock').length")
-    paths = ask("GET", f"{locked}/api/v1/openapi.json?token={CONTROL}").json()["paths"]
+    paths = ask("GET", f"{guarded}/api/v1/openapi.json?token={CONTROL}").json()["paths"]
     routes = page.evaluate(
         """[...document.querySelectorAll('.opblock')].map(each => [
           each.querySelector('.opblock-summary-method').textContent,

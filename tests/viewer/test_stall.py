@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import pressed
-from tests.viewer.conftest import LEVELS, LIVE, PAINTINGS, playing
+from tests.viewer.conftest import LEVELS, LIVE, PAINTINGS
 from tests.viewer.measure import SAMPLING, allocated
 
 # What a hidden tab does: messages come, but the screen is not refreshed.
@@ -65,7 +65,7 @@ STOP_TIMERS = "for (let i = 1; i < 1000; i += 1) clearInterval(i)"  # texts and 
 
 
 def test_a_painted_frame_leaves_little_garbage(rig, url, launch, open_page):
-    with playing(rig, 75):
+    with rig.playing(75):
         page = open_page(url, browser=launch(COMPILE_SOON))
         page.evaluate(STOP_TIMERS)
         session = page.context.new_cdp_session(page.page)

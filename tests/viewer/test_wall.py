@@ -8,7 +8,7 @@ import pytest
 from tactiled.web import answers
 from tactiled.web.ws.feed import Feed
 from tests.conftest import CONFIG, ask, pressed, until
-from tests.viewer.conftest import LEVELS, PAINTINGS, SCROLL_WIDTH, THUMB, TILES, playing
+from tests.viewer.conftest import LEVELS, PAINTINGS, SCROLL_WIDTH, THUMB, TILES
 
 FORCES = f"{TILES}.map(text => parseFloat(text.match(/([\\d.]+) N/)?.[1]))"
 FILTERS = "[...document.querySelectorAll('.tile canvas')].map(canvas => getComputedStyle(canvas).filter)"
@@ -120,7 +120,7 @@ def test_a_silent_or_faulty_sensor_or_one_with_warnings_shows_at_its_own_tile_on
     rig, url = pair
     page = open_page(f"{url}/#/wall", ready=READY)
     page.keep(rig.both, BOTH)
-    with playing(rig, 30):
+    with rig.playing(30):
         alive, silent = page.wait(f"{LEVELS} === 'live,stale' && {FILTERS}")
         page.wait(f"/stale/i.test({TILES}[1]) && / s ago/.test({TILES}[1])")
     assert alive == "none"

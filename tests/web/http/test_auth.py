@@ -21,13 +21,6 @@ METHOD = "/api/v1/sensors/palm/method"
 RAW = {"method": "raw"}
 
 
-@pytest.fixture
-def guarded(rig):
-    rig.show(pressed())
-    with running(rig.service, Server(port=0, **TOKENS)) as url:
-        yield url
-
-
 def bearer(token):
     return {"Authorization": f"Bearer {token}"}
 

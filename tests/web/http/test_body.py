@@ -14,7 +14,7 @@ from tactiled.config import Server
 from tactiled.web.http import body, timeouts
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, CONTROL, HTTP, ask, pressed, problem, until
+from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
 from tests.web.http.raw import bound, npy, plug, read_all, send_raw
 
 EXECUTED = Path("/tmp/was-here-by-an-upload")
@@ -150,13 +150,6 @@ def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
     rig.stale_after(BUSY_S)
     rig.show(pressed(force=0))
     assert send_raw(url, f"POST {TARE}", "Content-Length: 9", data=b"x" * 9)[0] == 202
-
-
-@pytest.fixture
-def guarded(rig):
-    """A service that needs a token."""
-    with running(rig.service, Server(port=0, control_token=CONTROL)) as address:
-        yield address
 
 
 CHUNKED = "Transfer-Encoding: chunked"
