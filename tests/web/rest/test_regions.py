@@ -58,7 +58,6 @@ def test_a_region_over_its_threshold_is_an_event(rig, client):
         (HEEL | {"points_mm": [[90, 90], [95, 95]]}, 409, "no cell of the image"),
         (HEEL | {"points_mm": [[1, 1]]}, 422, "points_mm"),
         (HEEL | {"points_mm": [[1, 1], [2, "b"]]}, 422, "^points_mm.1.1 = 'b': Input should be a valid number$"),
-        (HEEL | {"shape": "polygon"}, 409, "three corners"),
         (HEEL | {"colour": "red"}, 422, "colour"),
     ],
 )

@@ -41,16 +41,6 @@ def test_a_sensor_is_silent_before_its_first_frame_and_stale_after_its_last(rig,
     until(lambda: client.get("/health").json()["status"] == "degraded")
 
 
-def test_contacts_keep_their_id_from_request_to_request(rig, client):
-    assert client.get("/sensors/palm/contacts").status_code == 503
-    for at in (2, 3):
-        image = rig.show(pressed(at))
-        answer = client.get("/sensors/palm/contacts").json()
-        (contact,) = answer["contacts"]
-        assert (answer["type"], answer["sequence"], contact["id"]) == ("contacts", image.sequence, 1)
-        assert (contact["x_mm"], contact["y_mm"]) == pytest.approx((at + 0.5, 3.5), abs=0.1)
-
-
 def test_the_method_is_changed_within_a_frame_and_a_wrong_one_changes_nothing(rig, client):
     rig.show(pressed())
     selected = client.put("/sensors/palm/method", json={"method": "raw"}).json()
