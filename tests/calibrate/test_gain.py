@@ -158,11 +158,7 @@ def test_a_bad_log_is_refused_in_one_line_that_names_it():
     for other, recording, message in (
         (replace(log, times=log.times + 3600), series, "does not overlap the recording: 3571 s"),
         (replace(log, values=wandering), series, "correlates with the recording by 0."),
-        (
-            replace(log, values=np.round(1000 * log.values, -4)),
-            series,
-            ": 60000 kPa at most, outside 0.01",
-        ),
+        (replace(log, values=np.round(1000 * log.values, -4)), series, ": 60000 kPa at most, outside 0.01"),
         (replace(log, values=log.values + 20), series, "kPa where the recording starts: start unloaded"),
         (pressure_log(alike, repeated, 5.0), alike, "press with uneven pauses"),
     ):

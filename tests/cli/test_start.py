@@ -58,8 +58,7 @@ def test_the_version_is_printed():
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    ["init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"],
+    "arguments", ["init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"]
 )
 def test_verbs_without_a_server_import_none(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

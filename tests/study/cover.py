@@ -65,11 +65,7 @@ def times_s():
     first = _seconds(lambda: solve(PAPER))
     q = np.linspace(0, 8, 256)
     with TemporaryDirectory() as folder:
-        timed = (
-            lambda: solve(PAPER),
-            lambda: cached(PAPER, folder=Path(folder)),
-            lambda: layered.gain(PAPER, q),
-        )
+        timed = (lambda: solve(PAPER), lambda: cached(PAPER, folder=Path(folder)), lambda: layered.gain(PAPER, q))
         return first, *(median(_seconds(work) for _ in range(REPEATS)) for work in timed)
 
 

@@ -1,8 +1,6 @@
 """Shear of a 3-axis skin, from its messages on the bus to REST and the streams."""
 
 import io
-import itertools
-import json
 
 import httpx
 import jsonschema
@@ -11,10 +9,9 @@ import pytest
 
 from tactiled.web.rest import frames
 from tactiled.web.server import running
-from tactiled.wire import unpack
-from tests.conftest import BUSY_S, HTTP, problem, until
+from tests.conftest import HTTP, problem, until
 from tests.skin import PALM, X, Y, rigged
-from tests.web.ws.clients import stream
+from tests.web.ws.clients import images, stream, text_of
 
 SHEAR = "/sensors/skin/frames/shear"
 
@@ -30,12 +27,6 @@ def skin(request):
 def client(skin):
     with running(skin.service) as url, httpx.Client(**HTTP, base_url=url + "/api/v1") as client:
         yield client
-
-
-def receive(socket, count):
-    """The next messages that are no status."""
-    messages = (socket.recv(timeout=BUSY_S) for _ in itertools.count())
-    return list(itertools.islice((each for each in messages if '"status"' not in str(each)), count))
 
 
 def npy(client):
@@ -104,7 +95,7 @@ def test_a_stream_has_the_kinds_of_its_query_in_their_order(skin, client, path, 
     with stream(str(client.base_url), path, "") as socket:
         for _ in range(2):
             image = skin.show(X, Y)
-            messages = [unpack(each) for each in receive(socket, len(kinds))]
+            messages = images(socket, len(kinds))
             assert [each.kind for each in messages] == kinds
             assert {each.sensor for each in messages} == {sensor}
             assert {(each.sequence, each.timestamp) for each in messages} == {(image.sequence, image.time)}
@@ -116,7 +107,7 @@ def test_a_stream_has_the_kinds_of_its_query_in_their_order(skin, client, path, 
 def test_shear_in_a_json_stream_is_that_of_rest_as_described(skin, client):
     with stream(str(client.base_url), "sensors/skin/stream?kinds=raw,shear&format=json", "") as socket:
         skin.show(X, Y)
-        frame, shear = (json.loads(each) for each in receive(socket, 2))
+        frame, shear = (text_of(socket, kind) for kind in ("frame", "shear"))
     assert shear == client.get(SHEAR).json()
     assert (frame["type"], frame["sequence"]) == ("frame", shear["sequence"])
     document = client.get("/asyncapi.json").json()
