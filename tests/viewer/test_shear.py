@@ -26,12 +26,6 @@ def rig(request):
         yield made
 
 
-@pytest.fixture
-def url(rig):
-    with running(rig.service) as address:
-        yield address
-
-
 def inked(picture):
     """Where an arrow's light line is, its edges left out."""
     red, green, blue, alpha = np.moveaxis(picture, -1, 0)

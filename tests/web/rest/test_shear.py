@@ -2,14 +2,12 @@
 
 import io
 
-import httpx
 import jsonschema
 import numpy as np
 import pytest
 
 from tactiled.web.rest import frames
-from tactiled.web.server import running
-from tests.conftest import HTTP, problem, until
+from tests.conftest import problem, until
 from tests.skin import PALM, X, Y, rigged
 from tests.web.ws.clients import images, stream, text_of
 
@@ -17,16 +15,10 @@ SHEAR = "/sensors/skin/frames/shear"
 
 
 @pytest.fixture
-def skin(request):
+def rig(request):
     """A skin beside a palm that feels no shear."""
     with rigged(request.node.name, PALM) as rig:
         yield rig
-
-
-@pytest.fixture
-def client(skin):
-    with running(skin.service) as url, httpx.Client(**HTTP, base_url=url + "/api/v1") as client:
-        yield client
 
 
 def npy(client):
@@ -34,9 +26,9 @@ def npy(client):
     return np.load(io.BytesIO(answer.content)), answer.headers
 
 
-def test_shear_is_served_in_counts_with_the_image_it_belongs_to(skin, client):
+def test_shear_is_served_in_counts_with_the_image_it_belongs_to(rig, client):
     assert problem(client.get(SHEAR), 503) == "sensor 'skin': no frame yet on can0"
-    skin.show(X, Y)
+    rig.show(X, Y)
     shear, headers = npy(client)
     np.testing.assert_array_equal(shear[:, :, :2], np.stack([X, Y]).reshape(2, 2, 3)[:, :, :2])
     assert (shear.shape, shear.dtype) == ((2, 2, 3), np.float32)
@@ -51,23 +43,23 @@ def test_shear_is_served_in_counts_with_the_image_it_belongs_to(skin, client):
     assert raw["unit"] == "kPa"
     assert client.get(SHEAR, headers={"Accept": "image/png"}).status_code == 406
     assert client.get(f"{SHEAR}?format=png").status_code == 422
-    skin.show(X, Y, drop=(1,))
+    rig.show(X, Y, drop=(1,))
     assert np.argwhere(np.isnan(npy(client)[0])).tolist() == [[0, 0, 1], [0, 1, 2], [1, 0, 1], [1, 1, 2]]
 
 
-def test_a_tare_takes_shear_off_as_well(skin, client):
-    skin.show(X, Y)
+def test_a_tare_takes_shear_off_as_well(rig, client):
+    rig.show(X, Y)
     assert client.post("/sensors/skin/tare").status_code == 202
-    until(lambda: skin.show(X, Y) and skin.sensor.pipeline.tared)
-    skin.show(X + 10, Y - 20)
+    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tared)
+    rig.show(X + 10, Y - 20)
     shear, _ = npy(client)
     for axis, expected in zip(shear, (10.0, -20.0), strict=True):
         assert set(axis[~np.isnan(axis)]) == {expected}
 
 
-def test_past_shear_is_x_and_y_of_each_frame(skin, client):
-    images = [skin.show(X + n, Y - n) for n in range(4)]
-    images.append(skin.show(X, Y, drop=(1,)))
+def test_past_shear_is_x_and_y_of_each_frame(rig, client):
+    images = [rig.show(X + n, Y - n) for n in range(4)]
+    images.append(rig.show(X, Y, drop=(1,)))
     expected = np.stack([image.shear for image in images])
     query = {"kind": "shear", "last": "60s"}
     page = client.get("/sensors/skin/frames", params=query).json()
@@ -91,10 +83,10 @@ def test_past_shear_is_x_and_y_of_each_frame(skin, client):
         ("stream?kinds=restored&shear=skin", "skin", ["restored", "shear"]),
     ],
 )
-def test_a_stream_has_the_kinds_of_its_query_in_their_order(skin, client, path, sensor, kinds):
+def test_a_stream_has_the_kinds_of_its_query_in_their_order(rig, client, path, sensor, kinds):
     with stream(str(client.base_url), path, "") as socket:
         for _ in range(2):
-            image = skin.show(X, Y)
+            image = rig.show(X, Y)
             messages = images(socket, len(kinds))
             assert [each.kind for each in messages] == kinds
             assert {each.sensor for each in messages} == {sensor}
@@ -104,9 +96,9 @@ def test_a_stream_has_the_kinds_of_its_query_in_their_order(skin, client, path, 
                 assert (each.flags.size > 0) == (each.kind == "raw")
 
 
-def test_shear_in_a_json_stream_is_that_of_rest_as_described(skin, client):
+def test_shear_in_a_json_stream_is_that_of_rest_as_described(rig, client):
     with stream(str(client.base_url), "sensors/skin/stream?kinds=raw,shear&format=json", "") as socket:
-        skin.show(X, Y)
+        rig.show(X, Y)
         frame, shear = (text_of(socket, kind) for kind in ("frame", "shear"))
     assert shear == client.get(SHEAR).json()
     assert (frame["type"], frame["sequence"]) == ("frame", shear["sequence"])
