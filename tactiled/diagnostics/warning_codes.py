@@ -14,7 +14,7 @@ TEXTS: dict[WarningCode, str] = {
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
     "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
     "missing": "{taxels} did not arrive: {instead}",
-    "bad": "{taxels} called faulty by the sensor: {instead}",
+    "bad": "{taxels} reported faulty by the sensor: {instead}",
     "dead": "{taxels} dead: {instead}",
     "saturated": "{taxels} saturated: {their} pressure is a lower bound",
     "out_of_range": "{taxels} beyond the calibrated range: {their} pressure is extrapolated",
@@ -27,7 +27,7 @@ TEXTS: dict[WarningCode, str] = {
     "noise_low": "fine patterns have under half of the configured noise: lower noise_kpa, or taxels share noise",
     "plateau": "several taxels share the highest value: if saturated, set calibration.saturation to their counts",
     "cut_short": "the {budget_ms:.2g} ms for an image were over before its method was done: it could be sharper",
-    "edge": "a contact reaches over the edge: what presses outside the array is felt inside",
+    "edge": "a contact reaches over the edge: pressure outside the array raises the taxels at the edge",
 }
 
 

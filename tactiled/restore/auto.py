@@ -30,7 +30,7 @@ EDGE_SIDE = 8  # taxels a side: a smaller array is border for the most part
 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
-SPOTS = "small spots under so thin a cover: no frame tells where on their taxels they are"
+SPOTS = "small spots under a thin cover: the frame does not tell where on their taxels they are"
 PAST_EDGE = "a contact's middle is past the edge: what presses outside cannot be told"
 WIENER = "smooth contact: {:.1%} of the Wiener-filtered image is below zero"
 SHARP = "sharp contact: {:.1%} of the Wiener-filtered image is below zero"

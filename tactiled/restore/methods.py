@@ -27,8 +27,8 @@ FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five t
 BY_HAND = "selected by hand"
 NO_DATA = "no taxel has data, and the image is zero"
 NO_POINTS = "not a few point loads; used NNLS"
-NOT_TRAINED = "the network was trained on grids of eight taxels a side, one cell each: non-negative instead"
-NO_AREA = "total variation needs neighbours in a grid: non-negative instead"
+NOT_TRAINED = "the network was trained on grids of eight taxels a side, one cell each: restored by nnls"
+NO_AREA = "total variation needs neighbours in a grid: restored by nnls"
 
 
 class Restorer:

@@ -38,8 +38,8 @@ MAX_FORCE_ERROR = 0.2  # of a force
 MAX_PLACE_ERROR = 0.5  # pitches
 MAX_CUTS = 4  # fits cut short one after the other: the time that there is does not do for one
 PAUSE_FRAMES = 64  # that follow without a fit
-NO_GRID = "points need a grid of three taxels a side at least: non-negative instead"
-TOO_THIN = "under so thin a cover a frame hardly tells where on a taxel a load is: non-negative instead"
+NO_GRID = "points need a grid of three taxels a side at least: restored by nnls"
+TOO_THIN = "the cover is too thin to locate loads within a taxel: restored by nnls"
 
 
 class Estimate(NamedTuple):

@@ -94,7 +94,7 @@ def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
     pipeline.tare(TARED_AT)
     images = [pipeline.process(frame(arrived=n * TARE_S, flags=empty)) for n in range(NOISE_FRAMES)]
     text = "no taxel has data, and the image is zero"
-    assert images[-1].warnings == (FrameWarning("bad", f"64 taxels called faulty by the sensor: {text}", 64),)
+    assert images[-1].warnings == (FrameWarning("bad", f"64 taxels reported faulty by the sensor: {text}", 64),)
     assert (images[-1].why, pipeline.tared, pipeline.noise.settled) == (text, 0, False)
 
 

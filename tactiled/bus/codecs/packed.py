@@ -268,6 +268,6 @@ def _match(key: Key, fd: bool, fits: Sequence[Fit]) -> Match:
     description = f"packed layout, {kind}, array {array_id} at {base_id:#x}, {best.bits} bits a taxel"
     notes = [f"array: {best.sizes} taxels fit; best guess: {shape[0]} x {shape[1]}"]
     if others := ", ".join(f"{each.bits} ({each.sizes})" for each in fits if each is not best):
-        notes.append(f"bits: nothing speaks against {others} taxels either, but steps are largest there")
+        notes.append(f"bits: {best.bits} give the smoothest image; also possible: {others} taxels")
     codec = Packed(shape[0] * shape[1], **settings)
     return Match(settings, codec, (key,), shape, description, tuple(notes), pitch_mm=1.0)
