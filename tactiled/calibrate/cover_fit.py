@@ -10,6 +10,8 @@ from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
 Method = Literal["tip", "edge", "blind"]
+MIN_SIZE_MM = 0.05  # of a tip or ridge: less was most likely given in metres
+MAX_TIP_MM, MAX_EDGE_MM = 100, 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.cover_fit import CoverFit, Method
+from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM, CoverFit, Method
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cli import options
@@ -52,6 +52,7 @@ def cover(
     """Find a cover's thickness in a recording of presses."""
     if sum((tip_mm is not None, edge or edge_mm is not None, blind)) != 1:
         raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
+    size_mm = _size(tip_mm, edge_mm)
     if tip_mm is None:
         _refuse({"--sphere": sphere, "--places": places}, "needs --tip-mm")
     if blind:
@@ -63,7 +64,6 @@ def cover(
         ends = make_codec(one).ends
         recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends)
         way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
-        size_mm = edge_mm if tip_mm is None else tip_mm or None
         fit = fit_touch(recorded, way, size_mm, sphere, None if places is None else _places(places))
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
@@ -75,6 +75,15 @@ def cover(
     typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack, measured)]))
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
+
+
+def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
+    """Size of what pressed (mm), None where it is unknown; ConfigError where it is none of a tip or ridge."""
+    option, highest_mm = ("--edge-mm", MAX_EDGE_MM) if tip_mm is None else ("--tip-mm", MAX_TIP_MM)
+    size_mm = edge_mm if tip_mm is None else tip_mm or None
+    if size_mm is not None and not MIN_SIZE_MM <= size_mm <= highest_mm:
+        raise ConfigError(f"{option} {size_mm:g}: give {MIN_SIZE_MM:g} to {highest_mm} mm")
+    return size_mm
 
 
 def _refuse(options: dict[str, object], reason: str) -> None:

@@ -131,6 +131,12 @@ def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(con
     base = ("calibrate", "cover", log, "--config", config, "--out", out)
     assert refusal(*base) == "give one of --tip-mm, --edge (or --edge-mm) and --blind"
     assert refusal(*base, "--edge", "--tip-mm", 1) == refusal(*base)
+    for option, size, highest in (
+        ("--tip-mm", "0.0016", 100),
+        ("--tip-mm", "nan", 100),
+        ("--edge-mm", "-1", 1000),
+    ):
+        assert refusal(*base, option, size) == f"{option} {size}: give 0.05 to {highest} mm"
     for text in ("x,y\n1,2\n", "x_mm,y_mm\n1,2\n1\n", "x_mm,y_mm\n1,nan\n", "x_mm,y_mm\n", ""):
         (bad := tmp_path / "bad.csv").write_text(text)
         assert "give a first line x_mm,y_mm" in refusal(*base, "--tip-mm", 1.6, "--places", bad)

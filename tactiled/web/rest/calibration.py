@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Request
 from pydantic import Discriminator, Field, Tag
 
+from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM
 from tactiled.errors import CalibrationStateError
 from tactiled.runtime import calibration_session
 from tactiled.runtime.calibration_session import Way
@@ -25,7 +26,11 @@ class StartTip(schemas.RequestBody):
 
     way: Literal["tip"]
     tip_mm: float | None = Field(
-        None, gt=0, le=100, description="diameter of its flat end; left out: it is fitted", examples=[2.0]
+        None,
+        ge=MIN_SIZE_MM,
+        le=MAX_TIP_MM,
+        description="diameter of its flat end; left out: it is fitted",
+        examples=[2.0],
     )
 
 
@@ -34,7 +39,11 @@ class StartEdge(schemas.RequestBody):
 
     way: Literal["edge"]
     edge_mm: float | None = Field(
-        None, gt=0, le=1000, description="width of the ridge; left out: a pad with one edge", examples=[1.2]
+        None,
+        ge=MIN_SIZE_MM,
+        le=MAX_EDGE_MM,
+        description="width of the ridge; left out: a pad with one edge",
+        examples=[1.2],
     )
 
 

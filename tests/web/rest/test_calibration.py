@@ -143,7 +143,7 @@ def test_a_fit_of_nothing_says_why_and_collecting_goes_on(client, skin):
     [
         ("", {"way": "wieght"}, 422, "way = 'wieght'"),
         ("", {"way": "edge", "tip_mm": 2.0}, 422, "tip_mm"),
-        ("", {"way": "tip", "tip_mm": 0.0}, 422, "tip_mm = 0"),
+        ("", {"way": "tip", "tip_mm": 0.0016}, 422, "tip_mm = 0.0016"),
         ("", {"way": "edge", "edge_mm": -1.0}, 422, "edge_mm = -1"),
         ("", {"way": "tip", "tipmm": 2.0}, 422, "tipmm"),
         (
