@@ -94,7 +94,7 @@ def test_it_is_used_where_it_was_trained_for(blur, expected):
     frame.flat[frame.size // 2] = 100.0
     done = make("learned", made, 0.1)(frame)
     assert (done.method == "learned") == expected
-    assert expected or "non-negative instead" in done.why
+    assert expected or "restored by nnls" in done.why
 
 
 def test_the_image_of_dots_between_taxels_explains_the_frame_in_little_noise():
