@@ -47,7 +47,8 @@ def exchange():
         made.connection_made(end)
         for piece in filter(None, pieces):
             made.data_received(piece)
-            await asyncio.sleep(0.02)  # the answer
+            for _ in range(100):
+                await asyncio.sleep(0)  # turns of the loop until it has answered, however long they take
         await asyncio.sleep(seconds)
         closed = end.close.called
         made.connection_lost(ConnectionResetError())
