@@ -1,3 +1,4 @@
+import asyncio
 import logging
 import re
 import signal
@@ -142,6 +143,12 @@ def pressed(at=3, force=400):
     counts = np.full((SIDE, SIDE), NO_LOAD)
     counts[3:5, at : at + 2] += force
     return counts
+
+
+def run_apart(coroutine, seconds=None):
+    """What a coroutine gives in a loop of its own thread: on this one a browser's loop may be running."""
+    with ThreadPoolExecutor(1) as other:
+        return other.submit(asyncio.run, coroutine).result(seconds)
 
 
 def until(true, seconds=BUSY_S):

@@ -79,8 +79,9 @@ def cover(
 
 def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
     """Size of what pressed (mm), None where it is unknown; ConfigError where it is none of a tip or ridge."""
-    option, highest_mm = ("--edge-mm", MAX_EDGE_MM) if tip_mm is None else ("--tip-mm", MAX_TIP_MM)
-    size_mm = edge_mm if tip_mm is None else tip_mm or None
+    option, size_mm, highest_mm = "--edge-mm", edge_mm, MAX_EDGE_MM
+    if tip_mm is not None:
+        option, size_mm, highest_mm = "--tip-mm", tip_mm or None, MAX_TIP_MM
     if size_mm is not None and not MIN_SIZE_MM <= size_mm <= highest_mm:
         raise ConfigError(f"{option} {size_mm:g}: give {MIN_SIZE_MM:g} to {highest_mm} mm")
     return size_mm

@@ -34,11 +34,11 @@ class Overview(NamedTuple):
     force: NDArray[np.float64]  # (P,) N, or counts mm^2
 
 
-def noise_frames(plan: SensorPlan, recorded: FrameFiles) -> tuple[int, ...]:
-    """Numbers of the first frames with data, from which noise is measured; none where it is configured."""
+def noise_frames(plan: SensorPlan, recorded: FrameFiles, count: int) -> tuple[int, ...]:
+    """Numbers of those of the first `count` frames that have data, to measure noise from; none if configured."""
     if plan.calibration.noise_kpa:
         return ()
-    every = range(min(recorded.count(plan.name), MAX_NOISE_SEARCH))
+    every = range(min(count, MAX_NOISE_SEARCH))
     with_data = (n for n in every if (recorded.frame(plan.name, n).flags & UNKNOWN == 0).any())
     return tuple(islice(with_data, NOISE_FRAMES))
 

@@ -50,7 +50,7 @@ class SeriesJob:
 def write_measures(job: SeriesJob, target: SharedFile) -> None:
     """Write a row for each frame; TactileError where the disk is full or the service has ended."""
     count = job.frames.count(job.plan.name)
-    playback = Playback(job.plan, job.zero, job.frames, noise_frames(job.plan, job.frames))
+    playback = Playback(job.plan, job.zero, job.frames, noise_frames(job.plan, job.frames, count))
     meters = [RegionMeter(each, job.plan.cells) for each in (None, *job.regions.values())]
     row, parent, flushed = np.zeros((), job.row), os.getppid(), time.monotonic()
     for number in range(count):

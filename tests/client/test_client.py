@@ -16,8 +16,8 @@ from tactiled.client.stream import TOO_MANY, Stream
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
 from tactiled.web.server import running
-from tests.client.test_stream import afirst, first, run
-from tests.conftest import BUSY_S, pressed, until
+from tests.client.test_stream import afirst, first
+from tests.conftest import BUSY_S, pressed, run_apart, until
 
 
 @contextmanager
@@ -46,7 +46,7 @@ def answering(data):
 
 
 BOTH = pytest.mark.parametrize(
-    "ask", [first, lambda *args, **options: run(afirst(*args, **options))], ids=["sync", "async"]
+    "ask", [first, lambda *args, **options: run_apart(afirst(*args, **options))], ids=["sync", "async"]
 )
 
 

@@ -22,8 +22,8 @@ from tactiled.frames import FrameWarning
 from tactiled.web.rest import frames
 from tactiled.web.server import running
 from tests.client.test_client import answering
-from tests.client.test_stream import GUIDE, run
-from tests.conftest import pressed, until
+from tests.client.test_stream import GUIDE
+from tests.conftest import pressed, run_apart, until
 from tests.skin import X, Y, rigged
 
 LIMIT = {"quantity": "force", "above": 5.0, "below": 4.0}
@@ -132,7 +132,7 @@ def test_events_come_in_order_with_their_warning_and_the_next_is_waited_for(rig,
         await client.aset_method("palm", "raw")
         return await waiting
 
-    assert run(wait())
+    assert run_apart(wait())
 
 
 def test_a_recording_is_uploaded_listed_and_downloaded(recorder, tmp_path):
@@ -173,7 +173,7 @@ def test_asyncio_has_every_method_with_the_same_arguments_and_errors(url):
     twins = {name: each for name, each in arguments.items() if name[1:] in arguments}
     assert arguments == twins | {name[1:]: each for name, each in twins.items()}
     with pytest.raises(TactileError, match="sensor 'plam': no such sensor: there are palm"):
-        run(connect(url).aregions("plam"))
+        run_apart(connect(url).aregions("plam"))
 
 
 WRONG = {
@@ -236,12 +236,12 @@ def test_a_notebook_shows_raw_and_restored_on_one_scale_and_marks_what_is_unknow
 def test_the_programs_of_the_guide_run(images, rig, url, capsys):
     until(lambda: rig.service.events.newest)
     _, requests, awaited, _ = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
-    run(asyncio.to_thread(exec, requests.replace("http://127.0.0.1:8000", url).replace("2.0", "60.0"), {}))
+    run_apart(asyncio.to_thread(exec, requests.replace("http://127.0.0.1:8000", url).replace("2.0", "60.0"), {}))
     lines = capsys.readouterr().out.splitlines()
     image = images[-1]
     assert lines[0] == f"{image.restored.max():.1f} kPa, {image.restored.sum() * 1e-3:.2f} N, live"
     assert lines[1] == f"9 images, {image.raw.max():.1f} kPa"
     assert re.fullmatch(r"1 at \d\.\d, \d\.\d mm: \d\.\d\d N", lines[2])
     assert lines[3].startswith("1 ")
-    run(asyncio.to_thread(exec, awaited.replace("http://127.0.0.1:8000", url), {}))
+    run_apart(asyncio.to_thread(exec, awaited.replace("http://127.0.0.1:8000", url), {}))
     assert capsys.readouterr().out == f"frame {image.sequence}, contacts: 1\n"

@@ -1,4 +1,3 @@
-import asyncio
 import logging
 import math
 import re
@@ -6,7 +5,6 @@ import ssl
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +20,7 @@ from tactiled.errors import TactileError
 from tactiled.frames import Image as Frame
 from tactiled.web.server import running
 from tactiled.wire import pack
-from tests.conftest import BUSY_S, Clock, pressed
+from tests.conftest import BUSY_S, Clock, pressed, run_apart
 from tests.skin import PALM, X, Y, rigged
 
 ROOT = Path(__file__).parents[2]
@@ -35,11 +33,6 @@ def playing(rig):
     rig.stale_after(600)
     with rig.playing(100):
         yield rig
-
-
-def run(coroutine):
-    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
-        return other.submit(asyncio.run, coroutine).result()
 
 
 def first(url, **options):
@@ -89,7 +82,7 @@ def test_a_loop_that_pauses_gets_the_newest_image(playing, url):
             assert (await anext(stream)).sequence >= newest - 1
         await stream.aclose()
 
-    run(look())
+    run_apart(look())
 
 
 @pytest.fixture

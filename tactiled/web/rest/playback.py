@@ -108,7 +108,7 @@ class Playbacks:
     def __init__(self, leave_mb: float) -> None:
         self._leave_mb = leave_mb
         self._open: dict[tuple[str, str], RecordedFrames] = {}  # by file and bus, the one used last at the end
-        self._restoring = lru_cache(MAX_OPEN)(Playback)
+        self._noise_frames, self._restoring = lru_cache(MAX_OPEN)(noise_frames), lru_cache(MAX_OPEN)(Playback)
         self._lock = Lock()  # of what is open
         self._idle: Timer | None = None  # that closes what nobody has asked for, while anything is open
         self.series = SeriesRuns()
@@ -153,7 +153,7 @@ class Playbacks:
     def playback(self, sensor: Sensor, recorded: RecordedFrames) -> Playback:
         """What restores a sensor's frames, by its present calibration; Problem where there is none yet."""
         need_frame(sensor, recorded, 0)
-        measured = noise_frames(sensor.plan, recorded)
+        measured = self._noise_frames(sensor.plan, recorded, recorded.count(sensor.name))
         return self._restoring(sensor.plan, sensor.pipeline.zero, recorded, measured)
 
     def close(self) -> None:
@@ -178,12 +178,14 @@ def need_frame(sensor: Sensor, recorded: RecordedFrames, number: int) -> None:
 
 
 def _number_at(sensor: Sensor, recorded: RecordedFrames, position_s: float) -> int:
-    """Number of the last frame that had come at a position. Problem 409 where that is not read yet."""
+    """Number of the last frame that had come at a position. Problem 409 where that is not read yet.
+
+    There must be a frame.
+    """
     reading = recorded.reading  # first: more may come meanwhile
-    if count := recorded.count(sensor.name):
-        (last,) = recorded.heads(sensor.name, count - 1, 1)
-        if reading and position_s > last["position"]:
-            raise Problem(409, f"recording {recorded.path.name}: position {position_s:g} s is not read yet", SOON)
+    (last,) = recorded.heads(sensor.name, recorded.count(sensor.name) - 1, 1)
+    if reading and position_s > last["position"]:
+        raise Problem(409, f"recording {recorded.path.name}: position {position_s:g} s is not read yet", SOON)
     return recorded.at(sensor.name, position_s)
 
 

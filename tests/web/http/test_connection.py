@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from unittest.mock import Mock
 
@@ -19,7 +18,7 @@ from tactiled.web.http.protocols import WebSocket
 from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, State
 from tactiled.web.server import running
 from tests.attack.wire import CLOSE, PING, TEXT, frame
-from tests.conftest import BUSY_S, ask
+from tests.conftest import BUSY_S, ask, run_apart
 from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
 
 
@@ -54,8 +53,7 @@ def exchange():
         made.connection_lost(ConnectionResetError())
         return b"".join(call.args[0] for call in end.write.call_args_list), end.abort.called, closed
 
-    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
-        yield lambda *pieces, wait=0.0: other.submit(asyncio.run, run(pieces, wait)).result(30)
+    return lambda *pieces, wait=0.0: run_apart(run(pieces, wait), 30)
 
 
 HEAD = b"GET / HTTP/1.1\r\nHost: x\r\n"

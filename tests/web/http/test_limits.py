@@ -4,7 +4,6 @@ import asyncio
 import logging
 import math
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,7 +19,7 @@ from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns, client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, problem, until
+from tests.conftest import BUSY_S, ask, pressed, problem, run_apart, until
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import closed
 
@@ -121,8 +120,7 @@ def test_a_waiting_client_that_left_or_was_cancelled_is_passed_over():
         release.set()
         return await asyncio.gather(*tasks, return_exceptions=True)
 
-    with ThreadPoolExecutor(1) as other:  # on this thread a browser's loop may be running
-        results = other.submit(asyncio.run, run()).result(30)
+    results = run_apart(run(), 30)
     assert not turns._waiting
     assert not turns._lock.locked()
     assert (made, results[0], results[3]) == ([0, 3], 0, 3)

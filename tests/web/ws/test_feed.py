@@ -1,9 +1,9 @@
 import asyncio
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 from tactiled.runtime.hub import Hub
 from tactiled.web.ws.feed import Feeds
+from tests.conftest import run_apart
 
 
 def test_the_loop_takes_the_newest_image_of_each_sensor_in_one_turn_and_an_error_of_one_stops_no_other():
@@ -21,7 +21,6 @@ def test_the_loop_takes_the_newest_image_of_each_sensor_in_one_turn_and_an_error
                     each.hub.publish(image)
             await asyncio.sleep(0.01)
 
-    with ThreadPoolExecutor() as own:  # a test of the viewer may have a loop on this thread
-        own.submit(asyncio.run, main()).result()
+    run_apart(main())
     assert seen == [None, 3]
     assert errors == ["stream of broken"]
