@@ -124,9 +124,13 @@ class _Run(Thread):
 
 
 class _File(FileResponse):
-    """A file or a part of it; Problem where `Range` cannot be met."""
+    """A file or a part of it; Problem where `Range` cannot be met. One of another unit than bytes is ignored."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        unit, equals, _ = Headers(scope=scope).get("range", "").partition("=")
+        if equals and unit.strip().lower() != "bytes":  # RFC 9110, 14.2
+            scope = {**scope, "headers": [each for each in scope["headers"] if each[0] != b"range"]}
+
         async def send_or_refuse(message: Message) -> None:
             if message["type"] == "http.response.start" and (status := message["status"]) in WRONG_RANGES:
                 value, answer = Headers(scope=scope)["range"], Headers(raw=message["headers"])
