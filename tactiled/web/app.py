@@ -34,7 +34,7 @@ from tactiled.web.rest import (
     sensors,
     trace,
 )
-from tactiled.web.rest.dependencies import Costly, check_parameters
+from tactiled.web.rest.dependencies import Costly, check_body, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
 from tactiled.web.ws import asyncapi, stream, xela
 from tactiled.web.ws.feed import Feeds, ticking
@@ -90,7 +90,7 @@ def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
         docs_url=None,  # FastAPI's own page needs the internet and a script inside it
         redoc_url=None,
         redirect_slashes=False,  # which would redirect to the client's own Host, and hand its token on
-        dependencies=[Depends(check_parameters)],
+        dependencies=[Depends(check_parameters), Depends(check_body)],
     )
     install(app)
     _set_state(app, service, server)

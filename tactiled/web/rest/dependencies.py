@@ -8,6 +8,7 @@ from urllib.parse import unquote
 
 from fastapi import Depends, Path, Query, Request, Response, params
 from fastapi.dependencies.utils import get_flat_params
+from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
 from tactiled.build import SensorPlan
@@ -62,6 +63,18 @@ async def check_parameters(request: HTTPConnection) -> None:
         raise Problem(422, str(error)) from error
     if unknown:
         raise Problem(422, no_such(min(unknown), declared))
+
+
+async def check_body(request: HTTPConnection) -> None:
+    """Problem 422 for a body of a request that takes none, unless it is empty or `{}`; FastAPI ignores it."""
+    route = request.scope["route"]
+    if not isinstance(request, Request) or request.method == "GET" or not isinstance(route, APIRoute):
+        return
+    if route.body_field or "requestBody" in (route.openapi_extra or {}):
+        return
+    body = (await request.body()).strip()
+    if body not in (b"", b"{}"):
+        raise Problem(422, f"body = {body.decode(errors='replace')!r:.80}: this request takes none")
 
 
 def format_of(formats: Any) -> Any:

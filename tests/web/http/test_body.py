@@ -149,7 +149,7 @@ def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
     assert rig.service.events.newest == 0
     rig.stale_after(BUSY_S)
     rig.show(pressed(force=0))
-    assert send_raw(url, f"POST {TARE}", "Content-Length: 9", data=b"x" * 9)[0] == 202
+    assert send_raw(url, f"POST {TARE}", "Content-Length: 9", data=b" " * 9)[0] == 202
 
 
 CHUNKED = "Transfer-Encoding: chunked"

@@ -55,6 +55,25 @@ def test_a_body_that_a_form_can_send_is_refused(rig, url, kind):
     assert rig.sensor.method == "wiener"
 
 
+NO_BODY = (
+    ("POST", "/sensors/palm/tare"), ("DELETE", "/sensors/palm/tare"), ("POST", "/sensors/palm/regions/heel/reset"),
+    ("DELETE", "/sensors/palm/regions/heel"), ("POST", "/sensors/palm/calibration/history/1"),
+    ("POST", "/sensors/palm/calibration/session/fit"), ("POST", "/config/reload"),
+)  # fmt: skip
+
+
+def test_a_body_that_a_request_does_not_take_is_refused_and_changes_nothing(rig, url):
+    rig.show(pressed(force=0))
+    for verb, path in NO_BODY:
+        answer = ask(verb, f"{url}/api/v1{path}", json={"frames": 50})
+        assert problem(answer, 422) == """body = '{"frames":50}': this request takes none"""
+        for content in (b"", b"{}\n"):
+            assert ask(verb, f"{url}/api/v1{path}", content=content).status_code != 422, path
+    binary = ask("POST", f"{url}/api/v1/config/reload", content=b"\xff" * 1000)
+    assert problem(binary, 422).startswith("body = '\ufffd")
+    assert [each.kind for each in rig.service.events.after(0)].count("tare_asked") == 2
+
+
 def test_an_internal_error_has_no_details_and_the_security_headers(rig, url, monkeypatch):
     rig.show(pressed())
     monkeypatch.setattr(Sensor, "contacts", lambda _: {}["hush"])
