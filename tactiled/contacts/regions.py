@@ -14,6 +14,7 @@ from tactiled.units import FORCE_SCALES, FORCE_UNITS, Unit
 Quantity = Literal["force", "mean", "peak", "area"]
 CONTACT_SIGMAS = 3.0  # noise standard deviations above which a cell is in contact, as contacts go on down to
 MAX_CORNERS = 64
+TOTAL = "total"  # what a series calls the whole array, beside its regions
 Coordinate = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 

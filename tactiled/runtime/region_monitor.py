@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.contacts.regions import Measures, Region, RegionMeter
+from tactiled.contacts.regions import TOTAL, Measures, Region, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import Cells
 from tactiled.units import Unit
@@ -149,10 +149,12 @@ class RegionMonitor:
         return {name: each.region for name, each in self.series.items()}
 
     def put(self, name: str, region: Region) -> None:
-        """Watch a region; ValueError, and nothing changed, where it holds no cell or there are too many.
+        """Watch a region; ValueError, and nothing changed, where its name or place is wrong or there are too many.
 
         One of that name that has the same place goes on with its series, maybe by another threshold.
         """
+        if name == TOTAL:
+            raise ValueError(f"region = {name!r}: a series has this name for the array: give another")
         region.check()
         if (series := self.series.get(name)) and series.take_threshold(region):
             return

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
-from tactiled.contacts.regions import Measures, Region
+from tactiled.contacts.regions import TOTAL, Measures, Region
 from tactiled.restore.methods import require
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.recorded_frames import RecordedFrames
@@ -20,7 +20,6 @@ from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, watched
 
-TOTAL = "total"
 CSV_ROWS = 500  # that are written at once
 
 

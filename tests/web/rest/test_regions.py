@@ -64,3 +64,10 @@ def test_a_region_over_its_threshold_is_an_event(rig, client):
 def test_a_wrong_region_is_refused_and_changes_nothing(client, rig, body, status, words):
     assert re.search(words, problem(client.put("/sensors/palm/regions/heel", json=body), status))
     assert rig.sensor.regions.regions == {}
+
+
+def test_a_region_may_not_have_the_name_of_the_array_in_a_series(client):
+    """Its columns in the CSV of a recording's series would be there twice."""
+    detail = problem(client.put("/sensors/palm/regions/total", json=HEEL), 409)
+    assert detail == "region = 'total': a series has this name for the array: give another"
+    assert client.put("/sensors/palm/regions/Total", json=HEEL).status_code == 200
