@@ -23,7 +23,7 @@ from tactiled.bus.codec import Codec
 from tactiled.bus.recording import Recording
 from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
-from tactiled.errors import TactileError
+from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Loss, RawFrame
 from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tactiled.threads import join_started
@@ -109,7 +109,7 @@ def write_frames(
 ) -> str:
     """Write every frame of a recording; returns how its end is cut off, "" where it is whole.
 
-    TactileError where it or the disk ends early.
+    ConfigError where its content is wrong; another TactileError where it cannot be read, or the disk is full.
     """
     recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
     parent, flushed = os.getppid(), time.monotonic()
@@ -121,6 +121,10 @@ def write_frames(
                     each.flush()
                 flushed = time.monotonic()
                 check_goes_on(parent, path.parent, leave_mb)
+    except ConfigError as error:
+        if isinstance(error.__cause__, OSError):
+            raise TactileError(str(error)) from error
+        raise
     finally:
         for each in writers.values():
             each.flush()
@@ -196,6 +200,7 @@ class RecordedFrames(FrameFiles):
         files = {name: (SharedFile.temporary(path.parent), SharedFile.temporary(path.parent)) for name in codecs}
         super().__init__({name: each.size for name, each in codecs.items()}, files)
         self.error = ""  # why it, or its reading, ended early
+        self._may_pass = self.answered = False  # that reason; whoever opens it has answered that it failed
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
         self._thread.start()
@@ -208,6 +213,11 @@ class RecordedFrames(FrameFiles):
     def reading(self) -> bool:
         """Whether more frames may come."""
         return self._thread.is_alive()
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing was read for a reason that may pass: rights, memory or a disk."""
+        return not self.reading and self._may_pass and not any(map(self.count, self._files))
 
     def close(self) -> None:
         """Give the disk free."""
@@ -223,4 +233,4 @@ class RecordedFrames(FrameFiles):
         except Cancelled:
             pass
         except Exception as error:
-            self.error = str(error)
+            self.error, self._may_pass = str(error), not isinstance(error, ConfigError)

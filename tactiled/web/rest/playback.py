@@ -114,7 +114,11 @@ class Playbacks:
         self.series = SeriesRuns()
 
     def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
-        """The frames of a file, read again where it or the bus has changed; Problem 503 where it cannot be."""
+        """The frames of a file; Problem 503 where it is not there.
+
+        It is read again where it or the bus has changed, or where nothing could be read for a reason that may pass
+        and one answer has said so.
+        """
         key = path.name, bus
         codecs = {name: each.codec for name, each in service.sensors.items() if each.plan.bus == bus}
         with self._lock:
@@ -122,7 +126,7 @@ class Playbacks:
             while len(self._open) >= MAX_OPEN:
                 self._open.pop(next(iter(self._open))).close()
             try:
-                if recorded and not recorded.is_of(codecs):
+                if recorded and (recorded.answered or not recorded.is_of(codecs)):
                     recorded.close()
                     recorded = None
                 self._open[key] = recorded = recorded or RecordedFrames(path, codecs, self._leave_mb)
@@ -130,7 +134,7 @@ class Playbacks:
                 if recorded:
                     recorded.close()
                 raise Problem(503, f"recording {path.name}: {error.strerror}") from error
-            recorded.used_at = time.monotonic()
+            recorded.used_at, recorded.answered = time.monotonic(), recorded.failed
             if self._idle is None:
                 self._await_idle(IDLE_S)
         return recorded

@@ -1,5 +1,7 @@
 """Frames of recordings: any of them at once, as a replay restores them."""
 
+import gzip
+import os
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -54,8 +56,9 @@ def client(service, folder):
 
 def opened(client, name):
     """The state of a recording once it was read to its end."""
-    until(lambda: not client.get(f"/{name}/playback", params=PALM).json()["reading"])
-    return client.get(f"/{name}/playback", params=PALM).json()
+    states = []
+    until(lambda: states.append(client.get(f"/{name}/playback", params=PALM).json()) or not states[-1]["reading"])
+    return states[-1]
 
 
 def images(client, name, **query):
@@ -168,6 +171,19 @@ def test_an_end_that_is_cut_off_is_reported(client, folder):
     path.write_bytes((folder / "a.asc.gz").read_bytes()[:-100])
     state = opened(client, path.name)
     assert (state["error"], 0 < state["frames"] < FRAMES) == ("its end is cut off", True)
+    path.unlink()
+
+
+def test_a_file_that_could_not_be_read_is_read_again_if_the_reason_may_pass(client, folder):
+    path, content = folder / "b.log.gz", gzip.compress((folder / "a.log").read_bytes())
+    for wrong, count in ((b"", FRAMES), (gzip.compress(b"nonsense\n"), 0)):  # no gzip file: an OSError; no message
+        path.write_bytes(wrong.ljust(len(content), b"\0"))
+        modified = path.stat().st_mtime_ns
+        failed = opened(client, path.name)
+        assert (failed["frames"], bool(failed["error"])) == (0, True)
+        path.write_bytes(content)
+        os.utime(path, ns=(modified, modified))  # as if the file was the same
+        assert opened(client, path.name)["frames"] == count
     path.unlink()
 
 
