@@ -24,7 +24,7 @@ from tactiled.web.http.protocols import ENDS
 
 Right = Literal["read", "control"]
 LOG = logging.getLogger(__name__)
-COOKIE = "tactiled"
+PORT = re.compile(r":([0-9]{1,5})$")  # at the end of a Host header
 COOKIE_ATTRIBUTES = "; HttpOnly; SameSite=Strict; Path=/"
 LOOPBACK_HOST = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
@@ -66,7 +66,13 @@ def token_of(headers: Headers, query: QueryParams) -> str:
         return token.strip()
     if "token" in query:
         return query["token"]
-    return cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
+    return cookie_parser(headers.get("cookie", "")).get(cookie_name(headers), "")
+
+
+def cookie_name(headers: Headers) -> str:
+    """That of the viewer's cookie, with the port: a browser sends the cookies of a host to all of its ports."""
+    port = PORT.search(headers.get("host", ""))
+    return f"tactiled-{port[1]}" if port else "tactiled"
 
 
 class AccessControl:
@@ -134,7 +140,7 @@ class AccessControl:
             self._rates.count(scope)
         token = QueryParams(scope["query_string"]).get("token", "")
         if scope["path"] == "/" and self._tokens.rights(token):
-            return self._set_cookie(token)
+            return self._set_cookie(cookie_name(Headers(scope=scope)), token)
         return self._app
 
     def _authorize(self, scope: Scope) -> None:
@@ -162,11 +168,11 @@ class AccessControl:
         if site not in ("none", "same-origin") and not link:
             raise Problem(403, f"Sec-Fetch-Site: {site:.80}: pages of another site may not use this service")
 
-    def _set_cookie(self, token: str) -> Response:
+    def _set_cookie(self, name: str, token: str) -> Response:
         """Keep a token in a cookie that no script can read, and out of the address."""
         response = Response(status_code=303, headers={"Location": "/", "Cache-Control": "no-store"})
         secure = "; Secure" if self._server.tls_certificate else ""
-        response.headers["Set-Cookie"] = f"{COOKIE}={token}{COOKIE_ATTRIBUTES}{secure}"
+        response.headers["Set-Cookie"] = f"{name}={token}{COOKIE_ATTRIBUTES}{secure}"
         return response
 
 

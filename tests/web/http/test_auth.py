@@ -118,9 +118,18 @@ def test_a_browser_keeps_the_token_in_a_cookie_that_no_script_reads(guarded):
     with httpx.Client(**HTTP, base_url=guarded) as browser:
         answer = browser.get("/", params={"token": READ})
         assert (answer.status_code, answer.headers["location"]) == (303, "/")
-        assert answer.headers["set-cookie"] == f"tactiled={READ}; HttpOnly; SameSite=Strict; Path=/"
+        port = guarded.rpartition(":")[2]
+        assert answer.headers["set-cookie"] == f"tactiled-{port}={READ}; HttpOnly; SameSite=Strict; Path=/"
         assert browser.get("/api/v1/health").status_code == 200
         assert browser.post("/api/v1/sensors/palm/tare").status_code == 403
+
+
+def test_a_browser_keeps_a_token_of_each_service_of_a_host(rig, guarded):
+    """Its cookies are for every port of a host name."""
+    with running(rig.service, Server(port=0, control_token=VALID)) as other, httpx.Client(**HTTP) as browser:
+        for url, token in ((guarded, READ), (other, VALID)):
+            browser.get(url, params={"token": token})
+        assert [browser.get(url + "/api/v1/health").status_code for url in (guarded, other)] == [200, 200]
 
 
 @pytest.mark.parametrize(
@@ -149,10 +158,10 @@ def test_a_valid_token_can_be_sent_unencoded_in_header_address_and_cookie(rig):
         assert send_raw(url, f"{line}?token={VALID}")[0] == 200
         assert send_raw(url, line, f"Authorization: Bearer {VALID}")[0] == 200
         assert send_raw(url, line, f"Authorization: Basic {VALID}")[0] == 401
-        assert send_raw(url, line, f"Cookie: a=b; tactiled={VALID}; c=d")[0] == 200
+        assert send_raw(url, line, f"Cookie: a=b; tactiled={VALID}; c=d")[0] == 200  # of a host without a port
         assert send_raw(url, line, f"Cookie: tactiled=x{VALID}")[0] == 401
         answer = ask("GET", url, params={"token": VALID})
-        assert answer.headers["set-cookie"].startswith(f"tactiled={VALID}; ")
+        assert f"={VALID}; " in answer.headers["set-cookie"]
 
 
 @pytest.mark.parametrize("character", ["ü", "\u2028", " ", "\t", "\0", "\x7f", *'"#%&+,;\\'])
