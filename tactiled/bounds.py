@@ -1,10 +1,18 @@
-"""Bounds of the numbers of the configuration, with their units in the error; paths beside it."""
+"""Bounds of the numbers of the configuration, and what texts may hold, in words in the error; paths beside it."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainSerializer, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PlainSerializer,
+    ValidationInfo,
+)
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
@@ -45,6 +53,25 @@ class Bounds:
         return value
 
 
+@dataclass(frozen=True, slots=True)
+class Syntax:
+    """A text that a regular expression matches; `words` say in an error what to give."""
+
+    pattern: str
+    words: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(core) | {"pattern": self.pattern}
+
+    def _checked(self, text: str) -> str:
+        if not re.fullmatch(self.pattern, text):
+            raise PydanticCustomError("syntax", "give {words}", {"words": self.words})
+        return text
+
+
 def _beside(file: Path, info: ValidationInfo) -> Path:
     folder: Path = (info.context or {}).get("folder", Path())
     return folder / file
@@ -57,3 +84,14 @@ Port = Annotated[int, Bounds(0, 65535)]
 Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
 Pitch = Annotated[float, Bounds(0.01, 1000.0, LENGTH)]  # from an etched sensor's taxels to a floor's tiles
 Place = Annotated[float, Bounds(-1e4, 1e4, LENGTH)]  # no skin is wider than 20 m
+NAME, FRAME_ID = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$", r"^[A-Za-z0-9_][A-Za-z0-9_./-]{0,127}$"
+ENDPOINT, PREFIX = r"^(tcp|tls|quic|udp|ws)/[^/?#\s]+:[0-9]{1,5}$", r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$"
+WORD = "ASCII letters, digits, _ or -"
+Name = Annotated[str, Syntax(NAME, f"1 to 64 {WORD}, a letter or digit first")]
+FrameId = Annotated[  # tf2 refuses a slash in front
+    str, Syntax(FRAME_ID, "1 to 128 ASCII letters, digits, _ . / or -, a letter, digit or _ first")
+]
+Endpoint = Annotated[
+    str, Syntax(ENDPOINT, "tcp, tls, quic, udp or ws, then /ADDRESS:PORT, such as tcp/192.168.1.2:7447")
+]
+Prefix = Annotated[str, Field(max_length=100), Syntax(PREFIX, f"{WORD}, in parts with / between")]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tactiled.bounds import Syntax
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.curves import Curves, Form
 from tactiled.cover.stack import Layer, Stack
@@ -21,6 +22,8 @@ DIGITS = 7  # significant ones of a value: those of float32, and far finer than 
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
 
+SHA256 = Syntax(r"^([0-9a-f]{64})?$", "64 digits of 0-9 and a-f, or nothing")
+TIME = Syntax(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$", "a time in UTC, such as 2026-11-22T23:31:12Z")
 Value = Annotated[float, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}"))]
 Values = tuple[Value, ...]
 OptionalValues = tuple[Value | None, ...]  # None: unknown
@@ -47,9 +50,9 @@ class Origin(Table):
     """Where a section comes from."""
 
     recording: Annotated[str, Field(max_length=255)]  # name of the file, or "live"
-    sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""  # of the recording; "": the frames were live
+    sha256: Annotated[str, SHA256] = ""  # of the recording; "": the frames were live
     method: Annotated[str, Field(min_length=1, max_length=200)]  # such as tare, steps, force, weight, tip, edge
-    created: Annotated[str, Field(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$"), AfterValidator(_check_date)]
+    created: Annotated[str, TIME, AfterValidator(_check_date)]
 
     @property
     def time(self) -> float:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from tactiled import logs
+from tactiled.bounds import Name
 from tactiled.bus import skins
 from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
@@ -34,7 +35,7 @@ class Buses(Section):
 
     server: schema.Server = schema.Server()
     zenoh: Any = None
-    bus: dict[schema.Name, Bus] = Field(min_length=1)
+    bus: dict[Name, Bus] = Field(min_length=1)
     sensor: Any = None
 
 
@@ -122,6 +123,8 @@ def _line(fault: ErrorDetails) -> str:
     place, message, value = _place(fault["loc"]), fault["msg"].removeprefix("Value error, "), fault["input"]
     if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{place}: unknown key{_suggestion(*fault['loc'])}"
+    if fault["loc"][-1:] == ("[key]",):
+        return f"{_place(fault['loc'][:-2])}: name {_cut(value)}: {message}"
     if fault["type"] == "missing":
         return f"{place}: missing"
     if not place:

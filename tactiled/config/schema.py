@@ -22,15 +22,13 @@ from pydantic import (
     model_validator,
 )
 
-from tactiled.bounds import Bounds, Counts, FileBeside, Pitch, Place, Port
+from tactiled.bounds import Bounds, Counts, Endpoint, FileBeside, FrameId, Name, Pitch, Place, Port, Prefix
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
 from tactiled.bus.redact import HARMLESS, reveal, seal
 from tactiled.config.section import Redacted, Section
 from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-FrameId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]{0,127}$")]  # tf2 refuses a slash in front
 Quaternion: TypeAlias = tuple[float, float, float, float]
 NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
 
@@ -49,7 +47,6 @@ def _check_token(token: SecretStr) -> SecretStr:
     return token
 
 
-Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic|udp|ws)/[^/?#\s]+:[0-9]{1,5}$")]
 Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_check_token)]
 
 
@@ -295,7 +292,7 @@ class Zenoh(Section):
     """Endpoints to connect to, such as `tcp/192.168.1.2:7447` or `tls/fleet.example:7447`."""
     listen: tuple[Endpoint, ...] = ()
     """Endpoints to listen on, of a peer."""
-    prefix: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*$", max_length=100)] = "tactiled"
+    prefix: Prefix = "tactiled"
     """First part of every key."""
     robot: Name | None = None
     """Name of the robot whose sensors are published; `tactiled run --publish` needs it."""

@@ -58,7 +58,8 @@ def test_a_person_can_read_it_head_first_one_array_a_line(file):
         ("gain.parameters.0.2", None, "gain.parameters[0][2] = None: Input should be a valid number"),
         ("gain.parameters.0.2", NAN, "gain.parameters[0][2] = nan: Input should be a finite number"),
         ("gain.parameters.0", [0.5], "gain: parameters and reach_counts have different numbers of taxels"),
-        ("gain.origin.created", "today", "gain.origin.created = 'today': String should match"),
+        ("gain.origin.created", "today", "gain.origin.created = 'today': give a time in UTC, such as 2026-"),
+        ("gain.origin.sha256", "A", "gain.origin.sha256 = 'A': give 64 digits of 0-9 and a-f, or nothing"),
         (
             "cover.interval",
             [-0.1, 1.3],

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactiled.bounds import Bounds
+from tactiled.bounds import WORD, Bounds, Syntax
 from tactiled.bus.batch import Batch
 from tactiled.bus.codec import (
     BatchCodec,
@@ -63,7 +63,7 @@ class Xela(BatchCodec, ClassicSkin, ShearCodec):
     """Taxel numbers of a row, from left to right."""
     start: bool = False
     """Start a board of an older profile when the service starts, and stop it at the end."""
-    model: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{0,32}$")] = ""
+    model: Annotated[str, Syntax(r"^[A-Za-z0-9_-]{0,32}$", f"up to 32 {WORD}")] = ""
     """Model name that XELA's clients receive; empty: derived from ids and size."""
 
     taxels, full_scale = 1, 0xFFFF

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
+from tactiled.bounds import Syntax
 from tactiled.frames import Image
 from tactiled.runtime.history import Page
 from tactiled.runtime.sensor import Status
@@ -28,9 +29,10 @@ NewestFormat = Literal["json", "npy", "png"]
 ShearFormat = Literal["json", "npy"]
 PageFormat = Literal["json", "npy", "npz"]
 MAX_IMAGES = 1000  # an answer
-WINDOW = r"^[0-9]{1,6}(\.[0-9]{1,6})?s$"
-BEFORE = r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$"
-OLDER = "continue with older images: `before` of the previous answer, or a sequence number"
+WINDOW = Syntax(r"^[0-9]{1,6}(\.[0-9]{1,6})?s$", "seconds, such as 2s or 0.5s")
+PAGE_END = "`before` of the previous answer, or a sequence number"
+BEFORE = Syntax(r"^[0-9]{1,18}(@-?[0-9]{1,15}\.[0-9]{6})?$", PAGE_END)
+OLDER = f"continue with older images: {PAGE_END}"
 MAX_VALUES: dict[PageFormat, int] = {"json": 1 << 18, "npy": 1 << 21, "npz": 1 << 21}  # numbers an answer
 TOP: dict[str, Any] = {"ge": 1e-6, "le": 1e9, "allow_inf_nan": False}
 TOP_OF = "end of the colour scale of a PNG"
@@ -103,8 +105,8 @@ class PageQuery(BaseModel):
     """Which images of the last seconds."""
 
     kind: Kind = Field("restored", description="which images")
-    last: str = Field("1s", pattern=WINDOW, description="window, back from the newest image", examples=["2s"])
-    before: str | None = Field(None, pattern=BEFORE, description=OLDER, examples=["37545@72076.529173"])
+    last: Annotated[str, WINDOW] = Field("1s", description="window, back from the newest image", examples=["2s"])
+    before: Annotated[str, BEFORE] | None = Field(None, description=OLDER, examples=["37545@72076.529173"])
     limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
 
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel, Field
 from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
+from tactiled.bounds import WORD, Syntax
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import Recorder, record
 from tactiled.bus.recording import Recording as Recorded
@@ -39,18 +40,18 @@ WRONG_RANGES = {400: "give bytes=FIRST-LAST", 416: "is not within the file"}
 CONTENT = {MEDIA["file"]: {"schema": {"type": "string", "format": "binary"}}}
 UPLOAD = (400, 408, 409, 413, 503, *CONTROL)
 BODY = {"requestBody": {"required": True, "content": CONTENT}}
-FileName = Annotated[str, PathParameter(pattern=FILE_NAME, description="a recording's file name")]
+Name = Annotated[
+    str, Syntax(FILE_NAME, f"1 to 100 {WORD}, a letter or digit first, then .log, .asc, .blf, .log.gz or .asc.gz")
+]
+FileName = Annotated[Name, PathParameter(description="a recording's file name")]
 
 
 class Start(schemas.RequestBody):
     """What to record."""
 
     bus: str = Field(description="a bus of the configuration", examples=["can0"])
-    name: str | None = Field(
-        None,
-        pattern=FILE_NAME,
-        description="file name; made of bus and time if left out",
-        examples=["grasp.log"],
+    name: Name | None = Field(
+        None, description="file name; made of bus and time if left out", examples=["grasp.log"]
     )
 
 

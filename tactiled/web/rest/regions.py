@@ -10,6 +10,7 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 from tactiled import units
+from tactiled.bounds import Syntax
 from tactiled.contacts.regions import Measures, Region, measure_units
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
 from tactiled.runtime.sensor import Sensor
@@ -19,8 +20,8 @@ from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems, success
 
 MAX_POINTS = 60_000
-NAME = r"^[\w][\w .-]{0,39}$"
-RegionName = Annotated[str, Path(pattern=NAME, description="a region of the sensor", examples=["heel"])]
+NAME = Syntax(r"^[\w][\w .-]{0,39}$", "1 to 40 letters, digits, _ . - or spaces, a letter, digit or _ first")
+RegionName = Annotated[str, NAME, Path(description="a region of the sensor", examples=["heel"])]
 router = APIRouter(prefix="/api/v1/sensors/{name}/regions", tags=["regions"])
 
 

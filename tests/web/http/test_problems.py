@@ -48,6 +48,22 @@ def test_a_body_that_is_not_the_expected_json_is_described(url):
         assert problem(answer, status).startswith(detail)
 
 
+FORMS = (
+    ("GET", "/sensors/palm/regions/.heel/series", "region = '.heel': give 1 to 40 letters, digits, _ . - or "),
+    ("GET", "/recordings/a.txt", "name = 'a.txt': give 1 to 100 ASCII letters, digits, _ or -, a letter or digit"),
+    ("POST", "/recordings", "name = 'a.log\\n': give 1 to 100 ASCII letters"),
+    ("GET", "/sensors/palm/frames?last=2", "last = '2': give seconds, such as 2s or 0.5s"),
+    ("GET", "/sensors/palm/frames?before=x", "before = 'x': give `before` of the previous answer, or a sequence"),
+)
+
+
+def test_what_a_text_may_hold_is_said_in_words(rig, tmp_path):
+    with running(rig.service, Server(port=0, recordings=tmp_path)) as url:
+        for verb, path, detail in FORMS:
+            body = {"json": {"bus": "can0", "name": "a.log\n"}} if verb == "POST" else {}
+            assert problem(ask(verb, f"{url}/api/v1{path}", **body), 422).startswith(detail)
+
+
 @pytest.mark.parametrize("kind", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"])
 def test_a_body_that_a_form_can_send_is_refused(rig, url, kind):
     answer = ask("PUT", url + METHOD, content=b'{"method": "raw"}', headers={"Content-Type": kind})
