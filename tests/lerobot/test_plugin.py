@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import make_dataclass
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import TactileError
+from tactiled.runtime.sensor import Sensor
 from tests.conftest import BUSY_S, pressed, until
 from tests.lerobot.stand_ins import stand_ins
 
@@ -115,6 +116,23 @@ def test_a_frame_from_before_the_connection_has_its_age(rig, make_robot):
     robot = make_robot("max_age_s=600")
     robot.connect()
     assert robot.get_observation()["tactile.palm.age_s.0"] >= 0.5
+
+
+def test_a_frame_of_unknown_age_does_not_count_and_a_newer_one_does(rig, make_robot, monkeypatch):
+    """As of a server on Zenoh that has not compared its clock with the reader's yet."""
+    status = Sensor.status
+    monkeypatch.setattr(Sensor, "status", lambda self: replace(status(self), age_s=None))
+    rig.stale_after(600)
+    rig.show(pressed())
+    robot = make_robot("max_age_s=600")
+    with ThreadPoolExecutor(1) as other:
+        connecting = other.submit(robot.connect)
+        time.sleep(1.0)
+        assert not connecting.done(), connecting.exception()
+        while not connecting.done():
+            rig.show(pressed())
+    connecting.result()
+    assert robot.get_observation()["tactile.palm.age_s.0"] < BUSY_S
 
 
 def test_without_new_frames_an_observation_is_an_error_until_they_come_back(rig, make_robot):

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections import deque
 from contextlib import aclosing
+from math import inf
 from threading import Condition, Thread
 
 from lerobot_robot_tactiled.features import value_names, values
@@ -18,7 +19,7 @@ class Reader:
         self._client, self._first, self._max_age_s = client, first, max_age_s
         self._names = [name for image in first.values() for name in value_names(image, frames)]
         self._windows: dict[str, deque[Image]] = {sensor: deque(maxlen=frames) for sensor in first}
-        self._newest_at = dict.fromkeys(first, -float("inf"))  # time.monotonic() (s) of the newest frames
+        self._newest_at = dict.fromkeys(first, -inf)  # time.monotonic() (s) of the newest frames
         self._changed, self._error = Condition(), ""
         self._loop = asyncio.new_event_loop()
         self._task = self._loop.create_task(self._receive())
@@ -48,7 +49,8 @@ class Reader:
 
     def _problems(self) -> str:
         return "; ".join(
-            f"sensor {sensor!r} has {len(window)}/{window.maxlen} frames, the newest {age_s:.3g} s old"
+            f"sensor {sensor!r} has {len(window)}/{window.maxlen} frames, the newest "
+            + ("of unknown age" if age_s == inf else f"{age_s:.3g} s old")
             for sensor, window in self._windows.items()
             if (age_s := self._age_s(sensor)) > self._max_age_s or len(window) != window.maxlen
         )
@@ -62,7 +64,7 @@ class Reader:
             window.clear()
         window.append(image)
         age_s = image.status["age_s"] if image.status.get("sequence") == image.sequence else 0.0
-        self._newest_at[image.sensor] = time.monotonic() - age_s
+        self._newest_at[image.sensor] = time.monotonic() - (inf if age_s is None else age_s)  # None: unknown
 
     def _run(self) -> None:
         try:
