@@ -8,15 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import configured_file, make_calibration, make_codec
+from tactiled.bus.arrivals import decoded
+from tactiled.bus.assembler import RESTART_S
 from tactiled.bus.batch import Batch
-from tactiled.bus.codec import Codec, whole_counts
+from tactiled.bus.codec import NO_SEQUENCE, Codec, whole_counts
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
 from tactiled.config import schema
 from tactiled.frames import Message, RawFrame
 from tactiled.plausibility.settings import Finding
 
-MAX_LOST_FRACTION = 0.01  # of an array's messages; as many may repeat others
+MAX_LOST_FRACTION = 0.01  # of an array's messages; as many may repeat others or be malformed
+MIN_WRAPS = 2  # of a sequence number from the same highest to the same lowest: one may be a restart
 REPEATED = "repeat others: the sequence number does not count frames, or two boards send on one id"
 MAX_REST_FRACTION = 0.05  # of the full scale between no load and an unloaded array; fingertips of an iCub: 0.02
 MIN_FRAMES_STUCK = 20  # a taxel with noise of a count repeats itself so often with a chance under 1e-8
@@ -44,18 +47,26 @@ def bus_report(config: schema.Config, bus: str, messages: Sequence[Message], sec
         report.findings.append(Finding(f"bus.{bus}", "", reason))
     for name, assembler in router.assemblers.items():
         own, loss, sensor = frames[name], assembler.loss, sensors[name]
+        codec, place = assembler.codec, f"sensor.{name}"
+        came = Batch.of(each for each in messages if (each.id, each.extended) in codec.ids)
+        malformed = _malformed(place, sensor, codec, came)
         if any(not each.flags.any() for each in own):
             lost = loss.lost - own[:SETTLED_FRAMES][-1].loss.lost
             rate = f"{mean_rate_hz([each.time for each in own]):.1f} frames a second"
             report.lines.append(f"{name}: {rate}, {lost} messages lost, {loss.malformed} malformed")
-            report.findings.extend(_frames(f"sensor.{name}", sensor, own, lost, loss.repeated))
-        elif _waits(assembler.codec):
+            wrap = _early_wrap(place, codec, came)
+            # what did not fit is missing, too; a wrap makes frames look lost or repeated
+            number, repeated = (0, 0) if wrap else (max(lost - loss.malformed, 0), loss.repeated)
+            report.findings.extend(each for each in (malformed, wrap) if each)
+            report.findings.extend(_frames(place, sensor, own, number, repeated))
+        elif _waits(codec):
             report.lines.append(f"{name}: no frame: it waits until asked or started, and a check sends nothing")
         else:
             counts = f", {loss.lost} messages lost, {loss.malformed} malformed"
             report.lines.append(f"{name}: no complete frame{counts if loss.lost or loss.malformed else ''}")
             if messages:
-                report.findings.append(_silent(f"sensor.{name}", sensor, survey(messages), assembler.codec))
+                other = _other_settings(place, sensor, survey(messages), codec)
+                report.findings.append(other or malformed or _silent(place, sensor, codec))
     return report
 
 
@@ -63,8 +74,39 @@ def _waits(codec: Codec) -> bool:
     return bool(codec.polling.polls or codec.polling.start)
 
 
-def _silent(place: str, sensor: schema.Sensor, result: Survey, codec: Codec) -> Finding:
-    """Why no whole frame came: the sensor's kind sends with other settings or another size, or not at all."""
+def _malformed(place: str, sensor: schema.Sensor, codec: Codec, came: Batch) -> Finding | None:
+    """What the codec cannot read of its ids' messages; a skin that is asked also sends other replies."""
+    rows = decoded(codec, came, None)[1] if len(came) else came.ids
+    if _waits(codec) or len(rows) <= MAX_LOST_FRACTION * len(came):
+        return None
+    first = next(iter(came[rows[:1]]))
+    kind = "CAN FD" if first.fd else "classic"
+    example = f"{kind}, id {first.id:#x}, {len(first.data)} bytes: {first.data[:8].hex(' ')}"
+    reason = f"{100 * len(rows) / len(came):.1f} % of its messages do not fit the layout, the first {example}"
+    change = "correct codec or array here, or the firmware; if another device sends them, change its id"
+    pages = sensor.codec.name == "dbc"  # of multiplexed messages, without taxels, are no fault
+    return Finding(f"{place}.codec", sensor.codec.name, f"{reason}: {change}", hint=pages)
+
+
+def _early_wrap(place: str, codec: Codec, came: Batch) -> Finding | None:
+    """Whether the sequence number begins again before the codec's modulus: newer frames look old or lost then."""
+    arrivals, _ = decoded(codec, came, None)
+    if codec.modulus is None or arrivals is None or (sequences := arrivals.readings.sequences) is None:
+        return None
+    low, high = int(sequences.min()), int(sequences.max())
+    prompt = np.diff(arrivals.readings.times) < RESTART_S
+    wraps = np.count_nonzero((np.diff(sequences) == low - high) & prompt)
+    if not NO_SEQUENCE < low < high < low + codec.modulus - 1 or wraps < MIN_WRAPS:
+        return None
+    expected = f"{codec.modulus} numbers are expected"
+    counts = f"its sequence number counts from {low} to {high} and begins again, and {expected}"
+    own = f"set modulus = {high - low + 1} in a codec of your own"
+    change = f"have the firmware count to {codec.modulus - 1}, or {own}"
+    return Finding(f"{place}.codec", "", f"{counts}: {change}")
+
+
+def _other_settings(place: str, sensor: schema.Sensor, result: Survey, codec: Codec) -> Finding | None:
+    """Why no complete frame came, where the sensor's kind sends with other settings or another size."""
     configured = sensor.codec.settings
     for sender in result.senders:
         if sender.name == sensor.codec.name:
@@ -78,8 +120,13 @@ def _silent(place: str, sensor: schema.Sensor, result: Survey, codec: Codec) -> 
             if set(sender.match.keys) & codec.ids:
                 sizes = f"{sender.match.codec.segments} messages a frame, and {codec.segments} are expected"
                 return Finding(f"{place}.array", "", f"{sends} {sizes}")
+    return None
+
+
+def _silent(place: str, sensor: schema.Sensor, codec: Codec) -> Finding:
+    """That no complete frame came, and nothing says why."""
     ids = ", ".join(f"{id_:#x}" for id_, _ in sorted(codec.ids)[:MAX_LISTED])
-    started = "; codec.start = true has the service start it" if hasattr(configured, "start") else ""
+    started = "; codec.start = true has the service start it" if hasattr(sensor.codec.settings, "start") else ""
     return Finding(f"{place}.codec", sensor.codec.name, f"no complete frame on ids {ids}{started}")
 
 

@@ -9,7 +9,7 @@ from tactiled.bus.codecs.packed import Packed
 from tactiled.config import parse
 from tactiled.frames import Message
 from tactiled.plausibility.traffic import bus_report
-from tests.bus.skins import traffic
+from tests.bus.skins import CODECS, DBC, traffic
 
 CONFIG = """
 [bus.can0]
@@ -62,6 +62,12 @@ def end(counts):
     counts[:, 29] = 4095
 
 
+def wrapped(numbers):
+    """Healthy frames whose sequence numbers are these, again and again."""
+    frames = enumerate(traffic(FD, 3 * len(numbers)))
+    return [each._replace(data=bytes([numbers[n % len(numbers)]]) + each.data[1:]) for n, each in frames]
+
+
 # Messages, settings and the one finding that they give.
 FAULTS = {
     "nothing": ([], {}, "bus.can0: no message in 3 s: nothing sends, or bit rate, channel or wiring are wrong"),
@@ -83,6 +89,26 @@ FAULTS = {
     ),
     "strangers": ([Message(0.1, 0x6A1, b"")], {}, "sensor.a.codec = packed: no complete frame on ids 0x500"),
     "loss": ([each for n, each in enumerate(HEALTHY) if n % 10 != 9], {}, "7.7 % of its messages are lost"),
+    "malformed": (
+        [each._replace(data=each.data + bytes(4 * (n % 10 == 9))) for n, each in enumerate(HEALTHY)],
+        {},
+        "sensor.a.codec = packed: 10.0 % of its messages do not fit the layout, the first CAN FD, id 0x500,"
+        " 52 bytes: 09 00 ",
+    ),
+    "malformed, all": (
+        [each._replace(data=b"\0\1" + each.data[2:]) for each in HEALTHY],
+        {},
+        "100.0 % of its messages do not fit the layout",
+    ),
+    "an early wrap": (
+        wrapped(range(16)),
+        {},
+        "sensor.a.codec: its sequence number counts from 0 to 15 and begins again, and 256 numbers are expected:"
+        " have the firmware count to 255, or set modulus = 16 in a codec of your own",
+    ),
+    "a wrap that looks like loss": (wrapped(range(200)), {}, "counts from 0 to 199"),
+    "a sequence number without 0": (wrapped(range(1, 256)), {}, "counts from 1 to 255"),
+    "a sequence number of two values": (wrapped(range(2)), {}, "counts from 0 to 1"),
     "a sequence number that stands still": (
         [each._replace(data=b"\0" + each.data[1:]) for each in HEALTHY], {}, "97.5 % of its messages repeat others"
     ),
@@ -117,6 +143,11 @@ def test_what_a_healthy_array_may_do_is_no_fault():
     assert not findings(altered(stick)[:10])
     assert not findings(HEALTHY, calibration="no_load = 100")
     assert not findings([each for n, each in enumerate(traffic(FD, 200)) if n != 100])
+    assert not findings(wrapped(range(256)))
+    longer = [each._replace(data=each.data + bytes(4 * (n == 100))) for n, each in enumerate(traffic(FD, 200))]
+    assert not findings(longer)
+    restarted = [each._replace(time=each.time + n // 16) for n, each in enumerate(wrapped(range(16)))]
+    assert not findings(restarted, more="\nstale_after_s = 2")
 
 
 def test_the_no_load_of_a_calibration_file_counts(monkeypatch):
@@ -135,9 +166,17 @@ def test_a_skin_that_waits_until_asked_is_no_fault(messages):
 
 
 def test_a_skin_that_another_node_polls_is_heard():
+    others = [Message(each / 50 + 0.01, 0x27, b"\xc0\x01") for each in range(40)]
     result = report(
-        list(traffic(Linker("right", (1,)))),
+        sorted([*traffic(Linker("right", (1,))), *others]),
         'name = "linker"',
         "array = { rows = 12, columns = 6, pitch_mm = 2.0 }",
     )
-    assert result.lines == ["a: 50.0 frames a second, 0 messages lost, 0 malformed"]
+    assert result.lines == ["a: 50.0 frames a second, 0 messages lost, 40 malformed"]
+    assert not result.findings
+
+
+def test_pages_of_a_dbc_message_that_carry_no_taxels_are_a_hint():
+    codec = f'name = "dbc", file = "{DBC}", taxels = ["Pages.P0", "Pages.P1"]'
+    result = report(list(traffic(CODECS["dbc-pages"])), codec, "array = { rows = 1, columns = 2, pitch_mm = 2.0 }")
+    assert [each.hint for each in result.findings if "do not fit" in each.reason] == [True]
