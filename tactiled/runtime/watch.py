@@ -32,6 +32,7 @@ class Watch:
         self._watched = self.sensors  # at the last look
         self._keep_tare = keep_tare
         self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
+        self._silent_since: dict[str, float] = {}  # s, by sensors of which no frame has come
         self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
         self.turns = 0  # looks so far
         self._stop = threading.Event()
@@ -60,7 +61,7 @@ class Watch:
             self._look_at_bus(bus)
         for sensor in sensors:
             with self._faults.turn(f"watch of {sensor.name}"):
-                self._look_at_state(sensor)
+                self._look_at_state(sensor, now)
                 self._look_at_warnings(sensor, now)
                 self._look_at_tare(sensor)
                 self._look_at_taxels(sensor)
@@ -81,6 +82,7 @@ class Watch:
         self._values = {
             key: value for key, value in self._values.items() if key[0] == "bus" or key[1] not in names
         }
+        self._silent_since = {name: at for name, at in self._silent_since.items() if name not in names}
         for key in [key for key in self._raised if key[0] in names]:
             warning, _ = self._raised.pop(key)
             self._events.add("warning_cleared", warning.text, key[0], warning=warning)
@@ -93,9 +95,17 @@ class Watch:
             else:
                 self._events.add("bus_up", "is there again", bus=bus)
 
-    def _look_at_state(self, sensor: Sensor) -> None:
+    def _look_at_state(self, sensor: Sensor, now: float) -> None:
+        """A sensor without a frame yet is silent once the time has passed that it has to start and to send."""
         status = sensor.status()
-        if self._changed("state", sensor.name, status.state, "silent"):
+        patient = False
+        if status.state == "silent":
+            to_start = max((after for after, _ in sensor.codec.polling.start), default=0.0)
+            since = self._silent_since.setdefault(sensor.name, now)
+            patient = now - since <= to_start + sensor.plan.stale_after_s
+        else:
+            self._silent_since.pop(sensor.name, None)
+        if self._changed("state", sensor.name, None if patient else status.state, None) and not patient:
             self._events.add(STATE_EVENTS[status.state], status.detail or "frames come", sensor.name)
 
     def _look_at_warnings(self, sensor: Sensor, now: float) -> None:

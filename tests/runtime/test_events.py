@@ -39,7 +39,8 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     assert watched.look() == [("sensor_live", "palm", "frames come")]
     assert watched.look() == []
     watched.now += 0.6
-    assert watched.look() == [("sensor_stale", "palm", "no frame for 0.6 s")]
+    silent = ("sensor_silent", "thumb", "no frame yet on can0")
+    assert watched.look() == [("sensor_stale", "palm", "no frame for 0.6 s"), silent]
     watched.now += 0.1
     assert watched.look() == []
     watched.sensor.down = "unplugged"
@@ -50,6 +51,34 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
     watched.sensor.ended = "a.log has ended"
     assert watched.look() == [("sensor_ended", "palm", "a.log has ended")]
+
+
+def test_a_sensor_of_which_no_frame_has_come_is_an_event_once_its_patience_is_over(watched):
+    silent = [("sensor_silent", name, "no frame yet on can0") for name in ("palm", "thumb")]
+    assert watched.look() == []
+    watched.now += 0.9 * watched.sensor.plan.stale_after_s
+    assert watched.look() == []
+    watched.now += 0.2 * watched.sensor.plan.stale_after_s
+    assert watched.look() == silent
+    watched.now += 10
+    assert watched.look() == []
+    watched.sensor.restore(frame())
+    assert watched.look() == [("sensor_live", "palm", "frames come")]
+    watched.watch.sensors = (watched.sensor,)
+    watched.look()
+    watched.watch.sensors = (watched.sensor, watched.thumb)  # anew, as after a reload
+    assert watched.look() == []
+
+
+def test_a_sensor_that_a_bus_brings_back_without_frames_is_silent_after_its_patience(watched):
+    watched.thumb.restore(frame())
+    watched.sensor.down = "unplugged"
+    watched.look()
+    watched.now += 10
+    watched.sensor.down = None
+    assert [each for each in watched.look() if each[1] == "palm"] == []
+    watched.now += 1
+    assert ("sensor_silent", "palm", "no frame yet on can0") in watched.look()
 
 
 def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
@@ -71,7 +100,7 @@ def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
     raised, cleared = (each for each in watched.events.after(0) if each.warning)
     assert (raised.text, cleared.warning.code) == (raised.warning.text, "missing")
     assert events_at(3.0 * WARNING_STAYS_S, 5) == [("warning_raised", 5)]
-    assert events_at(9.0 * WARNING_STAYS_S) == [("sensor_stale", None)]  # silence clears nothing
+    assert events_at(9.0 * WARNING_STAYS_S) == [("sensor_stale", None), ("sensor_silent", None)]  # clear nothing
 
 
 def test_a_fault_is_one_event_and_the_watch_clears_it_after_a_while(caplog):
