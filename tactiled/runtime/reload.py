@@ -53,9 +53,12 @@ class Reload:
 
     sensors: Names
     buses: Names
+    certificate: str | None = None
+    """Name of the file of TLS's certificate, if that was renewed."""
 
     def __str__(self) -> str:
-        return f"sensors: {self.sensors}; buses: {self.buses}"
+        renewed = f"; TLS: {self.certificate} renewed" if self.certificate else ""
+        return f"sensors: {self.sensors}; buses: {self.buses}{renewed}"
 
 
 def compare(running: Mapping[str, SensorPlan], before: Config, after: Config) -> Reload:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock, Thread
 from types import MappingProxyType
@@ -38,7 +39,7 @@ class Service:
     ) -> None:
         self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults, self.path = Faults(self.events), path
-        self.renew_tls: Callable[[], None] = lambda: None  # of a server with TLS; ConfigError where that fails
+        self.renew_tls: Callable[[], str | None] = lambda: None  # name of a renewed certificate; ConfigError
         self._reload_lock = Lock()  # one reload at a time, which may take long
         self._change_lock, self._stopped = Lock(), False  # what runs is changed, or stopped
         self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
@@ -258,9 +259,9 @@ class Service:
                 raise ReloadError("the service ends")
             if any(self.sensors[name].plan is not running[name] for name in outcome.sensors.restarted):
                 raise ReloadError("a calibration was applied meanwhile: reload again")
-            self.renew_tls()
+            certificate = self.renew_tls()
             self._exchange(outcome, config, sensors)
-        return outcome
+        return replace(outcome, certificate=certificate)
 
     def _exchange(self, outcome: Reload, config: Config, sensors: dict[str, Sensor]) -> None:
         """Go on by another configuration; BusError, and everything as before, where a bus cannot be opened."""

@@ -92,6 +92,14 @@ def _address(config: Server) -> tuple[socket.AddressFamily, socket.SocketKind, t
     return family, kind, address
 
 
+def _renew(certified: "partial[Connection]", config: Server, before: list[bytes]) -> str | None:
+    """Take TLS's files as they are now; gives the certificate's name if it is another than `before`."""
+    assert config.tls_certificate is not None
+    certified.keywords.update(tls=tls.context(config))
+    former, before[0] = before[0], config.tls_certificate.read_bytes()
+    return config.tls_certificate.name if before[0] != former else None
+
+
 class _Server(uvicorn.Server):
     """uvicorn's, which tells systemd when it begins to stop, and the servers beside it."""
 
@@ -118,7 +126,7 @@ def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) ->
     app.state.places = Places(limit(config.streams))
     certified = partial(Connection, places=app.state.places, tls=tls.context(config))
     if config.tls_certificate:
-        app.state.service.renew_tls = lambda: certified.keywords.update(tls=tls.context(config))
+        app.state.service.renew_tls = partial(_renew, certified, config, [config.tls_certificate.read_bytes()])
     server = _Server(
         uvicorn.Config(
             app,

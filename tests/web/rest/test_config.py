@@ -19,7 +19,8 @@ def test_a_reload_answers_with_what_it_changed_and_every_list_follows(rig, url, 
     assert answer.status_code == 200
     none = {"added": [], "removed": [], "restarted": []}
     sensors = none | {"added": ["tip"], "unchanged": ["palm"]}
-    assert answer.json() == {"sensors": sensors, "buses": none | {"unchanged": ["can0"]}}
+    buses = none | {"unchanged": ["can0"]}
+    assert answer.json() == {"sensors": sensors, "buses": buses, "certificate": None}
     with httpx.Client(**HTTP, base_url=url) as client:
         api = "/api/v1"
         assert [each["name"] for each in client.get(api + "/sensors").json()["sensors"]] == ["palm", "tip"]
@@ -44,7 +45,7 @@ def test_a_wrong_file_is_refused_in_the_words_of_check_without_its_path(rig, url
     assert "no configuration file" in problem(ask("POST", url + RELOAD), 409)
 
 
-def test_a_reload_reads_the_certificate_again(rig, tmp_path):
+def test_a_reload_reads_the_certificate_again_and_names_one_that_was_renewed(rig, tmp_path):
     rig.service.path = tmp_path / "rig.toml"
     rig.service.path.write_text(CONFIG.format(channel=rig.config.bus["can0"].channel))
     certificate, key = self_signed(tmp_path)
@@ -52,10 +53,15 @@ def test_a_reload_reads_the_certificate_again(rig, tmp_path):
     with running(rig.service, Server(port=0, tls_certificate=certificate, tls_key=key)) as url:
         at = "127.0.0.1", int(url.rpartition(":")[2])
         assert ssl.get_server_certificate(at) == first
+        same = ask("POST", url + RELOAD, verify=False)
         self_signed(tmp_path)
         second = certificate.read_text()
-        assert ask("POST", url + RELOAD, verify=False).status_code == 200
+        renewed = ask("POST", url + RELOAD, verify=False)
+        assert [same.json()["certificate"], renewed.json()["certificate"]] == [None, "certificate.pem"]
         assert ssl.get_server_certificate(at) == second != first
         key.write_text("")
         assert problem(ask("POST", url + RELOAD, verify=False), 422).startswith("certificate.pem, key.pem: ")
         assert ssl.get_server_certificate(at) == second
+    events = [each.text for each in rig.service.events.after(0) if each.kind == "config_reloaded"]
+    unchanged = "sensors: 1 unchanged; buses: 1 unchanged"
+    assert events == [unchanged, unchanged + "; TLS: certificate.pem renewed"]
