@@ -92,15 +92,19 @@ class Fleet:
         resource = request.path.removeprefix("/")
         about = {"method": request.method, "query": request.query, "headers": request.headers}
         key = f"{self._base(line)}/{line.session}/rest/{resource}"
+        began, timed_out = time.monotonic(), False
         replies = session.get(key, payload=request.body, attachment=json.dumps(about), timeout=REQUEST_S)
         for reply in replies:
             if reply.ok and reply.ok.attachment:
                 about = json.loads(reply.ok.attachment.to_bytes())
                 return Answer(about["status"], about["headers"], reply.ok.payload.to_bytes())
-            if reply.err and reply.err.payload.to_bytes() != b"Timeout":
+            timed_out = reply.err is not None and reply.err.payload.to_bytes() == b"Timeout"
+            if reply.err and not timed_out:
                 raise ReaderError(f"sensor {name!r}: its reader failed: {reply.err.payload.to_string()}")
+        lost = f"the connection to its reader was lost after {time.monotonic() - began:.1f} s, before it answered"
+        why = f"its reader did not answer within {REQUEST_S:g} s" if timed_out else lost
         unknown = "" if request.method == "GET" else ": whether it was done is unknown"
-        raise ReaderError(f"sensor {name!r}: its reader did not answer within {REQUEST_S:g} s{unknown}")
+        raise ReaderError(f"sensor {name!r}: {why}{unknown}")
 
     def _base(self, line: Line) -> str:
         return f"{self._settings.prefix}/{line.name}"

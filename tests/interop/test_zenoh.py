@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import time
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -10,7 +11,7 @@ from websockets.sync.client import connect
 
 from tactiled.config import Server, Zenoh, parse
 from tactiled.errors import ConfigError, TactileError
-from tactiled.interop.zenoh_session import Request, open_session
+from tactiled.interop.zenoh_session import Answer, Request, open_session
 from tactiled.web.app import create
 from tactiled.web.forward import Requests, publisher
 from tactiled.web.server import running
@@ -162,6 +163,14 @@ def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):
             until(lambda: NAME in fleet.sensors)
         until(lambda: state(fleet) == "down")
         assert "was stopped" in problem(ask("GET", f"{url}/api/v1/sensors/{NAME}/geometry"), 503)
+
+
+def test_a_request_that_its_reader_does_not_answer_ends_in_time(served, monkeypatch):
+    _, url = served()
+    monkeypatch.setattr("tactiled.interop.zenoh_fleet.REQUEST_S", 0.3)
+    monkeypatch.setattr(Requests, "__call__", lambda *_: (time.sleep(1), Answer(200, {}, b"{}"))[1])
+    refused = problem(ask("GET", f"{url}/sensors/{NAME}/method"), 503)
+    assert refused == f"sensor {NAME!r}: its reader did not answer within 0.3 s"
 
 
 def test_a_reader_without_a_token_lets_nothing_change_beyond_its_machine(rig):

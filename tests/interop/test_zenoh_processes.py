@@ -10,8 +10,8 @@ from contextlib import suppress
 
 import pytest
 
-from tactiled.errors import UnknownSensorError
-from tactiled.interop.zenoh_session import connected
+from tactiled.errors import ReaderError, UnknownSensorError
+from tactiled.interop.zenoh_session import Request, connected
 from tests.conftest import BUSY_S, until
 from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, state
 from tests.process import free_port
@@ -98,6 +98,20 @@ def test_a_silent_skin_a_killed_reader_and_a_stopped_one_differ_and_it_comes_bac
         until(lambda: two.poll() is not None)
         assert len({session for session, _, _ in images}) == 2
         nothing_doubled(images)
+
+
+def test_a_request_says_when_its_readers_connection_was_lost(reader):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with fleet_at(endpoint, mode="peer", connect=[], listen=[endpoint]) as fleet:
+        one = reader(endpoint, "r1")
+        until(lambda: state(fleet) == "live")
+        one.send_signal(signal.SIGSTOP)
+        threading.Timer(0.3, one.kill).start()  # one that stays frozen loses its connection after LEASE_S
+        lost = (
+            r"connection to its reader was lost after 0\.\d s, before it answered: whether it was done is unknown"
+        )
+        with pytest.raises(ReaderError, match=lost):
+            fleet.request(NAME, Request("PUT", "method", body=b'{"method": "raw"}'))
 
 
 def test_a_router_may_die_and_come_back(reader, router):
