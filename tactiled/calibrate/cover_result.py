@@ -49,7 +49,9 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
         notes=(*_unused(presses, fitted), *others),
         line=_line(fitted),
     )
-    return fit if reason else _explained(fit, fitted, misfits)
+    fit = fit if reason else _explained(fit, fitted, misfits)
+    note = fitted.touch.size_note(solution, float(np.sqrt(dispersion)))
+    return replace(fit, notes=(note, *fit.notes)) if note else fit
 
 
 def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:

@@ -52,6 +52,11 @@ class Touch:
         """Each reading's distance (M,) in mm from the load, and what the load is there (kPa): the plot's units."""
         raise NotImplementedError
 
+    def size_note(self, solution: Solution, misfit: float) -> str:
+        """Why the load has another size than was measured; "" where not. `misfit`: over what noise explains."""
+        del solution, misfit
+        return ""
+
     def only(self, presses: NDArray[np.intp]) -> Self:
         """The same with some presses."""
         return replace(self, presses=tuple(self.presses[at] for at in presses), prior=self.prior.of(presses))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.cover_search import Touch, differences
-from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
+from tactiled.calibrate.cover_search import Touch, differences, search
+from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum, pooled
 from tactiled.calibrate.presses import Press, usable_presses
 from tactiled.calibrate.touch_response import HARMONICS, Quadrature, TipResponse, tip_transform
 from tactiled.cover.family import CoverFamily
@@ -20,6 +20,10 @@ Floats = NDArray[np.float64]
 UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
 PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given
 CALIPER_ERROR_MM = 0.02  # standard deviation of a measured diameter
+SUSPECT_PULL = 2.0  # standard deviations that a fit is off the measured diameter, from which another is tried
+SUSPECT_MISFIT = 1.2  # times noise and gain errors, the same
+MAX_MISFIT = 1.5  # with another diameter: above it gains or layers are wrong, and the tip may be right
+MAX_DIFFERENCE = 3.0  # standard deviations between the measured diameter and the presses'
 MIN_PRESSES = 3
 
 
@@ -70,6 +74,27 @@ class TipTouch(Touch):
         response = TipResponse(self.array, nodes, 1 if coarse else HARMONICS)
         return TipModel(self.array.positions[readings.taxel], readings.press, spectrum, response)
 
+    def size_note(self, solution: Solution, misfit: float) -> str:
+        """Whether the presses are explained by another tip than the measured one, and not by that."""
+        measured, deviation = float(self.prior.shared[1]), float(self.prior.shared_deviation[1])
+        if self.tip.diameter_mm is None or deviation == 0:
+            return ""
+        pull = abs(float(solution.shared[1]) - measured) / deviation
+        if pull <= SUSPECT_PULL and misfit <= SUSPECT_MISFIT:
+            return ""
+        radius, unknown = Tip().radius_prior(self.array.pitch)
+        shared, free = np.array([0.0, radius]), np.array([np.inf, unknown])
+        fitted = search(replace(self, prior=replace(self.prior, shared=shared, shared_deviation=free)))
+        lowest = max(1.0, pooled(fitted.likelihood.misfits(fitted.solution)))
+        own = lowest * float(np.sqrt(np.linalg.pinv(fitted.solution.information)[1, 1]))
+        offset = abs(float(fitted.solution.shared[1]) - measured) / np.hypot(own, deviation)
+        if lowest > MAX_MISFIT or max(pull / misfit, offset) <= MAX_DIFFERENCE:
+            return ""
+        factor, radius = np.exp(fitted.solution.shared)
+        depth = factor * self.family.configured.depth
+        other = f"a tip of {2 * radius:.2g} mm, not {self.tip.diameter_mm:g} mm, under a cover of {depth:.3g} mm"
+        return f"the presses look like those of {other}: measure it again, or leave it out (--tip-mm 0)"
+
     def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
         """Readings (K, N) within `reach` of a press's place."""
         del depth
@@ -97,7 +122,7 @@ def tip_touch(
     `gain_error`: relative standard deviation of taxels' gains, (N,) or of all. `places_mm` (K, 2), of all presses,
     where they are known to a standard deviation of PLACE_ERROR_PITCHES.
     """
-    usable = usable_presses(presses, MIN_PRESSES, f"press at least {MIN_PRESSES} times, better 20")
+    usable = usable_presses(presses, MIN_PRESSES, f"press at lowest {MIN_PRESSES} times, better 20")
     width = float(np.ptp(array.positions, axis=0).min()) + array.pitch
     if tip.diameter_mm is not None and not 0 < tip.diameter_mm < width:
         raise ConfigError(

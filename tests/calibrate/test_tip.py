@@ -76,6 +76,24 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert 2.56 < np.square(scores).sum() < 23.2
 
 
+@pytest.mark.parametrize(
+    ("true", "measured", "thickness", "note", "gain_error"),
+    [
+        (0.5, 1.6, 2.0, "the presses look like those of a tip of 0.", 0.01),
+        (1.6, 0.5, 1.0, "the presses look like those of a tip of 1.6 mm, not 0.5 mm, under a cover of 1", 0.01),
+        (1.6, 1.6, 1.0, "", 0.01),
+        (0.5, 0.5, 2.0, "", 0.01),
+        (0.5, 0.5, 1.0, "", 0.2),  # taken for 0.01: no tip explains the presses
+    ],
+)
+def test_a_tip_of_another_diameter_is_noted(true, measured, thickness, note, gain_error):
+    array = grid(12, 12, 1.0)
+    presses, _ = pressed(array, thickness, seed=11, tip_mm=true, count=8, gain_error=gain_error)
+    notes = fitted(presses, array, thickness, Tip(measured)).notes
+    assert notes[0].startswith(note)
+    assert any("those of a tip of" in each for each in notes) == bool(note)
+
+
 def test_gains_that_nobody_calibrated_widen_the_interval():
     array = grid(12, 12, 1.0)
     presses, _ = pressed(array, 1.1, seed=5, count=8, gain_error=0.2)
