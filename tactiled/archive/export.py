@@ -48,8 +48,9 @@ class ExportJob(Job):
 
     def make(self, source: Path, part: Path) -> str:
         """Write every frame of one recording; ConfigError where there is none, or a region has no cell."""
-        recording, plan, count = Recording(source), self.plan(), 0
+        plan, count = self.plan(), 0
         router, pipeline = Router({name: make_codec(each) for name, each in self.sensors.items()}), Pipeline(plan)
+        recording = Recording(source, router.ids)
         meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:
             for name, frame in frames(_tapped(recording, target.add_message), router):

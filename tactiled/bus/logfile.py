@@ -15,9 +15,10 @@ from tactiled.frames import Message
 MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
 CANDUMP_LINE = re.compile(
-    r"\(([0-9]+\.[0-9]+)\) [^\s]+ ([0-9A-Fa-f]{3}|[01][0-9A-Fa-f]{7})"
+    r"\(([0-9]+\.[0-9]+)\) ([^\s]+) ([0-9A-Fa-f]{3}|[01][0-9A-Fa-f]{7})"
     r"#(?:(#)[0-9])?((?:[0-9A-Fa-f]{2})*)(?: [RT])?\n"
 )
+Logged = tuple[str, Message] | CanMessage  # of a channel; or as python-can has it
 WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
 
 
@@ -41,14 +42,14 @@ class Lines(io.TextIOWrapper):
 class CandumpLog(formats.CanutilsLogReader):
     """Data frames as candump and python-can write them are read here, any other line by python-can."""
 
-    def __iter__(self) -> Iterator[Message | CanMessage]:  # type: ignore[override]
+    def __iter__(self) -> Iterator[Logged]:  # type: ignore[override]
         """Every message, error and remote frame."""
         for line in self.file:
             if (match := CANDUMP_LINE.fullmatch(line)) is None:
                 yield from formats.CanutilsLogReader(io.StringIO(line))
                 continue
-            time, id_, fd, data = match.groups()
-            yield Message(float(time), int(id_, 16), bytes.fromhex(data), len(id_) > 3, fd is not None)
+            time, channel, id_, fd, data = match.groups()
+            yield channel, Message(float(time), int(id_, 16), bytes.fromhex(data), len(id_) > 3, fd is not None)
 
 
 class Blocks(io.BufferedReader):
@@ -113,7 +114,7 @@ TEXT_READERS: dict[str, Callable[[Any], MessageReader]] = {
 }
 
 
-def open_log(path: Path) -> AbstractContextManager[Iterable[Message | CanMessage]]:
+def open_log(path: Path) -> AbstractContextManager[Iterable[Logged]]:
     """Open a recording in any format that python-can reads; errors are its own, those above, and OSError."""
     suffixes = [each.lower() for each in path.suffixes]
     packed = len(suffixes) == 2 and suffixes[1] == ".gz"

@@ -7,6 +7,8 @@ from itertools import pairwise
 from pathlib import Path
 from threading import Event
 
+from tactiled.bus.canbus import CanMessage
+from tactiled.bus.codec import Key
 from tactiled.bus.logfile import open_log
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
@@ -57,21 +59,28 @@ class Pace:
         return f"{step} message {self._count}"
 
 
-def read(path: Path) -> Iterator[Message]:
-    """Every data frame of a recording, as timed there; ConfigError where the file cannot be read or meant."""
-    count = 0
+def read(path: Path, ids: frozenset[Key] = frozenset()) -> Iterator[Message]:
+    """Every data frame of a recording, as timed there; ConfigError where the file cannot be read or meant.
+
+    Nor is one meant where a message of `ids`, which sensors listen to, comes from two channels: frames would mix.
+    """
+    count, channels = 0, dict[Key, str]()
     try:
         with open_log(path) as log:
             for each in log:
-                stamp = each.time if isinstance(each, Message) else each.timestamp
+                stamp = each[1].time if isinstance(each, tuple) else each.timestamp
                 if not 0 <= stamp < MAX_TIME_S:
                     raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
                 count += 1
-                if isinstance(each, Message):
-                    yield each
-                elif not (each.is_error_frame or each.is_remote_frame):
-                    data = bytes(each.data)
-                    yield Message(each.timestamp, each.arbitration_id, data, each.is_extended_id, each.is_fd)
+                channel, message = each if isinstance(each, tuple) else _data_frame(each)
+                if message is None:
+                    continue
+                key = message.id, message.extended
+                if key in ids and (first := channels.setdefault(key, channel)) != channel:
+                    raise ConfigError(f"recording {path}: message {count}: {_mixed(path, key, first, channel)}")
+                yield message
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"recording {path}: {error.strerror or error}: give the path of a recording") from error
     except MemoryError as error:
@@ -84,11 +93,31 @@ def read(path: Path) -> Iterator[Message]:
         ) from error
 
 
+def _mixed(path: Path, key: Key, first: str, second: str) -> str:
+    """That an id comes from two channels, and how to keep one of them."""
+    advice = "record one bus alone"
+    if ".log" in path.suffixes:
+        grep = "zgrep" if path.suffix == ".gz" else "grep"
+        advice = f"keep one ({grep} ' {first} ' {path.name} > {first}.log)"
+    elif first.isdigit() and second.isdigit():  # python-can counts from 0, and the files from 1
+        first, second = f"channel {int(first) + 1}", f"channel {int(second) + 1}"
+    return f"id {key[0]:#x} comes from {first} and from {second}, and their frames would mix: {advice}"
+
+
+def _data_frame(message: CanMessage) -> tuple[str, Message | None]:
+    """A message and its channel; None for one that carries no data."""
+    if message.is_error_frame or message.is_remote_frame:
+        return "", None
+    id_, data = message.arbitration_id, bytes(message.data)
+    return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, message.is_fd)
+
+
 class Recording:
     """The data frames of a recording, once through; an end that a crash cut off is left out and reported."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, ids: frozenset[Key] = frozenset()) -> None:
+        """`ids` are those that sensors listen to."""
+        self.path, self._ids = path, ids
         self.count = 0  # messages so far
         self.torn = False  # whether the end turned out to be cut off
         self.pace = Pace()  # as of the newest message
@@ -97,7 +126,7 @@ class Recording:
     def __iter__(self) -> Iterator[Message]:
         """Every whole message; ConfigError where the recording cannot be read or meant."""
         try:
-            for message in read(self.path):
+            for message in read(self.path, self._ids):
                 self.count += 1
                 self.step = self.pace.go(message.time)
                 yield message

@@ -74,7 +74,8 @@ class Replay:
             raise ConfigError(
                 f"speed = {speed}: give 1 for the recorded pace, N for N times that, 0 for no pauses"
             )
-        self._recording, self._router = Recording(path), Router(codecs)
+        self._router = Router(codecs)
+        self._recording = Recording(path, self._router.ids)
         self._take, self._speed, self._ended, self._stepped = take, speed, ended, stepped
         self._stop = Event()
         self._thread = Thread(target=self._run, name=f"replay {path.name}", daemon=True)

@@ -22,7 +22,7 @@ def read_frame_series(path: Path, name: str, config: Config) -> FrameSeries:
     """
     bus = config.sensor[name].bus
     router = Router({key: make_codec(each) for key, each in config.sensor.items() if each.bus == bus})
-    recording, times, arrived, counts = Recording(path), [], [], []
+    recording, times, arrived, counts = Recording(path, router.ids), [], [], []
     for sensor, frame in frames(recording, router, AT_ONCE):
         if sensor == name:
             times.append(frame.time)

@@ -111,10 +111,11 @@ def write_frames(
 
     ConfigError where its content is wrong; another TactileError where it cannot be read, or the disk is full.
     """
-    recording, writers = Recording(path), {name: _Writer(*each) for name, each in files.items()}
+    router = Router(codecs)
+    recording, writers = Recording(path, router.ids), {name: _Writer(*each) for name, each in files.items()}
     parent, flushed = os.getppid(), time.monotonic()
     try:
-        for name, frame in frames(recording, Router(codecs), AT_ONCE):
+        for name, frame in frames(recording, router, AT_ONCE):
             writers[name].add(frame)
             if time.monotonic() - flushed > FLUSH_S:
                 for each in writers.values():

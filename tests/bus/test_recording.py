@@ -242,6 +242,31 @@ def test_containers_of_python_cans_own_writer_are_read(tmp_path, compression_lev
     assert [each.data for each in recording.read(path)] == [bytes(each.data) for each in messages]
 
 
+SAME_ID = "(1.0) can0 500#01\n(1.1) can1 77#01\n(1.2) can0 77#01\n(1.3) can1 500#01\n"
+
+
+@pytest.mark.parametrize("packed", ["", ".gz"])
+def test_an_id_that_comes_from_two_channels_is_refused_where_a_sensor_listens_to_it(tmp_path, packed):
+    path = tmp_path / f"all.log{packed}"
+    path.write_bytes(gzip.compress(SAME_ID.encode()) if packed else SAME_ID.encode())
+    assert len(list(Recording(path, frozenset({(0x501, False), (0x500, True)})))) == 4
+    messages = Recording(path, frozenset({(0x500, False)}))
+    keep = rf"keep one \({'z' if packed else ''}grep ' can0 ' all.log{packed} > can0.log\)"
+    with pytest.raises(ConfigError, match=f"message 4: id 0x500 comes from can0 and from can1, .* {keep}"):
+        list(messages)
+    assert not messages.torn
+
+
+def test_channels_of_other_formats_are_named_as_in_the_file(tmp_path):
+    path = tmp_path / "all.asc"
+    with can.ASCWriter(path) as file:
+        for channel in (0, 1):
+            message = can.Message(1.6e9 + channel, 0x500, is_extended_id=False, data=b"1", channel=channel)
+            file.on_message_received(message)
+    with pytest.raises(ConfigError, match="comes from channel 1 and from channel 2, and their"):
+        list(Recording(path, frozenset({(0x500, False)})))
+
+
 def test_full_memory_is_not_reported_as_a_torn_recording(tmp_path, monkeypatch):
     def full():
         yield can.Message(1.6e9)

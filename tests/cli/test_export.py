@@ -24,7 +24,7 @@ from tactiled.contacts.regions import Region
 from tactiled.frames import MISSING
 from tactiled.restore.methods import METHODS
 from tests.cli.commands import refusal, succeed
-from tests.cli.recordings import CONFIG, FRAMES, HEEL, write
+from tests.cli.recordings import CONFIG, FRAMES, HEEL, traffic, write
 from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
 from tests.conftest import BUSY_S
@@ -37,6 +37,14 @@ from tests.skin import X, Y, Z, messages
 def exported(log, config, out, *arguments):
     succeed("export", log, "--config", config, "-o", out, *arguments)
     return out
+
+
+def test_two_boards_with_one_id_on_two_channels_are_not_mixed(tmp_path, config):
+    lines = write(tmp_path / "one.log", traffic()).read_text().splitlines()
+    log = tmp_path / "all.log"
+    log.write_text("".join(f"{each}\n{each.replace('can0', 'can1')}\n" for each in lines))
+    line = refusal("export", log, "--config", config, "-o", tmp_path / "a.npz")
+    assert "id 0x500 comes from can0 and from can1" in line
 
 
 def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, config, lossy):

@@ -39,3 +39,12 @@ def test_a_recording_of_something_else_is_refused(tmp_path, config):
     foreign = write(tmp_path / "a.log", [each._replace(id=0x77) for each in traffic()])
     with pytest.raises(ConfigError, match=r"a\.log: holds no frame of sensor palm"):
         read_frame_series(foreign, "palm", config)
+
+
+def test_two_boards_with_one_id_on_two_channels_are_not_mixed(tmp_path, config):
+    log = write(tmp_path / "a.log", traffic())
+    other = log.read_text().replace("can0", "can1").replace(") ", "5) ")  # half a microsecond later
+    lines = log.read_text().splitlines() + other.splitlines()
+    log.write_text("".join(f"{each}\n" for each in sorted(lines)))
+    with pytest.raises(ConfigError, match="id 0x500 comes from can0 and from can1"):
+        read_frame_series(log, "palm", config)
