@@ -84,16 +84,14 @@ class Convolution:
         self._maps = np.zeros((KERNEL**2, length), np.float32)
         self._kernels = np.zeros((filters, KERNEL**2 * INPUTS + 1), np.float32)
         self._zeros = np.zeros_like(self._filtered)  # to compare with an array takes a quarter of the time
-
-        def inner(flat: Image) -> Image:
-            return flat[:, margin:-margin].reshape(-1, rows, line)[:, :, :columns]
-
-        inner(self._shifted)[-1] = 1  # what the offset of a filter is multiplied by
-        self.images = inner(padded)
-        every = (KERNEL, KERNEL, INPUTS, rows, columns)
+        within = slice(margin, -margin)
+        self._shifted[-1, within] = 1  # what the offset of a filter is multiplied by
+        self.images = padded[:, within].reshape(-1, rows, line)[:, :, :columns]
+        every = (KERNEL, KERNEL, INPUTS, rows * line)
         down, across = line * size, size
-        self._around = as_strided(padded, every, (down, across, length * size, down, across))
-        self._into = inner(self._shifted)[:-1].reshape(every)
+        self._around = as_strided(padded, every, (down, across, length * size, across))
+        self._into = self._shifted[:-1, within].reshape(every)
+        self._after_rows = self._filtered[:, within].reshape(-1, rows, line)[:, :, columns]
         self._summands = as_strided(
             self._maps,
             (KERNEL, KERNEL, rows, columns),
@@ -108,6 +106,7 @@ class Convolution:
         self._kernels[:, -1] = tuned[filters:]
         self._kernels.dot(self._shifted, self._filtered)
         np.maximum(self._filtered, self._zeros, out=self._filtered)
+        self._after_rows.fill(0)
         draw.dot(self._filtered, self._maps)
         np.add.reduce(self._summands, axis=(0, 1), out=out)
 
