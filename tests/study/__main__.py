@@ -25,7 +25,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times,
     frame_times.frames_against, health.health, invented.invented, judge.judge, restart.restart, restore.restore,
-    sensors.sensors, soak.soak, train.train, transitions.transitions, zenoh.zenoh,
+    sensors.sensors, sensors.sensors_against, soak.soak, train.train, transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

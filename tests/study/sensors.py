@@ -1,7 +1,13 @@
 """How many sensors a core carries, and how old their images are: whole services on buses that exist in memory."""
 
+import os
+import pickle
+import subprocess
+import sys
 import time
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 from unittest import mock
 
@@ -45,11 +51,16 @@ class Live(NamedTuple):
     missed: float  # part of the frames that newer ones replaced
 
 
-def make_service(sides):
-    """A service of arrays of `sides` squared."""
+def configuration(sides):
+    """That of arrays of `sides` squared."""
     buses = [n // SENSORS_PER_BUS for n in range(len(sides))]
     tables = [SENSOR.format(number=n, bus=buses[n], id=0x100 + 4 * n, side=side) for n, side in enumerate(sides)]
-    return Service(parse("".join(BUS.format(bus=each) for each in sorted({*buses})) + "".join(tables)))
+    return "".join(BUS.format(bus=each) for each in sorted({*buses})) + "".join(tables)
+
+
+def make_service(sides):
+    """A service of arrays of `sides` squared."""
+    return Service(parse(configuration(sides)))
 
 
 @cache
@@ -171,4 +182,61 @@ def sensors(
     print_table(
         f"Sensors at {RATE_HZ:.0f} Hz, a tour of scenes; ages without the slow array's own", HEADINGS, rows
     )
+    print(machine())
+
+
+WORKER = """
+import pickle, sys, time
+from tactiled.bus.router import Router
+from tactiled.config import parse
+from tactiled.frames import Message
+text, payloads, count, frames = pickle.load(open(sys.argv[1], "rb"))
+config = parse(text)
+try:
+    from tactiled.service import Service  # 0.4.2
+except ModuleNotFoundError:
+    from tactiled.bus.batch import Batch
+    from tactiled.runtime.service import Service
+    sensors = Service(config).sensors
+    router = Router({name: each.codec for name, each in sensors.items()})
+    def feed(messages, due):
+        for name, frame in router.push(Batch.of(messages), due):
+            sensors[name].restore(frame)
+else:
+    sensors = Service(config).sensors
+    router = Router({name: each.plan.codec for name, each in sensors.items()})
+    def feed(messages, due):
+        for each in messages:
+            for name, frame in router.push(each):
+                sensors[name].show(frame)
+began, took, n = time.time(), [], 0
+for _ in range(6):
+    start = time.thread_time()
+    for _ in range(frames):
+        number, place = divmod(n, count)
+        due, n = began + (number + place / count) / 100, n + 1
+        data = payloads[(number + len(payloads) // 6 * place) % len(payloads)]
+        feed([Message(due, 0x100 + 4 * place, each, fd=True) for each in data], due)
+    took.append((time.thread_time() - start) / frames)
+print(1e6 * min(took[1:]))
+"""
+
+
+def sensors_against(tree: Path, rounds: int = 2) -> None:
+    """Compare the sensors that a core carries at 100 Hz with a checkout, in turn: 0.4.2 or later."""
+    rows = []
+    for side, count in ((16, 1), (16, 16), (32, 1), (32, 16)):
+        took: dict[str, list[float]] = {str(tree): [], str(Path.cwd()): []}
+        frames = len(TOUR) * SCENE_FRAMES
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "frames.pickle"
+            payloads = [[bytes(each) for each in frame] for frame in recorded(side)]
+            path.write_bytes(pickle.dumps((configuration([side] * count), payloads, count, frames)))
+            for name in list(took) * rounds:
+                command = [sys.executable, "-P", "-c", WORKER, str(path)]
+                environment = os.environ | {"PYTHONPATH": name, "OPENBLAS_NUM_THREADS": "1"}
+                took[name].append(float(subprocess.check_output(command, env=environment, text=True)))
+        for name, us in took.items():
+            rows.append((f"{count} of {side}²", name, f"{min(us):.0f}", f"{1e6 / RATE_HZ / min(us):.0f}"))
+    print_table("One frame, from its messages to the history", ("", "checkout", "µs", "a core carries"), rows)
     print(machine())
