@@ -82,7 +82,6 @@ class Convolution:
         self._shifted = np.zeros((KERNEL**2 * INPUTS + 1, length), np.float32)
         self._filtered = np.zeros((filters, length), np.float32)
         self._maps = np.zeros((KERNEL**2, length), np.float32)
-        self._kernels = np.zeros((filters, KERNEL**2 * INPUTS + 1), np.float32)
         self._zeros = np.zeros_like(self._filtered)  # to compare with an array takes a quarter of the time
         within = slice(margin, -margin)
         self._shifted[-1, within] = 1  # what the offset of a filter is multiplied by
@@ -98,13 +97,10 @@ class Convolution:
             (KERNEL * length * size + down, length * size + across, down, across),
         )
 
-    def __call__(self, redraw: Image, draw: Image, tuned: Image, out: Image) -> None:
-        """Fill `out` (R, C) from `images`; `tuned` (2 F,): scale and offset of every filter."""
-        filters = len(redraw)
+    def __call__(self, kernels: Image, draw: Image, out: Image) -> None:
+        """Fill `out` (R, C) from `images`; `kernels` (F, 9 INPUTS + 1): of every filter, and its offset."""
         np.copyto(self._into, self._around)
-        np.multiply(redraw, tuned[:filters, None], out=self._kernels[:, :-1])
-        self._kernels[:, -1] = tuned[filters:]
-        self._kernels.dot(self._shifted, self._filtered)
+        kernels.dot(self._shifted, self._filtered)
         np.maximum(self._filtered, self._zeros, out=self._filtered)
         self._after_rows.fill(0)
         draw.dot(self._filtered, self._maps)
@@ -153,11 +149,14 @@ class Learned:
         self._input = np.ones(len(self._exact.hidden), np.float32)
         self._hidden = np.ones(len(self._exact.tune), np.float32)
         self._tuned = np.empty((stages, 2 * filters + 1), np.float32)
+        self._scales, self._offsets = self._tuned[:, :filters, None], self._tuned[:, filters:-1]
+        self._kernels = np.empty((stages, filters, KERNEL**2 * INPUTS + 1), np.float32)
         self._gain = np.asarray(scene.modes.gain, np.float32)
         self._square = self._gain**2
         self._analyse = scene.modes.to_surface_modes()
         self._synthesise = scene.modes.head_to_surface()
         self._modes = self._analyse.empty()
+        self._seen = self._modes[scene.modes.head]
         self._c, self._change, self._divisor = (np.empty_like(scene.c) for _ in range(3))
         self._addend, self.image = (np.zeros((rows, columns), np.float32) for _ in range(2))
         self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
@@ -190,13 +189,14 @@ class Learned:
         self._tune(trained, self._conditions.values)
         np.copyto(redrawn, start)
         np.maximum(start, self._zeros, out=image)
+        np.copyto(consistent, image)
         while done < len(self._tuned) and not self._scene.cut():
             if done:
                 np.copyto(redrawn, image)
-                self._hold(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
-            np.copyto(consistent, image)
-            self._convolve(trained.redraw[done], trained.draw[done], self._tuned[done, :-1], self._addend)
-            np.add(image, self._addend, out=image)
+                change = self._told(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
+                np.add(image, change, out=consistent)
+            self._convolve(self._kernels[done], trained.draw[done], self._addend)
+            np.add(consistent, self._addend, out=image)
             done += 1
         np.maximum(image, self._zeros, out=image)
         return done
@@ -207,6 +207,8 @@ class Learned:
         self._input.dot(trained.hidden, self._hidden[:-1])
         np.maximum(self._hidden[:-1], self._no_units, out=self._hidden[:-1])
         self._hidden.dot(trained.tune, self._tuned.reshape(-1))
+        np.multiply(trained.redraw, self._scales, out=self._kernels[:, :, :-1])
+        np.copyto(self._kernels[:, :, -1], self._offsets)
 
     def _misfit(self) -> float:
         """Mean square of what the image leaves of the frame's modes, each over what a right model leaves of it.
@@ -226,14 +228,14 @@ class Learned:
     def _missed(self) -> Image:
         """What the image leaves of the frame's coefficients."""
         self._analyse(self.image, self._modes)
-        np.multiply(self._modes[self._scene.modes.head], self._gain, out=self._change)
+        np.multiply(self._seen, self._gain, out=self._change)
         return np.subtract(self._c, self._change, out=self._change)
 
-    def _hold(self, firmness: float) -> None:
-        """Take from the frame what it tells of the image."""
+    def _told(self, firmness: float) -> Image:
+        """What the frame tells of the image, to be added to it."""
         change, factor = self._missed(), self._factor
         np.multiply(change, self._gain, out=change)
         factor[()] = firmness
         np.add(self._square, factor, out=self._divisor)
         np.divide(change, self._divisor, out=change)
-        np.add(self.image, self._synthesise(change, self._addend), out=self.image)
+        return self._synthesise(change, self._addend)

@@ -129,16 +129,20 @@ class Points:
         peeled[k:-k, k:-k] = image
         places: list[tuple[float, float]] = []
         remainder = total = float(image.reshape(-1).dot(self._ones))
+        touching = 0  # neighbourhoods, each counted for both peaks
         while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
             i, j = divmod(int(peeled.argmax()), columns + 2 * k)
             around = peeled[i - k : i + k + 1, j - k : j + k + 1]
             weight, down, across = (self._moments @ around.reshape(-1)).tolist()
             around[...] = 0
             remainder -= weight
-            places.append(((i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5))
-        if remainder > MAX_OUTSIDE * total or spread > len(places) or _touching(places) > MAX_NEIGHBOURS:
-            return []
-        return places
+            row, column = (i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5
+            touching += 2 * sum(abs(a - row) < TOUCHING and abs(b - column) < TOUCHING for a, b in places)
+            if touching > MAX_NEIGHBOURS * MAX_POINTS:
+                return []  # whatever else there is
+            places.append((row, column))
+        too_wide = remainder > MAX_OUTSIDE * total or spread > len(places)
+        return [] if too_wide or touching > MAX_NEIGHBOURS * len(places) else places
 
     def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
         """Draw and give what stands of a fit; None where anything is uncertain."""
@@ -231,12 +235,6 @@ def _are_near(before: Floats, places: Floats) -> bool:
     if len(before) != len(places):
         return False
     return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < MAX_MOVE**2).all())
-
-
-def _touching(places: list[tuple[float, float]]) -> float:
-    """How many others a peak has whose neighbourhood touches its own, in the mean."""
-    at = np.array(places)
-    return float((np.abs(at[:, None] - at).max(axis=-1) < TOUCHING).sum() / len(at) - 1)
 
 
 def _around(image: Image, middle: Floats) -> Image:
