@@ -193,7 +193,7 @@ class Learned:
         while done < len(self._tuned) and not self._scene.cut():
             if done:
                 np.copyto(redrawn, image)
-                change = self._told(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
+                change = self._correction(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
                 np.add(image, change, out=consistent)
             self._convolve(self._kernels[done], trained.draw[done], self._addend)
             np.add(consistent, self._addend, out=image)
@@ -231,7 +231,7 @@ class Learned:
         np.multiply(self._seen, self._gain, out=self._change)
         return np.subtract(self._c, self._change, out=self._change)
 
-    def _told(self, firmness: float) -> Image:
+    def _correction(self, firmness: float) -> Image:
         """What the frame tells of the image, to be added to it."""
         change, factor = self._missed(), self._factor
         np.multiply(change, self._gain, out=change)
