@@ -65,6 +65,7 @@ FOREIGN = (
 
 
 def test_a_page_of_another_site_is_refused(rig, tmp_path):
+    rig.stale_after(600)  # which is an event, too
     server = Server(port=0, recordings=tmp_path)
     with running(rig.service, server) as url, httpx.Client(**HTTP, base_url=url) as client:
         paths = client.get("/api/v1/openapi.json").json()["paths"].items()

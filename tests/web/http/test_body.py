@@ -137,6 +137,7 @@ def test_an_endless_upload_is_cut_off_and_its_file_removed(url, uploads, monkeyp
 
 
 def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
+    rig.stale_after(600)  # which is an event, too
     chunk = b"10000\r\n" + bytes(1 << 16) + b"\r\n"
     for length, data in (("Content-Length: 65537", b""), ("Transfer-Encoding: chunked", 5 * chunk + b"0\r\n\r\n")):
         assert send_raw(url, f"POST {TARE}", length, data=data)[0] == 413

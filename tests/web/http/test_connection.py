@@ -186,6 +186,7 @@ def test_every_state_that_waits_for_the_client_ends(rig, monkeypatch, name):
 
 
 def test_a_request_has_a_place_where_others_without_hold_all_and_503_where_none_is_without(rig, monkeypatch):
+    rig.stale_after(600)  # an event answers who waits for one
     monkeypatch.setattr(connection_limit, "MAX_CONNECTIONS", 4)
     with running(rig.service, Server(port=0, streams=2)) as url, ExitStack() as stack:
         for n in range(12):
