@@ -65,7 +65,6 @@ FOREIGN = (
 
 
 def test_a_page_of_another_site_is_refused(rig, tmp_path):
-    rig.stale_after(600)  # which is an event, too
     server = Server(port=0, recordings=tmp_path)
     with running(rig.service, server) as url, httpx.Client(**HTTP, base_url=url) as client:
         paths = client.get("/api/v1/openapi.json").json()["paths"].items()
@@ -80,7 +79,8 @@ def test_a_page_of_another_site_is_refused(rig, tmp_path):
             with connect(websocket_url(url, path), additional_headers=headers) as stream:
                 assert closed(stream)[0] == 4403
         assert client.get("/api/v1/health", headers={"Origin": url}).status_code == 200
-    assert (rig.sensor.method, rig.service.events.newest) == ("wiener", 0)
+    assert rig.sensor.method == "wiener"
+    assert {each.kind for each in rig.service.events.after(0)} <= {"sensor_silent"}
 
 
 def test_a_link_from_another_site_opens_the_viewer_and_changes_nothing(url):

@@ -88,6 +88,7 @@ def test_blank_lines_are_no_request(exchange, url):
 
 def test_a_head_is_not_late_while_the_service_itself_reads_nothing(rig, monkeypatch):
     bound(monkeypatch, State.HEAD, seconds=2.0)
+    rig.stale_after(600)  # an event answers who waits for one
     with running(rig.service) as url, plug(url) as end:
         poll, health = (
             f"GET /api/v1/{path} HTTP/1.1\r\nHost: {url[7:]}\r\n\r\n".encode()
