@@ -107,9 +107,7 @@ def test_a_request_says_when_its_readers_connection_was_lost(reader):
         until(lambda: state(fleet) == "live")
         one.send_signal(signal.SIGSTOP)
         threading.Timer(0.3, one.kill).start()  # one that stays frozen loses its connection after LEASE_S
-        lost = (
-            r"connection to its reader was lost after 0\.\d s, before it answered: whether it was done is unknown"
-        )
+        lost = r"was lost after [0-4]\.\d s, before it answered: whether it was done is unknown"
         with pytest.raises(ReaderError, match=lost):
             fleet.request(NAME, Request("PUT", "method", body=b'{"method": "raw"}'))
 
