@@ -122,7 +122,7 @@ def tip_touch(
     `gain_error`: relative standard deviation of taxels' gains, (N,) or of all. `places_mm` (K, 2), of all presses,
     where they are known to a standard deviation of PLACE_ERROR_PITCHES.
     """
-    usable = usable_presses(presses, MIN_PRESSES, f"press at lowest {MIN_PRESSES} times, better 20")
+    usable = usable_presses(presses, MIN_PRESSES, f"press at least {MIN_PRESSES} times, better 20")
     width = float(np.ptp(array.positions, axis=0).min()) + array.pitch
     if tip.diameter_mm is not None and not 0 < tip.diameter_mm < width:
         raise ConfigError(

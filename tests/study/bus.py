@@ -1,11 +1,8 @@
 """How many CAN messages a second become frames: from memory, and over a bus."""
 
 import multiprocessing
-import os
 import socket
 import struct
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -27,6 +24,7 @@ from tactiled.bus.socketcan import MAX_FRAMES
 from tactiled.cli.bench import print_table
 from tactiled.errors import BusError
 from tactiled.study.results import machine
+from tests.study.checkout import figures
 
 LIVE = "packed, 32 x 32 of 12 bits, classic"
 SKINS = {
@@ -183,9 +181,7 @@ def against(tree: Path, rounds: int = 3) -> None:
     took = {name: [] for name, *_ in ways}
     for _ in range(rounds):
         for name, path, size in ways:
-            command = [sys.executable, "-P", "-c", WORKER, str(size)]
-            text = subprocess.check_output(command, env=os.environ | {"PYTHONPATH": str(path)}, text=True)
-            took[name].append([float(each) for each in text.split()])
+            took[name].append(figures(path, WORKER, str(size)))
     columns = [np.min(each, axis=0) for each in took.values()]
     rows = [(skin, *(f"{each:.2f}" for each in us)) for skin, *us in zip(SKINS, *columns, strict=True)]
     print_table("µs a message", ("skin", *took), rows)

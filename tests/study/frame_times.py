@@ -3,9 +3,6 @@
 And of the same frames with another checkout, 0.4.2 or later.
 """
 
-import os
-import subprocess
-import sys
 from collections import defaultdict
 from functools import partial
 from itertools import cycle, product
@@ -24,6 +21,7 @@ from tactiled.study.peers import skimage_wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import PEAK_KPA
 from tactiled.study.skin import rubber, sense
+from tests.study.checkout import figures
 from tests.study.held_out_scenes import HELD_OUT_SCENES, MOTIONS, held_out
 from tests.study.judge import NOISES, THICKNESSES
 
@@ -170,12 +168,9 @@ def frames_against(tree: Path, sizes: str = "16,32,64", frames: int = 120, round
         with TemporaryDirectory() as folder:
             path = Path(folder) / "frames.npz"
             np.savez(path, **sequences)
-            for _, name in product(range(rounds), (str(tree), str(Path.cwd()))):
-                command = [sys.executable, "-P", "-c", WORKER, str(path), str(PEAK_KPA)]
-                environment = os.environ | {"PYTHONPATH": name, "OPENBLAS_NUM_THREADS": "1"}
-                text = subprocess.check_output(command, env=environment, text=True)
-                took[name].append([float(each) for each in text.split()])
-        for name, figures in took.items():
-            rows.append((f"{size} x {size}", name, *(f"{each:.0f}" for each in np.min(figures, axis=0))))
+            for _, checkout in product(range(rounds), (tree, Path.cwd())):
+                took[checkout].append(figures(checkout, WORKER, str(path), str(PEAK_KPA)))
+        for checkout, us in took.items():
+            rows.append((f"{size} x {size}", str(checkout), *(f"{each:.0f}" for each in np.min(us, axis=0))))
     print_table("auto, µs a frame", ("", "checkout", "median", "p99", "mean"), rows)
     print(machine())

@@ -1,9 +1,6 @@
 """How many sensors a core carries, and how old their images are: whole services on buses that exist in memory."""
 
-import os
 import pickle
-import subprocess
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -21,6 +18,7 @@ from tactiled.frames import Message
 from tactiled.runtime.service import Service
 from tactiled.simulate.playback import SCENE_S, TOUR, player
 from tactiled.study.results import machine
+from tests.study.checkout import figures
 
 RATE_HZ = 100.0
 SCENE_FRAMES = (
@@ -226,17 +224,15 @@ def sensors_against(tree: Path, rounds: int = 2) -> None:
     """Compare the sensors that a core carries at 100 Hz with a checkout, in turn: 0.4.2 or later."""
     rows = []
     for side, count in ((16, 1), (16, 16), (32, 1), (32, 16)):
-        took: dict[str, list[float]] = {str(tree): [], str(Path.cwd()): []}
+        took: dict[Path, list[float]] = {tree: [], Path.cwd(): []}
         frames = len(TOUR) * SCENE_FRAMES
         with TemporaryDirectory() as folder:
             path = Path(folder) / "frames.pickle"
             payloads = [[bytes(each) for each in frame] for frame in recorded(side)]
             path.write_bytes(pickle.dumps((configuration([side] * count), payloads, count, frames)))
-            for name in list(took) * rounds:
-                command = [sys.executable, "-P", "-c", WORKER, str(path)]
-                environment = os.environ | {"PYTHONPATH": name, "OPENBLAS_NUM_THREADS": "1"}
-                took[name].append(float(subprocess.check_output(command, env=environment, text=True)))
-        for name, us in took.items():
-            rows.append((f"{count} of {side}²", name, f"{min(us):.0f}", f"{1e6 / RATE_HZ / min(us):.0f}"))
+            for checkout in list(took) * rounds:
+                took[checkout] += figures(checkout, WORKER, str(path))
+        for checkout, us in took.items():
+            rows.append((f"{count} of {side}²", str(checkout), f"{min(us):.0f}", f"{1e6 / RATE_HZ / min(us):.0f}"))
     print_table("One frame, from its messages to the history", ("", "checkout", "µs", "a core carries"), rows)
     print(machine())
