@@ -1,6 +1,8 @@
 """Frames of one array in counts, as a calibration takes them: out of a recording, or collected live."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,3 +14,9 @@ class FrameSeries:
 
     times: NDArray[np.float64]  # (T,) s, of each frame's first message
     counts: NDArray[np.float32]  # (T, N); NaN where a taxel is unknown
+
+    def without(self, taxels: Sequence[int]) -> Self:
+        """The same where nothing is known of some taxels."""
+        counts = self.counts.copy()
+        counts[:, list(taxels)] = np.nan
+        return replace(self, counts=counts)

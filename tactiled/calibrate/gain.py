@@ -33,6 +33,7 @@ STARTS_LOADED = 0.05  # of the log's largest value
 MAX_RAMP = 0.1  # of the log's largest value: a block in which it changes by more is left out
 MIN_POINTS = 10
 FOLDS = 10  # pieces of time, left out in turn
+MIN_CORRELATION, MIN_FOLLOWING = 0.7, 3  # of a taxel's counts with the pressure, of so many points; of p = u⁴ .87
 UNLIKE_GAIN = 5.0  # times the gain before, or one over it: grams for newtons make 102, kilograms 0.102
 PRESSURES_KPA = (0.01, 1e4)  # of a skin's largest: beyond, the log has another unit
 Floats = NDArray[np.float64]
@@ -91,7 +92,7 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
     """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
     require_response("the median taxel", means.over[used], means.noise[used])
     end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
-    dead = ~(end >= DEAD_BELOW * np.median(end))
+    dead = ~(end >= DEAD_BELOW * np.median(end[end > 0])) | ~_follows(points)
     live = np.flatnonzero(~dead)
     alive = replace(points, counts=points.counts[:, live])
     form, scores = choose_form(alive, end[live])
@@ -123,6 +124,19 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
         residuals=spread_over(fitted.residuals.T, np.nan).T,
         alignment=alignment,
     )
+
+
+def _follows(points: Points) -> NDArray[np.bool_]:
+    """Whether the counts of each taxel (N,) rise with the pressure."""
+    counts, pressure = points.counts[..., 0], points.pressure[:, None]
+    finite = np.isfinite(counts)
+    off, other = (
+        np.where(finite, each - np.nanmean(np.where(finite, each, np.nan), axis=0), 0.0)
+        for each in (counts, np.broadcast_to(pressure, counts.shape))
+    )
+    size = np.sqrt(np.square(off).sum(axis=0) * np.square(other).sum(axis=0))
+    too_short = finite.sum(axis=0) < MIN_FOLLOWING
+    return np.asarray(too_short | ((off * other).sum(axis=0) > MIN_CORRELATION * size))
 
 
 def assembled(

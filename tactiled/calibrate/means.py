@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.plateaus import noise
+from tactiled.calibrate.plateaus import START_FRAMES, noise
 from tactiled.errors import ConfigError
 
 MIN_RESPONSE_SIGMAS = 20.0  # of the median taxel's largest mean: less leaves over 5 % of error
@@ -71,9 +71,12 @@ def mean_counts(
     first = np.minimum(place.astype(int), max(len(zeros) - 2, 0))
     share, last = (place - first)[:, None], np.minimum(first + 1, len(zeros) - 1)
     over = sign * (means - (1 - share) * zeros[first] - share * zeros[last])
-    _require_unloaded_start(sign * (zeros[0] - zeros), np.nanmax(over, axis=0))
-    saturated = np.count_nonzero(np.isnan(over[~unloaded]) & (frames[~unloaded] > 0))
-    pressed = np.count_nonzero(over > np.nanmax(over) / 2)
+    top = np.nanmax(over, axis=0)
+    typical = np.median(top[top > np.nanpercentile(top, TYPICAL_PERCENTILE) / 2])
+    _require_unloaded_start(sign * (zeros[0] - zeros), top, typical)
+    alive = np.isfinite(zeros).any(axis=0)  # a taxel that is at its rail unloaded, too, is broken, not saturated
+    saturated = np.count_nonzero(np.isnan(over[~unloaded]) & (frames[~unloaded] > 0) & alive)
+    pressed = np.count_nonzero(over > typical / 2)
     if saturated > MAX_SATURATED * (saturated + pressed):
         share = 100 * saturated / (saturated + pressed)
         raise ConfigError(f"{share:.0f} % of the readings under load are saturated: press less")
@@ -96,7 +99,8 @@ def require_unsaturated(series: FrameSeries, signal: Floats, rails: Rails) -> No
     """ConfigError where many readings saturate while `signal` (T,) is large: their levels cannot be told apart."""
     loaded = np.abs(signal) > np.abs(signal).max() / 2
     sign = float(np.sign(signal[loaded].sum()))
-    share = float((sign * (series.counts[loaded] - (rails.high if sign > 0 else rails.low)) >= 0).mean())
+    full = sign * (series.counts - (rails.high if sign > 0 else rails.low)) >= 0
+    share = float(full[loaded][:, ~full[:START_FRAMES].all(axis=0)].mean())
     if share > MAX_SATURATED:
         raise ConfigError(f"{100 * share:.0f} % of the readings under load are saturated: press less")
 
@@ -116,9 +120,8 @@ def _means(
     return means, frames
 
 
-def _require_unloaded_start(above: Floats, top: Floats) -> None:
+def _require_unloaded_start(above: Floats, top: Floats, typical: float) -> None:
     """ConfigError where taxels start `above` (runs, N) what they read unloaded; `top` (N,): their largest."""
-    typical = np.median(top[top > np.nanpercentile(top, TYPICAL_PERCENTILE) / 2])
     loaded = np.count_nonzero(above.max(axis=0) > LOADED_START * typical)
     if loaded > max(1, MAX_LOADED_TAXELS * top.size) or loaded == top.size:
         raise ConfigError(

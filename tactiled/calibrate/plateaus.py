@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.restore.noise import MAD_TO_SIGMA
+from tactiled.restore.noise import MAD_TO_SIGMA, bends
 
 START_FRAMES = 10  # whose median is the first guess of no load
 CLEAR_SIGMAS, CLEAR_SHARE = 4.0, 0.05  # of noise, and of the largest reading: less is not counted in a sum
@@ -48,11 +48,11 @@ def response(series: FrameSeries, weight: Floats | float | None = None) -> Float
 
 def noise(values: NDArray[np.floating]) -> Floats:
     """Standard deviation of white noise in values (T, ...), along time; NaN ignored, 0 of fewer than 3."""
-    bends = np.abs(np.diff(np.asarray(values), 2, axis=0))
-    if not len(bends):
-        return np.zeros(bends.shape[1:])
-    middle = np.nanmedian(bends, axis=0) if np.isnan(bends).any() else np.median(bends, axis=0)
-    return np.asarray(np.nan_to_num(middle) * (MAD_TO_SIGMA / 6**0.5), np.float64)
+    size = np.abs(bends(np.asarray(values)))
+    if not len(size):
+        return np.zeros(size.shape[1:])
+    middle = np.nanmedian(size, axis=0) if np.isnan(size).any() else np.median(size, axis=0)
+    return np.asarray(np.nan_to_num(middle) * MAD_TO_SIGMA, np.float64)
 
 
 def plateaus(signal: Floats, tolerance: float, min_frames: int) -> list[Plateau]:

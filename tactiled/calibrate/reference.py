@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import dataclass
+from math import floor, log10
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -21,6 +22,7 @@ MIN_OVERLAP = 0.5  # of the shorter of recording and log
 AMBIGUOUS = 0.97  # of the best correlation: an alignment as good as this may be the true one
 MAX_SAMPLES = 20_000  # of a clock's search
 MIN_ROWS = 20
+MIN_CLOCK_ERROR_S = 1e-5  # of two digits: clocks that count from 1970 hold no finer one
 REFINEMENTS = 6  # Gauss-Newton steps of the offset
 CURVE_KNOTS = np.linspace(0, 1, 9)  # of readings over the log: any smooth curve to 1 %
 BLOCKS = 20  # of time, whose scatter is the offset's standard error
@@ -48,6 +50,12 @@ class Alignment:
 
     offset_s: float
     deviation_s: float  # standard error
+
+    @property
+    def text(self) -> str:
+        """The offset, to two digits of its standard error."""
+        digits = max(1 - floor(log10(max(self.deviation_s, MIN_CLOCK_ERROR_S))), 0)
+        return f"{self.offset_s:+.{digits}f} s from the recording's, standard error {self.deviation_s:.2g} s"
 
 
 def read_reference(path: Path) -> Reference:
@@ -146,7 +154,7 @@ def _one_peak(offsets: Floats, correlation: Floats, absolute: bool, path: Path) 
     ends = np.flatnonzero(high & ~np.concatenate([high[1:], [False]]))
     peaks = [a + int(correlation[a : b + 1].argmax()) for a, b in zip(starts, ends, strict=True)]
     if len(peaks) > 1 and not absolute:
-        pair = f"{offsets[peaks[0]]:.3g} and {offsets[peaks[1]]:.3g} s"
+        pair = f"{offsets[peaks[0]]:.1f} and {offsets[peaks[1]]:.1f} s"
         raise ConfigError(f"{path}: its clock fits the recording's at offsets of {pair}: press with uneven pauses")
     return float(offsets[min(peaks, key=lambda each: abs(offsets[each])) if absolute else best])
 

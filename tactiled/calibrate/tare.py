@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, detection_threshold
+from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, bends, detection_threshold
 from tactiled.units import PRESSURE, Unit, number_text
 
 MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
@@ -73,7 +73,7 @@ def own_noise(frames: NDArray[np.floating], noise: float) -> Floats:
     own = np.full(frames.shape[1], noise, float)
     if len(frames) < MIN_JITTER_FRAMES:
         return own
-    jitter = np.nan_to_num(MAD_TO_SIGMA * _median(np.abs(np.diff(frames, 2, axis=0))) / np.sqrt(6))
+    jitter = np.nan_to_num(MAD_TO_SIGMA * _median(np.abs(bends(frames))))
     clearly = np.count_nonzero(jitter > CLEARLY_NOISY * noise)
     if clearly <= max(1, MAX_NOISY_FRACTION * own.size):
         own = np.where(jitter > NOISY_RATIO * noise, JITTER_MARGIN * jitter, own)

@@ -138,6 +138,7 @@ def _fit(
     from tactiled.calibrate import gain as uniform
 
     array, rails = make_array(sensor), _rails(sensor)
+    series = series.without(sensor.calibration.dead)
     if steps_kpa is not None:
         return uniform.fit_steps(series, _numbers(steps_kpa), rails)
     if weight_n is not None:
@@ -181,10 +182,7 @@ def _lines(fit: "GainFit") -> list[str]:
         "dead": _listed(fit.dead),
     }
     if fit.alignment is not None:
-        clock = fit.alignment
-        rows["clocks"] = (
-            f"log {clock.offset_s:+.4g} s from the recording's, standard error {clock.deviation_s:.2g} s"
-        )
+        rows["clocks"] = f"log {fit.alignment.text}"
     return [f"  {key:<15} {row}" for key, row in rows.items()] + [f"  {each}" for each in fit.notes]
 
 

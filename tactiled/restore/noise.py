@@ -21,14 +21,15 @@ Floats = NDArray[np.float64]
 def estimate(frames: NDArray[np.floating]) -> float:
     """Standard deviation (kPa) of a taxel from frames (T, ...), unknown ones ignored; over 0 unless all are 0.
 
-    From second differences in time, which a steady or evenly moving load leaves alone. From one or two frames,
+    From second differences in time between known values, which a steady or evenly moving load leaves alone, also
+    where frames are missing. From one or two frames,
     or presses that have nothing to do with each other, from second differences along all of an array's axes
     in turn, which the cover keeps small; these do not see noise that whole rows share. The median discards
     the rest.
     """
     values = np.asarray(frames, float)
     values = np.where(np.abs(values) < IMPLAUSIBLE_KPA, values, np.nan)
-    sigma = _sigma(np.diff(values, 2, axis=0), 6.0) if len(values) >= 3 else np.inf
+    sigma = _sigma(bends(values), 1.0) if len(values) >= 3 else np.inf
     if len(values) < 3 or _unrelated(values):
         axes = [axis for axis in range(1, values.ndim) if values.shape[axis] >= 3]
         across = values
@@ -37,6 +38,24 @@ def estimate(frames: NDArray[np.floating]) -> float:
         sigma = min(sigma, _sigma(across, 6.0 ** len(axes)) if axes else np.inf)
     finite = np.abs(values[np.isfinite(values)])
     return max(sigma if np.isfinite(sigma) else 0.0, MIN_OVER_PEAK * float(finite.max(initial=0.0)))
+
+
+def bends(values: NDArray[np.floating]) -> Floats:
+    """Second differences (T - 2, ...) of each one's known values (T, ...) in time, over those of unit noise.
+
+    NaN where no three are known. Of a value amid others h1 before and h2 after it (frames): (x2 - x1) / h2 - (x1 -
+    x0) / h1, so that an even change is none however far they lie apart.
+    """
+    unknown = np.isnan(values)
+    if not unknown.any():
+        return np.asarray(np.diff(values, 2, axis=0), float) / sqrt(6.0)
+    at = np.argsort(unknown, axis=0, kind="stable")
+    ordered = np.asarray(np.take_along_axis(values, at, 0), float)
+    with np.errstate(invalid="ignore", divide="ignore"):  # the unknown ones come last, in any order
+        inverse = 1.0 / np.diff(at, axis=0)
+        slopes = np.diff(ordered, axis=0) * inverse
+        variance = inverse[1:] ** 2 + inverse[:-1] ** 2 + (inverse[1:] + inverse[:-1]) ** 2
+    return np.asarray(np.diff(slopes, axis=0) / np.sqrt(variance))
 
 
 def detection_threshold(noise_kpa: float, size: int) -> float:

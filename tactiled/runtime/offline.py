@@ -61,7 +61,8 @@ def measured_noise(frames: Frames, steps_kpa: tuple[float, ...]) -> float:
     """Standard deviation (kPa) of a taxel, at least that of rounding to one of the steps."""
     starts = np.unique(np.linspace(0, max(len(frames) - NOISE_RUN_FRAMES, 0), NOISE_RUNS).astype(int))
     runs = [_copy(frames, start, NOISE_RUN_FRAMES) for start in starts if len(frames)]
-    noise = float(np.median([estimate(run) for run in runs])) if runs else 0.0
+    noises = [estimate(run) for run in runs if np.isfinite(run).any()]
+    noise = float(np.median(noises)) if noises else 0.0
     return max(noise or MIN_NOISE_KPA, _rounding_noise(runs, steps_kpa))
 
 

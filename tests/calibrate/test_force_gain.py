@@ -94,6 +94,17 @@ def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
     assert fit.force_n.tolist() == [PEAK_N, PEAK_N]
 
 
+def test_taxels_that_always_read_their_ceiling_are_dead_and_refuse_no_weight():
+    """Ten of 256 were 71 % of the readings under load: those of a small foot are few."""
+    skin = Skin(256, seed=36, spread=0, falling=True)
+    places, force = presses(np.array([[10.0, 11.0], [12.0, 9.0]]), seconds=10)
+    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    series.counts[:, [15, 250]] = 0
+    fit = fit_weight(series, PEAK_N, ARRAY, Rails(low=0))
+    np.testing.assert_allclose(fit.curves.gain, -FULL_KPA / 3000, rtol=0.01)
+    assert fit.dead == (15, 250)
+
+
 def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
     places, force = presses(np.array([[10.0, 11.0], [0.0, 11.0]]), seconds=10)
     skin = Skin(256, seed=36, spread=0)

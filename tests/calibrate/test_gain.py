@@ -101,16 +101,25 @@ def test_a_saturated_taxel_keeps_the_pressures_below_its_ceiling():
     assert np.abs(errors(fit, skin, 30)[0]).max() < 0.01
 
 
-@pytest.mark.parametrize("counts", [np.nan, 4000.0])
-def test_a_taxel_that_sends_nothing_or_its_ceiling_is_dead(counts):
+@pytest.mark.parametrize("counts", [np.nan, 4000.0, "wild"])
+def test_a_taxel_that_sends_nothing_or_its_ceiling_or_what_no_load_explains_is_dead(counts):
     def stuck(all_counts):
-        all_counts[:, 5] = counts
+        part = np.linspace(0, 1, len(all_counts))
+        wild = np.where((part > 0.65) & (part < 0.95), 1500, 500)
+        all_counts[:, 5] = wild if counts == "wild" else counts
         return all_counts
 
     skin = Skin(64, seed=16, spread=0.05)
     fit = fit_steps(changed(skin.series(steps(STEPS)), stuck), STEPS, Rails(high=4000))
     assert fit.dead == (5,)
     assert np.abs(np.delete(errors(fit, skin, 30)[0], 5)).max() < 0.01
+
+
+def test_half_of_the_taxels_may_be_missing():
+    series = Skin(64, seed=16, falling=True).series(steps(STEPS))
+    series.counts[:, :20] = 0
+    fit = fit_steps(series.without(range(20, 40)), STEPS, Rails(low=0))
+    assert fit.dead == tuple(range(40))
 
 
 def noise_alone(counts):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.calibrate.reference import Reference, read_reference, resampled
+from tactiled.calibrate.reference import Alignment, Reference, read_reference, resampled
 from tactiled.errors import ConfigError
 
 ROWS = "".join(f"{0.1 * n:.1f},x,{n}\n" for n in range(30))
@@ -53,3 +53,16 @@ def test_a_log_is_averaged_where_it_is_finer_and_interpolated_where_it_is_coarse
     assert np.isnan(resampled(fine, at)[[0, -1]]).all()
     coarse = Reference(tmp_path, "force_n", times[::200], np.sin(times[::200]))
     np.testing.assert_allclose(resampled(coarse, at)[inside][:-3], np.sin(at[inside])[:-3], atol=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "deviation_s", "text"),
+    [
+        (-1790000123.4567, 0.0012, "-1790000123.4567 s from the recording's, standard error 0.0012 s"),
+        (2.34567, 0.23, "+2.35 s from"),
+        (-3.0, 45.0, "-3 s from"),
+        (0.5, 0.0, "+0.500000 s from the recording's, standard error 0 s"),
+    ],
+)
+def test_a_clock_has_the_digits_that_its_error_leaves(offset_s, deviation_s, text):
+    assert Alignment(offset_s, deviation_s).text.startswith(text)

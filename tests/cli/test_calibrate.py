@@ -33,7 +33,7 @@ def record(path, series):
 def bag(tmp_path_factory):
     """A folder with a configuration, a recording of steps, and a log of their pressure."""
     folder = tmp_path_factory.mktemp("bag")
-    (folder / "palm.toml").write_text(CONFIG.replace("kpa_per_count = 0.5, no_load = 100, ", ""))
+    (folder / "palm.toml").write_text(CONFIG.replace("kpa_per_count = 0.5, no_load = 100, ", "dead = [63], "))
     kpa = steps(STEPS, hold_s=1.5, ramp_s=0.3)
     series = Skin(64, seed=51, dead=(9,)).series(kpa)
     record(folder / "bag.log", series)
@@ -50,19 +50,19 @@ def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
     out, chart = tmp_path / "palm.json", tmp_path / "gain.png"
     output = succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out, "--plot", chart))
     file = calibration_file.load(out)
-    assert (file.sensor, file.taxels, file.health.dead) == ("palm", 64, (9,))
+    assert (file.sensor, file.taxels, file.health.dead) == ("palm", 64, (9, 63))
     assert file.gain.origin.recording == "bag.log"
     assert file.gain.origin.method == f"gain: steps kpa {LISTED}"
     assert chart.read_bytes()[:4] == b"\x89PNG"
     assert f"curve           {file.gain.form}" in output
-    assert "dead            1 (9)" in output
+    assert "dead            2 (9, 63)" in output
     series = read_frame_series(bag / "bag.log", "palm", load(bag / "palm.toml"))
     top = series.counts[np.argmax(response(series))] - file.no_load.values
     assert np.nanmedian(file.gain.curves.pressure(top)) == pytest.approx(60, abs=1.5)  # one frame: 1 % of noise
     listing = succeed("calibrate", "show", out)
     assert f"palm, packed, 64 taxels, id {file.id}" in listing
     assert file.gain.form in listing
-    assert "dead: 1 (9)" in listing
+    assert "dead: 2 (9, 63)" in listing
 
 
 def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):

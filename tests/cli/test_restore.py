@@ -10,7 +10,7 @@ import pytest
 from tactiled.build import sensor_plan
 from tactiled.config import load
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.offline import PIECE_FRAMES, Offline
+from tactiled.runtime.offline import PIECE_FRAMES, Offline, measured_noise
 from tests.cli.commands import refusal, run, succeed
 
 SENSOR = """
@@ -239,3 +239,9 @@ def test_wrong_options_are_refused(config, npy, tmp_path, earlier):
         assert message in refusal("restore", frames, *(word for pair in options.items() for word in pair))
     message = refusal("restore", frames, "-o", tmp_path / "o.npy", "--config", settings)
     assert message == "--sensor is missing: choose one of palm, sole"
+
+
+def test_the_noise_is_that_of_the_frames_that_have_data():
+    frames = press(2000)
+    frames[:1500] = np.nan
+    assert measured_noise(frames, ()) == pytest.approx(0.5, rel=0.1)
