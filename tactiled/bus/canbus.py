@@ -7,9 +7,9 @@ from can.interfaces.slcan import slcanBus as SlcanBus
 from can.interfaces.socketcan import SocketcanBus
 from can.io import blf
 from can.io.generic import MessageReader, MessageWriter
-from can.util import channel2int
+from can.util import channel2int, dlc2len
 
 __all__ = [
     "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
-    "SocketcanBus", "blf", "channel2int", "formats",
+    "SocketcanBus", "blf", "channel2int", "dlc2len", "formats",
 ]  # fmt: skip

@@ -1,33 +1,40 @@
 """Recordings as python-can reads and writes them; read in bounded memory: no line or container may fill it."""
 
+import codecs
 import gzip
 import io
 import re
+import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, BinaryIO, cast
+from urllib.parse import quote
 
-from tactiled.bus.canbus import CanMessage, MessageReader, MessageWriter, blf, formats
-from tactiled.frames import Message
+from tactiled.bus import textlog
+from tactiled.bus.canbus import CanMessage, MessageWriter, blf, formats
+from tactiled.bus.textlog import FormatError, Logged, Remarks
 
 MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
-CANDUMP_LINE = re.compile(
-    r"\(([0-9]+\.[0-9]+)\) ([^\s]+) ([0-9A-Fa-f]{3}|[01][0-9A-Fa-f]{7})"
-    r"#(?:(#)[0-9])?((?:[0-9A-Fa-f]{2})*)(?: [RT])?\n"
-)
-Logged = tuple[str, Message] | CanMessage  # of a channel; or as python-can has it
+PEEKED_BYTES = 512  # of a file, to tell its format
+PYTHON_CAN = bytes([5, 0, 0, 0, 2, 6, 8, 1])  # in the head of a .blf file that it wrote, in UTC
+CAN_ERROR = 2  # an object of .blf; those of which python-can makes messages:
+MESSAGES = {
+    blf.CAN_MESSAGE, blf.CAN_MESSAGE2, blf.CAN_ERROR_EXT, blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64,
+}  # fmt: skip
+CONVERT = "convert it to candump's log, as SavvyCAN can"
 WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
 
 
 class Lines(io.TextIOWrapper):
     """A text file whose lines are bounded: ValueError; EOFError for a last one without the end it should have."""
 
-    def __init__(self, file: BinaryIO, with_last_end: bool) -> None:
-        super().__init__(file, "utf-8")
-        self._with_last_end = with_last_end
+    def __init__(self, file: io.BufferedReader, with_last_end: bool, remarks: Remarks) -> None:
+        wide = file.peek(2)[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # as PowerShell's > writes
+        super().__init__(file, "utf-16" if wide else "utf-8-sig", "replace")  # comments are in any encoding
+        self._with_last_end, self._remarks = with_last_end, remarks
 
     def readline(self, _: int | None = -1, /) -> str:  # type: ignore[override]
         """The next line."""
@@ -35,21 +42,11 @@ class Lines(io.TextIOWrapper):
         if len(line) > MAX_LINE_CHARACTERS:
             raise ValueError(f"a line is longer than {MAX_LINE_CHARACTERS} characters")
         if self._with_last_end and line and not line.endswith("\n"):
-            raise EOFError("its last line is cut off")
+            raise EOFError(textlog.LAST_LINE_CUT)
+        if "\0" in line:  # as a crash leaves them where data had not reached the disk
+            self._remarks.left_out[textlog.ZEROED] += 1
+            return line.replace("\0", "")
         return line
-
-
-class CandumpLog(formats.CanutilsLogReader):
-    """Data frames as candump and python-can write them are read here, any other line by python-can."""
-
-    def __iter__(self) -> Iterator[Logged]:  # type: ignore[override]
-        """Every message, error and remote frame."""
-        for line in self.file:
-            if (match := CANDUMP_LINE.fullmatch(line)) is None:
-                yield from formats.CanutilsLogReader(io.StringIO(line))
-                continue
-            time, channel, id_, fd, data = match.groups()
-            yield channel, Message(float(time), int(id_, 16), bytes.fromhex(data), len(id_) > 3, fd is not None)
 
 
 class Blocks(io.BufferedReader):
@@ -65,8 +62,15 @@ class Blocks(io.BufferedReader):
 class BoundedBlf(formats.BLFReader):
     """python-can's reader of .blf, which unpacks a container and joins an object's parts whatever their size."""
 
+    def __init__(self, file: Blocks, remarks: Remarks) -> None:
+        start = file.peek(blf.FILE_HEADER_STRUCT.size)
+        super().__init__(file)
+        self._remarks = remarks
+        if self.start_timestamp and start[8:16] != PYTHON_CAN:
+            remarks.caveats.append(textlog.LOCAL_TIME)
+
     def __iter__(self) -> Iterator[CanMessage]:  # type: ignore[override]
-        """Every message; EOFError where the file ends within an object."""
+        """Every message, of channels as in the file; EOFError where the file ends within an object."""
         size = blf.OBJ_HEADER_BASE_STRUCT.size
         while header := self.file.read(size):
             if len(header) < size:
@@ -78,15 +82,35 @@ class BoundedBlf(formats.BLFReader):
             self.file.read(length % 4)
             cut = len(data) < length - size
             if kind == blf.LOG_CONTAINER and not (cut and len(data) < blf.LOG_CONTAINER_STRUCT.size):
-                yield from self._parse_container(_unpacked(data))
+                for message in self._parse_container(_unpacked(data)):
+                    message.channel = cast(int, message.channel) + 1
+                    yield message
+            elif kind != blf.LOG_CONTAINER:
+                self._remarks.left_out[textlog.EVENT] += 1
             if cut:
                 raise EOFError("it is cut off")
+        if self._tail.strip(b"\0"):
+            raise EOFError("it is cut off")
         self.stop()
 
     def _parse_container(self, data: bytes) -> Iterator[CanMessage]:
         if len(self._tail) + len(data) > 2 * MAX_BLOCK_BYTES:
             raise ValueError(f"an object is longer than {MAX_BLOCK_BYTES} bytes")
+        data, self._tail = self._tail + data, b""
+        self._count_objects(data)
         return super()._parse_container(data)
+
+    def _count_objects(self, data: bytes) -> None:
+        """Count those of which no message is made; ValueError for one of an impossible size."""
+        at, header = 0, blf.OBJ_HEADER_BASE_STRUCT
+        while (at := data.find(b"LOBJ", at, at + 8)) >= 0 and at + header.size <= len(data):
+            _, _, version, length, kind = header.unpack_from(data, at)
+            if length < header.size:
+                raise ValueError(f"an object has {length} bytes")
+            if (at := at + length) > len(data):
+                return
+            if kind not in MESSAGES or version not in (1, 2):
+                self._remarks.left_out[textlog.ERROR_FRAME if kind == CAN_ERROR else textlog.EVENT] += 1
 
 
 def _unpacked(container: bytes) -> bytes:
@@ -106,29 +130,63 @@ def _unpacked(container: bytes) -> bytes:
     return data
 
 
-TEXT_READERS: dict[str, Callable[[Any], MessageReader]] = {
-    ".asc": formats.ASCReader,
-    ".csv": formats.CSVReader,
-    ".log": CandumpLog,
-    ".trc": formats.TRCReader,
-}
+TEXT_READERS = {".asc": textlog.asc, ".csv": textlog.csv, ".log": textlog.candump, ".trc": textlog.trc}
+SIGNATURES = (  # formats by how their files begin: the endings under which they are read, and their names
+    (rb"LOGG", (".blf",), "Vector's .blf"),
+    (rb"MDF ", (".mf4",), "MF4"),
+    (rb"SQLite format 3\0", (".db",), "a database"),
+    (rb"(?i:date \w|base (hex|dec))", (".asc",), "Vector's .asc"),
+    (rb";\$FILEVERSION=", (".trc",), "PEAK's .trc"),
+    (rb"\([0-9]+\.[0-9]+\) \S+ [0-9A-Fa-f]+#", (".log",), "candump's log"),
+    (rb"(interface = .*\s+)?(\(.*\)\s+)?\S+\s+((RX|TX).*\s+)?[0-9A-F]{3,8}\s+\[[0-9]+\]\s",
+     (), "what candump prints on a screen: record with candump -l"),
+    (rb"Timestamp: +[0-9.]+ +ID: ", (), "what python-can prints on a screen: record with tactiled record"),
+    (rb"\*\*\*BUSMASTER ", (), f"BUSMASTER's log: {CONVERT}"),
+    (rb"Time Stamp,ID,Extended,", (), f"SavvyCAN's CSV: {CONVERT}"),
+    (rb"[0-9]+\.[0-9]+ [0-9]?([RT](11|29)|C[A-Z]{2}) ", (), f"OVMS's CRTD: {CONVERT}"),
+)  # fmt: skip
 
 
-def open_log(path: Path) -> AbstractContextManager[Iterable[Logged]]:
+def _recognised(start: bytes, kind: str) -> None:
+    """FormatError where a file begins as those of another format do; `kind` is its ending."""
+    start = start.removeprefix(codecs.BOM_UTF8).lstrip(b"\0 \t\r\n")
+    for pattern, endings, name in SIGNATURES:
+        if re.match(pattern, start):
+            if kind in endings:
+                return
+            raise FormatError(f"it is {name}" + (f": name it with {endings[0]}" if endings else ""))
+
+
+@contextmanager
+def open_log(path: Path, remarks: Remarks) -> Iterator[Iterable[Logged]]:
     """Open a recording in any format that python-can reads; errors are its own, those above, and OSError."""
     suffixes = [each.lower() for each in path.suffixes]
-    packed = len(suffixes) == 2 and suffixes[1] == ".gz"
-    kind = "".join(suffixes[:1] if packed else suffixes[-1:])
-    if kind not in (*TEXT_READERS, ".blf"):
-        return formats.LogReader(path)  # no stream of bytes, or no recording, which it says
-    source = gzip.GzipFile(path) if packed else path.open("rb")
-    try:
+    packed = suffixes[-1:] == [".gz"]
+    kind = "".join(suffixes[-2:-1] if packed else suffixes[-1:])
+    with path.open("rb") as file, gzip.GzipFile(fileobj=file) if packed else nullcontext(file) as source:
+        buffered = cast(Blocks, source)
+        _recognised(buffered.peek(PEEKED_BYTES)[:PEEKED_BYTES], kind)
+        if kind in TEXT_READERS:
+            with Lines(buffered, kind in WITH_LAST_END, remarks) as lines:
+                yield TEXT_READERS[kind](lines, remarks)
+            return
         if kind == ".blf":
-            return BoundedBlf(Blocks(cast(io.RawIOBase, source)))
-        return TEXT_READERS[kind](Lines(cast(BinaryIO, source), kind in WITH_LAST_END))
-    except BaseException:
-        source.close()
-        raise
+            with Blocks(cast(io.RawIOBase, source)) as blocks:
+                yield BoundedBlf(blocks, remarks)
+            return
+    if kind == ".db":
+        _check_table(path)
+    with formats.LogReader(path) as log:  # no stream of bytes, or no recording, which it says
+        yield log
+
+
+def _check_table(path: Path) -> None:
+    """FormatError where a database is not python-can's."""
+    with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as database:
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master")}
+    if "messages" not in tables:
+        others = f"only {', '.join(sorted(tables))}" if tables else "and no other"
+        raise FormatError(f"it has no table 'messages', {others}: give a database that python-can wrote")
 
 
 def _text(file: BinaryIO, compressed: bool = False) -> io.TextIOWrapper:

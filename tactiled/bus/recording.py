@@ -10,6 +10,7 @@ from threading import Event
 from tactiled.bus.canbus import CanMessage
 from tactiled.bus.codec import Key
 from tactiled.bus.logfile import open_log
+from tactiled.bus.textlog import ERROR_FRAME, MAX_CLASSIC_BYTES, REMOTE_FRAME, FormatError, Remarks
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
 
@@ -59,22 +60,28 @@ class Pace:
         return f"{step} message {self._count}"
 
 
-def read(path: Path, ids: frozenset[Key] = frozenset()) -> Iterator[Message]:
+def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None = None) -> Iterator[Message]:
     """Every data frame of a recording, as timed there; ConfigError where the file cannot be read or meant.
 
     Nor is one meant where a message of `ids`, which sensors listen to, comes from two channels: frames would mix.
+    What else the file has is added to `remarks`.
     """
     count, channels = 0, dict[Key, str]()
+    remarks = remarks or Remarks()
     try:
-        with open_log(path) as log:
+        with open_log(path, remarks) as log:
             for each in log:
                 stamp = each[1].time if isinstance(each, tuple) else each.timestamp
                 if not 0 <= stamp < MAX_TIME_S:
                     raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
                 count += 1
-                channel, message = each if isinstance(each, tuple) else _data_frame(each)
-                if message is None:
+                if isinstance(each, tuple):
+                    channel, message = each
+                elif kind := ERROR_FRAME * each.is_error_frame or REMOTE_FRAME * each.is_remote_frame:
+                    remarks.left_out[kind] += 1
                     continue
+                else:
+                    channel, message = _data_frame(each)
                 key = message.id, message.extended
                 if key in ids and (first := channels.setdefault(key, channel)) != channel:
                     raise ConfigError(f"recording {path}: message {count}: {_mixed(path, key, first, channel)}")
@@ -88,9 +95,8 @@ def read(path: Path, ids: frozenset[Key] = frozenset()) -> Iterator[Message]:
     except Exception as error:  # readers raise what they like, AssertionError and struct.error included
         reason = " ".join(str(error).split()) or type(error).__name__
         where = f"message {count + 1}: " if count else ""
-        raise ConfigError(
-            f"recording {path}: {where}{reason}: give a recording in a format that python-can reads"
-        ) from error
+        advice = "" if isinstance(error, FormatError) else ": give a recording in a format that python-can reads"
+        raise ConfigError(f"recording {path}: {where}{reason}{advice}") from error
 
 
 def _mixed(path: Path, key: Key, first: str, second: str) -> str:
@@ -99,17 +105,16 @@ def _mixed(path: Path, key: Key, first: str, second: str) -> str:
     if ".log" in path.suffixes:
         grep = "zgrep" if path.suffix == ".gz" else "grep"
         advice = f"keep one ({grep} ' {first} ' {path.name} > {first}.log)"
-    elif first.isdigit() and second.isdigit():  # python-can counts from 0, and the files from 1
-        first, second = f"channel {int(first) + 1}", f"channel {int(second) + 1}"
+    elif first.isdigit() and second.isdigit():
+        first, second = f"channel {first}", f"channel {second}"
     return f"id {key[0]:#x} comes from {first} and from {second}, and their frames would mix: {advice}"
 
 
-def _data_frame(message: CanMessage) -> tuple[str, Message | None]:
-    """A message and its channel; None for one that carries no data."""
-    if message.is_error_frame or message.is_remote_frame:
-        return "", None
+def _data_frame(message: CanMessage) -> tuple[str, Message]:
+    """A message and its channel; one of more than 8 bytes is of CAN FD, which some formats do not say."""
     id_, data = message.arbitration_id, bytes(message.data)
-    return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, message.is_fd)
+    fd = message.is_fd or len(data) > MAX_CLASSIC_BYTES
+    return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, fd)
 
 
 class Recording:
@@ -120,13 +125,14 @@ class Recording:
         self.path, self._ids = path, ids
         self.count = 0  # messages so far
         self.torn = False  # whether the end turned out to be cut off
+        self.remarks = Remarks()  # what else it has so far
         self.pace = Pace()  # as of the newest message
         self.step: str | None = None  # a description of a step of the clock right before it
 
     def __iter__(self) -> Iterator[Message]:
         """Every whole message; ConfigError where the recording cannot be read or meant."""
         try:
-            for message in read(self.path, self._ids):
+            for message in read(self.path, self._ids, self.remarks):
                 self.count += 1
                 self.step = self.pace.go(message.time)
                 yield message
@@ -136,10 +142,17 @@ class Recording:
             self.torn = True
 
     def summary(self) -> str:
-        """One phrase of what was read."""
+        """One phrase of what was read, and of what was not."""
         count = self.pace.steps
         steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
-        return f"{self.count} messages{steps}" + (", then an end that was cut off" if self.torn else "")
+        return "; ".join([f"{self.count} messages{steps}", *self.caveats()])
+
+    def caveats(self) -> list[str]:
+        """A phrase for each way in which what was read is not all, or not as it seems."""
+        kinds = self.remarks.left_out
+        parts = [f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items()) if count]
+        left_out = [f"left out: {', '.join(parts)}"] if parts else []
+        return [*left_out, *self.remarks.caveats, *(["its end is cut off"] if self.torn else [])]
 
 
 def play(path: Path, send: Callable[[Message], None], stop: Event, loop: bool = False) -> int:

@@ -168,7 +168,7 @@ def test_a_file_that_is_uploaded_is_a_recording_or_refused_and_leaves_nothing(ap
     assert (added.status_code, added.json()["bytes"]) == (201, len(text))
     assert (folder / "a.log").read_bytes() == text
     assert problem(put("a.log", text), 409) == "recording a.log: is there already"
-    assert problem(put("b.log", b"nonsense\n"), 422).startswith("recording b.log: not enough values")
+    assert problem(put("b.log", b"nonsense\n"), 422).startswith("recording b.log: 'nonsense' is no line")
     part = api.client.put(f"{ROOT}/b.log", content=text, headers={"Content-Range": "bytes 25-49/50"})
     assert problem(part, 400) == "Content-Range: send the whole file"
     assert problem(put("b.log", b""), 422) == "recording b.log: it holds no data frame"

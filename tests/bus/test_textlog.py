@@ -1,0 +1,176 @@
+"""Logs as people have them: every message is read as it was meant, and what is not a message is counted."""
+
+import sqlite3
+
+import can
+import pytest
+
+from tactiled.bus.recording import Recording
+from tactiled.errors import ConfigError
+
+FIRST, SECOND = bytes.fromhex("0700BC3A12FF1F00"), bytes.fromhex("0701023000")  # a frame of two messages
+HEAD = "date Fri Nov 27 10:13:20.000 am 2026\nbase hex  timestamps absolute\nno internal events logged\n"
+ASC = " {} 1  500             Rx   d 8 07 00 BC 3A 12 FF 1F 00\n {} 1  500             Rx   d 5 07 01 02 30 00\n"
+TWO = "(1.0) can0 500#0700BC3A12FF1F00\n(1.0002) can0 500#0701023000\n"
+TRC = "     1)  0.0  Rx  0500  8  07 00 BC 3A 12 FF 1F 00\n     2)  0.2  Rx  0500  5  07 01 02 30 {}"
+VERSION = ";$FILEVERSION={}\n;$STARTTIME=45244.5\n"
+STARTED = 1699963200.0  # s, of the time above
+UNZONED = "its times are of an unknown time zone, taken for UTC"
+FD_LINE = " {} CANFD   1 Rx        500  {} 0 8  8 07 00 BC 3A 12 FF 1F 00   102203  133   {} e0006659 46500250\n"
+CSV_ROW = "1.0,0x500,0,0,0,8,BwC8OhL/HwA=\n"
+CSV = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+
+
+def after(path, content):
+    """What is read of a file: its recording, and its messages."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    recording = Recording(path)
+    return recording, list(recording)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "times", "also"),
+    [
+        ("a.asc", HEAD + ASC.format(-0.5, -0.4998) + ASC.format(0.1, 0.1002), [0, 0.0002, 0.6, 0.6002],
+         "; its times count from its first line, 0.5 s before the trigger"),
+        ("a.asc", HEAD.replace("absolute", "relative") + ASC.format("0.0", 0.0002) + ASC.format(0.1, 0.0002),
+         [0, 0.0002, 0.1002, 0.1004], ""),
+        ("a.asc", HEAD.replace("absolute", "relative") + ASC.format("0.0", 0.0002) + " 0.5 1 Statistic: D 0\n"
+         + ASC.format(0.1, 0.0002), [0, 0.0002, 0.6002, 0.6004], "; left out: 1 other event"),
+        ("a.asc", "base hex  no internal events logged\n// version 7.1.0\n" + ASC.format("0.0", 0.0002),
+         [0, 0.0002], ""),
+        ("a.asc", ASC.format("0.0", 0.0002), [0, 0.0002], ""),
+        ("a.asc", (HEAD + "// Pr\xfcfstand\n" + ASC.format("0.0", 0.0002)).encode("cp1252"), [0, 0.0002], ""),
+        ("a.asc", HEAD + " 0.000000 CANFD   Start of measurement\n" + ASC.format("0.0", 0.0002), [0, 0.0002], ""),
+        ("a.asc", HEAD + ASC.format("0.0", 0.0002) + " 0.1 1 500 Rx d 8 07 00\n", [0, 0.0002],
+         "; left out: 1 cut-off message"),
+        ("a.asc", HEAD + ASC.format("0.0", 0.0002) + ASC.format("0.1", 0.1002).replace("Rx ", "TxRq"), [0, 0.0002],
+         "; left out: 2 transmit requests"),
+        ("a.log", TWO + "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)\n", [1, 1.0002],
+         "; left out: 3 dropped messages"),
+        ("a.log", TWO + "(1.1) can0 20000004#0010000000000000\n(1.1) can0 20000080#\n(1.1) can0 A8FF0022#01\n",
+         [1, 1.0002], "; left out: 3 error frames"),
+        ("a.log", TWO + "(1.1) can0 45123#81:00:12345678#11223344.556677\n", [1, 1.0002],
+         "; left out: 1 CAN XL frame"),
+        ("a.log", TWO + "(1.1) can0 500#R8_B\n", [1, 1.0002], "; left out: 1 remote frame"),
+        ("a.log", TWO.replace("1F00\n", "1F00_B\n"), [1, 1.0002], ""),
+        ("a.log", TWO.replace("0701023000", "07.01.02.30.00"), [1, 1.0002], ""),
+        ("a.log", TWO + "(1.1) can0 500#070\n(1.2) can0 500#07(1.3) can0 500#0701023000\n", [1, 1.0002],
+         "; left out: 1 cut-off message, 1 unreadable line"),
+        ("a.log", TWO + "(1.1) can0 500#07010230001122334455\n", [1, 1.0002], "; left out: 1 unreadable line"),
+        ("a.log", "\0\0\0\n" + TWO, [1, 1.0002], "; left out: 1 zeroed line"),
+        ("a.log", TWO + "\0\0\0", [1, 1.0002], "; its end is cut off"),
+        ("a.log", b"\xef\xbb\xbf" + TWO.encode(), [1, 1.0002], ""),
+        ("a.log", TWO.encode("utf-16"), [1, 1.0002], ""),
+        ("a.trc", VERSION.format(1.1) + TRC.format("00"), [STARTED, STARTED + 0.0002], f"; {UNZONED}"),
+        ("a.trc", VERSION.format(1.1) + TRC.format("0"), [STARTED], f"; {UNZONED}; its end is cut off"),
+        ("a.trc", VERSION.format(1.1) + TRC.format(""), [STARTED], f"; {UNZONED}; its end is cut off"),
+        ("a.trc", VERSION.format(1.1) + TRC.format("0\n"), [STARTED], f"; left out: 1 cut-off message; {UNZONED}"),
+        ("a.trc", ";$FILEVERSION=1.2\n" + TRC.format("00").replace("Rx", "1 Rx"), [0, 0.0002], ""),
+        ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwECMAA=", [1, 1.0002], ""),
+        ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwEC", [1], "; its end is cut off"),
+        ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwECMAA", [1], "; its end is cut off"),
+        ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwEC\n", [1],
+         "; left out: 1 cut-off message"),
+    ],
+)  # fmt: skip
+def test_a_log_is_read_as_it_was_meant_and_what_is_no_message_is_counted(tmp_path, name, content, times, also):
+    recording, messages = after(tmp_path / name, content)
+    assert [each.time for each in messages] == pytest.approx(times)
+    assert [each[1:] for each in messages] == [
+        (0x500, (FIRST, SECOND)[n % 2], False, False) for n in range(len(times))
+    ]
+    assert recording.summary() == f"{len(times)} messages{also}"
+
+
+@pytest.mark.parametrize(
+    ("switched", "flags", "fd"), [(0, 0x303000, True), (0, 0x300000, False), (1, 0x300000, True)]
+)
+def test_a_classic_frame_on_a_can_fd_channel_of_asc_stays_classic(tmp_path, switched, flags, fd):
+    _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, f"{flags:x}"))
+    assert message == (0.1, 0x500, FIRST, False, fd)
+
+
+def test_numbers_of_a_decimal_asc_are_decimal(tmp_path):
+    line = " 0.1 1 {} Rx d 3 7 255 16\n"
+    _, messages = after(
+        tmp_path / "a.asc", "base dec timestamps absolute\n" + line.format(1280) + line.format("70000x")
+    )
+    assert [each[1:4] for each in messages] == [(1280, b"\x07\xff\x10", False), (70000, b"\x07\xff\x10", True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("a.log", "  can0  500   [8]  07 00 BC 3A 12 FF 1F 00\n", "it is what candump .*: record with candump -l"),
+        ("a.txt", " (1700000000.1)  can0  500   [8]  07 00\n", "it is what candump .*: record with candump -l"),
+        ("a.log", " (1700000000.1)  can0  RX - -  500   [8]  07 00\n", "record with candump -l"),
+        ("a.log", "***BUSMASTER Ver 3.2.2***\n***PROTOCOL CAN***\n", "it is BUSMASTER's log: convert it"),
+        ("a.csv", "Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n1,500,false,Rx,0,1,07,\n", "it is SavvyCAN's CSV"),
+        ("a.crtd", "1542473901.020305 1R11 500 07 00\n", "it is OVMS's CRTD: convert it"),
+        ("a.txt", "Timestamp: 1700000000.1    ID: 0500    S Rx    DL:  8\n", "it is what python-can prints"),
+        ("a.txt", TWO, "it is candump's log: name it with .log$"),
+        ("a.log", HEAD, "it is Vector's .asc: name it with .asc$"),
+        ("a.csv", "time;id;data\n1;2;3\n", "a .csv must begin with python-can's .* not 'time;id;data': give"),
+        ("a.trc", VERSION.format("3.0"), "its version 3.0 is none of 1.0, 1.1, 1.2, 1.3, 2.0, 2.1: save"),
+        ("a.trc", VERSION.format("1.1") + "nonsense\n", "is no number|is not a number: give a recording"),
+    ],
+)  # fmt: skip
+def test_a_file_of_another_tool_is_named_in_one_line(tmp_path, name, content, reason):
+    with pytest.raises(ConfigError, match=reason):
+        after(tmp_path / name, content)
+
+
+def test_a_mistyped_database_is_not_made_and_one_without_messages_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"gone.db: No such file"):
+        list(Recording(tmp_path / "gone.db"))
+    assert not list(tmp_path.iterdir())
+    with sqlite3.connect(tmp_path / "a.db") as database:
+        database.execute("CREATE TABLE poses (x)")
+    database.close()
+    with pytest.raises(
+        ConfigError, match="it has no table 'messages', only poses: give a database that python-can"
+    ):
+        list(Recording(tmp_path / "a.db"))
+
+
+MESSAGES = [
+    can.Message(1.6e9 + n / 8, id_, data=bytes(range(n)), is_extended_id=extended, channel=n % 2, **kind)
+    for n, (id_, extended, kind) in enumerate([
+        (0x500, False, {}), (0x12345, True, {}), (0x7, False, {}), (0x0, True, {"is_remote_frame": True}),
+        (0x1FFFFFFF, True, {}), (0x0, False, {"is_error_frame": True}), (0x501, False, {}), (0x6, False, {}),
+    ])
+]  # fmt: skip
+LONG = [can.Message(1.6e9 + 2 + n, 0x502, is_fd=True, data=bytes(n), channel=0) for n in (1, 8, 12, 64)]
+EXTRA = {
+    "us.asc": "date Sat Sep 30 10:06:13.191 PM 2017\nbase hex timestamps absolute\n"
+    "internal events logged\nBegin TriggerBlock Sat Sep 30 10:06:13.191 PM 2017\n"
+    " 0.000 Start of measurement\n 17.87 1 6F8 Rx d 8 FF 00 0C FE 00 00 00 00 Length = 239910 BitCount = 124\n"
+    " 18.0 1 2A Tx d D 55 AA 01 02 03 04 05 06 Length = 2\n 18.1 2 J1939TP FEE3p 6 0 0 - Rx d 2 A0 0F\n"
+    + FD_LINE.format("30.0", "Generic_Name 1", "303000") + "End TriggerBlock\n",
+    "old.trc": ";##\n 1) 17535 00000100 8 00 01 02 03 04 05 06 07\n 2) 17540 FFFFFFFF 4 00 00 00 08 BUSHEAVY\n"
+    " 3) 19295 0000 0\n 4) 48937 0704 1 RTR\n",
+    "crlf.log": TWO.replace("\n", "\r\n") + "(1.1) can0 7DF##3ab00 T\r\n(1.1) can0 20000088#0000\r\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", ["a.log", "a.asc", "a.blf", "a.csv", "a.trc", "a.db", "a.log.gz", "a.asc.gz", *EXTRA]
+)
+def test_a_file_that_python_can_reads_right_is_read_alike(tmp_path, name):
+    path = tmp_path / name
+    if name in EXTRA:
+        path.write_bytes(EXTRA[name].encode())
+    else:
+        with can.Logger(path) as writer:
+            for each in MESSAGES + (LONG if name[2:5] in ("log", "asc", "blf") else []):
+                writer(each)
+    with can.LogReader(path) as log:
+        expected = [
+            (each.timestamp, each.arbitration_id, bytes(each.data), each.is_extended_id, each.is_fd)
+            for each in log if not (each.is_error_frame or each.is_remote_frame)
+        ]  # fmt: skip
+    recording = Recording(path)
+    assert list(recording) == expected
+    assert len(expected) == {"us": 3, "old": 2, "crlf": 3}.get(name.split(".")[0], len(expected)) > 1
+    assert UNZONED not in recording.summary()
