@@ -1,15 +1,19 @@
 """The gain from a load of known force: an indenter beside a force log, or a weight.
 
 The sum of the taxels' pressures times the area of each is the force, whatever the cover (its gain at frequency 0
-is 1), where the load is away from the array's border. That gives the common curve. It does not give a taxel's own
-gain: under a cover every load lies on several taxels, and their sum hardly tells neighbours apart.
+is 1), less what the cover spreads beyond the array: its `reach` says how much. That gives the common curve. It
+does not give a taxel's own gain: under a cover every load lies on several taxels, and their sum hardly tells
+neighbours apart.
 """
 
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.special import stdtrit
 
 from tactiled.calibrate.curve_fit import CurveFit, Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import Form, unit_curves
@@ -20,9 +24,15 @@ from tactiled.calibrate.plateaus import plateaus, response
 from tactiled.calibrate.reference import Reference, align
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, tiling
+from tactiled.restore.blur import Blur
+from tactiled.restore.noise import NORMAL_95
 from tactiled.units import N_PER_KPA_MM2
 
-MAX_LOST_SHARE = 0.01  # of a load on the rim's and on dead taxels: about so much of it is not measured
+MAX_LOST_SHARE = 0.01  # of a load on dead taxels, and without a known cover on the rim's: so much is not measured
+MAX_BEYOND = 0.1  # of a load that the cover spreads beyond the array
+BEYOND_ERROR = (
+    0.5  # standard error of that share, relative to it: a thickness off by 20 % changes it by 40 to 70 %
+)
 RIM_SIGMAS = 2.0  # of the rim's noise: so much is no load
 MIN_PRESSED = 5  # points away from the border
 NEIGHBOURS = 4  # that a dead taxel is held against
@@ -31,19 +41,31 @@ CLEARLY_PRESSED = 0.2  # of the largest reading: where a taxel's neighbours read
 NEED = 0.5  # of what a line leaves must be explained by a curve: the taxels' own gains look like one
 BETWEEN = 0.3, 0.6  # of the largest reading: more than no load, less than the weight
 WEIGHT_TOLERANCE = 0.1  # of the weight's reading, within which a plateau keeps
+SAME_PLACE = 0.5  # correlation of two loads' readings: they lie on the same taxels
 MIN_WEIGHT_HOLD = 0.05  # of the recording
 Floats = NDArray[np.float64]
 
 
+def reach_of(blur: Blur, array: Array) -> Floats:
+    """Share (N,) of a load above each taxel that the array senses; `blur` has a cell a taxel."""
+    areas = tiling(array).areas
+    return np.asarray(blur.adjoint(areas.reshape(blur.frame_shape)).ravel() / areas, float)
+
+
 @unknown_taxels()
-def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -> GainFit:
-    """The common curve of all taxels from a log of an indenter's force, and how far they spread about it."""
+def fit_force(
+    series: FrameSeries, log: Reference, array: Array, rails: Rails, reach: Floats | None = None
+) -> GainFit:
+    """The common curve of all taxels from a log of an indenter's force, and how far they spread about it.
+
+    `reach` (N,) as of `reach_of`; None: the cover is not known.
+    """
     signal = response(series, tiling(array).areas)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
     points, means, _ = log_points(series, log, alignment, rails)
-    summed, usable, dead = _summed(points, means.noise, array, MIN_PRESSED)
+    summed, usable, dead, beyond = _summed(points, means.noise, array, MIN_PRESSED, reach)
     _require_total(summed, means.noise)
     end = np.array([summed.counts.max()])
     form, scores = choose_form(_alike(summed, end), end, NEED)
@@ -51,20 +73,24 @@ def fit_force(series: FrameSeries, log: Reference, array: Array, rails: Rails) -
     check_pressure(f"{log.path}: force_n", float(unit_curves(form, fitted.parameters).gain[0]))
     spread = _taxel_spread(fitted, summed)
     offset = fitted.lever[0] * np.median(means.no_load_noise) / end[0] / np.sqrt(array.size)
-    deviation = np.full(array.size, np.sqrt(fitted.variance[0] + offset**2 + spread**2))
+    common = fitted.variance[0] + offset**2 + (BEYOND_ERROR * beyond) ** 2
+    deviation = np.full(array.size, np.sqrt(common + spread**2))
     deviation[dead] = np.nan
     loop = float(hysteresis(fitted, summed)[0])
     made = _made(fitted, scores, float(end[0]), means, summed, dead, deviation, loop)
     notes = (
         f"{np.count_nonzero(usable)} of {usable.size} loads are off the border and dead taxels, and used",
+        *_beyond_note(beyond),
         f"one curve for all taxels, spread about {100 * spread:.2g} %: uniform pressure gives each its own",
     )
     return replace(made, spread=spread, notes=notes, alignment=alignment, force_n=points.pressure[usable])
 
 
 @unknown_taxels()
-def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails) -> GainFit:
-    """The common gain from one known weight, laid on once or more often."""
+def fit_weight(
+    series: FrameSeries, weight_n: float, array: Array, rails: Rails, reach: Floats | None = None
+) -> GainFit:
+    """The common gain from one known weight, laid on once or more often; `reach` (N,) as of `reach_of`."""
     if not (np.isfinite(weight_n) and weight_n > 0):
         raise ConfigError(f"weight of {weight_n:g} N: give its force, above 0")
     signal = response(series, tiling(array).areas)
@@ -80,21 +106,30 @@ def fit_weight(series: FrameSeries, weight_n: float, array: Array, rails: Rails)
     means = mean_counts(series, [each.core for each in holds], ~loaded, sign, rails)
     count = int(np.count_nonzero(loaded))
     order, force = np.arange(count), np.full(count, weight_n)
-    points = Points(means.over[loaded, :, None], force, np.zeros(count, np.int8), order, order)
-    return _weighed(points, means, array, loaded)
+    points = Points(
+        means.over[loaded, :, None], force, np.zeros(count, np.int8), _places(means.over[loaded]), order
+    )
+    return _weighed(points, means, array, means.noise[loaded], reach)
 
 
-def _weighed(points: Points, means: Means, array: Array, loaded: NDArray[np.bool_]) -> GainFit:
-    """The common gain of a weight; what the taxels' own are is not known."""
-    summed, usable, dead = _summed(points, means.noise, array, 1)
-    _require_total(summed, means.noise[loaded])
+def _places(over: Floats) -> NDArray[np.int64]:
+    """Numbers (M,) of the places of loads with readings `over` (M, N): loads on the same taxels share errors."""
+    patterns = np.nan_to_num(over) / np.linalg.norm(np.nan_to_num(over), axis=1, keepdims=True)
+    return np.asarray(connected_components(patterns @ patterns.T > SAME_PLACE)[1], np.int64)
+
+
+def _weighed(points: Points, means: Means, array: Array, noise: Floats, reach: Floats | None) -> GainFit:
+    """The common gain of a weight; what the taxels' own are is not known. `noise` (M, N) of each load."""
+    summed, usable, dead, beyond = _summed(points, noise, array, 1, reach)
+    _require_total(summed, noise)
     end = np.array([summed.counts.max()])
     fitted = fit(summed, end, "linear")
     check_pressure("weight", float(fitted.parameters[0, 0]))
-    count = summed.pressure.size
-    error = (
-        f"{100 * fitted.variance[0] ** 0.5:.2g} % by their scatter" if count > 1 else "unknown: lay it on again"
-    )
+    count, places = summed.pressure.size, np.unique(summed.cluster).size
+    error = "unknown: lay it on again at another place"
+    if places > 1:
+        scatter = float(stdtrit(places - 1, 0.975) * fit(_by_place(summed), end, "linear").variance[0] ** 0.5)
+        error = f"±{100 * hypot(scatter, NORMAL_95 * BEYOND_ERROR * beyond):.2g} % by their scatter"
     unknown = np.full(array.size, np.nan)
     incomplete = np.isnan(points.counts[:, ~dead, 0].sum(axis=1))
     notes = (
@@ -103,11 +138,30 @@ def _weighed(points: Points, means: Means, array: Array, loaded: NDArray[np.bool
             + ("a taxel is saturated" if incomplete[n] else "it reaches the border of the array or a dead taxel")
             for n in np.flatnonzero(~usable)
         ),
-        "one gain for all taxels: their spread is not known",
-        f"weight laid on {count} time{'s' if count > 1 else ''}; standard error of the common gain {error}",
+        *_beyond_note(beyond),
+        "one gain for all taxels: their spread is not known, so each one's own error is unknown",
+        f"weight laid on {count} time{'s' if count > 1 else ''}, at {places} place{'s' if places > 1 else ''}; "
+        f"95 % interval of the common gain {error}",
     )
     made = _made(fitted, {}, float(end[0]), means, summed, dead, unknown, np.nan)
     return replace(made, notes=notes, force_n=points.pressure[usable])
+
+
+def _by_place(points: Points) -> Points:
+    """The mean load at each place."""
+    places = np.unique(points.cluster)
+    counts, pressure = (
+        np.stack([each[points.cluster == place].mean(axis=0) for place in places])
+        for each in (points.counts, points.pressure)
+    )
+    return Points(counts, pressure, np.zeros(places.size, np.int8), places, places, points.weight)
+
+
+def _beyond_note(beyond: float) -> tuple[str, ...]:
+    """What the cover spreads beyond the array of the loads used, in the mean, if it matters."""
+    if not beyond > MAX_LOST_SHARE:
+        return ()
+    return (f"{100 * beyond:.2g} % of a load is beyond the array by the cover's model, and taken into account",)
 
 
 def _alike(points: Points, end: Floats) -> Points:
@@ -148,11 +202,12 @@ def _made(
 
 
 def _summed(
-    points: Points, noise: Floats, array: Array, need: int
-) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_]]:
+    points: Points, noise: Floats, array: Array, need: int, reach: Floats | None
+) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_], float]:
     """Points (M', 1, N) of the force over the median taxel's area, those of the M that are used, and dead taxels.
 
-    ConfigError where fewer than `need` loads lie away from the border.
+    Last the mean share of the force beyond the array, which the points do not have. ConfigError where fewer than
+    `need` loads lie away from the border.
     """
     cells, counts = tiling(array), points.counts[..., 0]
     if (border := cells.rim).all():
@@ -163,9 +218,14 @@ def _summed(
     dead, around = _dead(counts, array)
     counts = np.where(dead, 0, counts)
     complete = np.isfinite(counts).all(axis=1)
-    lost = counts[:, border].sum(axis=1) + around[:, dead].sum(axis=1)
-    chance = RIM_SIGMAS * np.sqrt(np.square(np.median(noise, axis=0)[border | dead]).sum())
-    usable = complete & (lost <= np.maximum(MAX_LOST_SHARE * counts.sum(axis=1), chance))
+    if reach is None:
+        beyond, lossy = np.zeros(len(counts)), border | dead
+        lost = counts[:, border].sum(axis=1) + around[:, dead].sum(axis=1)
+    else:
+        beyond, lossy = 1 - _sensed(counts, reach), dead
+        lost = around[:, dead].sum(axis=1)
+    chance = RIM_SIGMAS * np.sqrt(np.square(np.median(noise, axis=0)[lossy]).sum())
+    usable = complete & (lost <= np.maximum(MAX_LOST_SHARE * counts.sum(axis=1), chance)) & (beyond <= MAX_BEYOND)
     firm = points.pressure > points.pressure.max() / 2
     if np.count_nonzero(usable & firm) < min(need, int(np.count_nonzero(firm))):
         raise ConfigError(
@@ -174,9 +234,16 @@ def _summed(
         )
     area = float(np.median(cells.areas))
     groups = np.unique(points.cluster[usable], return_inverse=True)[1]
-    pressure, weight = points.pressure[usable] / (area * N_PER_KPA_MM2), cells.areas / area
+    pressure = points.pressure[usable] * (1 - beyond[usable]) / (area * N_PER_KPA_MM2)
+    weight = cells.areas / area
     summed = Points(counts[usable][:, None], pressure, points.direction[usable], groups, groups, weight)
-    return summed, usable, dead
+    return summed, usable, dead, float(beyond[usable].mean())
+
+
+def _sensed(counts: Floats, reach: Floats) -> Floats:
+    """Share (M,) of each load that the array senses: the reach where its readings (M, N) are strongest."""
+    square = np.square(np.nan_to_num(counts))
+    return np.asarray(square @ reach / square.sum(axis=1))
 
 
 def _dead(counts: Floats, array: Array) -> tuple[NDArray[np.bool_], Floats]:

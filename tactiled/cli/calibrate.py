@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_array, make_codec, make_stack
+from tactiled.build import make_array, make_blur, make_codec, make_kernel, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.means import Rails
@@ -20,6 +20,7 @@ from tactiled.cli import options
 from tactiled.config import schema
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
+from tactiled.geometry import Array
 from tactiled.runtime.frame_series import read_frame_series
 from tactiled.units import number_text
 
@@ -56,7 +57,7 @@ def gain(
 
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
-        fit = _fit(series, one, steps_kpa, reference, weight_n)
+        fit = _fit(series, one, before, steps_kpa, reference, weight_n)
     fit = replace(fit, notes=(*unlike_gain(fit.curves, _gain_before(before, one)), *fit.notes))
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
@@ -129,6 +130,7 @@ def _gain_before(file: CalibrationFile | None, sensor: schema.Sensor) -> float |
 def _fit(
     series: "FrameSeries",
     sensor: schema.Sensor,
+    before: CalibrationFile | None,
     steps_kpa: str | None,
     reference: Path | None,
     weight_n: float | None,
@@ -142,12 +144,22 @@ def _fit(
     if steps_kpa is not None:
         return uniform.fit_steps(series, _numbers(steps_kpa), rails)
     if weight_n is not None:
-        return force_gain.fit_weight(series, weight_n, array, rails)
+        return force_gain.fit_weight(series, weight_n, array, rails, _reach(sensor, before, array))
     assert reference is not None
     log = read_reference(reference)
     if log.quantity == "force_n":
-        return force_gain.fit_force(series, log, array, rails)
+        return force_gain.fit_force(series, log, array, rails, _reach(sensor, before, array))
     return uniform.fit_pressure(series, log, rails)
+
+
+def _reach(sensor: schema.Sensor, file: CalibrationFile | None, array: Array) -> np.ndarray | None:
+    """Share (N,) of a load above each taxel that the array senses by its cover; None: that is to be measured."""
+    from tactiled.calibrate.force_gain import reach_of
+
+    cover = file.cover if file else None
+    if sensor.kernel.model == "measured" and (cover is None or cover.kernel is None):
+        return None
+    return reach_of(make_blur(make_kernel(sensor.kernel, make_stack(sensor), cover), array, 1), array)
 
 
 def _rails(sensor: schema.Sensor) -> Rails:

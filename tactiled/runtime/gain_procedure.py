@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.build import SensorPlan
+from tactiled.build import SensorPlan, make_blur
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import Rails
@@ -115,14 +115,19 @@ class GainProcedure:
         return FrameSeries(np.concatenate(times), np.concatenate(counts))
 
     def _fitted(self, frames: FrameSeries, process: FitProcess) -> "GainFit":
-        from tactiled.calibrate.force_gain import fit_weight  # imported where needed: it starts the service faster
+        from tactiled.calibrate.force_gain import (
+            fit_weight,
+            reach_of,
+        )  # imported where needed: it starts the service faster
         from tactiled.calibrate.gain import fit_steps
 
         plan, values = self._sensor.plan, [value for value, _ in self._marks]
         limits = Rails.of(plan.calibration.saturation, plan.codec.ends)
         if self.way == "uniform":
             return process.run(fit_steps, frames, values, limits)
-        return process.run(fit_weight, frames, max(values), self._sensor.array, limits)
+        array = self._sensor.array
+        reach = reach_of(make_blur(plan.kernel, array, 1), array)
+        return process.run(fit_weight, frames, max(values), array, limits, reach)
 
 
 def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:

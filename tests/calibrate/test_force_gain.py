@@ -1,20 +1,25 @@
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tactiled.calibrate.force_gain import fit_force, fit_weight
+from tactiled.build import make_blur
+from tactiled.calibrate.force_gain import fit_force, fit_weight, reach_of
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
+from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
 from tactiled.runtime.gain_procedure import _gain_line
+from tactiled.study.presses import KPA_PER_COUNT, Disc, simulated_skin
 from tests.calibrate.skins import FULL_KPA, RATE_HZ, Skin, contact
 
 ARRAY = grid(16, 16, 2.0)
 WIDTH_MM = 1.5  # of the contact: its force is the sum of what the taxels bear, to 1e-4
 PEAK_N = 0.95e-3 * FULL_KPA * 2 * np.pi * WIDTH_MM**2
 SPAN_MM = 30.0
+HOLD = np.repeat([0.0, 1.0, 0.0], (50, 300, 200))[:, None]
 FINE, COARSE = np.mgrid[0:13, 0:13] * 1.5, np.mgrid[7:14, -1:8] * 3.0
 UNEVEN = layout(np.concatenate([FINE.reshape(2, -1).T, COARSE.reshape(2, -1).T]))
 
@@ -89,8 +94,8 @@ def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
     np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
     assert not fit.curves.individual.any()
     assert np.isnan(fit.curves.deviation).all()
-    assert "their spread is not known" in fit.notes[0]
-    assert "laid on 2 times" in fit.notes[1]
+    assert "their spread is not known, so each one's own error is unknown" in fit.notes[0]
+    assert "laid on 2 times, at 2 places; 95 % interval of the common gain ±" in fit.notes[1]
     assert fit.force_n.tolist() == [PEAK_N, PEAK_N]
 
 
@@ -103,6 +108,41 @@ def test_taxels_that_always_read_their_ceiling_are_dead_and_refuse_no_weight():
     fit = fit_weight(series, PEAK_N, ARRAY, Rails(low=0))
     np.testing.assert_allclose(fit.curves.gain, -FULL_KPA / 3000, rtol=0.01)
     assert fit.dead == (15, 250)
+
+
+def weighed(array, places, reach=None, spread=0.0, thickness=2.5):
+    """A weight of 0.3 N laid at places (mm from the middle) of an array under rubber of `thickness` pitches."""
+    stack = Stack((Layer(thickness, 0.6, 0.48), Layer(1.0, 980.0, 0.3)))
+    skin = simulated_skin(stack, array, np.random.default_rng(5), noise_kpa=0.5, spread=spread)
+    loads = [100 * Disc(*place, 1.0).readings(array, skin.cover) for place in places]
+    kpa = np.concatenate([np.zeros((200, array.size)), *(each * HOLD for each in loads)])
+    reach = reach_of(make_blur(skin.cover, array, 1), array) if reach else None
+    series = skin.series(kpa, np.arange(len(kpa)) / RATE_HZ, np.random.default_rng(6))
+    return fit_weight(series, 0.1 * np.pi, array, Rails(0, 65535), reach)
+
+
+def test_what_the_cover_spreads_beyond_the_array_is_taken_into_account():
+    """At the documented margin nothing else is left of twelve weights under 2.5 pitches: all were refused."""
+    array, places = grid(16, 16, 1.0, 0.8), [(-1.5, 1.0), (1.5, -1.0)]
+    fit = weighed(array, places, reach=True)
+    assert fit.curves.gain[0] == pytest.approx(KPA_PER_COUNT, rel=0.015)
+    assert "of a load is beyond the array" in fit.notes[0]
+    with pytest.raises(ConfigError, match="reach the border"):
+        weighed(array, places)
+    with pytest.raises(ConfigError, match="reach the border"):
+        weighed(array, [(-6.0, 1.0), (6.0, -1.0)], reach=True)
+
+
+def test_the_interval_of_a_weight_is_students_over_its_places():
+    array, places = grid(14, 14, 1.0, 0.8), [(-3.0, 1.0), (2.0, -1.0)]
+    each = [weighed(array, [place], True, 0.4, 0.5).curves.gain[0] for place in places]
+    half = 12.706 * abs(each[0] - each[1]) / sum(each)
+    for again in (places, [*places, *places]):
+        note = weighed(array, again, True, 0.4, 0.5).notes[-1]
+        assert f"laid on {len(again)} times, at 2 places" in note
+        (printed,) = re.findall(r"±(\S+) %", note)
+        assert float(printed) / 100 == pytest.approx(half, rel=0.1)
+    assert "unknown: lay it on again" in weighed(array, places[:1], True, 0.4, 0.5).notes[-1]
 
 
 def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
