@@ -17,6 +17,7 @@ from tactiled.frames import Message
 MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's times go no further
 MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or nobody waits for its end
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
+END_CUT = "its end is cut off"
 SHIPPED = Path(__file__).parents[1] / "recordings"
 
 
@@ -145,14 +146,14 @@ class Recording:
         """One phrase of what was read, and of what was not."""
         count = self.pace.steps
         steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
-        return "; ".join([f"{self.count} messages{steps}", *self.caveats()])
+        return "; ".join([f"{self.count} messages{steps}", *self.caveats(), *[END_CUT] * self.torn])
 
     def caveats(self) -> list[str]:
-        """A phrase for each way in which what was read is not all, or not as it seems."""
+        """What was left out, and what is in doubt; one phrase each."""
         kinds = self.remarks.left_out
         parts = [f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in sorted(kinds.items()) if count]
         left_out = [f"left out: {', '.join(parts)}"] if parts else []
-        return [*left_out, *self.remarks.caveats, *(["its end is cut off"] if self.torn else [])]
+        return [*left_out, *self.remarks.caveats]
 
 
 def play(path: Path, send: Callable[[Message], None], stop: Event, loop: bool = False) -> int:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.codec import Codec
-from tactiled.bus.recording import Recording
+from tactiled.bus.recording import END_CUT, Recording
 from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
 from tactiled.errors import ConfigError, TactileError
@@ -106,8 +106,8 @@ class _Writer:
 
 def write_frames(
     path: Path, codecs: Mapping[str, Codec], files: Mapping[str, tuple[SharedFile, SharedFile]], leave_mb: float
-) -> str:
-    """Write every frame of a recording; returns how its end is cut off, "" where it is whole.
+) -> tuple[str, list[str]]:
+    """Write every frame of a recording; returns how its end is cut off ("": it is whole), and its other caveats.
 
     ConfigError where its content is wrong; another TactileError where it cannot be read, or the disk is full.
     """
@@ -129,7 +129,7 @@ def write_frames(
     finally:
         for each in writers.values():
             each.flush()
-    return "its end is cut off" if recording.torn else ""
+    return END_CUT * recording.torn, recording.caveats()
 
 
 def check_goes_on(parent: int, folder: Path, leave_mb: float) -> None:
@@ -201,6 +201,7 @@ class RecordedFrames(FrameFiles):
         files = {name: (SharedFile.temporary(path.parent), SharedFile.temporary(path.parent)) for name in codecs}
         super().__init__({name: each.size for name, each in codecs.items()}, files)
         self.error = ""  # why it, or its reading, ended early
+        self.caveats: list[str] = []  # what else it has, or is in doubt, once it is read
         self._may_pass = self.answered = False  # that reason; whoever opens it has answered that it failed
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
@@ -230,7 +231,9 @@ class RecordedFrames(FrameFiles):
 
     def _read(self, codecs: Mapping[str, Codec]) -> None:
         try:
-            self.error = self._process.run(write_frames, self.path, codecs, self._files, self.leave_mb)
+            self.error, self.caveats = self._process.run(
+                write_frames, self.path, codecs, self._files, self.leave_mb
+            )
         except Cancelled:
             pass
         except Exception as error:

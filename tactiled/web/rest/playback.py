@@ -53,6 +53,10 @@ class Played(schemas.Schema):
     frames: int = Field(description="frames by now", examples=[1025])
     reading: bool = Field(description="whether the file is still being read", examples=[False])
     error: str | None = Field(description="why it was not read to its end", examples=[None])
+    caveats: list[str] = Field(
+        description="what was left out of it and what is in doubt, once it is read",
+        examples=[["left out: 2 error frames"]],
+    )
     duration_s: float = Field(0.0, description="position of the last frame", examples=[10.24])
     timestamp: float | None = Field(None, description="Unix time of the first frame, s", examples=[1763712000.25])
     unit: schemas.Unit
@@ -200,6 +204,7 @@ def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Re
         "name": recorded.path.name, "sensor": sensor.name, "reading": reading, "unit": plan.unit,
         "force_unit": FORCE_UNITS[plan.unit], "calibration": plan.calibration_id,
         "error": without_path(recorded.error, recorded.path) or None,
+        "caveats": recorded.caveats,
     }  # fmt: skip
     if frames := recorded.count(sensor.name):
         playback = playbacks.playback(sensor, recorded)

@@ -56,7 +56,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   name: string, sensor: string, frames: number, reading: boolean, error: string|null, duration_s: number,
  *   timestamp: number|null, unit: string, tared_at: number|null, calibration: string, positions_s: number[],
- *   force: number[]
+ *   force: number[], caveats: string[]
  * }} Played
  */
 

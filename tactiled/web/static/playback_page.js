@@ -248,12 +248,13 @@ class OverviewChart {
 }
 
 /** @param {Played} recorded @returns {string} */
-function describe({ frames, reading, timestamp, tared_at, calibration, error }) {
+function describe({ frames, reading, timestamp, tared_at, calibration, error, caveats }) {
   const when = (/** @type {number} */ s) => new Date(s * 1000).toLocaleString([], { hour12: false });
   const zero = tared_at === null ? "" : `, tared ${when(tared_at)}`;
   const file = calibration === "configured" ? "" : `, calibration ${calibration}`;
   const end = reading ? ", reading …" : error ? `, ends early: ${error}` : "";
-  return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} frames${zero}${file}${end}`;
+  const also = caveats.map((each) => `, ${each}`).join("");
+  return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} frames${zero}${file}${also}${end}`;
 }
 
 /** @param {number} ms @returns {Promise<void>} */

@@ -174,6 +174,14 @@ def test_an_end_that_is_cut_off_is_reported(client, folder):
     path.unlink()
 
 
+def test_what_is_left_out_of_a_recording_is_reported(client, folder):
+    path = folder / "errors.log"
+    path.write_bytes((folder / "a.log").read_bytes() + b"(1600000009.0) can0 20000004#0001000000000000\n")
+    state = opened(client, path.name)
+    assert (state["error"], state["frames"], state["caveats"]) == (None, FRAMES, ["left out: 1 error frame"])
+    path.unlink()
+
+
 def test_a_file_that_could_not_be_read_is_read_again_if_the_reason_may_pass(client, folder):
     path, content = folder / "b.log.gz", gzip.compress((folder / "a.log").read_bytes())
     for wrong, count in ((b"", FRAMES), (gzip.compress(b"nonsense\n"), 0)):  # no gzip file: an OSError; no message
