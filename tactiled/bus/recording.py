@@ -146,7 +146,8 @@ class Recording:
         """One phrase of what was read, and of what was not."""
         count = self.pace.steps
         steps = f", with {count} step{'s' if count > 1 else ''} of their clock" if count else ""
-        return "; ".join([f"{self.count} messages{steps}", *self.caveats(), *[END_CUT] * self.torn])
+        also = "; ".join([*self.caveats(), *[END_CUT] * self.torn])
+        return f"{self.count} messages{steps}" + (f" ({also})" if also else "")
 
     def caveats(self) -> list[str]:
         """What was left out, and what is in doubt; one phrase each."""

@@ -24,6 +24,8 @@ def open_zarr(path):
 def exports(tmp_path, config, lossy, monkeypatch):
     """Path of an export as Zarr, in chunks of 16 frames, and the same arrays from a .npz."""
     monkeypatch.setattr(arrays, "FRAMES_AT_ONCE", CHUNK)
+    with lossy.open("a") as file:
+        file.write("(1600000000.7) can0 20000004#0001000000000000\n")
     for name in ("a.zarr", "a.npz"):
         succeed("export", lossy, "--config", config, "-o", tmp_path / name)
     with np.load(tmp_path / "a.npz") as npz:
@@ -42,6 +44,7 @@ def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenanc
                 assert got[name].chunks == (CHUNK, *npz[name].shape[1:])
         about = json.loads(npz["provenance"].item())
         assert dict(got.attrs) == {"provenance": about}
+        assert (about["recording"]["left_out"], about["recording"]["caveats"]) == ({"error frame": 1}, [])
         assert {name: got[name].attrs["units"] for name in got if name != "method"} == about["units"]
         assert got["restored"].metadata.dimension_names == ("time", "cell_row", "cell_column")
         assert got["loss"].metadata.dimension_names == ("time", "loss_kind")

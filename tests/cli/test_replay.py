@@ -130,7 +130,7 @@ def test_a_file_cut_anywhere_gives_its_first_messages_only(tmp_path, ending):
         if ending == ".log":
             assert len(got) == data[:at].count(b"\n")
             assert cut.torn == (data[at - 1 : at] != b"\n")
-            assert cut.summary() == f"{len(got)} messages" + cut.torn * "; its end is cut off"
+            assert cut.summary() == f"{len(got)} messages" + cut.torn * " (its end is cut off)"
 
 
 def test_a_fault_within_a_recording_ends_the_replay_with_a_reason(lossy):
