@@ -1,8 +1,8 @@
 """Taxels that do not work, found while the array is in use, and found to work again.
 
-What a fault looks like is compared with what no load can do. A contact that lies on the taxels to both sides of a
-taxel lies on the taxel, too, or did so once; noise of more than a count never stands still; a load shakes or
-saturates a taxel's neighbours with it, as strongly as the cover joins them. All of it must come again and again.
+What a fault looks like is compared with what no load can do. What presses on the taxels around a taxel presses on
+it, too, as far as the cover joins them; noise of more than a count never stands still; a load shakes or saturates
+a taxel's neighbours with it. All of it must come again and again.
 """
 
 from enum import IntEnum
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from tactiled.calibrate.blocks import KNOWN_BLOCKS, Block
+from tactiled.calibrate.least_reading import LeastReading
 from tactiled.geometry import Array
 
 # `python -m tests.study health` counts faults found on healthy arrays and the frames until a fault is found.
 NEIGHBOUR_PITCHES = 1.6  # distance of a neighbour: the eight around a taxel of a grid
 OPPOSITE_PITCHES = 0.3  # from a taxel to the middle of two opposite neighbours
 LOADED_SIGMAS, LOADED = 8.0, 0.02  # noise standard deviations, and part of full scale, that a loaded neighbour has
-DEAD_RATIO, WEAK_RATIO = 0.1, 0.5  # of the less loaded of two opposite neighbours' readings
-SURROUNDED = 7  # presses on two opposite neighbours that one on all neighbours counts as
+DEAD_RATIO, WEAK_RATIO = 0.25, 0.5  # of the least that a taxel may read; of what its neighbours do it heals
+CLEAR_SIGMAS, CLEAR = 2.0, 0.001  # noise standard deviations, and part of full scale, of a least that is known
 STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating between two steps shows 0.82
 NOISY_RATIO = 5.0  # of a taxel's noise to the array's median
 JOINED_MARGIN = 2.0  # by which a taxel differs more from its neighbours than the cover lets any load do
@@ -46,7 +47,7 @@ class Fault(IntEnum):
 class Rule(NamedTuple):
     """How a fault is found: its evidence adds up to `threshold`; what speaks against it takes it back."""
 
-    threshold: int  # blocks, or presses on two opposite neighbours
+    threshold: int  # blocks, or presses on its neighbours
     in_a_row: bool  # one piece of evidence against it, before it is found, takes all of it back
     reason: str
 
@@ -56,8 +57,8 @@ RULES = {
     Fault.STUCK: Rule(6, True, "its reading does not change, and the others' noise does"),
     Fault.SATURATED: Rule(20, True, "it stays at its ceiling, and its neighbours feel no such load"),
     Fault.NOISY: Rule(20, False, "it is noisy, and its neighbours are not"),
-    Fault.DEAD: Rule(3 * SURROUNDED, True, "it feels no load, and its neighbours do"),
-    Fault.WEAK: Rule(5 * SURROUNDED, True, "it feels less than half of what its neighbours do"),
+    Fault.DEAD: Rule(3, True, "it feels no load, and no load on its neighbours passes it by"),
+    Fault.WEAK: Rule(5, True, "it feels less than half of what any load on its neighbours leaves on it"),
 }
 
 
@@ -82,9 +83,16 @@ class TaxelHealth:
     """
 
     def __init__(
-        self, array: Array, joined: float, ends: tuple[float, float], full_scale: float, calibrated: bool = False
+        self,
+        array: Array,
+        joined: float,
+        ends: tuple[float, float],
+        full_scale: float,
+        least_reading: LeastReading,
+        calibrated: bool = False,
     ) -> None:
         n = array.size
+        self._least_reading = least_reading
         self._neighbours, self._pairs = neighbours(array)
         self._joined, self._ends, self.full_scale, self._calibrated = joined, ends, full_scale, calibrated
         self._scores = {fault: np.zeros(n, np.float32) for fault in RULES}
@@ -148,18 +156,25 @@ class TaxelHealth:
         return np.asarray(top)
 
     def _look_at_presses(self, sigma: Floats, load: Floats, readable: Mask) -> None:
-        working = np.where(readable & (self.faults == Fault.HEALTHY), load, np.float32(-np.inf))
-        padded = np.append(working, np.float32(-np.inf))
+        healthy = readable & (self.faults == Fault.HEALTHY)
+        padded = np.append(np.where(healthy, load, np.float32(-np.inf)), np.float32(-np.inf))
         opposite = padded[self._pairs].min(axis=0).max(axis=0)
-        around = -self._largest_beside(-working)
         needed = np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
-        ended, ratio, weight = self._presses.update(load, opposite, around, needed)
+        presses = self._presses
+        presses.look(load, opposite, needed)
         explained = np.isin(self.faults, UNRELATED) | (self.faults == Fault.SWAPPED)
+        suspects = np.flatnonzero(presses.low & readable & ~explained)
+        if suspects.size:
+            lowest = self._least_reading(suspects, load - presses.rest, healthy & ~presses.low)
+            clear = np.maximum(CLEAR_SIGMAS * sigma, CLEAR * self.full_scale)[suspects]
+            presses.compare(load, suspects, lowest, clear)
+        ended, like, part = presses.end(load, opposite, needed)
         judged = ended & readable & ~explained
-        dead = judged & (ratio < DEAD_RATIO)
-        weak = judged & ~dead & (ratio < WEAK_RATIO) & self._calibrated
-        self._score(Fault.DEAD, dead * weight, (judged & (ratio >= DEAD_RATIO)) * weight)
-        self._score(Fault.WEAK, weak * weight, (judged & (ratio >= WEAK_RATIO)) * weight)
+        dead = judged & (part < DEAD_RATIO)
+        weak = judged & ~dead & (part < WEAK_RATIO) & self._calibrated
+        well = judged & (like >= WEAK_RATIO)
+        self._score(Fault.DEAD, dead, well | (judged & (part >= DEAD_RATIO) & np.isfinite(part)))
+        self._score(Fault.WEAK, weak, well)
 
     @property
     def _contrast(self) -> float:
@@ -183,30 +198,35 @@ class _Presses:
     """Presses on each taxel's neighbours, and its own best response to each."""
 
     def __init__(self, taxels: int) -> None:
-        self._rest = np.zeros((2, taxels), np.float32)  # a taxel's load, and its neighbours', before the press
-        self._ratio = np.full(taxels, -np.inf, np.float32)
-        self._weight = np.zeros(taxels, np.float32)  # 0: no press is under way
+        self.rest = np.zeros(taxels, np.float32)  # a taxel's load before the press
+        self.low = np.zeros(taxels, bool)  # it feels less than WEAK_RATIO of the press now
+        self._rest_beside = np.zeros(taxels, np.float32)
+        self._like = np.full(taxels, -np.inf, np.float32)  # best response over its neighbours'; -inf: no press
+        self._part = np.full(taxels, np.inf, np.float32)  # over the least that it may be; inf: never known
 
-    def update(
-        self, load: Floats, opposite: Floats, around: Floats, needed: Floats
-    ) -> tuple[Mask, Floats, Floats]:
-        """Take the loads (N,) on a taxel, on the less loaded of two opposite neighbours and of all neighbours.
-
-        Gives the taxels (N,) on whose neighbours a press has ended, their response over the neighbours', and the
-        weight of the press; a press loads both of them by `needed` (N,).
-        """
-        response, pressed = load - self._rest[0], opposite - self._rest[1]
+    def look(self, load: Floats, opposite: Floats, needed: Floats) -> None:
+        """Take the loads (N,) on a taxel and on the less loaded of two opposite neighbours, `needed` for one."""
+        pressed = opposite - self._rest_beside
         on = pressed > needed
-        np.maximum(
-            self._ratio, np.divide(response, pressed, out=np.full_like(load, -np.inf), where=on), out=self._ratio
-        )
-        np.maximum(self._weight, np.where(on, np.where(around > needed, SURROUNDED, 1), 0), out=self._weight)
+        like = np.divide(load - self.rest, pressed, out=np.full_like(load, -np.inf), where=on)
+        np.maximum(self._like, like, out=self._like)
+        self.low = on & (like < WEAK_RATIO)
+
+    def compare(self, load: Floats, taxels: NDArray[np.intp], lowest: Floats, clear: Floats) -> None:
+        """Compare the loads of `taxels` with the least that they may be, where that is over `clear`."""
+        certain = lowest > clear
+        at = taxels[certain]
+        part = (load - self.rest)[at] / lowest[certain]
+        self._part[at] = np.where(np.isfinite(self._part[at]), np.maximum(self._part[at], part), part)
+
+    def end(self, load: Floats, opposite: Floats, needed: Floats) -> tuple[Mask, Floats, Floats]:
+        """The taxels (N,) on whose neighbours a press has ended, and their best response over both measures."""
         released = opposite < needed / 2
-        ended = released & (self._weight > 0)
-        ratio, weight = self._ratio.copy(), self._weight.copy()
-        self._ratio[released], self._weight[released] = -np.inf, 0
-        self._rest[0][released], self._rest[1][released] = load[released], np.maximum(opposite[released], 0)
-        return ended, ratio, weight
+        ended = released & (self._like > -np.inf)
+        like, part = self._like.copy(), self._part.copy()
+        self._like[released], self._part[released] = -np.inf, np.inf
+        self.rest[released], self._rest_beside[released] = load[released], np.maximum(opposite[released], 0)
+        return ended, like, part
 
 
 def neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

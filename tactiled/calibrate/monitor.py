@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.creep import Creep, CreepMeter
 from tactiled.calibrate.drift import DriftTracker, reach_mm
 from tactiled.calibrate.health import LOADED, LOADED_SIGMAS, UNRELATED, Change, Fault, TaxelHealth
+from tactiled.calibrate.least_reading import LeastReading, Start
 from tactiled.calibrate.map_monitor import MapMonitor
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import matrix
@@ -35,9 +37,15 @@ class SkinMonitor:
     """Looks after the taxels of one array, and corrects its calibrator: zeros that drift, taxels that fail."""
 
     def __init__(
-        self, array: Array, kernel: Kernel, calibration: Calibration, ends: tuple[float, float], full_scale: int
+        self,
+        array: Array,
+        kernel: Kernel,
+        calibration: Calibration,
+        ends: tuple[float, float],
+        full_scale: int,
+        start: Start = call,
     ) -> None:
-        """`ends` and `full_scale` are the codec's."""
+        """`ends` and `full_scale` are the codec's; `start` runs what takes longer than a frame."""
         gain = calibration.kpa_per_count
         empty, top = ends if gain > 0 else ends[::-1]
         ceiling = top if calibration.saturation is None else calibration.saturation
@@ -46,8 +54,9 @@ class SkinMonitor:
         self._per_count = abs(gain)
         self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
         self._configured_noise = np.nan if calibration.noise_counts is None else calibration.noise_counts
+        least_reading, calibrated = LeastReading(kernel, array, start), calibration.curves is not None
         self._health = TaxelHealth(
-            array, joined(kernel, array), (empty, ceiling), scale, calibration.curves is not None
+            array, joined(kernel, array), (empty, ceiling), scale, least_reading, calibrated
         )
         self.map = MapMonitor(array)
         self._drift: DriftTracker | None = None

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.health import DEAD_RATIO, NOISY_RATIO, neighbours
+from tactiled.calibrate.health import NOISY_RATIO, neighbours
 from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.plateaus import noise as taxel_noise
 from tactiled.calibrate.presses import MIN_PEAK, Press, find_presses
@@ -20,6 +20,7 @@ from tactiled.units import number_text
 Floats = NDArray[np.float64]
 
 UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of gains that nobody calibrated
+SILENT = 0.1  # of what two opposite neighbours feel
 CLEARLY_PRESSED = 0.2  # of a press's peak: what lies between two taxels that feel more is pressed, too
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 
@@ -76,7 +77,7 @@ def without_dead(presses: list[Press], array: Array) -> tuple[list[Press], list[
             threshold = np.maximum(CLEARLY_PRESSED * mean.max(), MIN_PEAK * press.error)
             clear = np.isfinite(press.mean) & (opposite > threshold)
             pressed |= clear
-            silent &= ~clear | (mean[:-1] < DEAD_RATIO * opposite)
+            silent &= ~clear | (mean[:-1] < SILENT * opposite)
     dead = pressed & silent
     rest = [replace(each, mean=np.where(dead, np.nan, each.mean)) for each in presses]
     return rest, np.flatnonzero(dead).tolist()

@@ -48,7 +48,7 @@ class Pipeline:
         size = plan.array.size
         self.calibrator = Calibrator(plan.calibration, size)
         codec = plan.codec
-        self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale)
+        self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale, start)
         self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
         self._tare_frames = TareFrames()
         self.zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))  # of the unloaded array

@@ -7,16 +7,31 @@ from tactiled.calibrate.health import Fault
 from tactiled.calibrate.monitor import SkinMonitor, joined
 from tactiled.frames import Loss, RawFrame
 from tests.plans import plan
-from tests.study.health import FAULTY, FULL_SCALE, NO_LOAD, RATE_HZ, SHAPE, Run, discs, false_positives, play
+from tests.study.health import (
+    FAULTY,
+    FULL_SCALE,
+    NO_LOAD,
+    RATE_HZ,
+    SHAPE,
+    Run,
+    discs,
+    false_alarms,
+    false_positives,
+    grasps,
+    play,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("fault", "within_s"),
-    [(Fault.STUCK, 8), (Fault.NOISY, 25), (Fault.SATURATED, 45), (Fault.DEAD, 20), (Fault.WEAK, 35)],
-)
-def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, within_s):
+    ("fault", "thickness", "within_s"),
+    [
+        (Fault.STUCK, 1.0, 8), (Fault.NOISY, 1.0, 25), (Fault.SATURATED, 1.0, 45), (Fault.DEAD, 0.5, 20),
+        (Fault.DEAD, 1.0, 20), (Fault.WEAK, 2.0, 35),
+    ],
+)  # fmt: skip
+def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, thickness, within_s):
     random = np.random.default_rng(fault)
-    run = Run(plan(SHAPE, 1.0), np.ones(100))
+    run = Run(plan(SHAPE, thickness), np.ones(100))
     assert play(run, random, 30) == []
     ((frame, change),) = play(run, random, 60, fault)
     assert (change.taxel, change.before, change.after) == (FAULTY, Fault.HEALTHY, fault)
@@ -35,6 +50,14 @@ def test_healthy_arrays_have_no_false_alarm_in_forty_million_taxel_frames():
     counts = [each[1:] for each in false_positives(tours=1, seconds=30.0, seed=77, gains_measured=(True,))]
     assert sum(frames for frames, _ in counts) > 4e7
     assert sum(changes for _, changes in counts) == 0
+
+
+@pytest.mark.parametrize("thickness", [0.5, 1.0])
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_the_same_object_with_gaps_at_the_same_place_again_is_no_fault(thickness, calibrated):
+    for scenario in grasps((thickness,), seconds=40.0, side=16):
+        name, _, changes = false_alarms(scenario, 7, calibrated, side=16)
+        assert (name, changes) == (name, 0)
 
 
 @pytest.mark.parametrize("no_load", [1e6, -500])

@@ -1,8 +1,10 @@
 """How often healthy taxels are found faulty, and after how many frames faulty ones are."""
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cache
 from importlib.resources import files
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +27,7 @@ from tests.plans import plan
 
 RATE_HZ = 100.0
 NO_LOAD, FULL_SCALE, KPA_PER_COUNT = 100, 4095, 0.05  # counts, counts, kPa
+SLOW_HZ = 16.0  # a block a second: all that is looked at
 STRIDE = 5  # frames of the tour that are computed; those between are interpolated
 SIDE = 32
 SHAPE = 10, 10  # where discs are pressed
@@ -41,12 +44,14 @@ class Scenario(NamedTuple):
     thickness: float  # pitches
     noise: float  # counts
     frames: Iterator[np.ndarray]  # counts without noise, not rounded
+    rate_hz: float = RATE_HZ
 
 
 class Run:
     """A monitor and its calibrator, fed with frames of counts."""
 
     def __init__(self, skin, gain=None, rate_hz=RATE_HZ, **calibration):
+        self.skin = skin
         curves = None if gain is None else linear(KPA_PER_COUNT / gain)
         self.calibration = Calibration(KPA_PER_COUNT, NO_LOAD, curves=curves, **calibration)
         self.calibrator = Calibrator(self.calibration, skin.array.size)
@@ -113,17 +118,61 @@ def scenarios(tours, seconds):
         yield Scenario(f"foot, saturated, t/pitch {thickness:g}", thickness, 2.0, heavy)
 
 
+def objects(surface):
+    """Pressure (kPa) of objects with gaps, by name: all loads that a taxel may well not feel."""
+    x, y = (
+        surface.x - surface.grain / 2,
+        surface.y - surface.grain / 2,
+    )  # on a taxel of an even array's middle four
+    within = lambda mm: 100 * np.clip(mm / surface.grain + 0.5, 0, 1)  # noqa: E731
+    off = lambda along, period: np.abs((along + period / 2) % period - period / 2)  # noqa: E731
+    round_pad = 6 - np.hypot(x, y)
+    return {
+        "pins, 2 pitches apart": within(np.minimum(0.35 - np.hypot(off(x - 0.5, 2), off(y - 0.5, 2)), round_pad)),
+        "hole of 1.4 pitches": within(np.minimum(5 - np.hypot(x, y), np.hypot(x - 0.5, y - 0.5) - 0.7)),
+        "ring": within(np.minimum(4 - np.hypot(x, y), np.hypot(x, y) - 1.5)),
+        "ridges": within(np.minimum(0.4 - off(x - 0.5, 2), round_pad)),
+        "texture": within(round_pad) * np.clip(np.cos(2.8 * x) * np.cos(2.6 * y), 0, 1),
+    }
+
+
+def grasps(thicknesses=(0.5, 1.0), seconds=60.0, side=24):
+    """The same object at the same place, for 3 s of every 5; sliding ridges move by 0.4 pitch meanwhile."""
+    for thickness in thicknesses:
+        skin = plan((side, side), thickness)
+        surface = Surface(skin.kernel, skin.array)
+        felt = {name: [surface.sense(each)] for name, each in objects(surface).items()}
+        slid = copy(surface)
+        for _ in range(4):
+            slid.x = slid.x - 0.1
+            felt.setdefault("sliding ridges", []).append(surface.sense(objects(slid)["ridges"]))
+        for name, images in felt.items():
+            times = np.arange(seconds * SLOW_HZ) / SLOW_HZ % 5
+            frames = (
+                images[int(t / 3 * len(images)) % len(images)].astype(np.float32) * ((t < 3) / KPA_PER_COUNT)
+                for t in times
+            )
+            noise = 0.01 * images[0].max() / KPA_PER_COUNT
+            yield Scenario(f"{name}, t/pitch {thickness:g}", thickness, noise, frames, SLOW_HZ)
+
+
 def false_positives(tours=4, seconds=60.0, seed=1, gains_measured=(False, True)):
     """(scenario, taxel-frames, false positives) of healthy arrays: gains spread by 20 %, unknown or measured."""
     both = ((calibrated, each) for calibrated in gains_measured for each in scenarios(tours, seconds))
     for number, (calibrated, scenario) in enumerate(both):
-        random = np.random.default_rng([seed, number])
-        gain = np.clip(random.normal(1, 0.2, SIDE**2), 0.5, 1.5).astype(np.float32)
-        run, false_positives = Run(plan((SIDE, SIDE), scenario.thickness), gain if calibrated else None), 0
-        for pressed in scenario.frames:
-            noise = random.standard_normal(SIDE**2, np.float32) * np.float32(scenario.noise)
-            false_positives += len(run.push(NO_LOAD + gain * pressed + noise))
-        yield scenario.name + ", gains measured" * calibrated, run.frames * SIDE**2, false_positives
+        yield false_alarms(scenario, [seed, number], calibrated)
+
+
+def false_alarms(scenario, seed, calibrated, side=SIDE):
+    """(scenario, taxel-frames, false positives) of one healthy array whose gains spread by 20 %."""
+    random, n = np.random.default_rng(seed), side**2
+    gain = np.clip(random.normal(1, 0.2, n), 0.5, 1.5).astype(np.float32)
+    run = Run(plan((side, side), scenario.thickness), gain if calibrated else None, scenario.rate_hz)
+    false_positives = 0
+    for pressed in scenario.frames:
+        noise = random.standard_normal(n, np.float32) * np.float32(scenario.noise)
+        false_positives += len(run.push(NO_LOAD + gain * pressed + noise))
+    return scenario.name + ", gains measured" * calibrated, run.frames * n, false_positives
 
 
 def spoil(fault, counts, random):
@@ -141,9 +190,9 @@ def spoil(fault, counts, random):
             return NO_LOAD + 0.3 * (counts - NO_LOAD)
 
 
-def discs(random, taxel=None):
+def discs(random, taxel=None, skin=None):
     """Presses of a disc (N,), counts over no load: on a taxel, or anywhere."""
-    skin = plan(SHAPE, 1.0)
+    skin = skin or plan(SHAPE, 1.0)
     x, y = skin.array.positions.T
     while True:
         at = random.uniform(2, 7, 2) if taxel is None else skin.array.positions[taxel] + random.uniform(-1, 1, 2)
@@ -153,7 +202,7 @@ def discs(random, taxel=None):
 
 def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
     """Press discs for so long with a fault on a taxel; gives the changes, each with its frame from the start."""
-    presses, changes, began = discs(random, taxel), [], run.frames
+    presses, changes, began = discs(random, taxel, run.skin), [], run.frames
     for n in range(int(seconds * RATE_HZ)):
         if n % int(2 * PRESS_S * RATE_HZ) == 0:
             pressed = next(presses)
@@ -165,15 +214,16 @@ def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
     return changes
 
 
-def detection(seeds=range(5)):
-    """(fault, s until it was found in each trial, s until it had healed) of a taxel on which discs are pressed."""
-    for fault in (each for each in Fault if each != Fault.HEALTHY):
+def detection(thicknesses=(0.5, 1.0, 2.0), seeds=range(5)):
+    """(fault, t/pitch, s until found in each trial, s until healed) under presses of discs; NaN: not in 60 s."""
+    for fault, thickness in product((each for each in Fault if each not in (0, Fault.SWAPPED)), thicknesses):
         seconds = []
         for seed in seeds:
-            random, run = np.random.default_rng([seed, fault]), Run(plan(SHAPE, 1.0), np.ones(100))
+            random, run = np.random.default_rng([seed, fault]), Run(plan(SHAPE, thickness), np.ones(100))
             assert not play(run, random, 30)
-            seconds.append([play(run, random, 60, each)[0][0] / RATE_HZ for each in (fault, None)])
-        yield fault, *np.transpose(seconds)
+            changes = [play(run, random, 60, each) for each in (fault, None)]
+            seconds.append([each[0][0] / RATE_HZ if each else np.nan for each in changes])
+        yield fault, thickness, *np.transpose(seconds)
 
 
 def recorded():
@@ -200,13 +250,24 @@ def recorded():
 def health(tours: int = 4, seconds: float = 60.0, seed: int = 1) -> None:
     """False alarms on healthy 32 x 32 arrays at 100 Hz, seconds until a fault is found, the recorded grasps."""
     rows, total, wrong = [], 0, 0
-    for name, taxel_frames, count in false_positives(tours, seconds, seed):
+    again = (
+        false_alarms(each, seed, measured, 24) for measured in (False, True) for each in grasps(seconds=seconds)
+    )
+    for name, taxel_frames, count in chain(false_positives(tours, seconds, seed), again):
         rows.append((name, f"{taxel_frames / 1e6:.1f}", str(count)))
         total, wrong = total + taxel_frames, wrong + count
     print_table("Healthy arrays", ("scene", "taxel-frames, 10^6", "false alarms"), rows)
     print(f"{wrong} false alarms in {total / 1e6:.0f} x 10^6 taxel-frames, seed {seed}")
-    times = [(fault.name.lower(), f"{a.max():.1f}", f"{b.max():.1f}") for fault, a, b in detection()]
-    print_table("Presses of 3 s every 6 s", ("fault", "found after at most, s", "healed after at most, s"), times)
+    times = [
+        (
+            fault.name.lower(),
+            f"{thickness:g}",
+            *(f"{each.max():.1f}" if np.isfinite(each).all() else "–" for each in both),
+        )
+        for fault, thickness, *both in detection()
+    ]
+    headings = ("fault", "t/pitch", "found after at most, s", "healed after at most, s")
+    print_table("Presses of 3 s every 6 s", headings, times)
     grasps = [
         tuple(str(np.round(each, 1)) if not isinstance(each, str) else each for each in row) for row in recorded()
     ]
