@@ -4,12 +4,14 @@ import json
 import time
 from collections import Counter
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from tactiled.bus.reader import open_bus
+from tactiled.bus.recording import Recording
 from tactiled.bus.skins import load
 from tactiled.bus.sniff import Sender, Survey, survey
 from tactiled.cli import options
@@ -55,6 +57,9 @@ pitch_mm = {pitch_mm}
 
 
 def sniff(
+    file: Annotated[
+        Path | None, typer.Argument(help="Recording to look into instead of a bus.", show_default=False)
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(help="Listen to a bus of this file, which need not have a sensor.")
     ] = None,
@@ -75,16 +80,22 @@ def sniff(
         Path | None, typer.Option(help="Configuration to write for what was found; never overwritten.")
     ] = None,
 ) -> None:
-    """Listen to a bus and list the known skins on it; sends nothing."""
+    """List the known skins on a bus, or in a recording; sends nothing."""
     if write is not None and write.exists():
         raise ConfigError(f"{write} is there already: name another file, or remove it first")
     keys = options.present(interface=interface, channel=channel, bitrate=bitrate, fd=fd or None)
     settings = options.bus_settings(load_buses(config) if config else None, bus, keys)
     if config is None and interface in (None, "socketcan"):
         settings = {"interface": "socketcan", "channel": "can0"} | settings | {"fd": True}
-    messages, _ = listen(settings, seconds)
+    if file is None:
+        messages, _ = listen(settings, seconds)
+        count = f"{len(messages)} messages in {seconds:g} s"
+    elif config is not None or keys:
+        raise ConfigError(f"{file}: leave out --config, --interface and the options beside it: no bus is opened")
+    else:
+        messages, count = recorded(file)
     result = survey(messages)
-    typer.echo("\n".join(report(result, len(messages), seconds)))
+    typer.echo("\n".join(report(result, count)))
     if write is not None:
         options.write_configuration(write, configuration(result, settings))
 
@@ -99,9 +110,19 @@ def listen(settings: dict[str, Any], seconds: float) -> tuple[list[Message], dic
     return messages, {kind: count for kind, count in reader.kinds.items() if count}
 
 
-def report(result: Survey, count: int, seconds: float) -> list[str]:
-    """What to tell a person, line by line."""
-    lines = [f"{count} messages in {seconds:g} s", *survey_lines(result)]
+def recorded(file: Path) -> tuple[list[Message], str]:
+    """The first messages of a recording, and what else it has; ConfigError where two buses are mixed in it."""
+    recording = Recording(file)
+    messages = list(islice(recording, MAX_MESSAGES))
+    ids = frozenset((each.id, each.extended) for each in messages)
+    for _ in islice(Recording(file, ids), MAX_MESSAGES):
+        pass
+    return messages, f"{recording.summary()} in {recording.pace.now:.3g} s"
+
+
+def report(result: Survey, count: str) -> list[str]:
+    """What to tell a person, line by line; `count` is what came."""
+    lines = [count, *survey_lines(result)]
     if not result.senders:
         lines.insert(
             1, "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"

@@ -20,7 +20,7 @@ record   Record all messages of a bus to a file, also of other devices, and erro
 restore  Restore the frames of .npy files, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
 serve    Serve the sensors that `run --publish` publishes on a Zenoh network; reads no bus.
-sniff    Listen to a bus and list the known skins on it; sends nothing.
+sniff    List the known skins on a bus, or in a recording; sends nothing.
 top      Show rates, ages, losses, warnings and processor time of a running service.
 """
 CALIBRATE_VERBS = """\

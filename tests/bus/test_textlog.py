@@ -1,6 +1,8 @@
 """Logs as people have them: every message is read as it was meant, and what is not a message is counted."""
 
+import gzip
 import sqlite3
+import struct
 
 import can
 import pytest
@@ -119,6 +121,36 @@ def test_numbers_of_a_decimal_asc_are_decimal(tmp_path):
 def test_a_file_of_another_tool_is_named_in_one_line(tmp_path, name, content, reason):
     with pytest.raises(ConfigError, match=reason):
         after(tmp_path / name, content)
+
+
+@pytest.mark.parametrize("name", ["a.v1.2.log", "a.v1.log.gz", "A.B.LOG.GZ"])
+def test_a_name_may_have_dots(tmp_path, name):
+    content = gzip.compress(TWO.encode()) if name.lower().endswith(".gz") else TWO
+    assert len(after(tmp_path / name, content)[1]) == 2
+
+
+def test_channels_are_those_of_the_file(tmp_path):
+    rows = "".join(f" {n}) {n}.0 {n} Rx 0500 - 1 0{n}\n" for n in (1, 2))
+    (tmp_path / "a.trc").write_text(";$FILEVERSION=1.3\n" + rows)
+    with can.Logger(tmp_path / "a.blf") as writer:
+        for channel in (0, 1):
+            writer(can.Message(1.6e9 + channel, 0x500, is_extended_id=False, data=b"1", channel=channel))
+    for name in ("a.trc", "a.blf"):
+        with pytest.raises(ConfigError, match="comes from channel 1 and from channel 2, and their"):
+            list(Recording(tmp_path / name, frozenset({(0x500, False)})))
+
+
+def test_times_of_vectors_and_peaks_tools_are_doubted_and_a_blf_without_an_end_is_refused(tmp_path):
+    path = tmp_path / "a.blf"
+    with can.Logger(path) as writer:
+        writer(MESSAGES[0])
+    content = bytearray(path.read_bytes())
+    content[8:12] = 2, 12, 0, 0  # CANoe
+    recording, _ = after(path, content)
+    assert recording.summary() == f"1 messages ({UNZONED})"
+    head = content[:144] + struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 64, 10, 0, 32)
+    with pytest.raises(ConfigError, match="an object has 0 bytes"):
+        after(path, head + struct.pack("<4sHHII", b"LOBJ", 32, 1, 0, 1) + bytes(16))
 
 
 def test_a_mistyped_database_is_not_made_and_one_without_messages_is_named(tmp_path):

@@ -67,14 +67,28 @@ def test_two_of_a_kind_have_names_of_their_own():
 
 def test_the_report_of_a_real_grasp():
     messages = list(recording.read(recording.path("book_1")))
-    lines = report(survey(messages), len(messages), 3.0)
+    lines = report(survey(messages), "150 messages in 3 s")
     assert lines[0] == "150 messages in 3 s"
     assert lines[1].startswith("iCub MTB, class 0x400, board 14, triangles 0, 1, 2, 3, 4: 50 taxels, 10 messages")
     assert lines[2].startswith("  thermal_pads: false where")
 
 
+def test_a_recording_is_looked_into_and_a_configuration_written(tmp_path):
+    path, written = tmp_path / "a.log", tmp_path / "a.toml"
+    path.write_bytes(recording.path("book_1").read_bytes() + b"(9.0) can0 20000004#0001\n")
+    lines = succeed("sniff", path, "--write", written).splitlines()
+    assert lines[0].startswith("150 messages (left out: 1 error frame) in ")
+    assert lines[1].startswith("iCub MTB, class 0x400, board 14, triangles 0, 1, 2, 3, 4: 50 taxels")
+    (sensor,) = load(written).sensor.values()
+    assert make_codec(sensor) == Icub(14, (0, 1, 2, 3, 4))
+    with path.open("a") as file:
+        file.write("(9.0) can1 4E0#00\n")
+    assert "id 0x4e0 comes from can0 and from can1, and their frames would mix: keep one" in refusal("sniff", path)
+    assert "no bus is opened" in refusal("sniff", path, "--interface", "slcan")
+
+
 def test_many_unknown_ids_are_cut_short():
-    lines = report(survey(Message(n / 10, n % 20, b"") for n in range(200)), 200, 3.0)
+    lines = report(survey(Message(n / 10, n % 20, b"") for n in range(200)), "200 messages in 3 s")
     assert lines[1].startswith("no known skin: some are silent until")
     assert len(lines) == 2 + 8 + 2
     assert lines[-2] == "and 12 unknown ids more"

@@ -92,4 +92,4 @@ def sniff():
             messages += [each._replace(time=sequence / 50 + n * 1e-4) for n, each in enumerate(encoded)]
         messages.append(Message(sequence / 50 + 0.01, 0x6A1, b"\x01"))
     messages.sort(key=lambda each: each.time)
-    return report(survey(messages), len(messages), 3.0)
+    return report(survey(messages), f"{len(messages)} messages in 3 s")
