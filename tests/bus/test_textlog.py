@@ -146,11 +146,11 @@ def test_times_of_vectors_and_peaks_tools_are_doubted_and_a_blf_without_an_end_i
         writer(MESSAGES[0])
     content = bytearray(path.read_bytes())
     content[8:12] = 2, 12, 0, 0  # CANoe
-    recording, _ = after(path, content)
+    recording, _ = after(path, bytes(content))
     assert recording.summary() == f"1 messages ({UNZONED})"
     head = content[:144] + struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 64, 10, 0, 32)
     with pytest.raises(ConfigError, match="an object has 0 bytes"):
-        after(path, head + struct.pack("<4sHHII", b"LOBJ", 32, 1, 0, 1) + bytes(16))
+        after(path, bytes(head) + struct.pack("<4sHHII", b"LOBJ", 32, 1, 0, 1) + bytes(16))
 
 
 def test_a_mistyped_database_is_not_made_and_one_without_messages_is_named(tmp_path):
