@@ -157,12 +157,22 @@ def _recognised(start: bytes, kind: str) -> None:
             raise FormatError(f"it is {name}" + (f": name it with {endings[0]}" if endings else ""))
 
 
+def _kind(path: Path) -> tuple[str, bool]:
+    """A recording's format by its name, and whether it is packed."""
+    suffixes = [each.lower() for each in path.suffixes]
+    packed = suffixes[-1:] == [".gz"]
+    return "".join(suffixes[-2:-1] if packed else suffixes[-1:]), packed
+
+
+def is_streamed(path: Path) -> bool:
+    """Whether a recording is read from one end to the other, in a bounded memory."""
+    return _kind(path)[0] in (*TEXT_READERS, ".blf")
+
+
 @contextmanager
 def open_log(path: Path, remarks: Remarks) -> Iterator[Iterable[Logged]]:
     """Open a recording in any format that python-can reads; errors are its own, those above, and OSError."""
-    suffixes = [each.lower() for each in path.suffixes]
-    packed = suffixes[-1:] == [".gz"]
-    kind = "".join(suffixes[-2:-1] if packed else suffixes[-1:])
+    kind, packed = _kind(path)
     with path.open("rb") as file, gzip.GzipFile(fileobj=file) if packed else nullcontext(file) as source:
         buffered = cast(Blocks, source)
         _recognised(buffered.peek(PEEKED_BYTES)[:PEEKED_BYTES], kind)

@@ -2,15 +2,18 @@
 
 import struct
 import time
-from collections.abc import Callable, Iterator
-from itertools import pairwise
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import islice, pairwise
 from pathlib import Path
 from threading import Event
 
+from tactiled.bus.bounded_process import BoundedProcess, Bounds, Exceeded
 from tactiled.bus.canbus import CanMessage
 from tactiled.bus.codec import Key
-from tactiled.bus.logfile import open_log
-from tactiled.bus.textlog import ERROR_FRAME, MAX_CLASSIC_BYTES, REMOTE_FRAME, FormatError, Remarks
+from tactiled.bus.logfile import is_streamed, open_log
+from tactiled.bus.textlog import ERROR_FRAME, MAX_CLASSIC_BYTES, REMOTE_FRAME, FormatError, Logged, Remarks
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
 
@@ -18,6 +21,9 @@ MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's
 MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or nobody waits for its end
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
 END_CUT = "its end is cut off"
+MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 64  # of a file, packed as tightly as can be: more come of a loop
+CPU_S, BYTES_PER_CPU_S = 5.0, 10e6  # without a message; what the slowest format and machine read in a second
+MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # the latter where a library has the whole file in memory
 SHIPPED = Path(__file__).parents[1] / "recordings"
 
 
@@ -65,13 +71,13 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
     """Every data frame of a recording, as timed there; ConfigError where the file cannot be read or meant.
 
     Nor is one meant where a message of `ids`, which sensors listen to, comes from two channels: frames would mix.
-    What else the file has is added to `remarks`.
+    What else the file has is added to `remarks`. A `Recording` does this in a process with bounds.
     """
     count, channels = 0, dict[Key, str]()
     remarks = remarks or Remarks()
     try:
         with open_log(path, remarks) as log:
-            for each in log:
+            for each in _bounded(log, MAX_MESSAGES + MAX_MESSAGES_PER_BYTE * path.stat().st_size):
                 stamp = each[1].time if isinstance(each, tuple) else each.timestamp
                 if not 0 <= stamp < MAX_TIME_S:
                     raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
@@ -92,12 +98,20 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
     except OSError as error:
         raise ConfigError(f"recording {path}: {error.strerror or error}: give the path of a recording") from error
     except MemoryError as error:
-        raise TactileError(f"recording {path}: this machine's memory is full, after {count} messages") from error
+        raise TactileError(f"recording {path}: it needs too much memory, after {count} messages") from error
     except Exception as error:  # readers raise what they like, AssertionError and struct.error included
         reason = " ".join(str(error).split()) or type(error).__name__
         where = f"message {count + 1}: " if count else ""
         advice = "" if isinstance(error, FormatError) else ": give a recording in a format that python-can reads"
         raise ConfigError(f"recording {path}: {where}{reason}{advice}") from error
+
+
+def _bounded(log: Iterable[Logged], max_count: int) -> Iterator[Logged]:
+    """What a log has; ValueError where it is more."""
+    items = iter(log)
+    yield from islice(items, max_count)
+    if next(items, None) is not None:
+        raise ValueError(f"more than {max_count} messages cannot be in so small a file")
 
 
 def _mixed(path: Path, key: Key, first: str, second: str) -> str:
@@ -118,12 +132,38 @@ def _data_frame(message: CanMessage) -> tuple[str, Message]:
     return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, fd)
 
 
+def _rows(path: Path, ids: frozenset[Key]) -> Iterator[tuple[object, ...]]:
+    """The fields of every message, and behind them, also before an error, those of the remarks."""
+    remarks = Remarks()
+    try:
+        yield from map(tuple, read(path, ids, remarks))
+    except Exception:
+        yield dict(remarks.left_out), remarks.caveats
+        raise
+    yield dict(remarks.left_out), remarks.caveats
+
+
+_as_message: Callable[[object], Message] = partial(tuple.__new__, Message)  # half as long as Message._make
+
+
+def _bounds(path: Path) -> Bounds:
+    """What reading a file may take."""
+    size = path.stat().st_size if path.is_file() else 0
+    memory_mb = MEMORY_MB if is_streamed(path) else MEMORY_MB + MEMORY_PER_BYTE * size / 1e6
+    return Bounds(CPU_S + size / BYTES_PER_CPU_S, memory_mb)
+
+
 class Recording:
-    """The data frames of a recording, once through; an end that a crash cut off is left out and reported."""
+    """The data frames of a recording, once through; an end that a crash cut off is left out and reported.
+
+    A process with bounds reads it: whatever the file has, it comes to an end. Any thread may `cancel`.
+    """
 
     def __init__(self, path: Path, ids: frozenset[Key] = frozenset()) -> None:
         """`ids` are those that sensors listen to."""
-        self.path, self._ids = path, ids
+        self.path = path
+        self._process = BoundedProcess(_bounds(path), _rows, path, ids)
+        self.cancel = self._process.cancel
         self.count = 0  # messages so far
         self.torn = False  # whether the end turned out to be cut off
         self.remarks = Remarks()  # what else it has so far
@@ -131,9 +171,13 @@ class Recording:
         self.step: str | None = None  # a description of a step of the clock right before it
 
     def __iter__(self) -> Iterator[Message]:
-        """Every whole message; ConfigError where the recording cannot be read or meant."""
+        """Every whole message; ConfigError where the recording cannot be read or meant, or was cancelled."""
         try:
-            for message in read(self.path, self._ids, self.remarks):
+            for row in self._process:
+                if len(row) < len(Message._fields):
+                    self.remarks = Remarks(Counter(row[0]), row[1])
+                    continue
+                message = _as_message(row)
                 self.count += 1
                 self.step = self.pace.go(message.time)
                 yield message
@@ -141,6 +185,8 @@ class Recording:
             if not isinstance(error.__cause__, EOFError | struct.error):
                 raise
             self.torn = True
+        except Exceeded as error:
+            raise ConfigError(f"recording {self.path}: after {self.count} messages {error}") from error
 
     def summary(self) -> str:
         """One phrase of what was read, and of what was not."""

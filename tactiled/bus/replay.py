@@ -89,6 +89,7 @@ class Replay:
     def stop(self) -> None:
         """Stop playing."""
         self._stop.set()
+        self._recording.cancel()
         join_started(self._thread)
 
     def _run(self) -> None:
@@ -99,7 +100,8 @@ class Replay:
                 self._take(name, frame)
             self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}", False)
         except TactileError as error:
-            self._ended(str(error), True)
+            if not self._stop.is_set():
+                self._ended(str(error), True)
         except Exception as error:  # our own fault, or a codec's: no reason to go silent
             name, count = self._recording.path.name, self._recording.count
             LOG.exception("replay of %s failed", name)

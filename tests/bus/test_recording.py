@@ -6,6 +6,7 @@ import tracemalloc
 import zlib
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import repeat
 from threading import Event
 
 import can
@@ -146,10 +147,12 @@ def test_a_candump_log_is_read_as_python_can_reads_it(tmp_path, end):
 def refused(path, reason):
     """A recording is refused in one line with this reason, not as torn, and takes little memory."""
     messages = Recording(path)
+    with pytest.raises(ConfigError, match=reason):
+        list(messages)
     tracemalloc.start()
     try:
         with pytest.raises(ConfigError, match=reason) as caught:
-            list(messages)
+            list(recording.read(path))
         assert tracemalloc.get_traced_memory()[1] < 8 * MAX_BLOCK_BYTES
     finally:
         tracemalloc.stop()
@@ -219,6 +222,7 @@ ENDLESS = struct.pack("<4sHHII", b"LOBJ", 32, 1, 0xF0000000, 1) + bytes(MAX_BLOC
         (lambda: begun(3, 10), r"a block of -13 bytes"),
         (lambda: begun(20, 10) + bytes(100), "a container has 4 bytes"),
         (lambda: container(b"", 77) + bytes(100), "a container is packed by the unknown method 77"),
+        (lambda: container(begun(0, 77) + bytes(32)), "an object has 0 bytes"),  # python-can reads it for ever
         (lambda: bytes(100), "no object where one must begin"),
     ],
 )
@@ -266,13 +270,20 @@ def test_channels_of_other_formats_are_named_as_in_the_file(tmp_path):
         list(Recording(path, frozenset({(0x500, False)})))
 
 
-def test_full_memory_is_not_reported_as_a_torn_recording(tmp_path, monkeypatch):
+def test_full_memory_is_no_fault_of_the_recording(tmp_path, monkeypatch):
     def full():
         yield can.Message(1.6e9)
         raise MemoryError
 
     monkeypatch.setattr(recording, "open_log", lambda *_: nullcontext(full()))
-    messages = Recording(tmp_path / "a.log")
-    with pytest.raises(TactileError, match="this machine's memory is full, after 1 messages"):
-        list(messages)
-    assert not messages.torn
+    (tmp_path / "a.log").touch()
+    with pytest.raises(TactileError, match="it needs too much memory, after 1 messages") as caught:
+        list(recording.read(tmp_path / "a.log"))
+    assert not isinstance(caught.value, ConfigError)
+
+
+def test_more_messages_than_a_file_can_hold_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "a.log").write_bytes(bytes(10))
+    monkeypatch.setattr(recording, "open_log", lambda *_: nullcontext(repeat(can.Message(1.6e9))))
+    with pytest.raises(ConfigError, match="message 1641: more than 1640 messages cannot be in so small a file"):
+        list(recording.read(tmp_path / "a.log"))

@@ -3,12 +3,12 @@
 import os
 import re
 import stat
-from asyncio import to_thread
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from shutil import disk_usage
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
 
@@ -31,7 +31,9 @@ from tactiled.web.http.body import MAX_RECORDING_BYTES
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
+from tactiled.web.rest.uploads import DiskReserve, while_connected
 
+CHECKED_AT_ONCE = 2  # uploads; others wait
 FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
 FILE = success("the whole file", "file") | success(
     "the part of it that Range asks for; of several parts multipart/byteranges", "file", status=206
@@ -154,6 +156,8 @@ class Recordings:
         self._folder, self._buses, self._events, self._leave_mb = folder, buses, events, leave_mb
         self._runs: dict[str, _Run] = {}
         self._lock = Lock()
+        self._reserve = DiskReserve(folder, leave_mb)
+        self._checking = ThreadPoolExecutor(CHECKED_AT_ONCE, "check")
 
     def page(self, query: PageQuery) -> RecordingPage:
         """Recordings by name, a running one whatever became of its file; links and other files are none."""
@@ -189,22 +193,23 @@ class Recordings:
             self._events.add("recording_started", name, bus=bus)
             return self.recording(name)
 
-    async def add(self, name: str, chunks: AsyncIterator[bytes], size: int) -> Recording:
-        """Take a new one of at most `size` bytes; Problem where there is one, no place for it, or no recording."""
-        path = self._folder / name
+    async def add(self, name: str, request: Request) -> Recording:
+        """Take a new one; Problem where there is one, no room for it, or its content is no recording."""
+        path, size = self._folder / name, int(request.headers.get("content-length", MAX_RECORDING_BYTES))
         self._need_ended(name)  # without the lock, which others have while a bus is opened
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            if disk_usage(self._folder).free < self._leave_mb * 1e6 + size:
-                free = f"{self._leave_mb:g} MB of its disk (recordings_leave_mb)"
-                raise Problem(503, f"recording {name}: would leave less than {free} free")
-            if path.exists() or path.is_symlink():
-                raise FileExistsError
-            with atomic_write(path) as part:
-                with part.open("xb") as file:
-                    async for chunk in chunks:
-                        file.write(chunk)
-                await to_thread(_complete, part)
+            with self._reserve.reserved(f"recording {name}", size) as count:
+                if path.exists() or path.is_symlink():
+                    raise FileExistsError
+                with atomic_write(path) as part:
+                    with part.open("xb") as file:
+                        async for chunk in request.stream():
+                            file.write(chunk)
+                            count(len(chunk))
+                    recorded = Recorded(part)
+                    check = partial(_check, part, recorded)
+                    await while_connected(request, self._checking, check, recorded.cancel)
         except FileExistsError as error:
             raise Problem(409, f"recording {name}: is there already") from error
         except OSError as error:
@@ -239,6 +244,7 @@ class Recordings:
         with self._lock:
             for run in self._runs.values():
                 run.stop()
+        self._checking.shutdown()
 
     def _path(self, name: str) -> Path:
         path = self._folder / name
@@ -269,11 +275,11 @@ def _failing(what: str) -> Iterator[None]:
         raise Problem(503, f"{what}: {error.strerror}") from error
 
 
-def _complete(path: Path) -> None:
+def _check(path: Path, recorded: Recorded) -> None:
     """Have a file on the disk; ConfigError where it is no recording of data frames."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
-    if next(iter(Recorded(path)), None) is None:
+    if next(iter(recorded), None) is None:
         raise ConfigError(f"recording {path}: it holds no data frame")
 
 
@@ -320,8 +326,7 @@ def make(recordings: Recordings) -> APIRouter:
         """Add a recording, in the format that its name has; nothing is overwritten."""
         if "content-range" in request.headers:
             raise Problem(400, "Content-Range: send the whole file")
-        size = int(request.headers.get("content-length", MAX_RECORDING_BYTES))
-        return await recordings.add(name, request.stream(), size)
+        return await recordings.add(name, request)
 
     @router.delete("/{name}", status_code=204, responses=problems(404, 409, 503, *CONTROL))
     def delete(name: FileName) -> None:

@@ -17,7 +17,7 @@ from tactiled.runtime.events import Events
 from tactiled.runtime.service import Service
 from tactiled.web.http import body
 from tactiled.web.http.timeouts import BOUNDS, State
-from tactiled.web.rest import recordings
+from tactiled.web.rest import recordings, uploads
 from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, problem, until
 from tests.web.http.raw import bound
@@ -91,7 +91,7 @@ def folder(tmp_path):
 def free_mb(monkeypatch):
     """How much room the disk has."""
     free = [600]
-    for module in (recorder, recordings):
+    for module in (recorder, uploads):
         monkeypatch.setattr(module, "disk_usage", lambda _: SimpleNamespace(free=free[0] * 1e6))
     return free
 
