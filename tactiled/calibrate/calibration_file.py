@@ -23,7 +23,7 @@ from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write
 from tactiled.units import PRESSURE, Pressure
 
-FORMAT, VERSION = "tactiled calibration", 1
+FORMAT, VERSION = "tactiled calibration", 2
 ID_DIGITS = 12  # of the checksum
 FILES_KEPT = 10  # former ones
 MAX_BYTES = 8 << 20  # of a file: 16 384 taxels with 32 numbers each, of 16 characters
@@ -71,7 +71,8 @@ class CalibrationFile(Table):
     @property
     def _content(self) -> dict[str, Any]:
         content = {key: each for key, each in self.model_dump(mode="json").items() if each is not None}
-        return {"format": FORMAT, "version": VERSION, "created": self.created} | content
+        version = self.gain.version if self.gain else 1  # what release 0.4.2 can read stays as it was
+        return {"format": FORMAT, "version": version, "created": self.created} | content
 
     def replaced(self, **sections: Section) -> Self:
         """The same with these sections instead of its own; ConfigError where one does not fit the array."""

@@ -48,17 +48,22 @@ class CurveFit:
     residuals: Floats  # (M, N) fitted less known pressure, kPa
 
 
-def choose_form(points: Points, end: Floats, need: float = 0.0) -> tuple[Form, dict[Form, float]]:
+def choose_form(
+    points: Points, end: Floats, need: float = 0.0, bias: float = 0.0
+) -> tuple[Form, dict[Form, float]]:
     """The simplest form that cross-validation supports, and each form's rms error of left-out points.
 
-    These errors are over the largest pressure. A form must explain more than `need` of what a simpler one leaves.
+    These errors are over the largest pressure. A form must explain more than `need` of what a simpler one leaves,
+    and more than an error of `bias` that all forms share.
     """
     scores = _scores(points.counts / end[:, None], points)
     form: Form = "linear"
     for other in FORMS[1:]:
         if other in scores:
             better = scores[form] ** 2 - scores[other] ** 2
-            threshold = max(better.std(ddof=1) / np.sqrt(better.size), need * np.square(scores[form]).mean())
+            threshold = max(
+                better.std(ddof=1) / np.sqrt(better.size), need * np.square(scores[form]).mean(), bias**2
+            )
             if better.mean() > threshold:
                 form = other
     return form, {key: float(np.sqrt(np.mean(each**2))) for key, each in scores.items()}

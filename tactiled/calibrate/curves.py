@@ -33,6 +33,8 @@ class Curves:
     hysteresis: Floats  # (N,) % of full scale; NaN: unknown
     individual: NDArray[np.bool_]  # (N,) false: the taxel has the array's common curve, not its own
     knots: Floats = field(default_factory=lambda: np.empty(0))  # (P,), of a spline only
+    error_kpa: Floats | None = None  # (N,) rms in another rise or fall of the pressure; None or NaN: unknown
+    curvature: float | None = None  # relative standard error, common to all, of the mid-range gain; None: unknown
     _end: Floats = field(init=False, repr=False)  # (N,) counts at u = 1, negative where counts fall
     _pieces: Floats = field(init=False, repr=False)  # (4, N, K): polynomials of each piece, highest power first
 
@@ -41,6 +43,8 @@ class Curves:
         for name in ("parameters", "reach_counts", "deviation", "hysteresis", "knots"):
             object.__setattr__(self, name, np.array(getattr(self, name), np.float64))
         object.__setattr__(self, "individual", np.array(self.individual, bool))
+        if self.error_kpa is not None:
+            object.__setattr__(self, "error_kpa", np.array(self.error_kpa, np.float64))
         self._check_shapes()
         _require("parameters", np.isfinite(self.parameters).all(axis=1), self.parameters, "give numbers")
         low, high = self.reach_counts.T
@@ -48,6 +52,8 @@ class Curves:
         _require("reach_counts", valid, self.reach_counts, "give 0 and the range's other end, ascending")
         _require("deviation", ~(self.deviation < 0), self.deviation, "give a standard error of 0 or more")
         _require("hysteresis", ~(self.hysteresis < 0), self.hysteresis, "give % of full scale, 0 or more")
+        if self.error_kpa is not None:
+            _require("error_kpa", ~(self.error_kpa < 0), self.error_kpa, "give kPa, 0 or more")
         object.__setattr__(self, "_end", low + high)
         _require("parameters", self._monotone(), self.parameters, f"a {self.form} curve must rise with pressure")
         object.__setattr__(self, "_pieces", self._polynomials())
@@ -154,6 +160,7 @@ class Curves:
             "knots": (knots,),
         }
         shapes |= dict.fromkeys(("deviation", "hysteresis", "individual"), (size,))
+        shapes |= {} if self.error_kpa is None else {"error_kpa": (size,)}
         for name, shape in shapes.items():
             if (actual := getattr(self, name).shape) != shape or not size:
                 raise ConfigError(f"{name} has shape {actual}: a {self.form} curve of {size} taxels needs {shape}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,14 @@ from numpy.typing import NDArray
 from tactiled.calibrate.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import KNOTS, Curves, Form
 from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.gain_error import (
+    CREEP_SHARE,
+    MIN_NOTED,
+    creep_per_decade,
+    curvature_error,
+    left_out_error,
+    pattern_note,
+)
 from tactiled.calibrate.means import (
     DEAD_BELOW,
     Means,
@@ -21,6 +30,7 @@ from tactiled.calibrate.means import (
 from tactiled.calibrate.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.reference import Alignment, Reference, align, resampled
 from tactiled.errors import ConfigError
+from tactiled.geometry import Array
 from tactiled.units import number_text
 
 STEP_TOLERANCE = 0.07  # of the smallest step: a plateau's readings keep within
@@ -56,8 +66,13 @@ class GainFit:
 
 
 @unknown_taxels()
-def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> GainFit:
-    """Curves from pressures that the whole array bore one after another, the first of them 0."""
+def fit_steps(
+    series: FrameSeries, steps_kpa: Sequence[float], rails: Rails, array: Array | None = None
+) -> GainFit:
+    """Curves from pressures that the whole array bore one after another, the first of them 0.
+
+    With the array's geometry, a pattern of the gains across it is noted.
+    """
     steps = _checked(steps_kpa)
     signal = response(series)
     require_unsaturated(series, signal, rails)
@@ -73,29 +88,32 @@ def fit_steps(series: FrameSeries, steps_kpa: Sequence[float], rails: Rails) -> 
         cluster=np.arange(np.count_nonzero(loaded)),
         fold=np.unique(steps[loaded], return_inverse=True)[1],
     )
-    return _uniform(points, means, loaded)
+    return _uniform(points, means, loaded, array, creep_per_decade(series, holds))
 
 
 @unknown_taxels()
-def fit_pressure(series: FrameSeries, log: Reference, rails: Rails) -> GainFit:
-    """Curves from a log of the pressure that the whole array bore."""
+def fit_pressure(series: FrameSeries, log: Reference, rails: Rails, array: Array | None = None) -> GainFit:
+    """Curves from a log of the pressure that the whole array bore; `array` as of `fit_steps`."""
     check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))
     signal = response(series)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
     points, means, used = log_points(series, log, alignment, rails)
-    return _uniform(points, means, used, alignment)
+    return replace(_uniform(points, means, used, array), alignment=alignment)
 
 
-def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: Alignment | None = None) -> GainFit:
+def _uniform(
+    points: Points, means: Means, used: NDArray[np.bool_], array: Array | None, creep: float = 0.0
+) -> GainFit:
     """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
     require_response("the median taxel", means.over[used], means.noise[used])
     end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
     dead = ~(end >= DEAD_BELOW * np.median(end[end > 0])) | ~_follows(points)
     live = np.flatnonzero(~dead)
     alive = replace(points, counts=points.counts[:, live])
-    form, scores = choose_form(alive, end[live])
+    common = CREEP_SHARE * creep
+    form, scores = choose_form(alive, end[live], bias=common)
     fitted = fit(alive, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
 
@@ -109,11 +127,22 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
         form,
         spread_over(fitted.parameters, fitted.parameters.mean(axis=0)),
         means.sign * spread_over(end[live], end[live].mean()),
-        deviation=spread_over(np.sqrt(fitted.variance + offset**2), np.nan),
+        deviation=spread_over(np.sqrt(fitted.variance + offset**2 + common**2), np.nan),
         hysteresis=spread_over(hysteresis(fitted, alive), np.nan),
         individual=~dead,
     )
     gains = curves.gain[live]
+    curvature = hypot(curvature_error(alive, fitted.residuals), common)
+    curves = replace(
+        curves,
+        error_kpa=spread_over(left_out_error(alive, end[live], fitted), np.nan),
+        curvature=None if np.isnan(curvature) else curvature,
+    )
+    notes = (
+        [f"creep of {100 * creep:.2g} % in a tenfold time is in the standard error"] if creep > MIN_NOTED else []
+    )
+    if array is not None and (pattern := pattern_note(alive, gains, array, live)):
+        notes.append(pattern)
     return GainFit(
         curves=curves,
         no_load=means.no_load,
@@ -122,7 +151,7 @@ def _uniform(points: Points, means: Means, used: NDArray[np.bool_], alignment: A
         scores=scores,
         points=points,
         residuals=spread_over(fitted.residuals.T, np.nan).T,
-        alignment=alignment,
+        notes=tuple(notes),
     )
 
 

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from tactiled.bounds import Syntax
 from tactiled.calibrate.cover_fit import CoverFit, Method
@@ -19,6 +28,7 @@ if TYPE_CHECKING:
     from tactiled.calibrate.gain import GainFit
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
+NEW_KEYS = frozenset({"error_kpa", "curvature"})  # of version 2, where they are known
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
 
@@ -92,6 +102,8 @@ class GainSection(Section):
     deviation: OptionalValues
     hysteresis: OptionalValues
     individual: tuple[bool, ...]
+    error_kpa: OptionalValues | None = None  # not in files of release 0.4.2, nor the curvature
+    curvature: Annotated[Value, Field(ge=0)] | None = None
 
     @classmethod
     def of(cls, curves: Curves, origin: Origin) -> Self:
@@ -106,6 +118,8 @@ class GainSection(Section):
             deviation=optional(curves.deviation),
             hysteresis=optional(curves.hysteresis),
             individual=tuple(curves.individual.tolist()),
+            error_kpa=None if curves.error_kpa is None else optional(curves.error_kpa),
+            curvature=curves.curvature,
         )
 
     @cached_property
@@ -114,8 +128,20 @@ class GainSection(Section):
         return Curves(
             self.form, np.array(self.parameters, float).T, np.array(self.reach_counts, float).T,
             np.array(self.deviation, float), np.array(self.hysteresis, float), np.array(self.individual),
-            np.array(self.knots),
+            np.array(self.knots), None if self.error_kpa is None else np.array(self.error_kpa, float),
+            self.curvature,
         )  # fmt: skip
+
+    @property
+    def version(self) -> int:
+        """Of the file that holds it."""
+        return 1 if self.error_kpa is None and self.curvature is None else 2
+
+    @model_serializer(mode="wrap")
+    def _without_new_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A section of an old file has its keys only: its checksum stays."""
+        content: dict[str, Any] = handler(self)
+        return {key: each for key, each in content.items() if each is not None or key not in NEW_KEYS}
 
     @model_validator(mode="after")
     def _check(self) -> Self:

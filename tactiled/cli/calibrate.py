@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import make_array, make_blur, make_codec, make_kernel, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
 from tactiled.calibrate.reference import read_reference
@@ -82,7 +83,9 @@ def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> Non
     if content.gain is not None:
         curves = content.gain.curves
         typer.echo(f"  gain      {curves.form}, {_spread(curves.gain)} kPa per count")
+        typer.echo(f"            {np.count_nonzero(curves.individual)} of {curves.size} taxels have their own")
         typer.echo(f"            standard error {_worst(100 * curves.deviation, '%')}")
+        typer.echo(f"            error elsewhere {_elsewhere(curves)}")
     if content.cover is not None:
         (low, high), fit = content.cover.interval_mm, content.cover.fit
         interval = f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g})"
@@ -142,14 +145,14 @@ def _fit(
     array, rails = make_array(sensor), _rails(sensor)
     series = series.without(sensor.calibration.dead)
     if steps_kpa is not None:
-        return uniform.fit_steps(series, _numbers(steps_kpa), rails)
+        return uniform.fit_steps(series, _numbers(steps_kpa), rails, array)
     if weight_n is not None:
         return force_gain.fit_weight(series, weight_n, array, rails, _reach(sensor, before, array))
     assert reference is not None
     log = read_reference(reference)
     if log.quantity == "force_n":
         return force_gain.fit_force(series, log, array, rails, _reach(sensor, before, array))
-    return uniform.fit_pressure(series, log, rails)
+    return uniform.fit_pressure(series, log, rails, array)
 
 
 def _reach(sensor: schema.Sensor, file: CalibrationFile | None, array: Array) -> np.ndarray | None:
@@ -188,6 +191,7 @@ def _lines(fit: "GainFit") -> list[str]:
         "curve": curves.form + (f" (rms error of left-out points: {scores})" if scores else ""),
         "gain": f"{_spread(curves.gain[live])} kPa per count; {own} of {curves.size} taxels have their own",
         "standard error": _worst(100 * curves.deviation, "%"),
+        "error elsewhere": _elsewhere(curves),
         "hysteresis": _worst(curves.hysteresis, "% of full scale"),
         "calibrated": f"up to {number_text(reach)} kPa, {np.median(np.abs(ends)[live]):.0f} counts over no load "
         f"(median taxel){largest}",
@@ -205,6 +209,13 @@ def _listed(dead: tuple[int, ...]) -> str:
 
 def _spread(gains: np.ndarray) -> str:
     return f"{np.median(gains):.4g} (median; {gains.min():.4g} to {gains.max():.4g})"
+
+
+def _elsewhere(curves: Curves) -> str:
+    """Error of another rise or fall of the pressure than those of the fit."""
+    if curves.error_kpa is None or not np.isfinite(curves.error_kpa).any():
+        return "unknown: raise the pressure of the whole array, and lower it"
+    return f"{_worst(curves.error_kpa, 'kPa rms')}, of a rise or fall left out: hysteresis is in it"
 
 
 def _worst(values: np.ndarray, unit: str) -> str:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan, make_blur
 from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.plateaus import noise
@@ -19,6 +20,7 @@ from tactiled.runtime.fit_process import FitProcess
 from tactiled.runtime.frame_collector import FrameCollector
 from tactiled.runtime.live_sections import origin, with_sections
 from tactiled.runtime.sensor import Sensor
+from tactiled.units import number_text
 
 if TYPE_CHECKING:
     from tactiled.calibrate.gain import GainFit
@@ -124,7 +126,7 @@ class GainProcedure:
         plan, values = self._sensor.plan, [value for value, _ in self._marks]
         limits = Rails.of(plan.calibration.saturation, plan.codec.ends)
         if self.way == "uniform":
-            return process.run(fit_steps, frames, values, limits)
+            return process.run(fit_steps, frames, values, limits, self._sensor.array)
         array = self._sensor.array
         reach = reach_of(make_blur(plan.kernel, array, 1), array)
         return process.run(fit_weight, frames, max(values), array, limits, reach)
@@ -149,9 +151,17 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
         before_kpa_per_count=before,
         spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
         hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,
-        notes=(*unlike_gain(curves, before), *dead, *fitted.notes),
+        notes=(*unlike_gain(curves, before), *dead, *_elsewhere(curves), *fitted.notes),
         line=_gain_line(fitted, int(middle)),
     )
+
+
+def _elsewhere(curves: Curves) -> tuple[str, ...]:
+    """A note of the error where the pressure rises or falls in another way, if that is known."""
+    if curves.error_kpa is None or not np.isfinite(curves.error_kpa).any():
+        return ()
+    error = number_text(float(np.nanmedian(curves.error_kpa)))
+    return (f"error in a rise or fall that was left out: {error} kPa rms (median taxel); hysteresis is in it",)
 
 
 def _gain_line(fitted: "GainFit", taxel: int) -> Floats:

@@ -9,6 +9,7 @@ import pytest
 
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import FILES_KEPT, kept, load, read, save
+from tactiled.calibrate.sections import NEW_KEYS, GainSection
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, StateError
 from tests.calibrate.files import CREATED, STACK, cover_section, gain_section
@@ -36,6 +37,16 @@ def test_a_file_is_read_as_it_was_written_and_has_the_same_id(file):
     assert (changed.cover, changed.created) == (file.cover, CREATED)
 
 
+def test_what_an_older_release_cannot_read_has_another_version(file):
+    assert json.loads(file.text)["version"] == 1
+    assert not NEW_KEYS & json.loads(file.text)["gain"].keys()
+    curves = replace(file.gain.curves, error_kpa=np.array([NAN, *range(1, TAXELS)]), curvature=0.02)
+    newer = read(file.replaced(gain=GainSection.of(curves, file.gain.origin)).text)
+    assert json.loads(newer.text)["version"] == 2
+    np.testing.assert_array_equal(newer.gain.curves.error_kpa, curves.error_kpa)
+    assert newer.gain.curves.curvature == 0.02
+
+
 def test_a_person_can_read_it_head_first_one_array_a_line(file):
     lines = [line.strip() for line in file.text.splitlines()]
     head = [line.split(":")[0].strip('"') for line in lines[1:9]]
@@ -48,7 +59,7 @@ def test_a_person_can_read_it_head_first_one_array_a_line(file):
 @pytest.mark.parametrize(
     ("place", "value", "line"),
     [
-        ("version", 2, "version is 2: this release reads up to 1: update tactiled"),
+        ("version", 3, "version is 3: this release reads up to 2: update tactiled"),
         ("format", "x", "format: no tactiled calibration"),
         ("unit", "psi", "unit = 'psi': Input should be 'kPa'"),
         ("extra", 1, "extra: Extra inputs are not permitted"),

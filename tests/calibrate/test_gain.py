@@ -9,6 +9,7 @@ from tactiled.calibrate.gain import fit_pressure, fit_steps
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
 from tactiled.errors import ConfigError
+from tactiled.geometry import grid, tiling
 from tests.calibrate.skins import FULL_KPA, RATE_HZ, SHAPES, Skin, steps
 
 STEPS = (0, 5, 15, 30, 40, 50, 60, 50, 40, 30, 15, 5, 0)
@@ -73,6 +74,63 @@ def test_hysteresis_is_the_loop_over_full_scale():
     skin = Skin(128, seed=14, hysteresis=0.05, drift=0)
     fit = fit_steps(skin.series(steps(STEPS)), STEPS, Rails())
     assert np.median(fit.curves.hysteresis) == pytest.approx(5, abs=0.5)  # 5 % at half of full scale
+
+
+@pytest.mark.parametrize("hysteresis", [0.0, 0.04])
+def test_the_error_elsewhere_holds_where_the_pressure_falls_from_another_peak(hysteresis):
+    """A standard error of 0.3 % said nothing of a loop of 4 % of full scale."""
+    skin = Skin(128, "power", 14, hysteresis=hysteresis, drift=0)
+    fit = fit_steps(skin.series(steps(STEPS)), STEPS, Rails())
+    kpa = steps((0, 20, 10, 45, 25, 35, 5, 50, 0))
+    series = skin.series(kpa)
+    missed = fit.curves.pressure(series.counts - fit.no_load) - kpa[:, None]
+    error = np.hypot(np.median(fit.curves.error_kpa), 0.01 * FULL_KPA)  # a frame's own noise is another figure
+    assert np.median(np.sqrt((missed**2).mean(axis=0))) < 1.2 * error
+    assert np.median(fit.curves.error_kpa) < 0.05 * FULL_KPA
+
+
+def test_a_rise_alone_leaves_the_error_elsewhere_unknown():
+    fit = fit_steps(Skin(64, seed=14).series(steps((0, 20, 40, 60))), (0, 20, 40, 60), Rails())
+    assert np.isnan(fit.curves.error_kpa).all()
+
+
+def creeping(kpa, decade):
+    """What a pressure (T,) becomes where each step of it grows by `decade` in a tenfold time, from 0.1 s on."""
+    growth = decade * np.log10(1 + 10 * np.arange(kpa.size) / RATE_HZ)
+    return kpa + np.convolve(np.diff(kpa, prepend=0.0), growth)[: kpa.size]
+
+
+def test_creep_is_in_the_standard_error_and_no_curve():
+    skin = Skin(64, seed=21, noise=0.003, drift=0.003)
+    fit = fit_steps(skin.series(creeping(steps(STEPS, hold_s=3), 0.03)), STEPS, Rails())
+    assert fit.curves.form == "linear"
+    assert fit.notes == ("creep of 2 % in a tenfold time is in the standard error",)
+    after_1_s = skin.relative(np.full(64, 60)) * skin.full * (1 + 0.03 * np.log10(11))
+    error = np.abs(fit.curves.pressure(after_1_s) / 60 - 1)
+    assert (error < 1.96 * fit.curves.deviation).mean() > 0.95
+    assert error.mean() > 0.015
+    assert fit_steps(Skin(64, seed=21, drift=0.02).series(steps(STEPS, hold_s=3)), STEPS, Rails()).notes == ()
+
+
+@pytest.mark.parametrize(("spread", "seed"), [(0.05, 22), (0.2, 23)])
+def test_a_bag_that_lifts_at_the_border_is_noted(spread, seed):
+    array, kpa = grid(16, 16, 1.0), steps(STEPS, hold_s=2)
+    rim = tiling(array).rim
+    lift = np.where(rim, np.maximum(kpa, 1)[:, None] ** -0.5 * 0.12 + 0.02, 0.0)  # most at low pressures
+    for lifted, noted in ((0.0, False), (lift, True)):
+        series = Skin(256, seed=seed, spread=spread).series(kpa[:, None] * (1 - lifted))
+        notes = fit_steps(series, STEPS, Rails(), array).notes
+        assert any("follow a pattern" in each for each in notes) == noted
+
+
+def test_the_curvature_is_known_where_pressures_lie_between():
+    skin = Skin(64, "cubic", 24, drift=0)
+    for levels, low, high in ((STEPS, 0, 0.005), ((0, 20, 40, 60, 0), 0.01, 0.2)):
+        curves = fit_steps(skin.series(steps(levels, hold_s=2)), levels, Rails()).curves
+        middle = curves.pressure(skin.relative(np.full(64, 30)) * skin.full).mean() / 30 - 1
+        assert abs(middle) < 2.5 * curves.curvature + 0.001
+        assert low < curves.curvature < high
+    assert fit_steps(skin.series(steps((0, 60, 0))), (0, 60, 0), Rails()).curves.curvature is None
 
 
 @pytest.mark.parametrize(("shape", "offset"), [("linear", 3.21), ("power", -0.537)])

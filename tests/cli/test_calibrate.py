@@ -63,6 +63,8 @@ def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
     assert f"palm, packed, 64 taxels, id {file.id}" in listing
     assert file.gain.form in listing
     assert "dead: 2 (9, 63)" in listing
+    for each in (output, listing):
+        assert re.search(r"error elsewhere \d\S* kPa rms \(median\)", each)
 
 
 def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):
