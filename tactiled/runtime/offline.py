@@ -87,12 +87,20 @@ def _copy(frames: Frames, start: int, count: int) -> Frames:
 
 
 class Offline:
-    """Restores a series of frames of one sensor by one method; a taxel's noise (kPa) is measured if not given."""
+    """Restores a series of frames of one sensor by one method; a taxel's noise (kPa) is measured if not given.
+
+    What `go_on` raises, which is asked before each frame, ends it.
+    """
 
     def __init__(
-        self, plan: SensorPlan, frames: Frames, method: str = "auto", noise_kpa: float | None = None
+        self,
+        plan: SensorPlan,
+        frames: Frames,
+        method: str = "auto",
+        noise_kpa: float | None = None,
+        go_on: Callable[[], None] = lambda: None,
     ) -> None:
-        self._frames = frames
+        self._frames, self._go_on = frames, go_on
         self.shape = (len(frames), *plan.blur.surface_shape)  # of the images
         calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
         gain = abs(calibration.kpa_per_count)
@@ -136,6 +144,7 @@ class Offline:
     def _restore(
         self, pressure: NDArray[np.float32], flags: NDArray[np.uint8], out: NDArray[np.float32]
     ) -> FrameInfo:
+        self._go_on()
         began = perf_counter()
         done = self._restorer(pressure, flags)
         microseconds = 1e6 * (perf_counter() - began)

@@ -4,9 +4,11 @@ import asyncio
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
@@ -16,11 +18,13 @@ from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
+from tactiled.runtime.fit_process import Cancelled
 from tactiled.runtime.offline import Offline, open_frames
 from tactiled.web.http.limits import busy, client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, in_unit, without_path
 from tactiled.web.rest.openapi import CONTROL, MEDIA, problems, success
+from tactiled.web.rest.uploads import while_connected
 from tactiled.web.schemas import MethodName
 
 MAX_IMAGE_BYTES = 256 << 20  # of the answer
@@ -114,14 +118,21 @@ async def restore(
                 file.write(chunk)
         transfers.need_none_restored()
         async with transfers.restoring:
-            headers = await asyncio.to_thread(_restore, plan, frames, images, query)
+            cancelled = Event()
+            work = partial(_restore, plan, frames, images, query, cancelled)
+            headers = await while_connected(request, None, work, cancelled.set)
         frames.unlink()
         transfer = stack.pop_all()
     return _TransferredFile(images, transfer, headers=headers, media_type=MEDIA["npy"])
 
 
-def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) -> dict[str, str]:
-    """Restore the frames of a file; gives the headers of the answer."""
+def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery, cancelled: Event) -> dict[str, str]:
+    """Restore the frames of a file; gives the headers of the answer, or raises Cancelled."""
+
+    def go_on() -> None:
+        if cancelled.is_set():
+            raise Cancelled
+
     try:
         frames = open_frames(path, plan)
     except ConfigError as error:
@@ -130,7 +141,7 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery) ->
         bound = f"{MAX_IMAGE_BYTES >> 20} MiB"
         raise Problem(413, f"{len(frames)} frames make images of more than {bound}: send them in parts")
     noise = in_unit(plan, "noise", query.noise, query.noise_kpa)
-    offline = Offline(plan, frames, query.method, noise)
+    offline = Offline(plan, frames, query.method, noise, go_on)
     methods = offline.write(images)
     return {
         "X-Tactiled-Noise": f"{offline.noise_kpa:.6g}",

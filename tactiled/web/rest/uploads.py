@@ -45,7 +45,7 @@ class DiskReserve:
 
 
 async def while_connected(
-    request: Request, executor: Executor, work: Callable[[], Outcome], cancel: Callable[[], None]
+    request: Request, executor: Executor | None, work: Callable[[], Outcome], cancel: Callable[[], None]
 ) -> Outcome:
     """What `work` gives on a thread. Where the client leaves or the service ends, `cancel` is to end it at once.
 

@@ -14,7 +14,7 @@ from tactiled.runtime.offline import Offline
 from tactiled.web.http import body, timeouts
 from tactiled.web.rest import restore
 from tactiled.web.server import running
-from tests.conftest import ask, problem, until
+from tests.conftest import BUSY_S, ask, problem, until
 from tests.web.http.raw import npy, plug
 
 ONE_FRAME = npy(np.zeros((1, 8, 8)))
@@ -148,3 +148,48 @@ def test_an_answer_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, tr
         assert post(url, ONE_FRAME).status_code == 200
         until(lambda: not transfers.clients)
         assert not list(tmp_path.iterdir())
+
+
+MANY_FRAMES = 200_000  # some seconds of restoring
+MANY = npy(np.zeros((MANY_FRAMES, 8, 8), np.uint8))
+RESTORE = Offline._restore
+
+
+class Restoring(threading.Event):
+    """Set once frames are being restored, which are counted."""
+
+    frames = 0
+
+    def one(self, *arguments):
+        self.set()
+        self.frames += 1
+        return RESTORE(*arguments)
+
+    def begin(self, url):
+        """A client whose many frames are being restored."""
+        end = plug(url)
+        head = f"POST /api/v1/restore?sensor=palm&noise=1&method=wiener HTTP/1.1\r\nHost: {url[7:]}\r\n"
+        end.sendall(f"{head}Content-Length: {len(MANY)}\r\n\r\n".encode() + MANY)
+        assert self.wait(BUSY_S)
+        return end
+
+
+@pytest.fixture
+def restoring(monkeypatch):
+    restoring = Restoring()
+    monkeypatch.setattr(Offline, "_restore", lambda *arguments: restoring.one(*arguments))
+    return restoring
+
+
+def test_restoring_ends_with_its_client(rig, transfers, restoring):
+    with running(rig.service) as url:
+        restoring.begin(url).close()
+        until(lambda: not transfers.clients)
+        assert not transfers.restoring.locked()
+        assert restoring.frames < MANY_FRAMES
+
+
+def test_restoring_ends_with_the_service(rig, restoring):
+    with running(rig.service) as url, restoring.begin(url):
+        pass
+    assert restoring.frames < MANY_FRAMES
