@@ -23,7 +23,8 @@ from tactiled.interop.zenoh_session import REQUEST_S, Answer
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers
 from tactiled.web.http import problems
-from tactiled.web.http.auth import SAFE_METHODS, token_of
+from tactiled.web.http.auth import token_of
+from tactiled.web.http.body import SAFE_METHODS
 from tactiled.web.rest import openapi
 from tactiled.web.rest.config import Config, server_settings
 

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.web.http import problems
-from tactiled.web.http.body import Body
+from tactiled.web.http.body import SAFE_METHODS, Body, HeldBodies
 from tactiled.web.http.headers import HEADERS, STRICT_TRANSPORT_SECURITY
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.problems import Problem
@@ -29,7 +29,6 @@ COOKIE_ATTRIBUTES = "; HttpOnly; SameSite=Strict; Path=/"
 LOOPBACK_HOST = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
 )
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 HOW = "Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
 UNAUTHORIZED = f"a token is needed: {HOW}"
 UNKNOWN = f"this token is unknown: show the read_token or the control_token: {HOW}"
@@ -81,6 +80,7 @@ class AccessControl:
     def __init__(self, app: ASGIApp, server: Server, rates: RateLimit, streams: ConcurrencyLimit) -> None:
         self._app, self._server, self._tokens = app, server, Tokens(server)
         self._rates, self._streams = rates, streams
+        self._bodies = HeldBodies()
         tls_beyond_loopback = server.tls_certificate and not server.loopback
         self._headers = HEADERS | (STRICT_TRANSPORT_SECURITY if tls_beyond_loopback else {})
 
@@ -95,7 +95,7 @@ class AccessControl:
 
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request once its body is in."""
-        started, body = False, Body(scope, receive)
+        started, body = False, Body(scope, receive, self._bodies)
 
         async def send_secured(message: Message) -> None:
             nonlocal started
@@ -118,6 +118,8 @@ class AccessControl:
                 await _error_response(error, scope)(scope, receive, send_secured)
             elif isinstance(error, Exception):
                 raise
+        finally:
+            self._bodies.free(body)
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a WebSocket; one that is refused is accepted first, so that the client learns why."""

@@ -153,6 +153,33 @@ def test_nothing_is_done_before_the_body_is_known_to_fit(rig, url, monkeypatch):
 
 
 CHUNKED = "Transfer-Encoding: chunked"
+CALIBRATION = "/api/v1/sensors/palm/calibration/file"
+
+
+@pytest.mark.parametrize("verb", ["GET", "HEAD", "OPTIONS"])
+@pytest.mark.parametrize("length", ["Content-Length: 8000000", CHUNKED])
+def test_a_body_is_refused_at_once_where_none_belongs(url, verb, length):
+    status, content = send_raw(url, f"{verb} {CALIBRATION}", length)  # of which nothing comes
+    assert status == 422
+    assert verb == "HEAD" or f"{verb} takes none".encode() in content
+    assert send_raw(url, f"{verb} {CALIBRATION}", "Content-Length: 0")[0] in (404, 405)
+
+
+def test_of_all_bodies_together_the_largest_incomplete_one_gives_way(url, monkeypatch):
+    monkeypatch.setattr(body, "MAX_HELD_BYTES", 300_000)
+    head = f"PUT {CALIBRATION} HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: 1000000\r\n\r\n".encode()
+    with plug(url) as large, plug(url) as other:
+        large.sendall(head + bytes(200_000))
+        other.sendall(head + bytes(90_000))
+        large.sendall(bytes(20_000))
+        answer = large.recv(1 << 16)
+        assert answer.startswith(b"HTTP/1.1 503")
+        assert b"retry-after" in answer
+        assert problem(ask("PUT", url + METHOD, json={"method": "spline"}), 422)  # others are served
+        other.sendall(bytes(210_000))  # 300 000 in all: the bound
+        other.sendall(b"x")
+        assert other.recv(1 << 16).startswith(b"HTTP/1.1 503")
+    assert ask("PUT", url + CALIBRATION, content=bytes(290_000)).status_code == 422  # nothing is held for ever
 
 
 @pytest.mark.parametrize(("length", "piece"), [("Content-Length: 1000000000", b"z"), (CHUNKED, b"1\r\nz\r\n")])
