@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.build import configured_file, make_calibration, make_codec
+from tactiled.build import configured_file, make_array, make_calibration, make_codec
 from tactiled.bus.arrivals import decoded
 from tactiled.bus.assembler import RESTART_S
 from tactiled.bus.batch import Batch
 from tactiled.bus.codec import NO_SEQUENCE, Codec, whole_counts
+from tactiled.bus.grid_shape import alike_shapes
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
 from tactiled.config import schema
@@ -161,10 +162,23 @@ def _frames(
     if abs(np.nanmedian(level - no_load)) > MAX_REST_FRACTION * codec.full_scale:
         reason = f"half of the array is at {rest:g} or more: if nothing touches it, that is no_load"
         yield Finding(f"{place}.calibration.no_load", f"{np.median(no_load):g}", reason)
+    if grid := _other_grid(place, sensor, counts):
+        yield grid
     if len(counts) >= MIN_FRAMES_STUCK and (stuck := _stuck(counts, level, rest, codec)).size:
         listed = ", ".join(map(str, stuck[:MAX_LISTED])) + ", ..." * (stuck.size > MAX_LISTED)
         reason = f"never change: taxels {listed}: list them if they do not work"
         yield Finding(f"{place}.calibration.dead", str(list(calibration.dead)), reason)
+
+
+def _other_grid(place: str, sensor: schema.Sensor, counts: NDArray[np.float32]) -> Finding | None:
+    """Whether what presses on a grid shows other rows and columns."""
+    shape = make_array(sensor).shape
+    if shape is None or 1 in shape or not (shapes := alike_shapes(counts, [counts.shape[1]])) or shape in shapes:
+        return None
+    rows, columns = shapes[0]
+    reason = f"what presses on it spreads over neighbours as on {rows} x {columns}"
+    swapped = ": rows and columns are swapped" if shapes[0] == shape[::-1] else ""
+    return Finding(f"{place}.array", f"{shape[0]} x {shape[1]}", f"{reason}{swapped}")
 
 
 def _stuck(counts: NDArray[np.float32], level: NDArray[np.float32], rest: float, codec: Codec) -> NDArray[np.intp]:

@@ -6,6 +6,7 @@ import pytest
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
+from tactiled.bus.sniff import survey
 from tactiled.config import parse
 from tactiled.frames import Message
 from tactiled.plausibility.traffic import bus_report
@@ -51,6 +52,39 @@ def test_a_healthy_array_is_heard_and_foreign_ids_are_counted():
     assert result.lines == ["a: 50.0 frames a second, 0 messages lost, 0 malformed"]
     assert not result.findings
     assert [each.id for each in result.others.unknown] == [0x6A1]
+
+
+def pressed(rows, columns):
+    """Frames of a finger that goes over an array in a circle (T, N)."""
+    y, x = np.mgrid[:rows, :columns]
+    turn = np.linspace(0, 6, 60)[:, None, None]
+    squares = (y - rows / 2 - rows / 4 * np.cos(turn)) ** 2 + (x - columns / 2 - columns / 4 * np.sin(turn)) ** 2
+    frames = 80 + 800 * np.exp(-squares / 4) + np.random.default_rng(3).normal(0, 2, (60, rows, columns))
+    return frames.reshape(60, -1).astype(np.uint16)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(16, 10), (9, 14)])
+def test_rows_and_columns_that_contradict_what_presses_are_doubted(rows, columns):
+    codec = Packed(rows * columns, 12, fd=True)
+    messages = [
+        each._replace(time=n / 50 + k * 1e-4)
+        for n, frame in enumerate(pressed(rows, columns))
+        for k, each in enumerate(codec.encode(frame, n, 0.0))
+    ]
+    grid = "array = {{ rows = {}, columns = {}, pitch_mm = 2.0 }}"
+    assert not findings(messages, array=grid.format(rows, columns))
+    (line,) = findings(messages, array=grid.format(columns, rows))
+    assert f"sensor.a.array = {columns} x {rows}: what presses" in line
+    assert line.endswith(f"as on {rows} x {columns}: rows and columns are swapped")
+    (one,) = survey(messages).senders
+    assert one.match.shape == (rows, columns)
+    assert one.match.notes[0].endswith(f"best guess: {rows} x {columns}, in which neighbours change alike")
+
+
+def test_without_a_press_the_squarest_grid_is_guessed_and_the_guess_says_so():
+    (one,) = survey(traffic(Packed(160, 12, fd=True))).senders
+    assert one.match.shape == (10, 16)
+    assert "best guess: 10 x 16; slide a finger over it to tell" in one.match.notes[0]
 
 
 def stick(counts):

@@ -13,6 +13,7 @@ from tactiled.bounds import Bounds
 from tactiled.bus.assembler import assemble
 from tactiled.bus.batch import Batch
 from tactiled.bus.codec import BatchCodec, Key, Match, Readings, Skin, Traffic, stacked, understands
+from tactiled.bus.grid_shape import alike_shapes
 from tactiled.errors import ConfigError
 from tactiled.frames import Counts, Message
 from tactiled.geometry import Array
@@ -22,6 +23,7 @@ CLASSIC, FD = 8, 64  # bytes a message
 LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # that CAN and CAN FD know
 MAX_SEGMENTS = 256
 DEFAULT_BITS = 12
+SHAPE_FRAMES = 1000  # looked at for rows and columns
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Settings(Skin):
         for key, messages in traffic.items():
             fits = packed_fits(key, messages) if _counts_up(messages) else []
             if fits:
-                yield _match(key, messages[0].fd, fits)
+                yield _match(key, messages, fits)
 
 
 SKIN = Settings
@@ -231,12 +233,16 @@ def packed_fits(key: Key, messages: Sequence[Message]) -> list[Fit]:
     return fits
 
 
+def _counts(codec: Packed, messages: Sequence[Message], frames: int) -> NDArray[np.float64]:
+    """Counts (T, N) of the first whole frames."""
+    first = assemble(codec, messages[: frames * codec.segments])[0]
+    return np.array([each.counts for each in first if not each.flags.any()], np.float64).reshape(-1, codec.size)
+
+
 def _roughness(codec: Packed, messages: Sequence[Message]) -> float:
     """Mean step from taxel to taxel of the first frames, over full scale."""
-    frames = [each for each in assemble(codec, messages[: 100 * codec.segments])[0] if not each.flags.any()]
-    if not frames or codec.size < 2:
-        return 0.0
-    return float(np.abs(np.diff([each.counts.astype(float) for each in frames])).mean() / codec.full_scale)
+    counts = _counts(codec, messages, 100)
+    return float(np.abs(np.diff(counts)).mean() / codec.full_scale) if len(counts) and codec.size > 1 else 0.0
 
 
 def likeliest(fits: Sequence[Fit]) -> Fit:
@@ -254,10 +260,9 @@ def squarest(min_size: int, max_size: int) -> tuple[int, int]:
     return min((each for each in sides if each[0] <= each[1]), key=lambda each: (each[1] / each[0], -each[0]))
 
 
-def _match(key: Key, fd: bool, fits: Sequence[Fit]) -> Match:
+def _match(key: Key, messages: Sequence[Message], fits: Sequence[Fit]) -> Match:
     """The array of the likeliest fit; the others are notes."""
-    best = likeliest(fits)
-    shape = squarest(best.min_size, best.max_size)
+    best, fd = likeliest(fits), messages[0].fd
     id_, extended = key
     usual = not extended and 0x500 <= id_ <= 0x50F
     base_id, array_id = (0x500, id_ - 0x500) if usual else (id_, 0)
@@ -266,8 +271,13 @@ def _match(key: Key, fd: bool, fits: Sequence[Fit]) -> Match:
     }  # fmt: skip
     kind = "CAN FD" if fd else "classic"
     description = f"packed layout, {kind}, array {array_id} at {base_id:#x}, {best.bits} bits a taxel"
-    notes = [f"array: {best.sizes} taxels fit; best guess: {shape[0]} x {shape[1]}"]
+    counts = _counts(Packed(best.max_size, **settings), messages, SHAPE_FRAMES)
+    shapes = alike_shapes(counts, range(best.min_size, best.max_size + 1))
+    rows, columns = shape = shapes[0] if shapes else squarest(best.min_size, best.max_size)
+    unclear = "" if rows == columns else "; slide a finger over it to tell"
+    why = ", in which neighbours change alike" if shapes else unclear
+    notes = [f"array: {best.sizes} taxels fit; best guess: {rows} x {columns}{why}"]
     if others := ", ".join(f"{each.bits} ({each.sizes})" for each in fits if each is not best):
         notes.append(f"bits: {best.bits} give the smoothest image; also possible: {others} taxels")
-    codec = Packed(shape[0] * shape[1], **settings)
+    codec = Packed(rows * columns, **settings)
     return Match(settings, codec, (key,), shape, description, tuple(notes), pitch_mm=1.0)
