@@ -11,6 +11,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     PlainSerializer,
+    SecretStr,
     ValidationInfo,
 )
 from pydantic.json_schema import JsonSchemaValue
@@ -77,6 +78,14 @@ def _beside(file: Path, info: ValidationInfo) -> Path:
     return folder / file
 
 
+def _check_key(key: SecretStr) -> SecretStr:
+    """Refuse what a person has thought up: whoever sees a signature could try it."""
+    if not re.fullmatch(r"[0-9a-f]{64}", key.get_secret_value()):
+        raise ValueError("give 64 of the digits 0-9 and a-f, as `openssl rand -hex 32` prints them")
+    return key
+
+
+Key = Annotated[SecretStr, AfterValidator(_check_key)]  # of signatures
 FileBeside = Annotated[  # relative to the folder of the configuration; printed without its folder
     Path, AfterValidator(_beside), PlainSerializer(lambda path: path.name, when_used="json", return_type=str)
 ]

@@ -56,6 +56,14 @@ class ReaderError(TactileError):
     """A sensor's reader, on another machine, cannot be reached or fails."""
 
 
+class ReaderAnswerError(TactileError):
+    """A sensor's reader answers what no reader of this release does."""
+
+
+class ReadOnlyError(TactileError):
+    """A change at a sensor's reader, which this server has no right to."""
+
+
 class ReloadError(TactileError):
     """A service that cannot read its configuration again."""
 

@@ -93,8 +93,8 @@ def _parse(text: str, source: str) -> dict[str, Any]:
 
 
 def _secrets(config: Config | Served) -> dict[str, Any]:
-    password = config.zenoh.password if config.zenoh else None
-    tokens = config.server.read_token, config.server.control_token, password
+    network = (config.zenoh.password, config.zenoh.control_key) if config.zenoh else ()
+    tokens = config.server.read_token, config.server.control_token, *network
     buses = config.bus if isinstance(config, Config) else {}
     return {
         "buses": {name: bus.settings() for name, bus in buses.items()},
@@ -131,7 +131,7 @@ def _line(fault: ErrorDetails) -> str:
         return message
     if isinstance(value, str):  # of a secret
         message = re.sub(r"item(s?) after validation", r"character\1", message)
-    secret = place.endswith(("_token", ".password"))
+    secret = place.endswith(("_token", ".password", ".control_key"))
     if secret or fault["type"] == "value_error":  # of a table whose values may be secrets
         return f"{place}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key

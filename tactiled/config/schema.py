@@ -22,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from tactiled.bounds import Bounds, Counts, Endpoint, FileBeside, FrameId, Name, Pitch, Place, Port, Prefix
+from tactiled.bounds import Bounds, Counts, Endpoint, FileBeside, FrameId, Key, Name, Pitch, Place, Port, Prefix
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
 from tactiled.bus.redact import HARMLESS, reveal, seal
@@ -308,6 +308,9 @@ class Zenoh(Section):
     """User that this side connects as; belongs with `password`."""
     password: Annotated[SecretStr, Field(min_length=1, max_length=200)] | None = None
     """Password of that user."""
+    control_key: Key | None = None
+    """Key of changes: a server's own (`openssl rand -hex 32`); a reader's as `tactiled serve FILE --key ROBOT`
+    prints it. Left out: nothing can be changed."""
 
     @model_validator(mode="after")
     def _complete(self) -> "Zenoh":

@@ -35,8 +35,7 @@ MISS_HEARTBEAT_S = 0.5  # within which a subscriber learns that a transient-loca
 TARE_LOOK_S = 0.02  # from one look whether a tare has ended to the next
 OF_CONTACTS = frozenset({"tactile", "wrench", "markers"})  # topics that need contacts
 IDS = count()  # of nodes and endpoints: each is used once in a session
-ACCEPTED, UNAUTHORIZED = 202, 401
-NO_TOKEN = "this reader has a server.control_token, and a request of ROS 2 carries none: tare by the REST API"
+ACCEPTED = 202
 Handle = Callable[[Request], Answer]
 
 
@@ -191,8 +190,6 @@ class Node:
         """Whether a tare was done, and in words how it ended; waits for the end."""
         before = self._tares()
         answer = self._handle(Request("POST", f"/sensors/{self._sensor.name}/tare"))
-        if answer.status == UNAUTHORIZED:
-            return False, NO_TOKEN
         if answer.status != ACCEPTED:
             return False, json.loads(answer.body)["detail"]
         end = time.monotonic() + REQUEST_S

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from tactiled.config import Zenoh
 from tactiled.errors import TactileError
 from tactiled.frames import Image
+from tactiled.interop.signatures import SAFE_METHODS, Gate, Question
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LEASE_S, Answer, Head, Request, open_session
 from tactiled.runtime.events import Event
 from tactiled.runtime.sensor import Sensor
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # how often a sensor's state is looked at when no image comes
 RETRY_S = 1.0  # between two attempts to join the network
-MAX_REQUESTS = 4  # that are answered at a time: a fit takes seconds
+MAX_REQUESTS, MAX_WAITING = 4, 64  # that are answered at a time, as a fit takes seconds, and that there may be
+MAX_ERROR = 300  # characters that another is told of an error
 JSON, BYTES = "application/json", "application/octet-stream"
 Describe = Callable[[Sensor], dict[str, Any]]  # a sensor's state, as of the REST API
 Handle = Callable[[Request], Answer]
@@ -46,9 +48,11 @@ class Publisher:
     def __init__(self, service: "Service", settings: Zenoh, describe: Describe, handle: Handle) -> None:
         self._service, self._settings = service, settings
         self.describe, self.handle = describe, handle
-        self.root = f"{settings.prefix}/{settings.robot}"
+        self.root, key = f"{settings.prefix}/{settings.robot}", settings.control_key
+        self.gate = Gate(key.get_secret_value() if key else None)
         self.wake = threading.Event()
         self.requests = ThreadPoolExecutor(MAX_REQUESTS, "zenoh request")
+        self.places = threading.Semaphore(MAX_WAITING)
         self._publications: dict[str, _Publication] = {}
         self._events: deque[Event] = deque(maxlen=100)
         self._stopping = threading.Event()
@@ -242,8 +246,15 @@ class _Publication:
         if resource == "clock":
             with query:
                 query.reply(query.key_expr, repr(time.time()))
+        elif resource == "challenge":
+            with query:
+                query.reply(query.key_expr, self._publisher.gate.challenge(time.monotonic()))
         elif resource.startswith("rest/") and "*" not in resource:
-            self._publisher.requests.submit(self._answer_rest, query, resource.removeprefix("rest/"))
+            if self._publisher.places.acquire(blocking=False):
+                self._publisher.requests.submit(self._answer_rest, query, resource.removeprefix("rest/"))
+            else:
+                with query:
+                    query.reply_err(f"its reader has {MAX_WAITING} requests to answer already: try again")
         else:
             with query:
                 self._answer_newest(query)
@@ -259,27 +270,34 @@ class _Publication:
                 query.reply(key, message, encoding=encoding, attachment=attachment)
 
     def _answer_rest(self, query: "zenoh.Query", resource: str) -> None:
+        path = "/config" if resource == "config" else f"/sensors/{self.sensor.name}/{resource}"
         with query:
-            path = "/config" if resource == "config" else f"/sensors/{self.sensor.name}/{resource}"
-            body = query.payload.to_bytes() if query.payload else b""
             try:
-                about = json.loads(query.attachment.to_bytes()) if query.attachment else {}
-                parameters = str(query.parameters).replace(";", "&")
-                request = Request(
-                    about.get("method", "GET"),
-                    path,
-                    about.get("query", parameters),
-                    about.get("headers", {}),
-                    body,
-                )
-                answer = self._publisher.handle(request)
+                self._reply(query, path)
+            except ValueError as error:  # of another's making
+                query.reply_err(f"{error}"[:MAX_ERROR])
             except Exception as error:
                 LOG.exception("zenoh: %s failed", path)
-                query.reply_err(f"{type(error).__name__}: {error}")
-                return
-            about = {"status": answer.status, "headers": answer.headers}
-            encoding = answer.headers.get("content-type", BYTES)
-            query.reply(query.key_expr, answer.body, encoding=encoding, attachment=json.dumps(about))
+                query.reply_err(f"{type(error).__name__}: {error}"[:MAX_ERROR])
+            finally:
+                self._publisher.places.release()
+
+    def _reply(self, query: "zenoh.Query", path: str) -> None:
+        """Answer a request; ValueError where it is none."""
+        body, gate = query.payload.to_bytes() if query.payload else b"", self._publisher.gate
+        about = json.loads(query.attachment.to_bytes()) if query.attachment else {}
+        question = Question.model_validate({"query": str(query.parameters).replace(";", "&")} | about)
+        request = Request(question.method, path, question.query, question.headers, body)
+        changes = request.method not in SAFE_METHODS
+        if changes:
+            refusal = gate.refusal(str(query.key_expr), about, body, time.monotonic())
+            request = request._replace(refusal=refusal)
+        answer = self._publisher.handle(request)
+        head: dict[str, Any] = {"status": answer.status, "headers": answer.headers}
+        if changes and not request.refusal:
+            head = gate.proven(about["challenge"], head, answer.body)
+        encoding = answer.headers.get("content-type", BYTES)
+        query.reply(query.key_expr, answer.body, encoding=encoding, attachment=json.dumps(head))
 
     def close(self) -> None:
         """Publish that the sensor is no longer published, and take its token back."""

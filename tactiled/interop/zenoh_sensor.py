@@ -1,21 +1,20 @@
 """A sensor whose reader is elsewhere: its images and state as they come, and how old they are; no network."""
 
-import json
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from io import BytesIO
-from math import inf
-from typing import Any, cast
+from math import inf, prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.contacts.detection import Contact
-from tactiled.errors import NoShearError, ReaderError
-from tactiled.frames import FrameWarning, Image, Loss
+from tactiled.errors import NoShearError, ReaderAnswerError, ReaderError
+from tactiled.frames import Image, Loss
 from tactiled.geometry import Array, tiling
+from tactiled.interop import zenoh_messages as messages
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
 from tactiled.runtime.contact_tracking import ContactTracking
 from tactiled.runtime.history import History
@@ -23,12 +22,13 @@ from tactiled.runtime.hub import Hub
 from tactiled.runtime.sensor import State, Status
 from tactiled.runtime.timings import Timings
 from tactiled.units import Unit
-from tactiled.wire import unpack
+from tactiled.wire import HEADER
 
 STOPPED = "its reader was stopped"
 NO_LINK = "this server has no connection to the Zenoh network"
 SILENT_AFTER_S = 3 * HEARTBEAT_S  # without a message, from which a reader is not believed to be live
 Frame = tuple[Head, dict[str, tuple[bytes, bytes]]]  # its messages and their details, by kind
+REFUSED_S = 2.5  # that a sensor is stale for after a refused message; states come every second
 MAX_SKEW_S = 0.1  # between two clocks, from which an event names it: NTP keeps a local network below 1 ms
 
 
@@ -113,11 +113,18 @@ class Line:
         self.down_at = -inf  # s, monotonic: since when
         self.closing = False  # whether the reader published that it stops
         self.due = 0.0  # s, monotonic: when its description, then its clock, is asked for
+        self.asking = False
         self.described: str | None = None  # the session of which state and geometry came
-        self.waiting: Frame | None = None  # the newest one, while it is not described yet
+        self.new_state: bytes | None = None  # that came and is not read yet
+        self.refused, self.refused_at = "", -inf  # why, and when (s, monotonic), a message was refused
         self.history_bytes = 0  # for its sensor's past images
         self.state: State = "silent"  # and whether the clock was wrong, when they were last looked at
         self.clock_skewed = False
+
+    @property
+    def robot(self) -> str:
+        """Its robot's name."""
+        return self.name.partition("/")[0]
 
     @property
     def lost(self) -> int:
@@ -175,56 +182,56 @@ class RemoteSensor:
     def __init__(
         self,
         line: Line,
-        state: Mapping[str, Any],
-        geometry: Mapping[str, Any],
+        state: messages.State,
+        geometry: messages.Geometry,
         history: tuple[float, int],
         request: Callable[[Request], Answer],
     ) -> None:
         """`request` has its reader answer a request; `history` is of past images, s and bytes."""
         self._request = request
-        self.name, self.line, self.geometry, self.state_fields = line.name, line, geometry, dict(state)
+        self.name, self.line, self.geometry, self.reported = line.name, line, geometry, state
         self.array = Array(
-            np.array(geometry["positions_mm"], float), geometry["pitch_mm"], geometry["aperture_mm"],
-            geometry["aperture"], tuple(geometry["shape"]) if geometry["shape"] else None,
+            np.array(geometry.positions_mm, float), geometry.pitch_mm, geometry.aperture_mm, geometry.aperture,
+            geometry.shape,
         )  # fmt: skip
-        restored = geometry["restored"]
-        cells = tiling(self.array, restored["rows"] // geometry["raw"]["rows"])
-        shape = (restored["rows"], restored["columns"])
+        restored = geometry.restored
+        cells = tiling(self.array, restored.rows // geometry.raw.rows)
+        self.pieces = len(cells.pieces)
+        shape = (restored.rows, restored.columns)
         self._shapes = {"raw": self.array.frame_shape, "restored": shape if self.array.shape else shape[1:]}
-        self._shapes["shear"] = (2, *self.array.frame_shape)
+        self._shapes |= {"shear": (2, *self.array.frame_shape)} if state.shear else {}
         self.hub, self.timings = Hub(), Timings()
-        self.history = History(*history, self._shapes["raw"], self._shapes["restored"], state["shear"])
+        self.history = History(*history, self._shapes["raw"], self._shapes["restored"], state.shear)
         self._image_at: float | None = None  # s, monotonic: the newest image
         self._transit = 0.0, 0.0  # s, Unix: when that was made, by the reader's clock, and came, by ours
-        self._detail: tuple[bytes, dict[str, Any]] = b"", {}
+        self._detail: tuple[bytes | None, dict[str, Any]] = None, {}  # as it came, and as an image has it
         self._tracking = ContactTracking(self.name, self.hub, self.array, cells)
         self._tracking.start()
 
     @property
     def plan(self) -> RemotePlan:
         """How it is made."""
-        values, robot = self.state_fields, self.name.partition("/")[0]
-        bus = f"{robot}/{values['bus']}"
-        return RemotePlan(self.name, bus, values["codec"], values["shear"], values["unit"])
+        values, robot = self.reported, self.name.partition("/")[0]
+        return RemotePlan(self.name, f"{robot}/{values.bus}", values.codec, values.shear, values.unit)
 
     @property
     def method(self) -> str:
         """Name of the method that is set."""
-        return str(self.state_fields["method"])
+        return self.reported.method
 
     @property
     def clock(self) -> str | None:
         """That gives the frames' times."""
-        return cast(str | None, self.state_fields["clock"])
+        return self.reported.clock
 
     @property
     def references(self) -> list[float | None] | None:
         """Counts of pads that feel no pressure."""
-        return cast(list[float | None] | None, self.state_fields["references"])
+        return self.reported.references
 
     def need_shear(self) -> None:
         """NoShearError where its skin feels none."""
-        if not self.state_fields["shear"]:
+        if not self.reported.shear:
             raise NoShearError(f"sensor {self.name!r}: its codec {self.plan.codec_name} carries no shear")
 
     def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
@@ -236,8 +243,10 @@ class RemoteSensor:
         answer = self._request(Request("GET", "frames/deviation", "format=npy"))
         if answer.status != 200:
             raise ReaderError(f"sensor {image.sensor!r}: its reader has no deviation: HTTP {answer.status}")
-        values: NDArray[np.float32] = np.load(BytesIO(answer.body), allow_pickle=False)
-        return values
+        try:
+            return messages.deviation(answer.body, self._shapes["restored"])
+        except ValueError as error:
+            raise ReaderAnswerError(f"sensor {image.sensor!r}: its reader answers wrongly: {error}") from None
 
     def note_send(self, image: Image) -> None:
         """Nothing: the age of its frames when they are sent is not counted here."""
@@ -246,21 +255,28 @@ class RemoteSensor:
         """Stop its thread."""
         self._tracking.stop()
 
-    def take(self, messages: Mapping[str, tuple[bytes, bytes]], now: float, wall: float) -> None:
-        """Publish the frame of these messages, which came at `now` (s, monotonic; `wall`: Unix)."""
-        parts = {kind: unpack(message) for kind, (message, _) in messages.items()}
-        arrays = {kind: part.values.reshape(self._shapes[kind]) for kind, part in parts.items()}
-        raw, detail = parts["raw"], messages["restored"][1]
+    def fits(self, head: Head, kind: str, size: int) -> bool:
+        """Whether a message of this kind and size (bytes) can be part of a frame."""
+        shape = self._shapes.get(kind)
+        return shape is not None and head.kinds == len(self._shapes) and size <= HEADER.size + 5 * prod(shape)
+
+    def take(self, parts: Mapping[str, tuple[bytes, bytes]], now: float, wall: float) -> None:
+        """Publish the frame of these messages, which came at `now` (s, monotonic; `wall`: Unix).
+
+        ValueError where it is none of this sensor.
+        """
+        images = {kind: messages.image(kind, message, self._shapes[kind]) for kind, (message, _) in parts.items()}
+        raw, detail = images["raw"], parts["restored"][1]
         if detail != self._detail[0]:
-            values = json.loads(detail)
-            warnings = tuple(FrameWarning(**each) for each in values.pop("warnings"))
-            self._detail = detail, values | {"warnings": warnings}
+            values = messages.read(messages.Detail, detail, messages.MAX_DETAIL_BYTES)
+            warnings = tuple(each.warning() for each in values.warnings)
+            self._detail = detail, values.model_dump(exclude={"warnings"}) | {"warnings": warnings}
+        shear = images["shear"].values if "shear" in images else None
         image = Image(
-            sensor=self.name, sequence=raw.sequence, time=raw.timestamp, raw=arrays["raw"],
-            restored=arrays["restored"], flags=raw.flags.reshape(self._shapes["raw"]), iterations=raw.iterations,
-            microseconds=raw.microseconds, noise=raw.noise, noise_gain=raw.noise_gain,
-            resolution_mm=raw.resolution_mm, shear=arrays.get("shear"), arrived=now, unit=raw.unit,
-            **self._detail[1],
+            sensor=self.name, sequence=raw.sequence, time=raw.timestamp, raw=raw.values,
+            restored=images["restored"].values, flags=raw.flags.reshape(self._shapes["raw"]),
+            iterations=raw.iterations, microseconds=raw.microseconds, noise=raw.noise, noise_gain=raw.noise_gain,
+            resolution_mm=raw.resolution_mm, shear=shear, arrived=now, unit=raw.unit, **self._detail[1],
         )  # fmt: skip
         self._image_at, self._transit = now, (raw.made_at, wall)
         self.hub.publish(image)
@@ -268,20 +284,20 @@ class RemoteSensor:
 
     def status(self) -> Status:
         """Health at this moment."""
-        now, values = time.monotonic(), self.state_fields
+        now, values = time.monotonic(), self.reported
         state, detail = self._judge(now)
         live = state == "live"
-        lost = {each.name: values["loss"].get(each.name, 0) for each in fields(Loss)}
+        lost = {each.name: values.loss.get(each.name, 0) for each in fields(Loss)}
         return Status(
             state=state,
             age_s=self._age(now),
-            rate_hz=values["rate_hz"] if live else 0.0,
+            rate_hz=values.rate_hz if live else 0.0,
             detail=detail,
             loss=Loss(**lost | {"undelivered": self.line.lost}),
-            jitter_s=values["jitter_s"] if live else None,
-            skew_s=values["skew_s"],
-            errors=values["error_kinds"],
-            tared_at=values["tared_at"],
+            jitter_s=values.jitter_s if live else None,
+            skew_s=values.skew_s,
+            errors=values.error_kinds,
+            tared_at=values.tared_at,
         )
 
     @property
@@ -302,11 +318,13 @@ class RemoteSensor:
             return "down", self.line.down
         if (silent := now - self.line.heard_at) > SILENT_AFTER_S:
             return "stale", f"no message from its reader for {silent:.1f} s"
-        state, detail = cast(State, self.state_fields["state"]), str(self.state_fields["detail"])
+        if now - self.line.refused_at < REFUSED_S:
+            return "stale", f"a message of its reader is refused: {self.line.refused}"
+        state, detail = self.reported.state, self.reported.detail
         if state == "live":
             if self._image_at is None:
                 return "silent", "no image has come from its reader yet"
-            if (age := now - self._image_at) > self.state_fields["stale_after_s"]:
+            if (age := now - self._image_at) > self.reported.stale_after_s:
                 return "stale", f"its reader has frames, none came here for {age:.1f} s"
             if self.line.offset.offset_s is None:
                 detail = "age unknown: its reader's clock is not compared yet"

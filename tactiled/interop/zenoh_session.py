@@ -20,6 +20,7 @@ LOST_AFTER_S = 3.5  # of silence before a token ends, from which the way was cut
 QUEUE_BATCHES = 4  # that wait for a link, a frame each: what waits longer is old
 MAX_WAIT_S = 0.02  # that a publisher waits for a link before Zenoh drops: newer images replace older ones
 REQUEST_S = 10.0  # until a reader must have answered
+MAX_MESSAGE_BYTES = 16 << 20  # that a peer may have us put together; a longer one is dropped, its link stays
 HEAD = Struct("<8sQBx")  # of an attachment: session, number, kinds of the frame
 
 
@@ -68,6 +69,7 @@ def configuration(settings: Zenoh, users: Path) -> "zenoh.Config":
         "listen/endpoints": settings.listen,
         "scouting/multicast/enabled": False,
         "transport/link/tx/lease": round(1000 * LEASE_S),
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
         "transport/link/tx/queue/size/data": QUEUE_BATCHES,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(1e6 * MAX_WAIT_S),
         "transport/link/tls/root_ca_certificate": root,
@@ -115,6 +117,7 @@ class Request(NamedTuple):
     query: str = ""
     headers: dict[str, str] = {}  # noqa: RUF012, never changed
     body: bytes = b""
+    refusal: str | None = None  # why it may change nothing, "": it may; None: it has not come by a server
 
 
 class Answer(NamedTuple):

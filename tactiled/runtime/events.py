@@ -19,14 +19,14 @@ Kind = Literal[
     "calibration_applied", "calibration_missing", "recording_started", "recording_ended", "recording_added",
     "calibration_started", "calibration_ended",
     "taxel_faulty", "taxel_healed", "creep_measured", "region_above", "region_below", "region_ignored",
-    "publisher_conflict", "clock_skewed",
+    "publisher_conflict", "clock_skewed", "message_refused", "sensor_removed",
     "fault_raised", "fault_cleared", "replay_stepped", "config_reloaded", "config_refused",
 ]  # fmt: skip
 MAX_EVENTS_KEPT = 1000
 CLEAR_AFTER_S = 1.0  # without a fault: one that flickers makes one event
 LOGGED_AS_WARNINGS: frozenset[Kind] = frozenset({
     "sensor_stale", "sensor_silent", "sensor_down", "bus_down", "warning_raised", "state_ignored", "tare_lapsed",
-    "tare_refused", "tare_ignored", "calibration_missing", "taxel_faulty", "fault_raised",
+    "tare_refused", "tare_ignored", "message_refused", "calibration_missing", "taxel_faulty", "fault_raised",
     "config_refused",
 })  # fmt: skip
 LOG = logging.getLogger("tactiled.events")

@@ -167,8 +167,10 @@ def kernel(sensor: Sensor) -> schemas.CoverKernel:
     )
 
 
-def geometry(sensor: Sensor) -> schemas.Geometry:
+def geometry(sensor: SensorView) -> schemas.Geometry:
     """Where a sensor's taxels and surface cells are."""
+    if isinstance(sensor, RemoteSensor):
+        return schemas.Geometry.model_validate(sensor.geometry.model_dump())
     array, cell_mm = sensor.array, sensor.plan.cell_mm
     rows, columns = array.shape or (1, array.size)
     refine = round(array.pitch / cell_mm) if array.shape else 1

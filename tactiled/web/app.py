@@ -46,6 +46,7 @@ STATIC = Path(__file__).parent / "static"
 API_PAGE_FILES = ("fastapi_offline", "static")  # package and folder
 MIN_GZIP_BYTES = 2048
 INCOMPRESSIBLE = ("application/x-npy", "application/x-npz", "application/octet-stream")  # pressures
+RESOURCES = sensors, regions, calibration, calibration_file, frames, trace  # of one sensor
 DESCRIPTION = """Raw and restored pressure images of covered tactile arrays.
 
 Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, described in AsyncAPI by
@@ -74,7 +75,8 @@ def create_for_fleet(fleet: Fleet, server: Server) -> FastAPI:
     """Make the application of the sensors of other processes, by names `robot/sensor`."""
     app, _ = _application(fleet, server)
     app.include_router(forward.config_of(fleet))
-    app.add_middleware(forward.Forward, fleet=fleet)
+    resources = [route for each in RESOURCES for route in each.router.routes]
+    app.add_middleware(forward.Forward, fleet=fleet, resources=resources)
     return _complete(app, server)
 
 
@@ -97,7 +99,7 @@ def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
     app.include_router(metrics.router)
     app.include_router(stream.make(feeds, service.faults))
     app.include_router(asyncapi.router)
-    for resource in (sensors, regions, calibration, calibration_file, frames, trace, events):
+    for resource in (*RESOURCES, events):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     return app, feeds
 

@@ -1,50 +1,61 @@
 """What a server of other processes' sensors forwards to their readers, and how a reader answers."""
 
-import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import asyncio
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from anyio.from_thread import start_blocking_portal
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import JSONResponse
+from fastapi.routing import APIRoute
+from pydantic import TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.responses import Response
+from starlette.routing import BaseRoute, Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from tactiled import __version__
+from tactiled.calibrate.calibration_file import read as read_calibration
 from tactiled.config import Server, Zenoh
-from tactiled.errors import ReaderError, TactileError
+from tactiled.errors import ConfigError, ReaderAnswerError, TactileError
 from tactiled.interop import zenoh_session
+from tactiled.interop.signatures import SAFE_METHODS
 from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.interop.zenoh_messages import MAX_JSON_BYTES, Settings, first_fault, read
 from tactiled.interop.zenoh_publisher import Publisher
 from tactiled.interop.zenoh_session import REQUEST_S, Answer
 from tactiled.runtime.sensor import Sensor
-from tactiled.web import answers
+from tactiled.web import answers, schemas
 from tactiled.web.http import problems
-from tactiled.web.http.auth import token_of
-from tactiled.web.http.body import SAFE_METHODS
 from tactiled.web.rest import openapi
 from tactiled.web.rest.config import Config, server_settings
+from tactiled.web.rest.openapi import MEDIA
 
 ROOT, SENSORS = "/api/v1", "/api/v1/sensors/"
-LOCAL = {"", "stream", "contacts", "frames", "frames/raw", "frames/restored", "frames/deviation", "frames/shear"}
-ANSWER_HEADERS = {
-    "content-type", "content-disposition", "cache-control", "etag", "vary", "retry-after",
-    "www-authenticate", "allow",
-}  # fmt: skip
-NO_TOKEN = (
-    "this sensor's reader has no server.control_token, and its network reaches beyond its machine: nothing may be "
-    "changed from here"
+LOCAL = {"", "stream", "geometry", "contacts", "frames"}  # and what is below
+FORWARDED = "accept", "content-type"  # headers of a request; a reader never sees who asks
+PROBLEM = "application/problem+json"
+READER_PROBLEMS = frozenset(openapi.PROBLEMS) - {401}
+RETRIED = {429, 503}
+MAX_TEXT = 1000  # characters of a problem
+CSV = re.compile(rb"[A-Za-z0-9_,/]*\n(?:[-+.0-9einfa,]*\n)*")  # numbers under their names
+CONFIG_S = 3.0  # that every reader together may take to give its configuration
+ROS_REFUSED = (
+    "a request of ROS 2 carries no claim: it may tare only where the reader has neither zenoh.control_key nor "
+    "server.control_token, and all endpoints of its network are on loopback: tare by the REST API"
 )
 
 
 class Forward:
     """Joins robot and sensor of a path to one name, and forwards what is not here to the sensor's reader."""
 
-    def __init__(self, app: ASGIApp, fleet: Fleet) -> None:
+    def __init__(self, app: ASGIApp, fleet: Fleet, resources: Sequence[BaseRoute]) -> None:
         self._app, self._fleet = app, fleet
+        self._routes = [each for each in resources if isinstance(each, APIRoute)]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
@@ -53,36 +64,72 @@ class Forward:
             return
         robot, *rest = scope["path"].removeprefix(SENSORS).split("/", 2)
         name, resource = "/".join((robot, *rest[:1])), "/".join(rest[1:])
-        if scope["type"] == "websocket" or resource in LOCAL or name not in self._fleet.sensors:
-            path = f"{SENSORS}{quote(name, safe='')}{f'/{resource}' if resource else ''}"
-            await self._app({**scope, "path": path}, receive, send)
-        else:
-            response = await self._forward(Request(scope, receive), name, resource)
-            await response(scope, receive, send)
+        path = f"{SENSORS}{quote(name, safe='')}{f'/{resource}' if resource else ''}"
+        local: Scope = {**scope, "path": path}
+        is_here = (
+            scope["type"] == "websocket" or resource.partition("/")[0] in LOCAL or name not in self._fleet.sensors
+        )
+        route = None if is_here else self._route(local)
+        if route is None:  # the application says what is wrong with it
+            await self._app(local, receive, send)
+            return
+        try:
+            response = await self._forward(Request(scope, receive), name, resource, route)
+        except TactileError as error:  # the application's handlers do not see it
+            response = problems.refused(error)
+        await response(scope, receive, send)
 
-    async def _forward(self, request: Request, name: str, resource: str) -> Response:
-        headers = {each: value for each in ("accept", "content-type") if (value := request.headers.get(each))}
-        if token := token_of(request.headers, request.query_params):
-            headers["authorization"] = f"Bearer {token}"
+    def _route(self, scope: Scope) -> APIRoute | None:
+        return next((each for each in self._routes if each.matches(scope)[0] is Match.FULL), None)
+
+    async def _forward(self, request: Request, name: str, resource: str, route: APIRoute) -> Response:
+        """A reader's answer, made here of what a client may get; nothing but the request goes there."""
+        headers = {each: value for each in FORWARDED if (value := request.headers.get(each))}
         query = [each for each in parse_qsl(request.url.query, keep_blank_values=True) if each[0] != "token"]
         forwarded = zenoh_session.Request(
-            request.method, resource, urlencode(query), headers, await request.body()
+            request.method, quote(resource), urlencode(query), headers, await request.body()
         )
+        answer = await self._fleet.answer(name, forwarded)
         try:
-            answer = await run_in_threadpool(self._fleet.request, name, forwarded)
-        except ReaderError as error:  # the application's handlers do not see it
-            return problems.response(503, str(error), problems.SOON)
-        return Response(_renamed(answer, name), answer.status, answer.headers)
+            return await run_in_threadpool(_checked, answer, name, route)
+        except (ValueError, ConfigError) as error:
+            why = first_fault(error) if isinstance(error, ValidationError) else f"{error}"
+            raise ReaderAnswerError(
+                f"sensor {name!r}: its reader answers wrongly: {resource}: {why:.300}"
+            ) from None
 
 
-def _renamed(answer: Answer, name: str) -> bytes:
-    """The body of an answer, its sensor by the name that it has here."""
-    if answer.headers.get("content-type") != "application/json":
-        return answer.body
-    content = json.loads(answer.body)
-    if not isinstance(content, dict) or "sensor" not in content:
-        return answer.body
-    return json.dumps(content | {"sensor": name}).encode()
+def _checked(answer: Answer, name: str, route: APIRoute) -> Response:
+    """What a client gets for an answer; ValueError or ConfigError where no reader of this release answers so."""
+    media = answer.headers.get("content-type", "").partition(";")[0]
+    if media == PROBLEM and answer.status in READER_PROBLEMS:
+        problem = schemas.Problem.model_validate_json(answer.body)
+        later = problems.SOON if answer.status in RETRIED else None
+        more = {"code": problem.code, "seen": problem.seen and problem.seen[:MAX_TEXT]}
+        return problems.response(answer.status, problem.detail[:MAX_TEXT], later, **more)
+    if answer.status != (route.status_code or 200):
+        raise ValueError(f"status {answer.status} of {media!a:.80}")
+    if answer.status == 204:
+        return Response(status_code=204)
+    formats = route.responses.get(200, {}).get("content", {})
+    if media == MEDIA["json"] and route.response_model:
+        return _json(answer, name, route)
+    if media == MEDIA["csv"] and media in formats and CSV.fullmatch(answer.body):
+        return Response(answer.body, media_type=media)
+    if media == MEDIA["calibration"] and media in formats:
+        own = name.partition("/")[2]
+        download = {"Content-Disposition": f'attachment; filename="{own}.json"', "Cache-Control": "no-cache"}
+        return Response(read_calibration(answer.body).text, media_type=media, headers=download)
+    raise ValueError(f"{len(answer.body)} bytes of {media!a:.80}")
+
+
+def _json(answer: Answer, name: str, route: APIRoute) -> Response:
+    """A JSON answer with the fields that it has by our schema, its sensor by the name that it has here."""
+    adapter: TypeAdapter[Any] = TypeAdapter(route.response_model)
+    value = adapter.validate_json(answer.body)
+    if hasattr(value, "sensor"):
+        value = value.model_copy(update={"sensor": name})
+    return Response(adapter.dump_json(value), answer.status, media_type=MEDIA["json"])
 
 
 def config_of(fleet: Fleet) -> APIRouter:
@@ -90,20 +137,27 @@ def config_of(fleet: Fleet) -> APIRouter:
     router = APIRouter(prefix=ROOT, tags=["service"], responses=openapi.problems(*openapi.EVERY_RESOURCE))
 
     @router.get("/config", responses={200: {"model": Config}})
-    def config(request: Request) -> JSONResponse:
+    async def config(request: Request) -> JSONResponse:
         """The configurations of this server and of every reader that answers, without secrets."""
         merged: dict[str, Any] = {"bus": {}, "sensor": {}, "overrides": []}
-        for name in fleet.sensors:
-            robot, own = name.split("/")
-            try:
-                settings = json.loads(fleet.request(name, zenoh_session.Request("GET", "config")).body)
-            except TactileError:
+        names = {name.partition("/")[0]: name for name in fleet.sensors}  # one of each robot
+        for robot, settings in zip(names, await asyncio.gather(*map(settings_of, names.values())), strict=True):
+            if settings is None:
                 continue
-            merged["sensor"][name] = settings["sensor"][own] | {"bus": f"{robot}/{settings['sensor'][own]['bus']}"}
-            merged["bus"] |= {f"{robot}/{bus}": table for bus, table in settings["bus"].items()}
-            overrides = (each for each in settings["overrides"] if each["sensor"] == own)
-            merged["overrides"] += [each | {"sensor": name} for each in overrides]
+            for own, table in settings.sensor.items():
+                if f"{robot}/{own}" in fleet.sensors:
+                    merged["sensor"][f"{robot}/{own}"] = table | {"bus": f"{robot}/{table.get('bus', '')!s:.64}"}
+            merged["bus"] |= {f"{robot}/{bus}": table for bus, table in settings.bus.items()}
+            merged["overrides"] += [
+                each.model_dump() | {"sensor": f"{robot}/{each.sensor}"} for each in settings.overrides
+            ]
         return JSONResponse({"server": server_settings(request.app.state.server, False)} | merged)
+
+    async def settings_of(name: str) -> Settings | None:
+        with suppress(TactileError, ValueError):
+            answer = await fleet.answer(name, zenoh_session.Request("GET", "config"), CONFIG_S)
+            return await run_in_threadpool(read, Settings, answer.body, MAX_JSON_BYTES)
+        return None
 
     return router
 
@@ -114,7 +168,8 @@ class Requests:
     def __init__(self, app: FastAPI, server: Server, settings: Zenoh) -> None:
         token = server.control_token
         self._app, self._token = app, token and token.get_secret_value()
-        self._open = self._token is not None or settings.loopback  # to changes
+        is_open = settings.loopback and token is None and settings.control_key is None
+        self._ros_refusal = "" if is_open else ROS_REFUSED
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -128,14 +183,13 @@ class Requests:
                 self._portal.call(lifespan.__aexit__, None, None, None)
 
     def __call__(self, request: zenoh_session.Request) -> Answer:
-        """Answer one request; whoever is on the network may read, and changes need the control token."""
-        headers = dict(request.headers)
-        if request.method in SAFE_METHODS:
-            headers |= {"authorization": f"Bearer {self._token}"} if self._token else {}
-        elif not self._open:
-            refused = problems.response(403, NO_TOKEN)
+        """Answer one request; whoever is on the network may read, and changes need a claim."""
+        refusal = self._ros_refusal if request.refusal is None else request.refusal
+        if request.method not in SAFE_METHODS and refusal:
+            refused = problems.response(403, refusal)
             return Answer(403, {"content-type": str(refused.media_type)}, bytes(refused.body))
-        headers |= {"host": "localhost", "content-length": str(len(request.body))}
+        headers = request.headers | {"host": "localhost", "content-length": str(len(request.body))}
+        headers |= {"authorization": f"Bearer {self._token}"} if self._token else {}
         return self._portal.start_task_soon(self._answer, request, headers).result(REQUEST_S)
 
     async def _answer(self, request: zenoh_session.Request, headers: dict[str, str]) -> Answer:
@@ -157,14 +211,14 @@ class Requests:
         }  # fmt: skip
         await self._app(scope, receive, send)
         start = Headers(raw=messages[0]["headers"])
-        kept = {name: value for name, value in start.items() if name in ANSWER_HEADERS}
-        return Answer(messages[0]["status"], kept, b"".join(each.get("body", b"") for each in messages[1:]))
+        media = {"content-type": start["content-type"]} if "content-type" in start else {}
+        return Answer(messages[0]["status"], media, b"".join(each.get("body", b"") for each in messages[1:]))
 
 
 def publisher(service: Any, settings: Zenoh, requests: Requests) -> Publisher:
     """The publisher of a service's sensors, whose states are as of the REST API."""
 
     def describe(sensor: Sensor) -> dict[str, Any]:
-        return answers.sensor_state(sensor).model_dump(mode="json")
+        return answers.sensor_state(sensor).model_dump(mode="json") | {"release": __version__}
 
     return Publisher(service, settings, describe, requests)

@@ -199,7 +199,8 @@ def publish(service: "Service", config: Server, settings: Zenoh) -> None:
     where = f"{settings.prefix}/{settings.robot}"
     watchdog = _watchdog(service, where)
     with bridge(service, config.foxglove), xela_clients(service, config), publishing(service, config, settings):
-        logs.announce(f"{', '.join(service.sensors)} published as {where} (stop: Ctrl-C)")
+        rights = "" if settings.control_key else ", read-only without zenoh.control_key"
+        logs.announce(f"{', '.join(service.sensors)} published as {where}{rights} (stop: Ctrl-C)")
         while True:
             if watchdog:
                 watchdog.look()

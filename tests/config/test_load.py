@@ -41,6 +41,8 @@ COVER = "sensor.palm.cover[0]"
          "zenoh.connect[0] = 'tcp:1': give tcp, tls, quic, udp or ws, then /ADDRESS:PORT, such as tcp/"),
         ("port = 8000", 'port = 8000\n[zenoh]\nlisten = ["tcp/[::1]:7447"]\nprefix = "a b"',
          "zenoh.prefix = 'a b': give ASCII letters, digits, _ or -, in parts with / between"),
+        ("port = 8000", 'port = 8000\n[zenoh]\nlisten = ["tcp/[::1]:7447"]\ncontrol_key = "hunter2hunter2hunter2"',
+         "zenoh.control_key: give 64 of the digits 0-9 and a-f, as `openssl rand -hex 32` prints them"),
         ("accuracy = ", "no_load = 1\naccuracy = ",
          "sensor.palm.kernel.no_load: unknown key: did you mean calibration.no_load?"),
         ("port = 8000", "rows = 8", "server.rows: unknown key: did you mean array.rows or codec.rows?"),

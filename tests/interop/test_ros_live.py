@@ -18,7 +18,7 @@ from tactiled.interop.ros_types import Types
 from tactiled.interop.zenoh_session import open_session
 from tactiled.units import nanoseconds
 from tests.conftest import BUSY_S, pressed, until
-from tests.interop.test_zenoh import TOKEN, published
+from tests.interop.zenoh_kit import TOKEN, published
 from tests.process import free_port
 
 IMAGE = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"  # of Jazzy, as that of Trigger
@@ -179,7 +179,7 @@ def test_the_service_tares_and_answers_when_it_is_done_and_why_it_is_not(rig, ne
     assert answers == [(True, "tare complete", 1), (False, reason, 1)]
 
 
-def test_the_service_is_refused_where_a_change_needs_a_token(network):
+def test_the_service_is_refused_where_a_change_needs_a_claim(network):
     session = network(Server(control_token=TOKEN))
     success, message = trigger(session)
     assert not success

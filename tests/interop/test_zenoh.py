@@ -2,8 +2,6 @@
 
 import json
 import subprocess
-import time
-from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -11,41 +9,14 @@ from websockets.sync.client import connect
 
 from tactiled.config import Server, Zenoh, parse
 from tactiled.errors import ConfigError, TactileError
-from tactiled.interop.zenoh_session import Answer, Request, open_session
+from tactiled.interop.zenoh_session import open_session
 from tactiled.web.app import create
-from tactiled.web.forward import Requests, publisher
+from tactiled.web.forward import Requests
 from tactiled.web.server import running
 from tactiled.wire import unpack
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, problem, until
-from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, pass_on, state
+from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, pass_on, published, state
 from tests.process import free_port
-
-TOKEN = "0123456789abcdef"
-
-
-@contextmanager
-def published(rig, endpoint, server=Server(), **settings):  # noqa: B008, frozen
-    """A rig's sensors on the network, from this process."""
-    settings = Zenoh(connect=[endpoint], robot="r1", **settings)
-    requests = Requests(create(rig.service, server), server, settings)
-    with requests.running(), publisher(rig.service, settings, requests).running():
-        yield
-
-
-@pytest.fixture
-def served(rig):
-    """Publishes the rig from this process and serves it; gives the fleet and the address of its API."""
-    with ExitStack() as stack:
-
-        def start(reader_server=Server(), server=Server(port=0), **settings):  # noqa: B008
-            endpoint = f"tcp/127.0.0.1:{free_port()}"
-            listening = fleet_at("", mode="peer", connect=[], listen=[endpoint], **settings)
-            fleet = stack.enter_context(listening)
-            stack.enter_context(published(rig, endpoint, reader_server, **settings))
-            until(lambda: NAME in fleet.sensors)
-            return fleet, stack.enter_context(running(fleet, server)) + "/api/v1"
-
-        yield start
 
 
 def test_one_who_comes_late_gets_the_newest_frame_and_all_that_is_known(rig, served):
@@ -128,25 +99,8 @@ def test_over_mutual_tls_an_authority_lets_readers_in_and_no_other(rig, certific
             np.testing.assert_array_equal(fleet.sensors[NAME].hub.latest().restored, image.restored)
 
 
-def test_a_change_needs_the_control_token_of_the_server_and_of_the_reader(rig, served):
-    token = {"control_token": TOKEN}
-    fleet, url = served(Server(**token), Server(port=0, **token))
-    path, bearer = f"{url}/sensors/r1/palm/method", {"Authorization": f"Bearer {TOKEN}"}
-    problem(ask("PUT", path, json={"method": "nnls"}), 401)  # by the server
-    assert ask("PUT", path, json={"method": "nnls"}, headers=bearer).json()["method"] == "nnls"
-    assert rig.sensor.method == "nnls"
-    until(lambda: fleet.sensors[NAME].method == "nnls")
-    until(lambda: kinds(fleet, "method_set"))
-    reply = fleet.request(NAME, Request("PUT", "method", body=b'{"method": "raw"}'))
-    assert (reply.status, rig.sensor.method) == (401, "nnls")  # by the reader
-    wrong = {"authorization": "Bearer " + TOKEN[::-1]}
-    assert fleet.request(NAME, Request("POST", "tare", headers=wrong)).status == 401
-    assert not rig.sensor.pipeline._tare_frames.stop()
-    assert fleet.request(NAME, Request("GET", "method")).status == 200  # whoever sees the frames may read
-
-
-def test_a_tare_through_the_server_is_done_and_reported_there(rig, served):
-    fleet, url = served()
+def test_a_tare_through_the_server_is_done_and_reported_there(rig, routed):
+    fleet, url, _ = routed()
     with rig.playing(50):
         until(lambda: state(fleet) == "live")
         answer = ask("POST", f"{url}/sensors/{NAME}/tare?force=true")
@@ -162,25 +116,7 @@ def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):
         with published(rig, endpoint):
             until(lambda: NAME in fleet.sensors)
         until(lambda: state(fleet) == "down")
-        assert "was stopped" in problem(ask("GET", f"{url}/api/v1/sensors/{NAME}/geometry"), 503)
-
-
-def test_a_request_that_its_reader_does_not_answer_ends_in_time(served, monkeypatch):
-    _, url = served()
-    monkeypatch.setattr("tactiled.interop.zenoh_fleet.REQUEST_S", 0.3)
-    monkeypatch.setattr(Requests, "__call__", lambda *_: (time.sleep(1), Answer(200, {}, b"{}"))[1])
-    refused = problem(ask("GET", f"{url}/sensors/{NAME}/method"), 503)
-    assert refused == f"sensor {NAME!r}: its reader did not answer within 0.3 s"
-
-
-def test_a_reader_without_a_token_lets_nothing_change_beyond_its_machine(rig):
-    server = Server()
-    for endpoint, status in (("tcp/127.0.0.1:7447", 200), ("tcp/10.0.0.1:7447", 403)):
-        requests = Requests(create(rig.service, server), server, Zenoh(connect=[endpoint], robot="r1"))
-        with requests.running():
-            body, headers = b'{"method": "raw"}', {"content-type": "application/json"}
-            assert requests(Request("PUT", "/sensors/palm/method", "", headers, body)).status == status
-            assert requests(Request("GET", "/sensors/palm/method")).status == 200
+        assert "was stopped" in problem(ask("GET", f"{url}/api/v1/sensors/{NAME}/kernel"), 503)
 
 
 def test_an_interrupted_reader_closes_what_its_resources_have_open(rig):

@@ -3,9 +3,12 @@ from functools import partial
 
 from tactiled.config import Server, Zenoh
 from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.web.app import create
+from tactiled.web.forward import Requests, publisher
 from tests.conftest import until
 
 NAME = "r1/palm"
+TOKEN, KEY = "0123456789abcdef", "0123456789abcdef" * 4
 
 
 @contextmanager
@@ -14,6 +17,15 @@ def fleet_at(endpoint, **settings):
     fleet = Fleet(Zenoh(**({"mode": "client", "connect": [endpoint]} | settings)), Server())
     with fleet.running():
         yield fleet
+
+
+@contextmanager
+def published(rig, endpoint, server=Server(), **settings):  # noqa: B008, frozen
+    """A rig's sensors on the network, from this process."""
+    settings = Zenoh(connect=[endpoint], robot="r1", **settings)
+    requests = Requests(create(rig.service, server), server, settings)
+    with requests.running(), publisher(rig.service, settings, requests).running():
+        yield
 
 
 def kinds(fleet, kind):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any
+from typing import Any, cast
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -16,7 +16,9 @@ from tactiled.errors import (
     NoCalibrationError,
     NoShearError,
     NotLiveError,
+    ReaderAnswerError,
     ReaderError,
+    ReadOnlyError,
     ReloadError,
     TactileError,
     TareStateError,
@@ -27,6 +29,7 @@ from tactiled.web import schemas
 STATUSES: dict[type[TactileError], int] = {
     ConfigError: 422, UnknownSensorError: 404, NoShearError: 404, NoCalibrationError: 404, NotLiveError: 409,
     LoadedError: 409, CalibrationStateError: 409, TareStateError: 409, ReloadError: 409, ReaderError: 503,
+    ReaderAnswerError: 502, ReadOnlyError: 403,
 }  # fmt: skip
 SOON = {"Retry-After": "1"}
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
@@ -48,6 +51,13 @@ def response(status: int, detail: str, headers: Mapping[str, str] | None = None,
 def close_reason(reason: str) -> str:
     """As much of a reason as a close frame holds."""
     return reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
+
+
+def refused(error: TactileError) -> Response:
+    """The answer to an error of STATUSES."""
+    status = next(status for kind, status in STATUSES.items() if isinstance(error, kind))
+    loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
+    return response(status, str(error), SOON if status == 503 else None, **loaded)
 
 
 def install(app: FastAPI) -> None:
@@ -78,10 +88,7 @@ def install(app: FastAPI) -> None:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    """The answer to an error of STATUSES."""
-    status = next(status for kind, status in STATUSES.items() if isinstance(error, kind))
-    loaded: dict[str, Any] = {"code": "loaded", "seen": error.seen} if isinstance(error, LoadedError) else {}
-    return response(status, str(error), SOON if status == 503 else None, **loaded)
+    return refused(cast(TactileError, error))
 
 
 def _methods(app: FastAPI, request: Request) -> list[str]:

@@ -40,7 +40,7 @@ def sensor_state(sensor: AnySensor) -> schemas.SensorState:
 
 
 @router.get("/sensors/{name}/geometry", tags=["sensors"], responses=problems(404))
-def geometry(sensor: NamedSensor) -> schemas.Geometry:
+def geometry(sensor: AnySensor) -> schemas.Geometry:
     """Positions of the taxels and the cells of the images, in mm."""
     return answers.geometry(sensor)
 
