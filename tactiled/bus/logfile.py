@@ -81,12 +81,11 @@ class BoundedBlf(formats.BLFReader):
             data = self.file.read(length - size)
             self.file.read(length % 4)
             cut = len(data) < length - size
-            if kind == blf.LOG_CONTAINER and not (cut and len(data) < blf.LOG_CONTAINER_STRUCT.size):
-                for message in self._parse_container(_unpacked(data)):
+            packed = kind == blf.LOG_CONTAINER
+            if not (packed and cut and len(data) < blf.LOG_CONTAINER_STRUCT.size):
+                for message in self._parse_container(_unpacked(data) if packed else header + data):
                     message.channel = cast(int, message.channel) + 1
                     yield message
-            elif kind != blf.LOG_CONTAINER:
-                self._remarks.left_out[textlog.EVENT] += 1
             if cut:
                 raise EOFError("it is cut off")
         if self._tail.strip(b"\0"):
@@ -140,6 +139,10 @@ SIGNATURES = (  # formats by how their files begin: the endings under which they
     (rb"\([0-9]+\.[0-9]+\) \S+ [0-9A-Fa-f]+#", (".log",), "candump's log"),
     (rb"(interface = .*\s+)?(\(.*\)\s+)?\S+\s+((RX|TX).*\s+)?[0-9A-F]{3,8}\s+\[[0-9]+\]\s",
      (), "what candump prints on a screen: record with candump -l"),
+    (rb"\x1f\x8b", (), "packed by gzip: name it with .gz at the end, as in a.log.gz"),
+    (rb"PK\x03\x04", (), "a zip archive: unpack it"),
+    (rb"(\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\x4d\x3c\xb2\xa1|\x0a\x0d\x0d\x0a)", (),
+     "a capture of Wireshark or tcpdump: record with candump -l"),
     (rb"Timestamp: +[0-9.]+ +ID: ", (), "what python-can prints on a screen: record with tactiled record"),
     (rb"\*\*\*BUSMASTER ", (), f"BUSMASTER's log: {CONVERT}"),
     (rb"Time Stamp,ID,Extended,", (), f"SavvyCAN's CSV: {CONVERT}"),

@@ -17,6 +17,7 @@ EVENT, REQUEST, ZEROED = "other event", "transmit request", "zeroed line"
 LAST_LINE_CUT = "its last line is cut off"
 LOCAL_TIME = "its times are of an unknown time zone, taken for UTC"
 MAX_CLASSIC_BYTES = 8
+MAX_STANDARD_ID = 0x7FF
 BYTES = "((?:[0-9A-Fa-f]{2}){0,8})|(#)[0-9A-Fa-f]((?:[0-9A-Fa-f]{2}){0,64})"  # classic; FD
 CANDUMP_LINE = re.compile(
     rf"\(([0-9]+\.[0-9]+)\) ([^\s]+) ([0-9A-Fa-f]{{3}}|[01][0-9A-Fa-f]{{7}})#(?:{BYTES})(?: [RT])?\n"
@@ -29,11 +30,12 @@ CANDUMP_OTHERS = (
     (re.compile(r"#?([0-9A-F]{2})*[0-9A-F]", re.IGNORECASE), CUT),
     (re.compile(r"[0-9A-F]+:[0-9A-F]+:[0-9A-F]+#[0-9A-F.]*", re.IGNORECASE), XL_FRAME),
 )
+BOM = "\ufeff"  # at the beginning of each of several files that became one
 ERROR_FLAG = 0x20000000  # in an id, as SocketCAN marks an error frame
 NUMBER = re.compile(r"-?[0-9]+([.,][0-9]+)?")
 ASC_HEAD = re.compile(r"//|(date|base|(no )?internal|begin|end|previous)\b", re.IGNORECASE)
 ASC_START = re.compile("start|stop|beginn?|ende?", re.IGNORECASE)  # of the measurement: nothing else happened
-ASC_DIRECTIONS = {"Rx", "Tx", "TxRq"}
+ASC_DIRECTIONS = {"rx", "tx", "txrq"}
 FD_FORMAT, REMOTE = 0x1000, 0x10  # bits of the flags in a CANFD line of .asc
 TRC_COLUMNS = {
     "1.0": "NOIlD", "1.1": "NOdIlD", "1.2": "NOBdIlD", "1.3": "NOBdIRlD", "2.0": "NOTIdlD", "2.1": "NOTBIdRLD",
@@ -73,7 +75,7 @@ def candump(lines: Iterable[str], remarks: Remarks) -> Iterator[Logged]:
             time, channel, id_, classic, fd, data = match.groups()
             data = bytes.fromhex(data if fd else classic)
             yield channel, Message(float(time), int(id_, 16), data, len(id_) > 3, fd is not None)
-        elif text := line.strip():
+        elif text := line.strip().lstrip(BOM):
             try:
                 yield _candump(text)
             except NoFrameError as fault:
@@ -85,7 +87,7 @@ def _candump(text: str) -> Logged:
     if match := CANDUMP_DROPS.match(text):
         raise NoFrameError(DROPPED, int(match[1]))
     if (match := CANDUMP_FIELDS.fullmatch(text)) is None:
-        if text.startswith("(") and "#" in text:
+        if text.startswith("#") or (text.startswith("(") and "#" in text):
             raise NoFrameError(UNREADABLE)
         raise ValueError(f"{text[:40]!r} is no line of candump's log")
     time, channel, id_, body = match.groups()
@@ -133,9 +135,9 @@ def _asc(words: list[str], base: int, time: float) -> Logged:
         raise NoFrameError(XL_FRAME if bus.upper() == "CANXL" else EVENT, int(not ASC_START.match(bus)))
     if "errorframe" in (each.lower() for each in words[:2]):
         raise NoFrameError(ERROR_FRAME)
-    if len(words) < 3 or words[1] not in ASC_DIRECTIONS:
+    if len(words) < 3 or words[1].lower() not in ASC_DIRECTIONS:
         raise NoFrameError(EVENT)
-    if words[1] == "TxRq":  # what is sent comes once more, as Tx
+    if words[1].lower() == "txrq":  # what is sent comes once more, as Tx
         raise NoFrameError(REQUEST)
     id_ = words[0].lower()
     try:
@@ -143,7 +145,7 @@ def _asc(words: list[str], base: int, time: float) -> Logged:
         data, fd = _asc_fd(words[2:], base) if fd else (_asc_classic(words[2:], base), False)
     except (ValueError, IndexError):
         raise NoFrameError(UNREADABLE) from None
-    return bus, Message(time, number, data, id_.endswith("x"), fd)
+    return bus, Message(time, number, data, id_.endswith("x") or number > MAX_STANDARD_ID, fd)
 
 
 def _asc_classic(words: list[str], base: int) -> bytes:
@@ -160,10 +162,13 @@ def _asc_fd(words: list[str], base: int) -> tuple[bytes, bool]:
         del words[0]  # a symbolic name
     switched, _, _, length, *rest = words
     data = _data(rest[: int(length)], int(length), base)
-    flags = int(rest[len(data) + 2], 16) if len(rest) > len(data) + 2 else None
-    if flags is not None and flags & REMOTE:
+    try:
+        flags = int(rest[len(data) + 2], 16)  # behind duration and length of the message
+    except (IndexError, ValueError):  # of a tool that does not write them
+        flags = FD_FORMAT
+    if flags & REMOTE:
         raise NoFrameError(REMOTE_FRAME)
-    return data, flags is None or bool(flags & FD_FORMAT) or switched == "1" or len(data) > MAX_CLASSIC_BYTES
+    return data, bool(flags & FD_FORMAT) or switched == "1" or len(data) > MAX_CLASSIC_BYTES
 
 
 def _data(words: list[str], length: int, base: int = 16) -> bytes:
@@ -237,7 +242,8 @@ def _trc(row: dict[str, str], start: float) -> Logged:
 def csv(lines: Iterable[str], remarks: Remarks) -> Iterator[Logged]:
     """Messages of python-can's own .csv; FormatError for any other table, EOFError where its end is cut off."""
     lines = iter(lines)
-    if (head := next(lines, CSV_HEAD).strip()) != CSV_HEAD:
+    head = next(lines, CSV_HEAD).strip()
+    if re.sub("[ _]", "", head).lower() != CSV_HEAD.replace("_", ""):  # it had other spaces once
         raise FormatError(
             f"a .csv must begin with python-can's {CSV_HEAD!r}, not {head[:40]!r}: give another format"
         )

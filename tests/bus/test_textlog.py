@@ -64,6 +64,24 @@ def after(path, content):
         ("a.log", TWO + "\0\0\0", [1, 1.0002], "its end is cut off"),
         ("a.log", b"\xef\xbb\xbf" + TWO.encode(), [1, 1.0002], ""),
         ("a.log", TWO.encode("utf-16"), [1, 1.0002], ""),
+        ("a.log", "# a grasp\n" + TWO + "\ufeff" + TWO.replace("(1.", "(2."), [1, 1.0002, 2, 2.0002],
+         "left out: 1 unreadable line"),
+        ("a.log", TWO.lower(), [1, 1.0002], ""),
+        ("a.asc", HEAD + ASC.format("0,0", "0,0002").upper(), [0, 0.0002], ""),
+        ("a.asc", HEAD + ASC.format("86399.9", "86399.9002") + ASC.format("0.1", "0.1002"),
+         [86399.9, 86399.9002, 0.1, 0.1002], ""),
+        ("a.asc", HEAD.replace("Fri Nov", "Fre M\xe4r") + "Begin Triggerblock Fre M\xe4r 27 10:13:20.000 2026\r\n"
+         " 0.0 Start der Messung\r\n" + ASC.format("0.0", "0.0002").replace("\n", "\r\n") + "End TriggerBlock\r\n",
+         [0, 0.0002], ""),
+        ("a.asc", HEAD + ASC.format("0.0", "0.0002") + " 0.1 1 500 Rx d 8 07 00date Fri Nov 27 2026\n" + HEAD,
+         [0, 0.0002], "left out: 1 cut-off message"),
+        ("a.asc", HEAD + ASC.format("0.0", "0.0002") + " 0.1 1 Engine Rx d 1 00\n 0.2 CANXL 1 Rx 500 0 1\n"
+         " 0.3 CAN 1 Status:chip status error active\n", [0, 0.0002],
+         "left out: 1 CAN XL frame, 1 other event, 1 unreadable line"),
+        ("a.trc", VERSION.format(2.0) + " 1 0.0 DT 0500 Rx 8 07 00 BC 3A 12 FF 1F 00\n 2 0.1 ER Rx 00 01 02\n"
+         " 3 0.2 DT 0500 Rx 5 07 01 02 30 00\n 4 0.3 ST Rx 00 00 00 08\n", [STARTED, STARTED + 0.0002],
+         f"left out: 1 error frame, 1 other event; {UNZONED}"),
+        ("a.csv", CSV.replace("_", " ").replace(",", ", ") + CSV_ROW, [1], ""),
         ("a.trc", VERSION.format(1.1) + TRC.format("00"), [STARTED, STARTED + 0.0002], f"{UNZONED}"),
         ("a.trc", VERSION.format(1.1) + TRC.format("0"), [STARTED], f"{UNZONED}; its end is cut off"),
         ("a.trc", VERSION.format(1.1) + TRC.format(""), [STARTED], f"{UNZONED}; its end is cut off"),
@@ -82,14 +100,16 @@ def test_a_log_is_read_as_it_was_meant_and_what_is_no_message_is_counted(tmp_pat
     assert [each[1:] for each in messages] == [
         (0x500, (FIRST, SECOND)[n % 2], False, False) for n in range(len(times))
     ]
-    assert recording.summary() == f"{len(times)} messages" + (f" ({also})" if also else "")
+    steps = ", with 1 step of their clock" * (times != sorted(times))
+    assert recording.summary() == f"{len(times)} messages{steps}" + (f" ({also})" if also else "")
 
 
 @pytest.mark.parametrize(
-    ("switched", "flags", "fd"), [(0, 0x303000, True), (0, 0x300000, False), (1, 0x300000, True)]
+    ("switched", "flags", "fd"),
+    [(0, "303000", True), (0, "300000", False), (1, "300000", True), (0, "none", True)],
 )
 def test_a_classic_frame_on_a_can_fd_channel_of_asc_stays_classic(tmp_path, switched, flags, fd):
-    _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, f"{flags:x}"))
+    _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, flags))
     assert message == (0.1, 0x500, FIRST, False, fd)
 
 
@@ -114,6 +134,8 @@ def test_numbers_of_a_decimal_asc_are_decimal(tmp_path):
         ("a.txt", TWO, "it is candump's log: name it with .log$"),
         ("a.log", HEAD, "it is Vector's .asc: name it with .asc$"),
         ("a.csv", "time;id;data\n1;2;3\n", "a .csv must begin with python-can's .* not 'time;id;data': give"),
+        ("a.log", gzip.compress(TWO.encode()), "it is packed by gzip: name it with .gz at the end"),
+        ("a.pcap", b"\xd4\xc3\xb2\xa1\x02\0\x04\0", "it is a capture of Wireshark or tcpdump: record"),
         ("a.trc", VERSION.format("3.0"), "its version 3.0 is none of 1.0, 1.1, 1.2, 1.3, 2.0, 2.1: save"),
         ("a.trc", VERSION.format("1.1") + "nonsense\n", "is no number|is not a number: give a recording"),
     ],
@@ -151,6 +173,22 @@ def test_times_of_vectors_and_peaks_tools_are_doubted_and_a_blf_without_an_end_i
     head = content[:144] + struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 64, 10, 0, 32)
     with pytest.raises(ConfigError, match="an object has 0 bytes"):
         after(path, bytes(head) + struct.pack("<4sHHII", b"LOBJ", 32, 1, 0, 1) + bytes(16))
+
+
+def test_objects_of_a_blf_file_that_are_in_no_container_are_read(tmp_path):
+    path = tmp_path / "a.blf"
+    with can.BLFWriter(path, compression_level=0) as writer:
+        for each in MESSAGES:
+            writer(each)
+    content = path.read_bytes()
+    packed, (single, messages) = list(Recording(path)), after(path, content[:144] + content[144 + 32 :])
+    assert messages == packed
+    assert single.summary() == "6 messages (left out: 1 error frame, 1 remote frame)"
+
+
+def test_a_wide_id_of_asc_is_of_29_bits_without_its_x_too(tmp_path):
+    _, (message,) = after(tmp_path / "a.asc", HEAD + " 0.1 1 18EBFF00 Rx d 1 07\n")
+    assert message == (0.1, 0x18EBFF00, b"\x07", True, False)
 
 
 def test_a_mistyped_database_is_not_made_and_one_without_messages_is_named(tmp_path):
