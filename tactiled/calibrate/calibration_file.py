@@ -9,6 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, ValidationError, model_validator
 
 from tactiled.calibrate.sections import (
+    MAX_TAXELS,
     CoverSection,
     GainSection,
     HealthSection,
@@ -27,6 +28,7 @@ FORMAT, VERSION = "tactiled calibration", 2
 ID_DIGITS = 12  # of the checksum
 FILES_KEPT = 10  # former ones
 MAX_BYTES = 8 << 20  # of a file: 16 384 taxels with 32 numbers each, of 16 characters
+MAX_BYTES_OF_NONE, MAX_BYTES_OF_TAXEL = 256 << 10, 512  # of a file: its head and cover; 32 numbers
 
 
 class CalibrationFile(Table):
@@ -34,7 +36,7 @@ class CalibrationFile(Table):
 
     sensor: Annotated[str, Field(min_length=1, max_length=64)]
     codec: Annotated[str, Field(min_length=1, max_length=200)]
-    taxels: Annotated[int, Field(ge=1, le=1 << 20)]
+    taxels: Annotated[int, Field(ge=1, le=MAX_TAXELS)]
     unit: Pressure = PRESSURE
     no_load: NoLoadSection | None = None
     gain: GainSection | None = None
@@ -127,7 +129,7 @@ def read(text: str | bytes) -> CalibrationFile:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ConfigError(f"format: no {FORMAT}")
     if isinstance(version := content.get("version"), int) and version > VERSION:
-        raise ConfigError(f"version is {version}: this release reads up to {VERSION}: update tactiled")
+        raise ConfigError(f"version is {version!s:.20}: this release reads up to {VERSION}: update tactiled")
     checksum = content.pop("checksum", None)
     if checksum != _checksum(content):
         raise ConfigError("checksum: does not match: the content was altered or damaged")
@@ -139,6 +141,11 @@ def read(text: str | bytes) -> CalibrationFile:
     if head["created"] != made.created:
         raise ConfigError(f"created is {head['created']!r:.60}: the newest section is of {made.created}")
     return made
+
+
+def max_bytes(taxels: int) -> int:
+    """The size of an array's largest file."""
+    return min(MAX_BYTES, MAX_BYTES_OF_NONE + MAX_BYTES_OF_TAXEL * taxels)
 
 
 def load(path: Path) -> CalibrationFile | None:

@@ -13,6 +13,7 @@ FORMS: tuple[Form, ...] = get_args(Form)
 PARAMETERS = {"linear": 1, "power": 2, "cubic": 3}  # a taxel's; of a spline, as many as it has knots
 KNOTS = np.array([0.25, 0.5, 0.75, 1.0])  # relative counts of fitted splines
 CHORD_TO = 0.01  # relative counts up to which a power law is its chord: its slope at 0 is 0 or infinite
+MIN_REACH_COUNTS = 1e-6  # of a range, whose end the counts are divided by
 BISECTIONS = 50  # of [0, 1], to below float64's resolution of the relative counts
 Floats = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ class Curves:
         self._check_shapes()
         _require("parameters", np.isfinite(self.parameters).all(axis=1), self.parameters, "give numbers")
         low, high = self.reach_counts.T
-        valid = np.isfinite(high - low) & (low < high) & ((low == 0) | (high == 0))
+        valid = np.isfinite(high - low) & (low + MIN_REACH_COUNTS <= high) & ((low == 0) | (high == 0))
         _require("reach_counts", valid, self.reach_counts, "give 0 and the range's other end, ascending")
         _require("deviation", ~(self.deviation < 0), self.deviation, "give a standard error of 0 or more")
         _require("hysteresis", ~(self.hysteresis < 0), self.hysteresis, "give % of full scale, 0 or more")

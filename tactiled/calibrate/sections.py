@@ -30,13 +30,17 @@ if TYPE_CHECKING:
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
 NEW_KEYS = frozenset({"error_kpa", "curvature"})  # of version 2, where they are known
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
+MAX_VALUE = 1e9  # counts, kPa, mm or MPa: past any sensor and cover
+MAX_KNOTS, MAX_LAYERS, MAX_PRESSES, MAX_TAXELS = 64, 16, 1_000_000, 1 << 20
+MAX_KERNEL_SIZE, MAX_GAIN = 4096, 10.0
 MAX_MISMATCH = 1e-4  # of thickness_mm to factor times the stack's: more is a contradiction
 
 SHA256 = Syntax(r"^([0-9a-f]{64})?$", "64 digits of 0-9 and a-f, or nothing")
 TIME = Syntax(r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ$", "a time in UTC, such as 2026-11-22T23:31:12Z")
-Value = Annotated[float, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}"))]
-Values = tuple[Value, ...]
-OptionalValues = tuple[Value | None, ...]  # None: unknown
+Size = Annotated[float, Field(ge=-MAX_VALUE, le=MAX_VALUE)]
+Value = Annotated[Size, AfterValidator(lambda value: float(f"{value:.{DIGITS}g}"))]
+Values = Annotated[tuple[Value, ...], Field(fail_fast=True)]
+OptionalValues = Annotated[tuple[Value | None, ...], Field(fail_fast=True)]  # None: unknown
 Made = TypeVar("Made", bound=BaseModel)
 
 
@@ -96,8 +100,8 @@ class GainSection(Section):
     """From counts over no load to kPa; each array has a value a taxel, of several parameters one array each."""
 
     form: Form
-    parameters: tuple[Values, ...]
-    knots: Values
+    parameters: Annotated[tuple[Values, ...], Field(max_length=MAX_KNOTS)]
+    knots: Annotated[Values, Field(max_length=MAX_KNOTS)]
     reach_counts: tuple[Values, Values]  # lower and upper end
     deviation: OptionalValues
     hysteresis: OptionalValues
@@ -154,9 +158,9 @@ class GainSection(Section):
 class LayerTable(Table):
     """A layer as configured."""
 
-    thickness_mm: float
-    young_mpa: float
-    poisson: float
+    thickness_mm: Size
+    young_mpa: Size
+    poisson: Size
     bonded: bool
 
 
@@ -168,10 +172,10 @@ class CoverSection(Section):
     interval: tuple[Value, Value]
     thickness_mm: Value
     interval_mm: tuple[Value, Value]
-    presses: Annotated[int, Field(ge=1)]
+    presses: Annotated[int, Field(ge=1, le=MAX_PRESSES)]
     residual: Annotated[Value, Field(ge=0)] | None = None
-    layers: Annotated[tuple[LayerTable, ...], Field(min_length=1, max_length=16)]
-    layers_above_taxels: int
+    layers: Annotated[tuple[LayerTable, ...], Field(min_length=1, max_length=MAX_LAYERS)]
+    layers_above_taxels: Annotated[int, Field(ge=1, le=MAX_LAYERS)]
     kernel: tuple[Values, Values] | None = None  # frequency (cycles/mm) and gain
 
     @classmethod
@@ -227,8 +231,10 @@ class CoverSection(Section):
 class HealthSection(Section):
     """Taxels that do not work, and the noise of those that do."""
 
-    dead: tuple[Annotated[int, Field(ge=0)], ...]
-    noise_counts: tuple[Annotated[Value, Field(ge=0)] | None, ...]  # standard deviation of each taxel
+    dead: Annotated[tuple[Annotated[int, Field(ge=0, le=MAX_TAXELS)], ...], Field(fail_fast=True)]
+    noise_counts: Annotated[
+        tuple[Annotated[Value, Field(ge=0)] | None, ...], Field(fail_fast=True)
+    ]  # standard deviation of each taxel
 
     @classmethod
     def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
@@ -282,8 +288,11 @@ def _rows(values: NDArray[np.floating]) -> tuple[tuple[float, ...], ...]:
 
 def _check_kernel(q: NDArray[np.float64], gain: NDArray[np.float64]) -> None:
     """ValueError for what is no gain over frequency: 1 at 0, then of finite values over rising frequencies."""
-    if len(q) != len(gain) or len(q) < MIN_KERNEL_SIZE:
-        raise ValueError(f"kernel has {len(q)} frequencies and {len(gain)} gains: give {MIN_KERNEL_SIZE} or more")
+    if len(q) != len(gain) or not MIN_KERNEL_SIZE <= len(q) <= MAX_KERNEL_SIZE:
+        sizes = f"{MIN_KERNEL_SIZE} to {MAX_KERNEL_SIZE}"
+        raise ValueError(f"kernel has {len(q)} frequencies and {len(gain)} gains: give {sizes}")
+    if (highest := np.abs(gain).max()) > MAX_GAIN:
+        raise ValueError(f"kernel has a gain of {highest:g}: give at most {MAX_GAIN:g}")
     if q[0] != 0 or (np.diff(q) <= 0).any():
         raise ValueError("kernel: frequencies must rise from 0")
     if gain[0] != 1:

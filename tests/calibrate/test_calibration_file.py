@@ -1,4 +1,5 @@
 import json
+from copy import deepcopy
 from dataclasses import replace
 from functools import reduce
 from operator import getitem
@@ -80,6 +81,13 @@ def test_a_person_can_read_it_head_first_one_array_a_line(file):
         ("cover.layers.0.poisson", 0.5, "cover: layer Poisson's ratio is 0.5"),
         ("cover.kernel", [[0, 1, 2, 2], [1, 1, 1, 1]], "cover: kernel: frequencies must rise from 0"),
         ("cover.kernel", [[0, 1, 2, 3], [0.5, 1, 1, 1]], "cover: kernel: its gain at frequency 0 is 0.5"),
+        ("no_load.counts.2", 1e10, "no_load.counts[2] = 10000000000.0: Input should be less than or equal to"),
+        ("gain.parameters.0.2", 1e308, "gain.parameters[0][2] = 1e+308: Input should be less than or equal to"),
+        ("gain.reach_counts.1.2", 5e-324, "gain: reach_counts of taxel 2 is [0.0, 5e-324]: give 0 and the"),
+        ("gain.parameters", [[1.0] * TAXELS] * 65, "gain.parameters = [[1.0, 1.0"),
+        ("cover.layers_above_taxels", 10**400, "cover.layers_above_taxels = 1000"),
+        ("cover.kernel", [[0, 1, 2, 3], [1, 1, 1, 1e6]], "cover: kernel has a gain of 1e+06: give at most 10"),
+        ("cover.kernel", [[*range(5000)], [1] * 5000], "cover: kernel has 5000 frequencies and 5000 gains"),
         ("health.dead", [8], "health.dead names taxel 8: the array has 0 to 7"),
     ],
 )
@@ -92,6 +100,32 @@ def test_what_a_file_may_not_hold_is_refused_by_name_in_one_line(file, place, va
         read(json.dumps(content | {"checksum": calibration_file._checksum(content)}))
     assert str(error.value).startswith(line)
     assert "\n" not in str(error.value)
+
+
+def places(value, path=()):
+    """The place of every value in a file's content, of a list that of its first and last."""
+    items = value.items() if isinstance(value, dict) else list(enumerate(value)) if isinstance(value, list) else ()
+    for key, each in items if isinstance(value, dict) or not items else (items[0], items[-1]):
+        yield (*path, key)
+        yield from places(each, (*path, key))
+
+
+def test_what_a_hostile_file_holds_is_refused_in_one_line_or_calibrates(file):
+    """Any value anywhere, with a right checksum; a warning of numpy fails as an error does."""
+    content = json.loads(file.text)
+    del content["checksum"]
+    extremes = (0, -1, 1e9, 1e300, 5e-324, -1e308, 10**400, None, True, "x", [], {}, [[1]], NAN, [0.0] * TAXELS)
+    for *tables, last in places(content):
+        for value in extremes:
+            changed = deepcopy(content)
+            reduce(getitem, tables, changed)[last] = value
+            try:
+                read_again = read(json.dumps(changed | {"checksum": calibration_file._checksum(changed)}))
+            except ConfigError as error:
+                assert len(str(error)) < 300  # noqa: PT017
+                continue
+            if read_again.gain:
+                assert np.isfinite(read_again.gain.curves.pressure(np.array([[-1e5], [0.0], [1e5]]))).all()
 
 
 def test_a_file_without_a_section_is_refused():

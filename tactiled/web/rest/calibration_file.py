@@ -6,7 +6,7 @@ from fastapi import APIRouter, Path, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, read
+from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, max_bytes, read
 from tactiled.errors import ConfigError
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers, calibration_schemas, schemas
@@ -60,11 +60,20 @@ async def upload(
 
     It is written where `calibration.file` is configured; else it holds until the service ends.
     """
+    text, limit = await request.body(), max_bytes(sensor.plan.array.size)
+    if len(text) > limit:
+        raise Problem(413, f"a body of more than {limit >> 10} KiB: no calibration file of this array is as long")
+    return await run_in_threadpool(_uploaded, service, sensor, text, request)
+
+
+def _uploaded(
+    service: "Service", sensor: Sensor, text: bytes, request: Request
+) -> calibration_schemas.SensorCalibration:
     try:
-        file = read(await request.body())
+        file = read(text)
     except ConfigError as error:
         raise ConfigError(f"body: {error}") from error
-    return await run_in_threadpool(_applied, service, sensor, file, request)
+    return _applied(service, sensor, file, request)
 
 
 @router.get("/history", responses=problems(404))

@@ -5,7 +5,9 @@ import time
 import pytest
 
 from tactiled.config import Server, parse
+from tactiled.errors import ConfigError
 from tactiled.runtime.service import Service
+from tactiled.web.rest import calibration_file as calibration_file_over_rest
 from tactiled.web.server import running
 from tests.calibrate.files import CREATED, calibration_file
 from tests.conftest import CONFIG, READ, TOKENS, ask, pressed, problem
@@ -50,6 +52,25 @@ def test_an_uploaded_file_applies_is_downloaded_again_and_is_in_the_history(palm
     assert refused.startswith("former calibration 2: truncated, or not JSON")
     assert ask("GET", f"{palm}/history").json()["files"][1]["error"].startswith("truncated")
     assert problem(ask("POST", f"{palm}/history/3"), 404) == "sensor 'palm': no former calibration 3"
+
+
+def test_a_file_longer_than_any_of_its_array_is_refused_unread(palm, monkeypatch):
+    monkeypatch.setattr(calibration_file_over_rest, "read", lambda _: pytest.fail("read"))
+    line = "a body of more than 288 KiB: no calibration file of this array is as long"
+    assert problem(ask("PUT", f"{palm}/file", content=b" " * (289 << 10)), 413) == line
+
+
+def test_a_file_is_read_beside_the_event_loop(palm, monkeypatch):
+    """Reading it takes as long as another answer."""
+    answered = []
+
+    def slow(_):
+        answered.append(ask("GET", palm).status_code)
+        raise ConfigError("it is wrong")
+
+    monkeypatch.setattr(calibration_file_over_rest, "read", slow)
+    assert problem(ask("PUT", f"{palm}/file", content=b"{}"), 422) == "body: it is wrong"
+    assert answered == [200]
 
 
 def test_what_cannot_be_applied_is_refused_in_a_line_without_a_path(palm, tmp_path):
