@@ -100,7 +100,7 @@ def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
             "sha256": sha256(recording.path),
             "messages": recording.count,
             "end_cut_off": recording.torn,
-            "left_out": dict(recording.remarks.left_out),
+            "left_out": dict(+recording.remarks.left_out),
             "caveats": recording.remarks.caveats,
         },
         "sensor": {"name": plan.name, "bus": plan.bus, "codec": plan.codec_name, "method": plan.method},

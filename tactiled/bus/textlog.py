@@ -42,6 +42,7 @@ TRC_COLUMNS = {
 }  # fmt: skip  # as $COLUMNS names them
 TRC_MESSAGES = {"Rx", "Tx", "DT", "FD", "FB", "FE", "BI"}
 TRC_OTHERS = {"RR": REMOTE_FRAME, "ER": ERROR_FRAME, "Error": ERROR_FRAME}
+TRC_DATA = {"RTR": REMOTE_FRAME, "ERROR": ERROR_FRAME}  # in the place of the first byte
 TRC_FD = {"FD", "FB", "FE", "BI"}
 TRC_NO_ID = "FFFFFFFF"  # of a warning
 TRC_EPOCH = datetime(1899, 12, 30, tzinfo=UTC)
@@ -125,12 +126,15 @@ def asc(lines: Iterable[str], remarks: Remarks) -> Iterator[Logged]:
 def _asc(words: list[str], base: int, time: float) -> Logged:
     """The message of a line behind its time; NoFrameError where there is none."""
     bus, *words = words or [""]
-    if bus.upper() == "CANFD":
+    fd = bus.upper() == "CANFD"
+    if fd:
         bus, *words = words or [""]
-        words[:2] = words[1::-1]  # in a classic line the id is before the direction
-        fd = True
-    else:
-        fd = False
+        if words[:1] and words[0].lower() in ASC_DIRECTIONS:  # since version 8.1 before the id
+            words[:2] = words[1::-1]
+        elif "r" in (kind := [each.lower() for each in words[4:5]]):
+            raise NoFrameError(REMOTE_FRAME)
+        elif "d" in kind:
+            del words[4]
     if not bus.isdigit():
         raise NoFrameError(XL_FRAME if bus.upper() == "CANXL" else EVENT, int(not ASC_START.match(bus)))
     if "errorframe" in (each.lower() for each in words[:2]):
@@ -162,10 +166,8 @@ def _asc_fd(words: list[str], base: int) -> tuple[bytes, bool]:
         del words[0]  # a symbolic name
     switched, _, _, length, *rest = words
     data = _data(rest[: int(length)], int(length), base)
-    try:
-        flags = int(rest[len(data) + 2], 16)  # behind duration and length of the message
-    except (IndexError, ValueError):  # of a tool that does not write them
-        flags = FD_FORMAT
+    more = rest[len(data) :]  # since version 8.1 duration, length, flags and others
+    flags = int(more[2], 16) if len(more) > 2 and more[0].isdigit() else FD_FORMAT
     if flags & REMOTE:
         raise NoFrameError(REMOTE_FRAME)
     return data, bool(flags & FD_FORMAT) or switched == "1" or len(data) > MAX_CLASSIC_BYTES
@@ -226,8 +228,8 @@ def _trc(row: dict[str, str], start: float) -> Logged:
     id_, data = row.get("I", ""), row.get("D", "").split()
     if kind not in TRC_MESSAGES or id_ == TRC_NO_ID:
         raise NoFrameError(TRC_OTHERS.get(kind, EVENT))
-    if data[:1] == ["RTR"]:
-        raise NoFrameError(REMOTE_FRAME)
+    if data and data[0] in TRC_DATA:
+        raise NoFrameError(TRC_DATA[data[0]])
     length = row.get("l") or row.get("L")
     if not length:
         raise NoFrameError(CUT)

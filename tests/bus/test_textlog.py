@@ -87,6 +87,13 @@ def after(path, content):
         ("a.trc", VERSION.format(1.1) + TRC.format(""), [STARTED], f"{UNZONED}; its end is cut off"),
         ("a.trc", VERSION.format(1.1) + TRC.format("0\n"), [STARTED], f"left out: 1 cut-off message; {UNZONED}"),
         ("a.trc", ";$FILEVERSION=1.2\n" + TRC.format("00").replace("Rx", "1 Rx"), [0, 0.0002], ""),
+        ("a.trc", ";##\n;   C:\\a.trc\n 1)  0  0500  8  07 00 BC 3A 12 FF 1F 00 \r\n"
+         " 2)  3  0008  4  ERROR 00 19 08 08 \n"
+         " 3)  4  FFFFFFFF  4  00 00 00 04 -- -- -- --  BUSLIGHT\n 4)  5  0100  3  RTR\n", [0],
+         "left out: 1 error frame, 1 other event, 1 remote frame"),
+        ("a.trc", VERSION.format(1.2) + " 1)  0.0  1  Rx  0500  8  07 00 BC 3A 12 FF 1F 00\n"
+         " 2)  9.2  1  Error  0008  4  00 19 08 08\n 3)  9.3  2  Warng  FFFFFFFF  4  00 00 00 04  BUSLIGHT\n",
+         [STARTED],          f"left out: 1 error frame, 1 other event; {UNZONED}"),
         ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwECMAA=", [1, 1.0002], ""),
         ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwEC", [1], "its end is cut off"),
         ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwECMAA", [1], "its end is cut off"),
@@ -106,11 +113,20 @@ def test_a_log_is_read_as_it_was_meant_and_what_is_no_message_is_counted(tmp_pat
 
 @pytest.mark.parametrize(
     ("switched", "flags", "fd"),
-    [(0, "303000", True), (0, "300000", False), (1, "300000", True), (0, "none", True)],
+    [(0, "303000", True), (0, "300000", False), (1, "300000", True)],
 )
 def test_a_classic_frame_on_a_can_fd_channel_of_asc_stays_classic(tmp_path, switched, flags, fd):
     _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, flags))
     assert message == (0.1, 0x500, FIRST, False, fd)
+
+
+def test_can_fd_lines_of_old_versions_of_asc_are_read(tmp_path):
+    line = " 0.1 CANFD 1  {}  Tx   1 0 {} 8  Length = 200000 BitCount = 128 ID = 257\n"
+    data = " ".join(f"{each:02X}" for each in FIRST)
+    content = HEAD + line.format("101", f"d 8 8 {data}").replace("8  L", " L") + line.format("100", "r")
+    recording, messages = after(tmp_path / "a.asc", content)
+    assert messages == [(0.1, 0x101, FIRST, False, True)]
+    assert recording.summary() == "1 messages (left out: 1 remote frame)"
 
 
 def test_numbers_of_a_decimal_asc_are_decimal(tmp_path):
