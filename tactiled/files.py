@@ -1,28 +1,64 @@
 """Files, and folders of files, that are complete or absent: written under another name, then renamed."""
 
 import errno
+import fcntl
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 
 from tactiled.errors import ConfigError, TactileError
 
+SCRATCH = ".tactiled-"
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of file systems without them
+
+
+@contextmanager
+def scratch_folder(parent: Path, label: str = "") -> Iterator[Path]:
+    """A hidden folder `.tactiled-LABEL...`, which is removed at the end, after kill -9 by `clear_scratch`."""
+    with ExitStack() as stack:
+        while True:
+            made = TemporaryDirectory(prefix=f"{SCRATCH}{label}", dir=parent, ignore_cleanup_errors=True)
+            folder = Path(stack.enter_context(made))
+            if stack.enter_context(_locked(folder)) or folder.exists():  # else it was taken for a remnant
+                break
+        yield folder
+
+
+def clear_scratch(parent: Path) -> None:
+    """Remove the scratch folders whose processes have ended without doing so."""
+    for folder in parent.glob(f"{SCRATCH}*"):
+        with _locked(folder) as ours:
+            if ours:
+                rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Lock a folder meanwhile; gives whether nobody else has done so, False where that cannot be known."""
+    with ExitStack() as stack:
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            stack.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # another file system or user, too
+            yield False
+        else:
+            yield folder.exists()
 
 
 @contextmanager
 def atomic_write(path: Path, *, replace: bool = False, label: str = "") -> Iterator[Path]:
     """A path for a file or folder: it becomes `path` where the block ends well, and is removed where it does not.
 
-    It has the name of `path` in a hidden folder of its own beside it, whose name begins with .tactiled-`label` and
-    where other temporary files may lie, too.
+    It has the name of `path` in a scratch folder beside it, where other temporary files may lie, too.
     OSError where that fails; FileExistsError where `path` exists by then and `replace` is false.
     """
-    with TemporaryDirectory(prefix=f".tactiled-{label}", dir=path.parent, ignore_cleanup_errors=True) as folder:
-        part = Path(folder) / path.name
+    with scratch_folder(path.parent, label) as folder:
+        part = folder / path.name
         yield part
         for each in (part, *part.rglob("*")):
             if not each.is_dir():
@@ -32,7 +68,7 @@ def atomic_write(path: Path, *, replace: bool = False, label: str = "") -> Itera
             _rename_new(part, path)
             return
         if part.is_dir() and path.is_dir():
-            path.rename(Path(folder) / ".replaced")
+            path.rename(folder / ".replaced")
         part.replace(path)
 
 

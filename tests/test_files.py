@@ -1,10 +1,12 @@
 import errno
 import os
+import subprocess
+import sys
 from unittest.mock import Mock
 
 import pytest
 
-from tactiled.files import atomic_write
+from tactiled.files import atomic_write, clear_scratch
 
 
 def names(folder):
@@ -69,3 +71,23 @@ def test_a_folder_is_renamed_with_its_files_and_replaces_only_if_it_may(tmp_path
     with pytest.raises(FileExistsError), atomic_write(path) as part:
         part.mkdir()
     assert ((path / "deep" / "b").read_text(), names(tmp_path)) == ("two", ["a"])
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from tactiled.files import atomic_write
+with atomic_write(Path(sys.argv[1])) as part:
+    part.write_bytes(bytes(1000))
+    os.kill(os.getpid(), 9)
+"""
+
+
+def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(tmp_path):
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "a.log")], check=False)
+    assert len(list(tmp_path.glob(".tactiled-*/a.log"))) == 1
+    with atomic_write(tmp_path / "b.log") as part:
+        part.touch()
+        clear_scratch(tmp_path)
+        assert [each.name for each in tmp_path.glob(".tactiled-*/*")] == ["b.log"]
+    assert [each.name for each in tmp_path.iterdir()] == ["b.log"]

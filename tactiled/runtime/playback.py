@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from time import perf_counter
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
 MAX_NOISE_SEARCH = 1000  # frames from which those with data are taken
+HEADS_AT_ONCE = 4096  # in memory
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 
 
@@ -68,6 +69,7 @@ class Playback:
         self._checks = FrameChecks(plan.blur, calibration.floor_kpa)
         self._finder = Finder(plan.array, plan.cells)
         self._areas = tiling(plan.array).areas  # (N,) mm^2
+        self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
 
     def _measured_noise(self, numbers: Sequence[int]) -> float:
         raw = [self._pressure(self._recorded.frame(self.plan.name, n))[0] for n in numbers]
@@ -119,16 +121,23 @@ class Playback:
         return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
 
     def overview(self) -> Overview:
-        """Force over the whole recording, as far as it was read."""
-        heads = self._recorded.heads(self.plan.name)
-        total = heads["total"]
-        first = np.unique(np.linspace(0, len(total), MAX_POINTS // 2, endpoint=False).astype(int))
-        pieces = np.split(np.arange(len(total)), first[1:])
-        numbers = np.unique(
-            [at for each in pieces for at in (each[total[each].argmin()], each[total[each].argmax()])]
-        )
-        force = [self._force(int(n)) for n in numbers]
-        return Overview(heads["position"][numbers], np.array(force))
+        """Force over the whole recording, as far as it was read; made anew where it has more frames now."""
+        count = self._recorded.count(self.plan.name)
+        if count != self._overview_frames:
+            starts = np.unique(np.linspace(0, count, MAX_POINTS // 2, endpoint=False).astype(int)).tolist()
+            pieces = pairwise([*starts, count])
+            numbers = sorted({number for first, end in pieces for number in self._extremes(first, end)})
+            positions = [self._recorded.heads(self.plan.name, n, 1)["position"][0] for n in numbers]
+            self._overview = Overview(np.array(positions), np.array([self._force(n) for n in numbers]))
+            self._overview_frames = count
+        return self._overview
+
+    def _extremes(self, first: int, end: int) -> tuple[int, int]:
+        """The frames of a piece with the lowest and the highest sum."""
+        heads, name = self._recorded.heads, self.plan.name
+        starts = range(first, end, HEADS_AT_ONCE)
+        totals = np.concatenate([heads(name, n, min(HEADS_AT_ONCE, end - n))["total"] for n in starts])
+        return first + int(totals.argmin()), first + int(totals.argmax())
 
     def _force(self, number: int) -> float:
         raw, _ = self._pressure(self._recorded.frame(self.plan.name, number))

@@ -61,6 +61,10 @@ class SharedFile:
     def __reduce__(self) -> Any:
         return _reopened, (DupFd(self._file.fileno()),)
 
+    def duplicate(self) -> "SharedFile":
+        """The same file, which stays open when this is closed."""
+        return SharedFile(os.fdopen(os.dup(self._file.fileno()), "rb", 0))
+
     @property
     def size(self) -> int:
         """Bytes by now."""

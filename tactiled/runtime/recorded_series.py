@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from threading import Thread, Timer
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from tactiled.runtime.playback import MAX_POINTS, Playback, noise_frames
 from tactiled.runtime.recorded_frames import FLUSH_S, FrameFiles, RecordedFrames, SharedFile, check_goes_on
 from tactiled.threads import join_started
 
+ROWS_AT_ONCE = 512
 MAX_SERIES = 4  # on the disk; the one used longest ago makes room
 IDLE_S = 90.0  # without a request until measuring ends: a page in the background asks once a minute
 REPLACED_AFTER_S = 3.0  # without a request until another series is measured instead
@@ -127,19 +129,53 @@ class RecordedSeries:
         self._idle.cancel()
         self._file.close()
 
-    def rows(self) -> NDArray[Any]:
-        """Rows (T,) of the frames that are measured by now, as `SeriesJob.row`."""
-        return np.frombuffer(self._file.read(self.measured * self.job.row.itemsize, 0), self.job.row)
+    @property
+    def rows(self) -> "SeriesRows":
+        """Rows of the frames that are measured by now."""
+        return SeriesRows(self._file, self.job.row, self.measured)
 
     @cached_property
     def summary(self) -> Summary:
         """Of all frames, once they are measured."""
-        rows = self.rows()
-        position, values = rows["position"], rows["values"]
-        first = np.unique(np.linspace(0, len(rows), MAX_POINTS, endpoint=False).astype(int))
-        number = np.nan_to_num(values, nan=-np.inf).argmax(axis=0)
-        highest = np.take_along_axis(values, number[None], axis=0)[0]
-        return Summary(position[first], np.fmax.reduceat(values, first, axis=0), highest, number, position[number])
+        rows, shape = self.rows, (1 + len(self.job.regions), len(Measures._fields))
+        first = np.unique(np.linspace(0, rows.frames, MAX_POINTS, endpoint=False).astype(int)).tolist()
+        number, highest = np.zeros(shape, np.int64), np.full(shape, -np.inf, np.float32)
+        pieces = []
+        for start, end in pairwise([*first, rows.frames]):
+            piece = np.full(shape, np.nan, np.float32)
+            for n in range(start, end, ROWS_AT_ONCE):
+                values = rows.read(n, end)["values"]
+                piece = np.fmax(piece, np.fmax.reduce(values, axis=0))
+                known = np.nan_to_num(values, nan=-np.inf)
+                number = np.where(known.max(axis=0) > highest, n + known.argmax(axis=0), number)
+                highest = np.maximum(highest, known.max(axis=0))
+            pieces.append(piece)
+        highest_s = {n: rows.read(n, n + 1)["position"][0] for n in np.unique(number).tolist()}
+        return Summary(
+            np.array([rows.read(n, n + 1)["position"][0] for n in first]),
+            np.array(pieces),
+            np.where(np.isneginf(highest), np.nan, highest),
+            number,
+            np.vectorize(highest_s.__getitem__, otypes=[float])(number),
+        )
+
+
+class SeriesRows(NamedTuple):
+    """The rows of a series (`SeriesJob.row`) in its file, of which a few are in memory at a time."""
+
+    file: SharedFile
+    dtype: np.dtype[Any]
+    frames: int
+
+    def read(self, first: int, end: int) -> NDArray[Any]:
+        """Up to ROWS_AT_ONCE rows, from one number to before another."""
+        size = self.dtype.itemsize
+        count = min(end, self.frames, first + ROWS_AT_ONCE) - first
+        return np.frombuffer(self.file.read(count * size, first * size), self.dtype)
+
+    def of_their_own(self) -> "SeriesRows":
+        """The same, which can also be read when the series is closed; to be closed."""
+        return self._replace(file=self.file.duplicate())
 
 
 class SeriesRuns:

@@ -1,9 +1,9 @@
 """`/api/v1/recordings/{name}/series`: what a recording's restored images hold in total and in regions."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any, Literal
 
-from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
@@ -11,7 +11,14 @@ from tactiled.contacts.regions import TOTAL, Measures, Region
 from tactiled.restore.methods import require
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.recorded_frames import RecordedFrames
-from tactiled.runtime.recorded_series import RecordedSeries, SeriesJob, SeriesRuns, Summary
+from tactiled.runtime.recorded_series import (
+    ROWS_AT_ONCE,
+    RecordedSeries,
+    SeriesJob,
+    SeriesRows,
+    SeriesRuns,
+    Summary,
+)
 from tactiled.runtime.sensor import Sensor
 from tactiled.units import FORCE_UNITS, ForceUnit
 from tactiled.web import schemas
@@ -19,8 +26,6 @@ from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, watched
-
-CSV_ROWS = 500  # that are written at once
 
 
 class SensorQuery(BaseModel):
@@ -101,7 +106,7 @@ def answer(
         raise Problem(409, f"{where}: {measured} of {run.frames} frames are measured", SOON)
     file = f"{recorded.path.name.split('.')[0]}-{sensor.name}.csv"
     headers = {"Content-Disposition": f'attachment; filename="{file}"'}
-    return StreamingResponse(_csv(run.job, run.rows()), media_type=MEDIA["csv"], headers=headers)
+    return StreamingResponse(_csv(run.job, run.rows.of_their_own()), media_type=MEDIA["csv"], headers=headers)
 
 
 def _regions(sensor: Sensor, names: str | None) -> dict[str, Region]:
@@ -137,12 +142,13 @@ def _area(name: str, k: int, summary: Summary) -> AreaSeries:
     return AreaSeries(name=name, highest=highest, **columns)
 
 
-def _csv(job: SeriesJob, rows: NDArray[Any]) -> Iterator[str]:
+def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
     """One line a frame; empty: not known."""
-    areas, headings = (TOTAL, *job.regions), csv_headings(job.plan.unit)
-    yield csv_lines([["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings)]])
-    for first in range(0, len(rows), CSV_ROWS):
-        some = rows[first : first + CSV_ROWS]
-        values = some["values"].reshape(len(some), -1).tolist()
-        numbered = enumerate(zip(some["position"].tolist(), values, strict=True), first)
-        yield csv_lines([n, f"{at:.6f}", *csv_values(row)] for n, (at, row) in numbered)
+    with closing(rows.file):
+        areas, headings = (TOTAL, *job.regions), csv_headings(job.plan.unit)
+        yield csv_lines([["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings)]])
+        for first in range(0, rows.frames, ROWS_AT_ONCE):
+            some = rows.read(first, rows.frames)
+            values = some["values"].reshape(len(some), -1).tolist()
+            numbered = enumerate(zip(some["position"].tolist(), values, strict=True), first)
+            yield csv_lines([n, f"{at:.6f}", *csv_values(row)] for n, (at, row) in numbered)

@@ -24,7 +24,7 @@ from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import Recorder, record
 from tactiled.bus.recording import Recording as Recorded
 from tactiled.errors import ConfigError, TactileError
-from tactiled.files import atomic_write
+from tactiled.files import atomic_write, clear_scratch
 from tactiled.runtime.events import Events
 from tactiled.web import schemas
 from tactiled.web.http.body import MAX_RECORDING_BYTES
@@ -156,6 +156,7 @@ class Recordings:
         self._folder, self._buses, self._events, self._leave_mb = folder, buses, events, leave_mb
         self._runs: dict[str, _Run] = {}
         self._lock = Lock()
+        clear_scratch(folder)  # of uploads that kill -9 ended
         self._reserve = DiskReserve(folder, leave_mb)
         self._checking = ThreadPoolExecutor(CHECKED_AT_ONCE, "check")
 

@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from math import prod
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from threading import Event
 from typing import Annotated, Any
 
@@ -18,6 +18,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
+from tactiled.files import clear_scratch, scratch_folder
 from tactiled.runtime.fit_process import Cancelled
 from tactiled.runtime.offline import Offline, open_frames
 from tactiled.web.http.limits import busy, client_of
@@ -42,6 +43,7 @@ class Transfers:
     def __init__(self) -> None:
         self.clients: set[str] = set()  # from the body's first byte to the answer's last
         self.restoring = asyncio.Lock()
+        clear_scratch(Path(gettempdir()))  # of frames whose service kill -9 ended
 
     @contextmanager
     def one(self, scope: Scope) -> Iterator[None]:
@@ -111,7 +113,7 @@ async def restore(
     plan = service.sensor(query.sensor).plan
     with ExitStack() as stack:
         stack.enter_context(transfers.one(request.scope))
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="tactiled-")))
+        folder = stack.enter_context(scratch_folder(Path(gettempdir())))
         frames, images = folder / "frames.npy", folder / "restored.npy"
         with frames.open("wb") as file:
             async for chunk in request.stream():

@@ -144,7 +144,7 @@ def test_an_answer_that_nobody_reads_keeps_its_place_until_it_is_cut_off(rig, tr
     with running(rig.service) as url, begin(url, "10.0.0.1", content, len(content)) as client:
         assert client.recv(12) == b"HTTP/1.1 200"
         assert refusal(url, "10.0.0.1") == "frames of 10.0.0.1 are in transfer: wait"
-        assert [each.name for each in tmp_path.glob("tactiled-*/*")] == ["restored.npy"]
+        assert [each.name for each in tmp_path.glob(".tactiled-*/*")] == ["restored.npy"]
         assert post(url, ONE_FRAME).status_code == 200
         until(lambda: not transfers.clients)
         assert not list(tmp_path.iterdir())

@@ -46,6 +46,13 @@ def check(monkeypatch):
     return SimpleNamespace(begun=begun, ended=ended)
 
 
+def test_what_an_upload_left_that_kill_9_ended_is_removed_at_the_start(rig, server, folder):
+    (folder / ".tactiled-x").mkdir(parents=True)
+    (folder / ".tactiled-x" / "a.log").write_bytes(TEXT)
+    with running(rig.service, server):
+        assert not list(folder.iterdir())
+
+
 def head(url, path, size):
     return f"PUT {path} HTTP/1.1\r\nHost: {url[7:]}\r\nContent-Length: {size}\r\n\r\n".encode()
 
