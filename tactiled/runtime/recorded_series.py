@@ -146,9 +146,9 @@ class RecordedSeries:
             for n in range(start, end, ROWS_AT_ONCE):
                 values = rows.read(n, end)["values"]
                 piece = np.fmax(piece, np.fmax.reduce(values, axis=0))
-                known = np.nan_to_num(values, nan=-np.inf)
-                number = np.where(known.max(axis=0) > highest, n + known.argmax(axis=0), number)
-                highest = np.maximum(highest, known.max(axis=0))
+                finite = np.nan_to_num(values, nan=-np.inf)
+                number = np.where(finite.max(axis=0) > highest, n + finite.argmax(axis=0), number)
+                highest = np.maximum(highest, finite.max(axis=0))
             pieces.append(piece)
         highest_s = {n: rows.read(n, n + 1)["position"][0] for n in np.unique(number).tolist()}
         return Summary(

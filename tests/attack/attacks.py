@@ -9,7 +9,7 @@ from functools import partial
 import can
 from can.interfaces.udp_multicast.utils import pack_message
 
-from tests.attack import fuzz, requests, shutdown, sockets
+from tests.attack import fuzz, recordings, requests, shutdown, sockets
 from tests.attack.harness import Attack, each, late_s
 from tests.attack.service import CONTROL, DESCRIPTORS_256, GROUP, TLS
 from tests.attack.wire import BINARY, PONG, frame, upgrade
@@ -74,6 +74,7 @@ ATTACKS = {
     "foxglove-many": Attack(each({"a client": CLIENT}, 400, wait_s=4.0, **UNBOUNDED), grown_mb=128),
     "foxglove-open": Attack(each({"half a head": CLIENT[:20]}, 300, **UNBOUNDED), kind=DESCRIPTORS_256),
     "fuzz": Attack(run=fuzz.fuzz),
+    "files": Attack(run=recordings.fuzz, more_descriptors=40),  # four recordings that were played stay open
     "uploads": Attack(requests.uploads),
     "calls": Attack(requests.calls, at_once=20),
     "flood": Attack(run=flood),

@@ -100,6 +100,7 @@ class Attack:
     at_once: int = 1000
     kind: Kind = HTTP
     grown_mb: float = 64.0  # of memory after it, which the allocator keeps for the next
+    more_descriptors: int = MORE_DESCRIPTORS
     alone: bool = False  # on a service of its own, which it ends: nobody stands by
 
     async def go(self, target, size, findings):
@@ -154,7 +155,7 @@ def _watch(one, target, size, findings):
         findings.check(False, f"the service ended with {target.process.returncode}")
         return
     peak_mb = target.rss_mb("VmHWM")
-    max_descriptors, max_mb = descriptors + MORE_DESCRIPTORS, rss_mb + one.grown_mb
+    max_descriptors, max_mb = descriptors + one.more_descriptors, rss_mb + one.grown_mb
     deadline = time.monotonic() + RECOVERY_S
     while time.monotonic() < deadline and (target.descriptors() > max_descriptors or target.rss_mb() > max_mb):
         time.sleep(0.1)
