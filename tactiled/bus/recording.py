@@ -9,14 +9,24 @@ from itertools import islice, pairwise
 from pathlib import Path
 from threading import Event
 
+from tactiled.bus.batch import MAX_BYTES
 from tactiled.bus.bounded_process import BoundedProcess, Bounds, Exceeded
 from tactiled.bus.canbus import CanMessage
 from tactiled.bus.codec import Key
 from tactiled.bus.logfile import is_streamed, open_log
-from tactiled.bus.textlog import ERROR_FRAME, MAX_CLASSIC_BYTES, REMOTE_FRAME, FormatError, Logged, Remarks
+from tactiled.bus.textlog import (
+    ERROR_FRAME,
+    MAX_CLASSIC_BYTES,
+    REMOTE_FRAME,
+    UNREADABLE,
+    FormatError,
+    Logged,
+    Remarks,
+)
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
 
+MAX_ID = (1 << 29) - 1
 MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's times go no further
 MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or nobody waits for its end
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
@@ -82,13 +92,10 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
                 if not 0 <= stamp < MAX_TIME_S:
                     raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
                 count += 1
-                if isinstance(each, tuple):
-                    channel, message = each
-                elif kind := ERROR_FRAME * each.is_error_frame or REMOTE_FRAME * each.is_remote_frame:
+                channel, message = each if isinstance(each, tuple) else _channel_and_message(each)
+                if kind := _kind(each, message):
                     remarks.left_out[kind] += 1
                     continue
-                else:
-                    channel, message = _data_frame(each)
                 key = message.id, message.extended
                 if key in ids and (first := channels.setdefault(key, channel)) != channel:
                     raise ConfigError(f"recording {path}: message {count}: {_mixed(path, key, first, channel)}")
@@ -125,7 +132,14 @@ def _mixed(path: Path, key: Key, first: str, second: str) -> str:
     return f"id {key[0]:#x} comes from {first} and from {second}, and their frames would mix: {advice}"
 
 
-def _data_frame(message: CanMessage) -> tuple[str, Message]:
+def _kind(each: Logged, message: Message) -> str:
+    """What a message is, as Remarks counts it, that is no data frame; else ""."""
+    if isinstance(each, CanMessage) and (each.is_error_frame or each.is_remote_frame):
+        return ERROR_FRAME if each.is_error_frame else REMOTE_FRAME
+    return UNREADABLE * (not 0 <= message.id <= MAX_ID or len(message.data) > MAX_BYTES)
+
+
+def _channel_and_message(message: CanMessage) -> tuple[str, Message]:
     """A message and its channel; one of more than 8 bytes is of CAN FD, which some formats do not say."""
     id_, data = message.arbitration_id, bytes(message.data)
     fd = message.is_fd or len(data) > MAX_CLASSIC_BYTES

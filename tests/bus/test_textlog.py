@@ -7,8 +7,9 @@ import struct
 import can
 import pytest
 
-from tactiled.bus.recording import Recording
+from tactiled.bus.recording import Recording, read
 from tactiled.errors import ConfigError
+from tactiled.frames import Message
 
 FIRST, SECOND = bytes.fromhex("0700BC3A12FF1F00"), bytes.fromhex("0701023000")  # a frame of two messages
 HEAD = "date Fri Nov 27 10:13:20.000 am 2026\nbase hex  timestamps absolute\nno internal events logged\n"
@@ -67,6 +68,9 @@ def after(path, content):
         ("a.log", "# a grasp\n" + TWO + "\ufeff" + TWO.replace("(1.", "(2."), [1, 1.0002, 2, 2.0002],
          "left out: 1 unreadable line"),
         ("a.log", TWO.lower(), [1, 1.0002], ""),
+        ("a.log", TWO + "(1.1) can0 88888888#01\n", [1, 1.0002], "left out: 1 unreadable line"),
+        ("a.asc", HEAD + ASC.format("0.0", "0.0002") + " 0.1 1 123456789ABx Rx d 1 00\n", [0, 0.0002],
+         "left out: 1 unreadable line"),
         ("a.asc", HEAD + ASC.format("0,0", "0,0002").upper(), [0, 0.0002], ""),
         ("a.asc", HEAD + ASC.format("86399.9", "86399.9002") + ASC.format("0.1", "0.1002"),
          [86399.9, 86399.9002, 0.1, 0.1002], ""),
@@ -118,6 +122,35 @@ def test_a_log_is_read_as_it_was_meant_and_what_is_no_message_is_counted(tmp_pat
 def test_a_classic_frame_on_a_can_fd_channel_of_asc_stays_classic(tmp_path, switched, flags, fd):
     _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, flags))
     assert message == (0.1, 0x500, FIRST, False, fd)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.csv", CSV + CSV_ROW + "1.0002,0x500,0,0,0,5,BwECMAA=\n"),
+        ("a.trc", TRC.format("1F\r\n").replace("Rx  ", "")),
+        ("a.trc", VERSION.format(1.1) + TRC.format("1F\n")),
+        ("a.trc", VERSION.format(1.3) + TRC.format("1F\n").replace("Rx  0500", "1  Rx  0500  -")),
+        ("a.trc", VERSION.format(2.1) + " 1 0.0 DT 1 0500 Rx - 8 07 00 BC 3A 12 FF 1F 00\n"
+         " 2 0.5 FD 1 18FF0500 Rx - 9 01 02 03 04 05 06 07 08 09 0A 0B 0C\n"),
+        ("a.log", TWO + "(1.1) can0 18FF0500##101020304\n"),
+        ("a.asc", HEAD + ASC.format("0.0", "0.0002") + FD_LINE.format("0.1", 1, "303000")),
+    ],
+)  # fmt: skip
+def test_of_a_file_cut_anywhere_only_whole_messages_are_taken(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_text(content, newline="")
+    complete, begun = list(read(path)), content.index("500")
+    for at in range(begun, len(content)):
+        path.write_text(content[:at], newline="")
+        messages, cause = list[Message](), EOFError()
+        try:
+            messages.extend(read(path))
+        except ConfigError as error:
+            cause = error.__cause__
+        assert isinstance(cause, EOFError)
+        assert messages == complete[: len(messages)]
+        assert len(messages) >= content[:at].count("\n", begun)
 
 
 def test_can_fd_lines_of_old_versions_of_asc_are_read(tmp_path):
