@@ -38,10 +38,11 @@ class ExportJob(Job):
 
     to: str | None = None  # the format; None: by the ending of the file's name
     regions: Mapping[str, Region] = field(default_factory=dict)  # of the sensor in its service, by name
+    zone: str | None = None  # of recordings that do not say theirs
 
     def settings(self) -> dict[str, Any]:
         """All that outputs depend on, but the input and the version (JSON's types)."""
-        return super().settings() | {"regions": self._regions()}
+        return super().settings() | {"regions": self._regions(), "zone": self.zone}
 
     def _regions(self) -> dict[str, Any]:
         return {name: each.model_dump(mode="json") for name, each in self.regions.items()}
@@ -50,7 +51,7 @@ class ExportJob(Job):
         """Write every frame of one recording; ConfigError where there is none, or a region has no cell."""
         plan, count = self.plan(), 0
         router, pipeline = Router({name: make_codec(each) for name, each in self.sensors.items()}), Pipeline(plan)
-        recording = Recording(source, router.ids)
+        recording = Recording(source, router.ids, self.zone)
         meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:
             for name, frame in frames(_tapped(recording, target.add_message), router):

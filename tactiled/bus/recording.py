@@ -4,10 +4,12 @@ import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime
 from functools import partial
 from itertools import islice, pairwise
 from pathlib import Path
 from threading import Event
+from zoneinfo import ZoneInfo
 
 from tactiled.bus.batch import MAX_BYTES
 from tactiled.bus.bounded_process import BoundedProcess, Bounds, Exceeded
@@ -16,6 +18,7 @@ from tactiled.bus.codec import Key
 from tactiled.bus.logfile import is_streamed, open_log
 from tactiled.bus.textlog import (
     ERROR_FRAME,
+    LOCAL_TIME,
     MAX_CLASSIC_BYTES,
     REMOTE_FRAME,
     UNREADABLE,
@@ -146,15 +149,32 @@ def _channel_and_message(message: CanMessage) -> tuple[str, Message]:
     return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, fd)
 
 
-def _rows(path: Path, ids: frozenset[Key]) -> Iterator[tuple[object, ...]]:
+def _rows(path: Path, ids: frozenset[Key], zone: str | None) -> Iterator[tuple[object, ...]]:
     """The fields of every message, and behind them, also before an error, those of the remarks."""
     remarks = Remarks()
     try:
-        yield from map(tuple, read(path, ids, remarks))
+        messages = read(path, ids, remarks)
+        yield from _in_zone(messages, zone, remarks) if zone else map(tuple, messages)
     except Exception:
         yield dict(remarks.left_out), remarks.caveats
         raise
     yield dict(remarks.left_out), remarks.caveats
+
+
+def _in_zone(messages: Iterator[Message], zone: str, remarks: Remarks) -> Iterator[tuple[object, ...]]:
+    """Fields of messages whose recording does not say in which zone its times are, at those of `zone`."""
+    ahead_s = 0.0
+    for count, (time_s, *fields) in enumerate(messages):
+        if count == 0 and LOCAL_TIME in remarks.caveats:
+            remarks.caveats[remarks.caveats.index(LOCAL_TIME)] = f"its times were of {zone}"
+            ahead_s = _ahead_s(zone, time_s)
+        yield (time_s - ahead_s, *fields)
+
+
+def _ahead_s(zone: str, time_s: float) -> float:
+    """How far a zone's clock is ahead of UTC (s) when it shows a time (s)."""
+    ahead = datetime.fromtimestamp(time_s, UTC).replace(tzinfo=ZoneInfo(zone)).utcoffset()
+    return ahead.total_seconds() if ahead else 0.0
 
 
 _as_message: Callable[[object], Message] = partial(tuple.__new__, Message)  # half as long as Message._make
@@ -173,10 +193,10 @@ class Recording:
     A process with bounds reads it: whatever the file has, it comes to an end. Any thread may `cancel`.
     """
 
-    def __init__(self, path: Path, ids: frozenset[Key] = frozenset()) -> None:
-        """`ids` are those that sensors listen to."""
+    def __init__(self, path: Path, ids: frozenset[Key] = frozenset(), zone: str | None = None) -> None:
+        """`ids` are those that sensors listen to; `zone` is where it was made, if it does not say so itself."""
         self.path = path
-        self._process = BoundedProcess(_bounds(path), _rows, path, ids)
+        self._process = BoundedProcess(_bounds(path), _rows, path, ids, zone)
         self.cancel = self._process.cancel
         self.count = 0  # messages so far
         self.torn = False  # whether the end turned out to be cut off

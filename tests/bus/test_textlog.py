@@ -240,6 +240,21 @@ def test_a_wide_id_of_asc_is_of_29_bits_without_its_x_too(tmp_path):
     assert message == (0.1, 0x18EBFF00, b"\x07", True, False)
 
 
+@pytest.mark.parametrize(("started", "hours"), [(45244.5, 1), (45122.5, 2)])  # in winter and in summer
+def test_times_of_a_zone_that_is_given_are_moved_to_utc(tmp_path, started, hours):
+    path = tmp_path / "a.trc"
+    path.write_text(VERSION.format(1.1).replace("45244.5", str(started)) + TRC.format("00\n"))
+    recording = Recording(path, zone="Europe/Berlin")
+    local = STARTED + (started - 45244.5) * 86400
+    assert [each.time for each in recording] == pytest.approx(
+        [local - hours * 3600, local - hours * 3600 + 0.0002]
+    )
+    assert recording.summary() == "2 messages (its times were of Europe/Berlin)"
+    path = tmp_path / "a.log"
+    path.write_text(TWO)
+    assert [each.time for each in Recording(path, zone="Europe/Berlin")] == [1, 1.0002]
+
+
 def test_a_mistyped_database_is_not_made_and_one_without_messages_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"gone.db: No such file"):
         list(Recording(tmp_path / "gone.db"))

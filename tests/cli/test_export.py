@@ -220,6 +220,18 @@ def test_one_of_several_sensors(tmp_path, config, lossy):
     assert len(np.load(exported(lossy, config, out, "--sensor", "palm"))["raw"]) == FRAMES
 
 
+def test_a_zone_is_that_of_recordings_that_do_not_say_theirs(tmp_path, config):
+    out, blf = tmp_path / "a.npz", write(tmp_path / "a.blf", list(traffic())[:40])
+    content = bytearray(blf.read_bytes())
+    content[8:10] = 2, 12  # CANoe
+    blf.write_bytes(content)
+    assert "unknown time zone" in succeed("export", blf, "--config", config, "-o", out)
+    moved = exported(blf, config, tmp_path / "b.npz", "--zone", "Asia/Tokyo")
+    assert (np.load(out)["time"] - np.load(moved)["time"]).tolist() == [9 * 3600.0] * len(np.load(out)["time"])
+    refused = refusal("export", blf, "--config", config, "-o", tmp_path / "c.npz", "--zone", "Mars/Base")
+    assert refused == "--zone Mars/Base: no such time zone: give one such as Europe/Berlin"
+
+
 def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy):
     old = tmp_path / "old.npz"
     old.write_text("old")
