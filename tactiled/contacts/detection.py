@@ -18,6 +18,7 @@ CONTINUE_SIGMAS = 3.0  # down to which it may fall and go on; and depth of a dip
 NEAR_PITCHES = 8.0  # within which a peak counts in full, and restoration may ring round it
 FAR_PEAK_SHARE = 0.2  # of a peak further off that counts
 SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
+MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
 DIP_SHARE = 0.2  # of the same, by which the pressure dips between two contacts
 
 MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
@@ -125,6 +126,7 @@ def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floa
     from skimage.segmentation import watershed
 
     peaks: Labels = label(local_maxima(np.where(pressed, picture, 0.0)) & pressed)
+    peaks = _highest(peaks, picture)
     basins: Labels = watershed(-picture, peaks, connectivity=2, mask=pressed)
     square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
     square[peaks.ravel()] = np.arange(peaks.size)
@@ -136,6 +138,17 @@ def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floa
         if low != high and not parted:
             merged[merged == low] = high
     return merged[basins]
+
+
+def _highest(peaks: Labels, picture: Floats) -> Labels:
+    """The peaks, numbered anew where there are more than MAX_PEAKS: the highest."""
+    height = np.zeros(int(peaks.max()) + 1)
+    height[peaks.ravel()] = picture.ravel()
+    if len(height) <= MAX_PEAKS + 1:
+        return peaks
+    number = np.zeros(len(height), np.int64)
+    number[1 + np.argsort(-height[1:], kind="stable")[:MAX_PEAKS]] = np.arange(1, MAX_PEAKS + 1)
+    return number[peaks]
 
 
 def _saddles(picture: Floats, basins: Labels) -> list[tuple[int, int, float]]:

@@ -12,10 +12,20 @@ from typing import TYPE_CHECKING
 from tactiled.config import Server, Zenoh
 from tactiled.errors import ReaderError
 from tactiled.interop.zenoh_intake import FORGET_S, LOOK_S, Intake
+from tactiled.interop.zenoh_messages import MAX_JSON_BYTES, MAX_LINE_BYTES, MAX_STATE_BYTES
 from tactiled.interop.zenoh_questions import Questions, Reply
 from tactiled.interop.zenoh_robots import MAX_ASKING, Robot
 from tactiled.interop.zenoh_sensor import Line
-from tactiled.interop.zenoh_session import HEARTBEAT_S, REQUEST_S, Answer, Request, connected, open_session, unpack
+from tactiled.interop.zenoh_session import (
+    HEARTBEAT_S,
+    MAX_MESSAGE_BYTES,
+    REQUEST_S,
+    Answer,
+    Request,
+    connected,
+    open_session,
+    unpack,
+)
 from tactiled.threads import join_started
 from tactiled.wire import KINDS, PRESSURES
 
@@ -161,7 +171,7 @@ class Fleet(Intake):
                     self.forget(line)
             elif now >= line.due and not line.asking:
                 is_described = line.described == line.session
-                if is_described or robot.asking < MAX_ASKING:
+                if is_described or line.name in self.sensors or robot.asking < MAX_ASKING:
                     line.due, line.asking = now + CLOCK_S, True
                     robot.asking += not is_described
                     work = self._compare_clock if is_described else self._describe
@@ -171,7 +181,7 @@ class Fleet(Intake):
         """Ask a new publisher for its sensor's state and geometry, then for its newest frame."""
         try:
             state = await self._state(line, session)
-            geometry = await self._first(f"{line.name}/{session}/rest/geometry")
+            geometry = await self._first(f"{line.name}/{session}/rest/geometry", MAX_JSON_BYTES)
             if state is None or geometry is None:
                 line.due = time.monotonic() + HEARTBEAT_S
                 return
@@ -182,22 +192,22 @@ class Fleet(Intake):
             if line.described == session:
                 await self._compare_clock(line, robot, session)
                 for kind in KINDS if self.sensors[line.name].reported.shear else PRESSURES:
-                    for reply in await self._ask(f"{line.name}/{kind}"):
+                    for reply in await self._ask(f"{line.name}/{kind}", MAX_MESSAGE_BYTES):
                         self.take_image(kind, f"{line.name}/{kind}", reply.data, reply.attachment)
         finally:
             with self.lock:
                 robot.asking -= 1
             line.asking = False
 
-    async def _ask(self, resource: str) -> list[Reply]:
-        replies = await asyncio.wrap_future(self._questions.ask(resource, REQUEST_S))
+    async def _ask(self, resource: str, max_bytes: int) -> list[Reply]:
+        replies = await asyncio.wrap_future(self._questions.ask(resource, REQUEST_S, max_bytes))
         return [each for each in replies if each.error is None]
 
-    async def _first(self, resource: str) -> Reply | None:
-        return next(iter(await self._ask(resource)), None)
+    async def _first(self, resource: str, max_bytes: int) -> Reply | None:
+        return next(iter(await self._ask(resource, max_bytes)), None)
 
     async def _state(self, line: Line, session: str) -> bytes | None:
-        for reply in await self._ask(f"{line.name}/state"):
+        for reply in await self._ask(f"{line.name}/state", MAX_STATE_BYTES):
             with suppress(ValueError):  # another's
                 if unpack(reply.attachment)[0].session == session:
                     return reply.data
@@ -206,9 +216,9 @@ class Fleet(Intake):
     async def _compare_clock(self, line: Line, _: Robot, session: str) -> None:
         start, began = time.time(), time.monotonic()
         try:
-            answer = await self._first(f"{line.name}/{session}/clock")
+            answer = await self._first(f"{line.name}/{session}/clock", MAX_LINE_BYTES)
             if answer is not None and session == line.session:
-                if not isfinite(clock := float(answer.data[:32])):
+                if not isfinite(clock := float(answer.data)):
                     raise ValueError(f"clock: {clock}")
                 line.offset.add(start, clock, start + answer.at - began)
         except ValueError as error:

@@ -3,6 +3,7 @@
 What is refused is an event of its robot's and makes its sensor stale; no other robot's has anything to do with it.
 """
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from tactiled.interop.zenoh_session import Answer, Head, Request, unpack
 from tactiled.runtime.events import Events, Faults, Kind
 from tactiled.runtime.watch import STATE_EVENTS
 
+LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # between two looks at the states, where nothing but images comes
 LINK_S = 2 * LOOK_S  # in which the end of our own link is seen, after that of the tokens
 FORGET_S = 600.0  # that a sensor without a reader is listed for
@@ -100,16 +102,18 @@ class Intake:
     def _accept(self, resource: str, size: int, attachment: bytes) -> tuple[Line, Head, bytes] | None:
         """The line of a message of so many bytes, if it is of the session that counts and may be that large."""
         line, now = self.lines.get(resource.rpartition("/")[0]), time.monotonic()
-        if line is None:
+        robot = self.robots.get(line.robot) if line else None
+        if line is None or robot is None:
             return None
         try:
-            if not self.robots[line.robot].allows(now, size + len(attachment)):
-                raise ValueError("more messages, or bytes, a second than a robot may send")
             head, detail = unpack(attachment)
         except ValueError as error:
-            self.refuse(line, f"{error}")
+            self._refuse_of(robot, line.name, f"{error}")
             return None
         if head.session != line.session:
+            return None
+        if not robot.allows(now, size + len(attachment)):
+            self.refuse(line, "more messages, or bytes, a second than a robot may send")
             return None
         line.heard_at = now
         return line, head, detail
@@ -128,10 +132,9 @@ class Intake:
         return line
 
     def _make_place(self) -> bool:
-        """Whether one goes of the robots that were never described, or else of those that are gone."""
+        """Whether a robot that never described a sensor gives way."""
         now = time.monotonic()
-        robots = [each for each in self.robots.values() if each.idle_since(now) is not None]
-        robot = min(robots, key=lambda each: (each.has_sensors, each.idle_since(now)), default=None)
+        robot = next((each for each in self.robots.values() if each.is_mute(now)), None)
         for line in [*robot.lines.values()] if robot else ():
             self.forget(line)
         return robot is not None
@@ -185,17 +188,21 @@ class Intake:
     ) -> None:
         """Take the state and the geometry of a publisher; the same sensor goes on where the latter is the same."""
         try:
-            with self.faults.turn(f"description of {line.name}", (ValueError, TactileError)):
-                self._build(line, session, description, request)
+            self._build(line, session, description, request)
         except (ValueError, TactileError) as error:
             self.refuse(line, f"{error}")
+        except Exception as error:  # of an array that no one has thought of: no fault of this service
+            LOG.exception("description of %s", line.name)
+            self.refuse(line, f"geometry: {type(error).__name__}: {error!s:.100}")
 
     def _build(
         self, line: Line, session: str, description: tuple[bytes, bytes], request: Callable[[Request], Answer]
     ) -> None:
         state = messages.read(messages.State, description[0], messages.MAX_STATE_BYTES)
         geometry = messages.read(messages.Geometry, description[1], messages.MAX_JSON_BYTES)
-        robot = self.robots[line.robot]
+        robot = self.robots.get(line.robot)
+        if robot is None:  # forgotten meanwhile
+            return
         before = self.sensors.get(line.name)
         sensor = before
         if before is None or (before.geometry, before.reported.shear) != (geometry, state.shear):

@@ -25,8 +25,9 @@ ROBOT_AND_SENSOR = re.compile(rf"{NAME[1:-1]}/{NAME[1:-1]}")
 SESSION = re.compile(r"[0-9a-f]{16}")
 RELEASE = __version__  # which all of a network have: any change of it may change the messages
 MAX_TAXELS, MAX_REFINE = 16384, 8
-MAX_CELLS = 1 << 20  # of the restored images of one robot's sensors
+MAX_SENSOR_CELLS, MAX_CELLS = 1 << 18, 1 << 20  # of the restored images of a sensor, and of a robot's sensors
 MAX_STATE_BYTES, MAX_EVENT_BYTES, MAX_DETAIL_BYTES, MAX_HEAD_BYTES = 1 << 16, 1 << 13, 1 << 14, 1 << 14
+MAX_LINE_BYTES = 200  # of a clock's time, and of a challenge
 MAX_JSON_BYTES = 2 << 20  # of a geometry or a configuration
 MAX_ANSWER_BYTES = 8 << 20  # of any other answer
 MAX_VALUE = 1e9  # of a pressure or a count, and all that is measured in them
@@ -123,6 +124,8 @@ class Geometry(Message):
         if raw != (self.shape or (1, len(self.positions_mm))) or prod(raw) != len(self.positions_mm):
             raise ValueError(f"raw: {raw[0]} x {raw[1]} cells do not fit {len(self.positions_mm)} positions")
         refine = restored[0] // raw[0]
+        if prod(restored) > MAX_SENSOR_CELLS:
+            raise ValueError(f"restored: {restored[0]} x {restored[1]} cells: give {MAX_SENSOR_CELLS} at most")
         if restored != (refine * raw[0], refine * raw[1]) or not 1 <= refine <= (MAX_REFINE if self.shape else 1):
             raise ValueError(
                 f"restored: {restored[0]} x {restored[1]} cells do not fit {raw[0]} x {raw[1]} taxels"
@@ -177,7 +180,7 @@ class Settings(Message):
 
 def read(model: type[Model], data: bytes, max_bytes: int) -> Model:
     """A message as its model has it."""
-    name = model.__name__.lower()
+    name = model.__name__.removesuffix("Head").lower()
     if len(data) > max_bytes:
         raise ValueError(f"{name}: {len(data)} bytes: give {max_bytes} at most")
     try:

@@ -16,6 +16,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from pydantic_core import from_json
+
 from tactiled.config import Zenoh
 from tactiled.errors import TactileError
 from tactiled.frames import Image
@@ -36,6 +38,7 @@ LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # how often a sensor's state is looked at when no image comes
 RETRY_S = 1.0  # between two attempts to join the network
 MAX_REQUESTS, MAX_WAITING = 4, 64  # that are answered at a time, as a fit takes seconds, and that there may be
+MAX_CONFLICTS = 8  # other publishers that events name
 MAX_ERROR = 300  # characters that another is told of an error
 JSON, BYTES = "application/json", "application/octet-stream"
 Describe = Callable[[Sensor], dict[str, Any]]  # a sensor's state, as of the REST API
@@ -211,7 +214,7 @@ class _Publication:
             self._conflict(other, "both publish")
 
     def _conflict(self, other: str, outcome: str) -> None:
-        if other not in self._conflicts:
+        if other not in self._conflicts and len(self._conflicts) < MAX_CONFLICTS:
             self._conflicts.add(other)
             text = f"another publisher (session {other}) has the name {self._base}: {outcome}: rename one"
             self._publisher.conflict(self.sensor.name, text)
@@ -285,7 +288,9 @@ class _Publication:
     def _reply(self, query: "zenoh.Query", path: str) -> None:
         """Answer a request; ValueError where it is none."""
         body, gate = query.payload.to_bytes() if query.payload else b"", self._publisher.gate
-        about = json.loads(query.attachment.to_bytes()) if query.attachment else {}
+        about = from_json(query.attachment.to_bytes()) if query.attachment else {}
+        if not isinstance(about, dict):
+            raise ValueError(f"attachment = {about!r:.60}: give a JSON object")
         question = Question.model_validate({"query": str(query.parameters).replace(";", "&")} | about)
         request = Request(question.method, path, question.query, question.headers, body)
         changes = request.method not in SAFE_METHODS

@@ -15,13 +15,13 @@ from pydantic_core import from_json
 from tactiled.config import Zenoh
 from tactiled.errors import ReaderAnswerError, ReaderError, ReadOnlyError
 from tactiled.interop.signatures import SAFE_METHODS, fits, robot_key, sign
-from tactiled.interop.zenoh_messages import MAX_ANSWER_BYTES, MAX_HEAD_BYTES, AnswerHead, read
+from tactiled.interop.zenoh_messages import MAX_ANSWER_BYTES, MAX_HEAD_BYTES, MAX_LINE_BYTES, AnswerHead, read
 from tactiled.interop.zenoh_session import REQUEST_S, Answer, Request
 
 if TYPE_CHECKING:
     import zenoh
 
-MAX_REPLIES = 8  # to one question: what others on the network add hides none of its reader's
+MAX_REPLIES = 4  # to one question: what others on the network add hides none of its reader's
 MAX_PENDING = 8  # requests of clients to one robot
 FORBIDDEN = 403
 UNSIGNED = "an answer without its reader's signature: whether it was done is unknown"
@@ -31,10 +31,9 @@ NO_KEY = "this server has no zenoh.control_key: the sensors of all robots are re
 class Reply(NamedTuple):
     """What one peer answers."""
 
-    data: bytes
+    data: bytes  # a byte too many where it has more than asked for
     attachment: bytes
     error: str | None = None  # in place of both
-    size: int = 0  # bytes; a reply that is too long is left out, not its size
     at: float = 0.0  # s, monotonic, when it came
 
 
@@ -49,7 +48,12 @@ class Questions:
         self.session: zenoh.Session | None = None
 
     def ask(
-        self, resource: str, timeout_s: float, body: bytes = b"", about: dict[str, Any] | None = None
+        self,
+        resource: str,
+        timeout_s: float,
+        max_bytes: int,
+        body: bytes = b"",
+        about: dict[str, Any] | None = None,
     ) -> Future[list[Reply]]:
         """Whatever peers answer to a question below the prefix; ReaderError where there is no network yet."""
         import zenoh
@@ -62,7 +66,7 @@ class Questions:
 
         def take(reply: "zenoh.Reply") -> None:
             if len(replies) < MAX_REPLIES:
-                replies.append(_reply(reply))
+                replies.append(_reply(reply, max_bytes))
 
         handler = zenoh.handlers.Callback(take, lambda: future.set_result(replies), indirect=False)
         self.session.get(
@@ -82,7 +86,7 @@ class Questions:
             if request.method not in SAFE_METHODS:
                 key = await self._claim(name, base, about, request, timeout_s)
             began, resource = time.monotonic(), f"{base}/rest/{request.path}"
-            future = self.ask(resource, timeout_s, request.body, about)
+            future = self.ask(resource, timeout_s, MAX_ANSWER_BYTES, request.body, about)
             replies = await asyncio.wrap_future(future)
         answer = _answer(name, replies, key, about.get("challenge"))
         if answer is None:
@@ -94,8 +98,8 @@ class Questions:
         if self._fleet_key is None:
             raise ReadOnlyError(f"sensor {name!r}: {NO_KEY}")
         began = time.monotonic()
-        replies = await asyncio.wrap_future(self.ask(f"{base}/challenge", timeout_s))
-        challenge = next((each.data for each in replies if 0 < len(each.data) <= MAX_HEAD_BYTES), None)
+        replies = await asyncio.wrap_future(self.ask(f"{base}/challenge", timeout_s, MAX_LINE_BYTES))
+        challenge = next((each.data for each in replies if 0 < len(each.data) <= MAX_LINE_BYTES), None)
         if challenge is None:
             raise ReaderError(_no_answer(name, replies, time.monotonic() - began, timeout_s, False))
         about["challenge"] = challenge.decode(errors="replace")
@@ -118,15 +122,12 @@ class Questions:
                 self._pending -= Counter((robot,))
 
 
-def _reply(reply: "zenoh.Reply") -> Reply:
+def _reply(reply: "zenoh.Reply", max_bytes: int) -> Reply:
     if reply.ok is None:
         error = reply.err.payload.to_bytes()[:300].decode(errors="replace") if reply.err else ""
         return Reply(b"", b"", error)
-    size, attachment = len(reply.ok.payload), reply.ok.attachment
-    if size > MAX_ANSWER_BYTES or (attachment is not None and len(attachment) > MAX_HEAD_BYTES):
-        return Reply(b"", b"", size=size)
-    data = reply.ok.payload.to_bytes()
-    return Reply(data, attachment.to_bytes() if attachment else b"", None, size, time.monotonic())
+    attachment = reply.ok.attachment.to_bytes()[: MAX_HEAD_BYTES + 1] if reply.ok.attachment else b""
+    return Reply(reply.ok.payload.to_bytes()[: max_bytes + 1], attachment, None, time.monotonic())
 
 
 def _answer(name: str, replies: list[Reply], key: str | None, challenge: str | None) -> Answer | None:
@@ -137,8 +138,8 @@ def _answer(name: str, replies: list[Reply], key: str | None, challenge: str | N
         if reply.error is not None:
             continue
         try:
-            if reply.size > MAX_ANSWER_BYTES:
-                raise ValueError(f"an answer of {reply.size} bytes: give {MAX_ANSWER_BYTES} at most")
+            if len(reply.data) > MAX_ANSWER_BYTES:
+                raise ValueError(f"an answer of more than {MAX_ANSWER_BYTES} bytes")
             head = read(AnswerHead, reply.attachment, MAX_HEAD_BYTES)
         except ValueError as error:
             fault = fault or ReaderAnswerError(f"sensor {name!r}: its reader answers wrongly: {error}")

@@ -53,12 +53,9 @@ class Robot:
         """Whether one is listed."""
         return any(each.described for each in self.lines.values())
 
-    def idle_since(self, now: float) -> float | None:
-        """Since when (s, monotonic) all of it is gone, or was to be described in vain; None: it is in use."""
-        down_at = [each.down_at for each in self.lines.values() if each.down]
-        if len(down_at) == len(self.lines):
-            return max(down_at, default=now)
-        return self._appeared if not self.has_sensors and now - self._appeared > DESCRIBED_S else None
+    def is_mute(self, now: float) -> bool:
+        """Whether it has not described any sensor in time."""
+        return not self.has_sensors and now - self._appeared > DESCRIBED_S
 
     def allows(self, now: float, size: int) -> bool:
         """Whether a message of this size (bytes) is within its budgets."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.contacts.detection import Contact, Finder, Tracker
+from tactiled.contacts.detection import MAX_PEAKS, Contact, Finder, Tracker
 from tactiled.geometry import Cells, grid, layout, tiling
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
@@ -78,6 +78,14 @@ def test_a_faint_contact_is_found_while_a_strong_one_presses_elsewhere(find, pre
 @pytest.mark.parametrize("noise", [0.0, NOISE])
 def test_noise_is_no_contact(find, noise):
     assert find(noisy(np.zeros((SIDE, SIDE)), noise, 1), NOISE) == []
+
+
+def test_of_more_peaks_than_any_skin_shows_the_highest_are_contacts():
+    array, image = grid(64, 64, 1.0), np.zeros((64, 64), np.float32)
+    image[::2, ::2] = np.random.default_rng(0).uniform(50.0, 100.0, (32, 32))
+    contacts = Finder(array, tiling(array))(image, 0.01)
+    assert len(contacts) == MAX_PEAKS
+    assert min(each.peak for each in contacts) == np.sort(image, axis=None)[-MAX_PEAKS]
 
 
 def test_axes_and_angle_on_refined_cells():
