@@ -35,8 +35,9 @@ MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or no
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
 END_CUT = "its end is cut off"
 MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 64  # of a file, packed as tightly as can be: more come of a loop
-CPU_S, BYTES_PER_CPU_S = 5.0, 10e6  # without a message; what the slowest format and machine read in a second
-MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # the latter where a library has the whole file in memory
+CPU_S, BYTES_PER_CPU_S = 2.0, 10e6  # without a message; what the slowest format and machine read in a second
+LIBRARY_CPU_S = 20.0  # instead, where a library must be loaded and has the whole file in memory
+MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # the latter there, too
 SHIPPED = Path(__file__).parents[1] / "recordings"
 
 
@@ -183,8 +184,10 @@ _as_message: Callable[[object], Message] = partial(tuple.__new__, Message)  # ha
 def _bounds(path: Path) -> Bounds:
     """What reading a file may take."""
     size = path.stat().st_size if path.is_file() else 0
-    memory_mb = MEMORY_MB if is_streamed(path) else MEMORY_MB + MEMORY_PER_BYTE * size / 1e6
-    return Bounds(CPU_S + size / BYTES_PER_CPU_S, memory_mb)
+    cpu_s, memory_mb = CPU_S, MEMORY_MB
+    if not is_streamed(path):
+        cpu_s, memory_mb = LIBRARY_CPU_S, MEMORY_MB + MEMORY_PER_BYTE * size / 1e6
+    return Bounds(cpu_s + size / BYTES_PER_CPU_S, memory_mb)
 
 
 class Recording:

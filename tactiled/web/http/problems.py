@@ -42,15 +42,21 @@ class Problem(HTTPException):
 
 def response(status: int, detail: str, headers: Mapping[str, str] | None = None, **more: Any) -> Response:
     """The response of a problem; `more` of its fields where it has them."""
-    body = schemas.Problem(title=HTTPStatus(status).phrase, status=status, detail=detail, **more)
+    text = _encoded(detail).decode()
+    body = schemas.Problem(title=HTTPStatus(status).phrase, status=status, detail=text, **more)
     return Response(
         body.model_dump_json(exclude_none=True), status, dict(headers or {}), "application/problem+json"
     )
 
 
+def _encoded(text: str) -> bytes:
+    """UTF-8, which has no half of a pair as JSON may: it is written out."""
+    return text.encode(errors="backslashreplace")
+
+
 def close_reason(reason: str) -> str:
     """As much of a reason as a close frame holds."""
-    return reason.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
+    return _encoded(reason)[:MAX_REASON_BYTES].decode(errors="ignore")
 
 
 def refused(error: TactileError) -> Response:

@@ -1,5 +1,6 @@
 """Errors in one form, whatever is wrong, and without secrets."""
 
+import json
 from contextlib import ExitStack
 from unittest.mock import Mock
 
@@ -11,6 +12,7 @@ from tactiled.bus import reader
 from tactiled.config import Server, parse
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
+from tactiled.web.http import problems
 from tactiled.web.server import running
 from tests.conftest import CONFIG, ask, pressed, problem, until
 from tests.web.http.raw import websocket_url
@@ -76,6 +78,13 @@ NO_BODY = (
     ("DELETE", "/sensors/palm/regions/heel"), ("POST", "/sensors/palm/calibration/history/1"),
     ("POST", "/sensors/palm/calibration/session/fit"), ("POST", "/config/reload"),
 )  # fmt: skip
+
+
+def test_a_problem_names_half_a_pair_of_utf_16_which_json_may_have():
+    assert (
+        json.loads(problems.response(404, "bus \ud800: no such bus").body)["detail"] == "bus \\ud800: no such bus"
+    )
+    assert problems.close_reason("bus \ud800") == "bus \\ud800"
 
 
 def test_a_body_that_a_request_does_not_take_is_refused_and_changes_nothing(rig, url):
