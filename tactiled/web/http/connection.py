@@ -238,7 +238,9 @@ class Connection(asyncio.Protocol):
         return max(0.0, self._busy_at - perf_counter() + (self._busy_s - timeouts.BURST_S) / share)
 
     def _arrange_reading(self) -> None:
-        """Read on, or have the next piece's turn come."""
+        """Read on, or have the next piece's turn come; cut off who sends much behind a request that waits."""
+        if self.state is State.ANSWERING and len(self._backlog) > timeouts.MAX_HEAD:
+            self.transport.abort()
         if not self._opened or self.transport.is_closing():
             self._backlog.clear()
             return

@@ -23,8 +23,8 @@ from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
 
 
 async def app(scope, receive, send):
-    """Reads the body and answers with its length; leaves a WebSocket's handshake without an answer."""
-    if scope["type"] == "websocket":
+    """Reads the body and answers with its length; leaves a WebSocket's handshake, and /wait, without an answer."""
+    if scope["type"] == "websocket" or scope["path"] == "/wait":
         await asyncio.Event().wait()
     length, more = 0, True
     while more:
@@ -101,6 +101,13 @@ def test_a_head_is_not_late_while_the_service_itself_reads_nothing(rig, monkeypa
             assert piece, answers
         end.sendall(health[10:])
         assert end.recv(1 << 16).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.parametrize(("size", "cut_off"), [(MAX_HEAD, False), (2 * MAX_HEAD, True)])
+def test_a_client_that_sends_much_behind_a_request_that_waits_is_cut_off(exchange, size, cut_off):
+    """Nothing of it is handed on before the answer: all of it would be held."""
+    waiting = b"GET /wait HTTP/1.1\r\nHost: x\r\n\r\n"
+    assert exchange(waiting + bytes(size), wait=0.1) == (b"", cut_off, False)
 
 
 REFUSED = {
