@@ -81,6 +81,17 @@ def test_rows_and_columns_that_contradict_what_presses_are_doubted(rows, columns
     assert one.match.notes[0].endswith(f"best guess: {rows} x {columns}, in which neighbours change alike")
 
 
+def test_padding_is_no_row_of_the_array():
+    codec = Packed(48, 8, fd=True)  # 62 taxels would fit
+    frames = enumerate(pressed(4, 12) // 4)
+    (one,) = survey(
+        [each._replace(time=n / 50) for n, frame in frames for each in codec.encode(frame, n, 0.0)]
+    ).senders
+    assert one.match.shape == (4, 12)
+    (idle,) = survey(traffic(codec)).senders
+    assert idle.match.shape == (6, 8)
+
+
 def test_without_a_press_the_squarest_grid_is_guessed_and_the_guess_says_so():
     (one,) = survey(traffic(Packed(160, 12, fd=True))).senders
     assert one.match.shape == (10, 16)

@@ -272,8 +272,10 @@ def _match(key: Key, messages: Sequence[Message], fits: Sequence[Fit]) -> Match:
     kind = "CAN FD" if fd else "classic"
     description = f"packed layout, {kind}, array {array_id} at {base_id:#x}, {best.bits} bits a taxel"
     counts = _counts(Packed(best.max_size, **settings), messages, SHAPE_FRAMES)
-    shapes = alike_shapes(counts, range(best.min_size, best.max_size + 1))
-    rows, columns = shape = shapes[0] if shapes else squarest(best.min_size, best.max_size)
+    ever = np.flatnonzero(counts.any(axis=0))  # behind the last of these is padding, or taxels that rest at 0
+    max_size = max(best.min_size, int(ever[-1]) + 1) if ever.size else best.max_size
+    shapes = alike_shapes(counts, range(best.min_size, max_size + 1))
+    rows, columns = shape = shapes[0] if shapes else squarest(best.min_size, max_size)
     unclear = "" if rows == columns else "; slide a finger over it to tell"
     why = ", in which neighbours change alike" if shapes else unclear
     notes = [f"array: {best.sizes} taxels fit; best guess: {rows} x {columns}{why}"]
