@@ -146,7 +146,7 @@ SIGNATURES = (  # formats by how their files begin: the endings under which they
     (rb"Timestamp: +[0-9.]+ +ID: ", (), "what python-can prints on a screen: record with tactiled record"),
     (rb"\*\*\*BUSMASTER ", (), f"BUSMASTER's log: {CONVERT}"),
     (rb"Time Stamp,ID,Extended,", (), f"SavvyCAN's CSV: {CONVERT}"),
-    (rb"[0-9]+\.[0-9]+ [0-9]?([RT](11|29)|C[A-Z]{2}) ", (), f"OVMS's CRTD: {CONVERT}"),
+    (rb"[0-9]+\.[0-9]+ [0-9]?([RT](11|29)|C(?!AN)[A-Z]{2}) ", (), f"OVMS's CRTD: {CONVERT}"),
 )  # fmt: skip
 
 

@@ -44,6 +44,8 @@ def after(path, content):
         ("a.asc", "base hex  no internal events logged\n// version 7.1.0\n" + ASC.format("0.0", 0.0002),
          [0, 0.0002], ""),
         ("a.asc", ASC.format("0.0", 0.0002), [0, 0.0002], ""),
+        ("a.asc", "0.0 CAN 1 Status:chip status error active\n" + ASC.format("0.0", 0.0002), [0, 0.0002],
+         "left out: 1 other event"),
         ("a.asc", (HEAD + "// Pr\xfcfstand\n" + ASC.format("0.0", 0.0002)).encode("cp1252"), [0, 0.0002], ""),
         ("a.asc", HEAD + " 0.000000 CANFD   Start of measurement\n" + ASC.format("0.0", 0.0002), [0, 0.0002], ""),
         ("a.asc", HEAD + ASC.format("0.0", 0.0002) + " 0.1 1 500 Rx d 8 07 00\n", [0, 0.0002],
