@@ -1,3 +1,4 @@
+import gzip
 import re
 import subprocess
 from dataclasses import fields
@@ -172,3 +173,13 @@ def test_the_command_serves_the_recordings_images_and_records_no_bus(tmp_path, l
     assert [each["name"] for each in ask("GET", f"{api}/recordings").json()["recordings"]] == ["a.log"]
     process.terminate()
     process.communicate()
+
+
+def test_a_replay_stops_while_nothing_comes_of_its_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("tactiled.bus.recording.CPU_S", 600.0)
+    path, ended = tmp_path / "a.log.gz", []
+    path.write_bytes(gzip.compress(b"(1.000000) can0 123#00\n" + b"\n" * (32 << 20), 1))
+    play = Replay(path, {"palm": CODEC}, lambda *_: None, 0.0, lambda *line: ended.append(line))
+    play.start()
+    play.stop()
+    assert not ended
