@@ -6,57 +6,83 @@ than need be. For each scene and each factor of a family of covers, the objectiv
 
     chi^2 + w n,   n = (sum sqrt x)^2 / sum x the cells that are pressed, in effect,
 
-which is a likelihood with a sparse prior. Its sum over scenes has its minimum near the true factor: the misfit of
-a sharp scene rises steeply, so that the sharpest scenes decide. Scenes without an edge disagree with them and with
-each other by far more than noise explains, so the interval is that of resampled scenes, with the error of w.
+which is a likelihood with a sparse prior. Its sum over the scenes with sharp edges has its minimum near the true
+factor; how far off is learned from a simulated recording of flat things with the outlines that were found (a
+parametric bootstrap). The interval is that of resampled scenes, with the errors of w and of this correction.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import uniform_filter
 from scipy.special import stdtrit
 
+from tactiled.calibrate.contact_frames import (
+    MAX_FRAMES,
+    Shared,
+    find_scenes,
+    over_zeros,
+    shared_noise,
+    spread,
+    still_means,
+)
 from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.deblur import Convolution, Images, deblurred
+from tactiled.calibrate.deblur import Convolution, Images, Precision, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.geometry import Array
-from tactiled.restore.noise import detection_threshold
+from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
+Skin = tuple[CoverFamily, Array]
+Contact = tuple[Images, int, float]  # frames over noise, place of the one that counts, variance of their zero
 
+MIN_OWN_NOISE = 0.25  # of a taxel's noise, that is not shared, at least
 GAIN_ERROR = 0.01  # relative standard deviation of a taxel's gain, at least: cells explain no frame better
 LOG_FACTORS = np.linspace(-0.7, 0.7, 15)
 FINE_FACTORS = np.linspace(-0.7, 0.7, 561)
-ITERATIONS = 150  # a factor, from the pressure under the cover one step thinner; twice as many at first
-MAX_FRAMES = 16  # that are deblurred
-SCENE_CHANGE = 0.3  # of a frame's square: a step that changes more begins another scene
-CLEAR = 20.0  # times the noise: a frame with a lower peak says nothing about a cover
+# For each pitch of thickness, and half as many more: pressure under a thick cover converges slowly. More of them
+# let pressure rise at the rims of contacts, so that too thick a cover explains them.
+ITERATIONS = 40
 MIN_SCENES = 3
-STILL_PITCHES = 0.1  # that a contact may move in frames that are averaged: 0.2 % of a cover of half a pitch
-MAX_NEAR_FRAMES = 8  # on either side that are averaged
 MAX_NOISE = 0.005  # of the peak: at 0.8 % the thickness from most recordings of the tour was wrong by 25 to 60 %
 RESAMPLES = 400
 MAX_INTERVAL = 1.4  # of its upper over its lower end: more does not tell the thickness
-# Flat tips of 0.5 to 2 pitches (16 x 16 and 20 x 20 taxels, t/pitch 0.5 to 3, noise 0.1 to 0.4 % of the peak) gave
-# covers up to 20 % too thin in intervals of a few per cent. All of these had fewer cells or more misfit than here;
-# three pitches have 37 cells and more. None of 33 minutes of the tour (`tactiled bench calibration`) is refused.
-MIN_CELLS, NARROW_SHARE = 33.0, 0.2  # cells in effect of a narrow contact, and the share of these that misleads
+# Flat tips of half a pitch's radius (20 x 20 taxels, t/pitch 0.6 to 2.4, noise 0.2 % of the peak) gave covers 6
+# to 25 % too thin in intervals of a few per cent. They and those of one pitch have 9 to 15 such cells; those of
+# one and a half have 26 and more, and errors of 2 %.
+MIN_AREA, NARROW_SHARE = 20, 0.2  # cells of a narrow contact, and the share of these that misleads
 MISFIT = 1.2  # of all scenes under the best thickness, over noise and gain errors
 MAX_GAIN_ERROR = 0.03  # of a taxel: uncalibrated gains, 20 % apart, bias the thickness
 GAIN_NOTE = "gains that are not calibrated may make thickness and interval wrong: calibrate the gain first"
-NOTE = "assumes sharp edges in the sharpest scenes: with none, the result may be wrong"
-# w = max(1, (peak / noise / WEIGHT_SNR)^WEIGHT_POWER), for which the factor has no bias, was chosen on 91
-# recordings of five random scenes each of tactiled/study/scenes.py: 24 x 24 taxels, t/pitch 0.5 to 3, noise 0.1
-# to 2 % of the peak, gains within 1 % or exact. Errors are 2 to 3 % where noise is under 0.4 %.
-WEIGHT_SNR, WEIGHT_POWER = 180.0, 1.3
-# Standard deviation of w's binary logarithm. Of 0.2 to 0.5, with this one nearest to 95 % of the intervals hold
-# the truth: 117 of 124, in 84 recordings of the tour, 22 of five random scenes each and 18 with 5 times the noise.
-# Twice w raises the factor by 5 to 15 % with sharp scenes, by 50 to 130 % with fingertips and balls alone.
-WEIGHT_ERROR = 0.35
+# Steepest rise of pressure that makes a scene sharp, as `_outlines` has it. In 64 recordings of 12 presses
+# (20 x 20 taxels, t/pitch 0.5 to 3) flat things had 0.31 to 0.5, fingers 0.16 to 0.33, balls of 2 pitches' radius
+# and more 0.24 to 0.34. Fingers are over 0.32 under three pitches of rubber alone, at most a quarter of them.
+SHARP, MIN_SHARP = 0.32, 0.3  # and the share of the scenes that are so, at least
+OUTLINE_SLOPE = 6.0  # of the edges of simulated things, over those of smoothed pressure: no wider than a cell
+WEIGHT_SNR = 125.0  # w is the peak over the noise and this: with half and twice as much noise, the same error
+WEIGHT_ERROR = 0.35  # standard deviation of w's binary logarithm
+BIAS_ERROR = 0.35  # standard deviation of the correction, over it
+MODEL_ERROR = 0.015  # standard deviation of the thickness's logarithm that scenes do not show
+
+
+class Frames(NamedTuple):
+    """Frames of contacts, and what is known of their errors."""
+
+    over_noise: Images  # (T, *shape) over a taxel's own noise, NaN where unknown
+    scene: Ints  # (T,)
+    gain_error: float  # relative standard deviation
+    shared: Shared = (0.0, 0.0, 0.0)  # variance of noise that rows, columns and all taxels share, over the own
+
+    def of(self, scenes: Ints) -> "Frames":
+        """Those of some scenes, numbered anew."""
+        keep = np.isin(self.scene, scenes)
+        return self._replace(over_noise=self.over_noise[keep], scene=np.searchsorted(scenes, self.scene[keep]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,24 +92,42 @@ class Profiles:
     chi2: Floats  # (T, factors) weighted squares of the residuals over the noise
     cells: Floats  # (T, factors) cells that are pressed, in effect
     snr: Floats  # (T,) peak over noise
+    sharpness: Floats  # (T, factors) steepest rise of the pressure
+    area: Floats  # (T, factors) cells of more than half of its height
     scene: Ints  # (T,)
     readings: Ints  # (T,) taxels that are known
 
     def objective(self, prior: float = 1.0) -> Floats:
         """Sum over the frames of each scene (S, FINE_FACTORS); `prior` multiplies w."""
-        weight = prior * np.maximum(1.0, (self.snr / WEIGHT_SNR) ** WEIGHT_POWER)
-        of_frames = self.chi2 + weight[:, None] * self.cells
-        of_scenes = np.zeros((self.scene.max() + 1, len(LOG_FACTORS)))
-        np.add.at(of_scenes, self.scene, of_frames)
-        return np.asarray(CubicSpline(LOG_FACTORS, of_scenes, axis=1)(FINE_FACTORS))
+        weight = prior * self.snr / WEIGHT_SNR
+        return np.asarray(
+            CubicSpline(LOG_FACTORS, self._scenes(self.chi2 + weight[:, None] * self.cells), axis=1)(FINE_FACTORS)
+        )
+
+    def sharp(self, at: int) -> Ints:
+        """Scenes whose edges are sharp under FINE_FACTORS[at]."""
+        sharpness = CubicSpline(LOG_FACTORS, self._scenes(self.sharpness), axis=1)(FINE_FACTORS[at])
+        return np.flatnonzero(sharpness > SHARP * np.bincount(self.scene))
+
+    def of(self, scenes: Ints) -> "Profiles":
+        """Those of some scenes, numbered anew."""
+        keep = np.isin(self.scene, scenes)
+        kept = {each.name: getattr(self, each.name)[keep] for each in fields(self)}
+        return Profiles(**kept | {"scene": np.searchsorted(scenes, kept["scene"])})
 
     def followed_by(self, newer: "Profiles") -> "Profiles":
         """The newest MAX_FRAMES of both, each a scene."""
-        chi2, cells, snr, readings = (
-            np.concatenate([getattr(self, key), getattr(newer, key)])[-MAX_FRAMES:]
-            for key in ("chi2", "cells", "snr", "readings")
-        )
-        return Profiles(chi2, cells, snr, np.arange(len(snr)), readings)
+        both = {
+            each.name: np.concatenate([getattr(self, each.name), getattr(newer, each.name)])[-MAX_FRAMES:]
+            for each in fields(self)
+        }
+        return Profiles(**both | {"scene": np.arange(len(both["snr"]))})
+
+    def _scenes(self, of_frames: Floats) -> Floats:
+        """Sums (S, ...) of frames over their scenes."""
+        of_scenes = np.zeros((self.scene.max() + 1, *of_frames.shape[1:]))
+        np.add.at(of_scenes, self.scene, of_frames)
+        return of_scenes
 
 
 def fit_blind(
@@ -95,7 +139,8 @@ def fit_blind(
 ) -> CoverFit:
     """The cover's thickness from successive frames (T, *shape) in kPa, NaN where unknown, of at least 3 scenes.
 
-    Scenes are separated by frames without contact, or by a sudden change.
+    Scenes are separated by frames without contact, which show their zeros, or by a sudden change. ConfigError
+    where no frame is without a load.
     """
     if array.shape is None:
         return _undecided(family, "the array is no grid: use presses with a tip or an edge")
@@ -104,17 +149,18 @@ def fit_blind(
         return _undecided(
             family, f"the array has {rows} x {columns} taxels: a blind fit needs several rows and columns"
         )
-    scenes = find_scenes(np.asarray(frames, np.float32), noise_kpa)
+    over, zero_variance = over_zeros(np.asarray(frames, np.float32), noise_kpa)
+    scenes = find_scenes(over, noise_kpa)
     if len(scenes) < MIN_SCENES:
-        if sum(map(len, scenes)) == len(frames):
-            return _undecided(family, "every frame shows a contact: lift between presses, and check no load")
         count = f"{len(scenes)} scene{'' if len(scenes) == 1 else 's'}"
         return _undecided(
             family, f"{count} with a clear contact: press {MIN_SCENES} things or more, lifting between"
         )
-    places, scene = _spread(scenes)
-    means, noise = still_means(np.asarray(frames, np.float32), scenes, places, noise_kpa)
-    over_noise = means / noise[:, None, None]
+    places, scene = spread(scenes)
+    shared = shared_noise(over, noise_kpa)
+    own = np.sqrt(max(1 - sum(shared) / noise_kpa**2, MIN_OWN_NOISE**2))
+    means, noise = still_means(over, scenes, places, noise_kpa)
+    over_noise = means / (own * np.hypot(noise, noise_kpa * np.sqrt(zero_variance[places])))[:, None, None]
     share = 1 / float(np.median(np.nanmax(over_noise, axis=(1, 2))))
     if share > MAX_NOISE:
         return _undecided(
@@ -122,104 +168,143 @@ def fit_blind(
             f"noise is {100 * share:.2g} % of the pressure, and {100 * MAX_NOISE:.2g} % is the most that "
             "a blind fit stands: press harder, or hold still",
         )
-    fit = _fit(profile(over_noise, scene, max(gain_error, GAIN_ERROR), (family, array)), family)
+    row, column, common = (float(each / (own * noise_kpa) ** 2) for each in shared)
+    evidence = Frames(over_noise, scene, max(gain_error, GAIN_ERROR), (row, column, common))
+    skin = family, array
+
+    def simulated(factor: float, scenes: Ints) -> Profiles:
+        return profile(simulate(evidence.of(scenes), factor, min(gain_error, GAIN_ERROR), skin), skin)
+
+    fit = _fit(profile(evidence, skin), family, simulated)
     return replace(fit, notes=(GAIN_NOTE, *fit.notes)) if gain_error > MAX_GAIN_ERROR else fit
 
 
 def add_contacts(
-    kept: Profiles | None, contacts: list[tuple[Images, int]], gain_error: float, stack: Stack, array: Array
+    kept: Profiles | None, contacts: list[Contact], gain_error: float, stack: Stack, array: Array
 ) -> tuple[Profiles, CoverFit]:
-    """Profiles of the newest MAX_FRAMES contacts and their fit; of a new one frames over noise, and its place."""
+    """Profiles of the newest MAX_FRAMES contacts and their fit."""
     family = CoverFamily(stack)
-    means = [still_means(frames, [np.arange(len(frames))], np.array([place]), 1.0) for frames, place in contacts]
-    over_noise = np.concatenate([mean / noise for mean, noise in means])
-    newer = profile(over_noise, np.arange(len(means)), max(gain_error, GAIN_ERROR), (family, array))
+    means = [still_means(frames, [np.arange(len(frames))], np.array([at]), 1.0) for frames, at, _ in contacts]
+    zeros = [variance for *_, variance in contacts]
+    over_noise = np.concatenate(
+        [mean / np.sqrt(noise**2 + zero) for (mean, noise), zero in zip(means, zeros, strict=True)]
+    )
+    newer = profile(Frames(over_noise, np.arange(len(means)), max(gain_error, GAIN_ERROR)), (family, array))
     kept = kept.followed_by(newer) if kept else newer
     return kept, _fit(kept, family)
 
 
-def find_scenes(frames: Images, noise_kpa: float) -> list[Ints]:
-    """Frames of each scene with a clear contact, in order of time."""
-    flat = np.nan_to_num(frames.reshape(len(frames), -1))
-    square = np.einsum("ti,ti->t", flat, flat)
-    step = np.diff(flat, axis=0)
-    noise = 2 * noise_kpa**2 * flat.shape[1]
-    changed = np.einsum("ti,ti->t", step, step) > noise + SCENE_CHANGE * np.maximum(square[1:], square[:-1])
-    reach = max(CLEAR * noise_kpa, detection_threshold(noise_kpa, flat.shape[1]))
-    clear = flat.max(axis=1) > reach
-    begins = np.concatenate([[True], changed | ~clear[:-1]])
-    number = np.cumsum(begins & clear)
-    return [np.flatnonzero(clear & (number == n)) for n in np.unique(number[clear])]
-
-
-def _spread(scenes: list[Ints]) -> tuple[Ints, Ints]:
-    """At most MAX_FRAMES frames (T,), as many of each scene, far apart in it, and the scene (T,) of each."""
-    scenes = [scenes[n] for n in np.linspace(0, len(scenes) - 1, min(len(scenes), MAX_FRAMES)).round().astype(int)]
-    each = max(1, MAX_FRAMES // len(scenes))
-    places = (np.arange(each) + 0.5) / each
-    picked = [np.unique(scene[(places * len(scene)).astype(int)]) for scene in scenes]
-    return np.concatenate(picked), np.repeat(np.arange(len(picked)), [len(one) for one in picked])
-
-
-def still_means(frames: Images, scenes: list[Ints], places: Ints, noise_kpa: float) -> tuple[Images, Floats]:
-    """Means (T, *shape) of the frames around each of `places` while what presses moves less than STILL_PITCHES.
-
-    Also the noise (T,) of each mean, kPa. Frames are of the same one of `scenes`.
-    """
-    means, counts = frames[places].copy(), np.ones(len(places))
-    scene_of = {int(each): scene for scene in scenes for each in scene}
-    for n, place in enumerate(places):
-        frame, scene = frames[place], scene_of[int(place)]
-        near = frames[scene[np.abs(scene - place) <= MAX_NEAR_FRAMES]]
-        slopes = sum(np.nansum(each**2) for each in np.gradient(np.nan_to_num(frame))) / 2  # along either axis
-        moved = np.nansum((near - frame) ** 2, axis=(1, 2)) - 2 * noise_kpa**2 * frame.size
-        still = near[moved < STILL_PITCHES**2 * slopes]
-        means[n], counts[n] = still.mean(axis=0), len(still)
-    return means, noise_kpa / np.sqrt(counts)
-
-
-def profile(
-    over_noise: NDArray[np.floating], scene: Ints, gain_error: float, skin: tuple[CoverFamily, Array]
-) -> Profiles:
-    """Deblur frames (T, *shape), over their noise, under every factor of a family over an array."""
-    working = np.isfinite(over_noise)
-    y = np.where(working, over_noise, 0).astype(np.float32)
-    weight = np.where(working, 1 / (1 + (gain_error * y) ** 2), 0).astype(np.float32)
-    chi2, cells = np.empty((2, len(LOG_FACTORS), len(y)))
-    for n, factor in enumerate(np.exp(LOG_FACTORS)):
-        blur = Convolution(skin[0], float(factor), skin[1])
-        if n == 0:
-            x = deblurred(blur, y, weight, np.zeros((len(y), *blur.cells), np.float32), ITERATIONS)
-        x = deblurred(blur, y, weight, x, ITERATIONS)
-        chi2[n] = (weight * (blur.forward(x) - y) ** 2).sum(axis=(1, 2), dtype=float)
+def profile(frames: Frames, skin: Skin) -> Profiles:
+    """Deblur frames under every factor of a family over an array."""
+    y, precision = _weighted(frames)
+    chi2, cells, sharpness, area = np.empty((4, len(LOG_FACTORS), len(y)))
+    x = None
+    for n, factor in enumerate(np.exp(LOG_FACTORS).tolist()):
+        blur, x = _pressure(y, precision, factor, skin, x)
+        chi2[n] = precision.square(blur.forward(x) - y)
         total = np.maximum(x.sum(axis=(1, 2), dtype=float), 1e-9)
         cells[n] = np.sqrt(x).sum(axis=(1, 2), dtype=float) ** 2 / total
-    return Profiles(chi2.T, cells.T, y.max(axis=(1, 2)).astype(float), scene, working.sum(axis=(1, 2)))
+        sharpness[n], area[n] = _outlines(x)
+    readings, snr = np.isfinite(frames.over_noise).sum(axis=(1, 2)), y.max(axis=(1, 2)).astype(float)
+    return Profiles(chi2.T, cells.T, snr, sharpness.T, area.T, frames.scene, readings)
 
 
-def _fit(profiles: Profiles, family: CoverFamily) -> CoverFit:
-    """The factor at which the objective is least, and its interval by resampling scenes."""
-    objective = profiles.objective()
-    count = len(objective)
+def simulate(frames: Frames, factor: float, gain_error: float, skin: Skin) -> Frames:
+    """Frames of flat things that have the outlines of those in `frames`, as a cover of `factor` shows them."""
+    random, (y, precision) = np.random.default_rng(0), _weighted(frames)
+    blur, x = _pressure(y, precision, factor, skin)
+    smooth, top = _smooth(x)
+    clean = blur.forward(np.clip(OUTLINE_SLOPE * (smooth / top - 0.5) + 0.5, 0, 1).astype(np.float32))
+    clean *= (y * clean).sum(axis=(1, 2), keepdims=True) / (clean**2).sum(axis=(1, 2), keepdims=True)
+    count, rows, columns = y.shape
+    sizes = ((count, rows, 1), (count, 1, columns), (count, 1, 1))
+    noise = random.normal(size=y.shape) + sum(
+        np.sqrt(variance) * random.normal(size=size) for variance, size in zip(frames.shared, sizes, strict=True)
+    )
+    seen = clean * (1 + gain_error * random.normal(size=(rows, columns))) + noise
+    return frames._replace(over_noise=np.where(np.isfinite(frames.over_noise), seen, np.nan).astype(np.float32))
+
+
+def _weighted(frames: Frames) -> tuple[Images, Precision]:
+    """Readings, 0 where unknown, and what they count."""
+    finite = np.isfinite(frames.over_noise)
+    y = np.where(finite, frames.over_noise, 0).astype(np.float32)
+    weight = np.where(finite, 1 / (1 + (frames.gain_error * y) ** 2), 0).astype(np.float32)
+    return y, Precision(weight, frames.shared)
+
+
+def _pressure(
+    y: Images, precision: Precision, factor: float, skin: Skin, start: Images | None = None
+) -> tuple[Convolution, Images]:
+    """The blur of a cover of `factor`, and pressure that explains readings; without a start it takes longer."""
+    blur = Convolution(skin[0], factor, skin[1])
+    iterations = round(ITERATIONS * (0.5 + factor * skin[0].configured.depth / skin[1].pitch))
+    if start is None:
+        start = deblurred(blur, y, precision, np.zeros((len(y), *blur.cells), np.float32), iterations)
+    return blur, deblurred(blur, y, precision, start, iterations)
+
+
+def _smooth(x: Images) -> tuple[Floats, Floats]:
+    """Means of pressure over 3 x 3 cells, and their typical height (T, 1, 1)."""
+    smooth = np.maximum(uniform_filter(x, (0, 3, 3), mode="constant"), 0).astype(float)
+    cubes, squares = ((smooth**n).sum(axis=(1, 2), keepdims=True) for n in (3, 2))
+    return smooth, cubes / np.maximum(squares, 1e-9)
+
+
+def _outlines(x: Images) -> tuple[Floats, Floats]:
+    """Steepest rise (T,) of smoothed pressure from cell to cell, over its height; cells over half of that."""
+    smooth, top = _smooth(x)
+    steep = np.hypot(*np.gradient(smooth, axis=(1, 2)))
+    cubes, squares = ((steep**n).sum(axis=(1, 2)) for n in (3, 2))
+    return cubes / np.maximum(squares * top[:, 0, 0], 1e-9), (smooth > top / 2).sum(axis=(1, 2)).astype(float)
+
+
+def _fit(
+    profiles: Profiles, family: CoverFamily, simulated: Callable[[float, Ints], Profiles] | None = None
+) -> CoverFit:
+    """The factor at which the objective of sharp scenes is least, less what it is off in `simulated` ones."""
+    scenes = int(profiles.scene.max()) + 1
+    sharp = np.arange(scenes)
+    for _ in range(2):
+        at = int(profiles.of(sharp).objective().sum(axis=0).argmin())
+        sharp = profiles.sharp(at)
+        if len(sharp) < max(MIN_SCENES, MIN_SHARP * scenes):
+            advice = "press more coins or keys, as fingers look the same under a thinner cover"
+            return _undecided(family, f"sharp edges in {len(sharp)} of {scenes} scenes: {advice}")
+    kept = profiles.of(sharp)
+    objective = kept.objective()
     at = int(objective.sum(axis=0).argmin())
-    weights = np.random.default_rng(0).dirichlet(np.ones(count), RESAMPLES)  # the Bayesian bootstrap (Rubin 1981)
-    scatter = FINE_FACTORS[(weights @ objective).argmin(axis=1)].std() * np.sqrt((count + 1) / (count - 1))
-    others = [profiles.objective(prior).sum(axis=0).argmin() for prior in (0.5, 2.0)]
-    by_weight = WEIGHT_ERROR * np.abs(FINE_FACTORS[others] - FINE_FACTORS[at]).max()
-    half = stdtrit(count - 1, 0.975) * np.hypot(scatter, by_weight)  # Student's quantile: scenes are few
-    low, factor, high = np.exp(FINE_FACTORS[at] + np.array([-half, 0, half])).tolist()
+    bias = 0.0
+    if simulated is not None and 0 < at < len(FINE_FACTORS) - 1:
+        again = simulated(float(np.exp(FINE_FACTORS[at])), sharp).objective().sum(axis=0).argmin()
+        bias = float(FINE_FACTORS[again] - FINE_FACTORS[at])
+    half = _half_interval(kept, at, bias)
+    low, factor, high = np.exp(FINE_FACTORS[at] - bias + np.array([-half, 0, half])).tolist()
     depth = family.configured.depth
+    unused = scenes - len(sharp)
     return CoverFit(
         method="blind",
         factor=factor,
         interval=(low, high),
         thickness_mm=factor * depth,
         interval_mm=(low * depth, high * depth),
-        presses=len(profiles.scene),
-        residual=_left_out(profiles, objective),
-        reason=_reason(at, low, high) or _narrow(profiles, at),
-        notes=(NOTE,),
+        presses=len(kept.scene),
+        residual=_left_out(kept, objective),
+        reason=_reason(at, low, high) or _narrow(kept, at),
+        notes=(f"{unused} of {scenes} scenes have no sharp edge and are not used",) if unused else (),
     )
+
+
+def _half_interval(profiles: Profiles, at: int, bias: float) -> float:
+    """Half of the 95 % interval of the factor's logarithm."""
+    objective = profiles.objective()
+    count = len(objective)
+    weights = np.random.default_rng(0).dirichlet(np.ones(count), RESAMPLES)  # the Bayesian bootstrap (Rubin 1981)
+    scatter = FINE_FACTORS[(weights @ objective).argmin(axis=1)].std() * np.sqrt((count + 1) / (count - 1))
+    others = [profiles.objective(prior).sum(axis=0).argmin() for prior in (0.5, 2.0)]
+    by_weight = WEIGHT_ERROR * np.abs(FINE_FACTORS[others] - FINE_FACTORS[at]).max()
+    model = np.sqrt(by_weight**2 + (BIAS_ERROR * bias) ** 2 + MODEL_ERROR**2)
+    return float(np.hypot(stdtrit(count - 1, 0.975) * scatter, NORMAL_95 * model))  # Student's: scenes are few
 
 
 def _left_out(profiles: Profiles, objective: Floats) -> float:
@@ -243,9 +328,9 @@ def _reason(at: int, low: float, high: float) -> str:
 
 
 def _narrow(profiles: Profiles, at: int) -> str:
-    """Why contacts are too narrow for the cells, which make them look as under a thinner cover; "" if not."""
-    cells = profiles.cells[:, np.abs(LOG_FACTORS - FINE_FACTORS[at]).argmin()]
-    if (cells < MIN_CELLS).mean() > NARROW_SHARE:
+    """Why contacts are too narrow, or no thickness explains them; "" if neither is so."""
+    area = profiles.area[:, np.abs(LOG_FACTORS - FINE_FACTORS[at]).argmin()]
+    if (area < MIN_AREA).mean() > NARROW_SHARE:
         return "contacts narrower than three taxels look like a thinner cover: press wider things with sharp edges"
     chi2 = CubicSpline(LOG_FACTORS, profiles.chi2.sum(axis=0))(FINE_FACTORS).min()
     misfit = float(np.sqrt(max(chi2, 0.0) / profiles.readings.sum()))

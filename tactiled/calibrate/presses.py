@@ -58,7 +58,7 @@ def find_presses(
     frames = np.asarray(pressure, np.float32).reshape(len(pressure), -1)
     noise = np.broadcast_to(np.asarray(noise_kpa, float), frames.shape[1:])
     over_zero = frames - unloaded(frames, float(np.median(noise))).astype(np.float32)
-    over_zero -= _drift(over_zero, noise)
+    over_zero -= slow_drift(over_zero, noise)
     loaded = _peaks(over_zero, noise) > detection_threshold(1.0, frames.shape[1])
     turns = np.flatnonzero(np.diff(np.concatenate([[False], loaded, [False]]).astype(int)))
     area, presses = float(tiling(array).areas.mean()), []
@@ -116,7 +116,7 @@ def _peaks(frames: NDArray[np.float32], noise: Floats) -> Floats:
     return np.concatenate(peaks)
 
 
-def _drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
+def slow_drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
     """Slow change of the zero (T, N), between means of frames that are far from the strongest press."""
     peaks = _peaks(frames, noise)
     quiet = peaks < max(detection_threshold(1.0, frames.shape[1]), QUIET_FRACTION * peaks.max())

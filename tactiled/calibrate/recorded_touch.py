@@ -12,7 +12,6 @@ from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.cover_search import Touch
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.presses import unloaded
 from tactiled.calibrate.recorded_presses import (
     gain_errors,
     noise_of,
@@ -56,7 +55,7 @@ def fit_touch(
         pressure, saturated = pressures(series, calibration, recorded.ends)
         pressure[saturated] = np.nan
         noise_kpa = noise_of(pressure, calibration)
-        frames = (pressure - unloaded(pressure, noise_kpa)).reshape(-1, *array.frame_shape)
+        frames = pressure.reshape(-1, *array.frame_shape)
         return fit_blind(frames, noise_kpa, CoverFamily(stack), array, float(np.median(gain_error)))
     presses, dead = without_dead(
         recorded_presses(series, array, calibration, recorded.ends, border=way == "edge"), array

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.deblur import Convolution, Images, deblurred
+from tactiled.calibrate.deblur import Convolution, Images, Precision, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.diagnostics.checks import MODEL_ERROR
 from tactiled.geometry import Array
@@ -32,14 +32,14 @@ def fitting_thickness(
     misfits = []
     for factor in FACTORS:
         blur = Convolution(family, float(factor), array)
-        x = deblurred(blur, y, weight, x, ITERATIONS)
+        x = deblurred(blur, y, Precision(weight), x, ITERATIONS)
         squares = weight * (blur.forward(x) - y) ** 2
         misfits.append(_misfit(squares, weight))
     if misfits[-1] < MISMATCH or misfits[0] > EXPLAINED:
         return None
     for _ in range(MAX_FAULTY):
         weight.flat[squares.argmax()] = 0
-        x = deblurred(blur, y, weight, x, ITERATIONS)
+        x = deblurred(blur, y, Precision(weight), x, ITERATIONS)
         squares = weight * (blur.forward(x) - y) ** 2
         if _misfit(squares, weight) < MISMATCH:
             return None

@@ -4,16 +4,19 @@ A cover thicker than configured leaves no misfit in any frame: only contacts tog
 """
 
 from multiprocessing.connection import Connection
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.blind import CLEAR, MAX_GAIN_ERROR, MAX_NEAR_FRAMES, Profiles, add_contacts
+from tactiled.calibrate.blind import MAX_GAIN_ERROR, Profiles, add_contacts
+from tactiled.calibrate.contact_frames import CLEAR, MAX_NEAR_FRAMES
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.recorded_presses import gain_errors
 from tactiled.diagnostics.warning_codes import cover_warning
 from tactiled.frames import SATURATED, FrameWarning
+from tactiled.restore.noise import detection_threshold
 from tactiled.runtime.fit_process import start
 
 EVERY_FRAMES = 8  # is looked at
@@ -27,8 +30,16 @@ PAUSE = 100.0  # times the last search: it takes at most 1 % of a core
 SHARED_ERROR = 0.07
 MIN_HALF_INTERVALS = 1.51  # from the configured thickness that are worth a warning: 3 standard deviations
 MIN_MISMATCH = 0.15  # of it that is: Poisson's ratio of 0.45 that is taken for 0.48 makes 0.11
-# Largest step between neighbours over the peak; frames over noise, NaN where unknown; which of them it is of.
-Steep = tuple[float, list[NDArray[np.float32]], int]
+ZERO_FRAMES = 32  # that are looked at, and over which the zero before a contact is averaged
+
+
+class Steep(NamedTuple):
+    """The steepest moment of a contact."""
+
+    steepness: float  # largest step between neighbours over the peak
+    frames: list[NDArray[np.float32]]  # over the zero and the noise, NaN where unknown
+    place: int  # of the moment in these
+    zero_variance: float  # over the noise's
 
 
 class CoverMonitor:
@@ -51,6 +62,7 @@ class CoverMonitor:
         self._resets += 1
         self._before = np.zeros(self._plan.array.frame_shape, np.float32)
         self._near: list[NDArray[np.float32]] = []  # of the present contact; replaced, never changed, as _waiting
+        self._zero, self._zero_frames = np.zeros_like(self._before), 0
         self._best: Steep | None = None
         self._waiting: list[Steep] = []
         self._profiles: Profiles | None = None
@@ -67,17 +79,21 @@ class CoverMonitor:
         self._before, touched = frame, frame.max() > CLEAR
         if not (touched and alike):
             if self._best:
-                self._waiting = sorted([*self._waiting, self._best], key=lambda each: each[0])[-CONTACTS:]
+                self._waiting = sorted([*self._waiting, self._best], key=lambda each: each.steepness)[-CONTACTS:]
             self._best, self._near = None, []
+        over = frame - self._zero
+        if over.max() < detection_threshold(1.0, frame.size):  # nothing touches, and zeros may drift
+            self._zero_frames = min(self._zero_frames + 1, ZERO_FRAMES)
+            self._zero = self._zero + over / np.float32(self._zero_frames)
         if touched:
-            self._near = [*self._near, np.where(usable, frame, np.float32(np.nan))][-2 * MAX_NEAR_FRAMES - 1 :]
+            self._near = [*self._near, np.where(usable, over, np.float32(np.nan))][-2 * MAX_NEAR_FRAMES - 1 :]
             place = len(self._near) // 2
             middle = np.nan_to_num(self._near[place])
             steepness = float(
                 max(np.abs(np.diff(middle, axis=axis)).max(initial=0.0) for axis in (0, 1)) / middle.max()
             )
             if middle.max() > MIN_SNR and (self._best is None or steepness > self._best[0]):
-                self._best = steepness, self._near, place
+                self._best = Steep(steepness, self._near, place, 1 / max(self._zero_frames, 1))
 
     def search(self, now: float) -> None:
         """Judge the contacts that wait, if it is time, `now` (s); raises what the last search raised."""
@@ -93,7 +109,8 @@ class CoverMonitor:
                 self._profiles, self.warning = None, ()
         elif now >= self._due and len(self._waiting) >= (1 if self._profiles else CONTACTS):
             self._began, self._resets_before = now, self._resets
-            contacts, self._waiting = [(np.stack(frames), place) for _, frames, place in self._waiting], []
+            contacts = [(np.stack(each.frames), each.place, each.zero_variance) for each in self._waiting]
+            self._waiting = []
             skin = self._plan.kernel.stack, self._plan.array
             self._running = start(add_contacts, self._profiles, contacts, self._gain_error, *skin)
 

@@ -7,7 +7,7 @@ import pytest
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.frames import SATURATED, Loss, RawFrame
 from tactiled.runtime import cover_monitor
-from tactiled.runtime.cover_monitor import CONTACTS, EVERY_FRAMES, PAUSE, CoverMonitor
+from tactiled.runtime.cover_monitor import CONTACTS, EVERY_FRAMES, PAUSE, ZERO_FRAMES, CoverMonitor, Steep
 from tactiled.runtime.events import Events, Faults
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.runtime.sensor import Sensor
@@ -62,6 +62,21 @@ def test_a_cover_as_configured_is_judged_and_names_none():
     monitor = CoverMonitor(SKIN)
     assert searched(monitor, contacts()) == ()
     assert len(monitor._profiles.snr) == CONTACTS
+
+
+def test_contacts_are_those_over_the_zero_just_before_them_however_it_drifts():
+    monitor, random = CoverMonitor(SKIN), np.random.default_rng(6)
+    pressed = np.split(contacts(count=3), 3)  # of 7 frames, the last one free
+    frames = np.concatenate([[*random.normal(0, NOISE, (80, SIDE, SIDE)), *each] for each in pressed])
+    drift = np.linspace(0, 3 * NOISE, len(frames))[:, None, None] * np.linspace(0.5, 1.5, SIDE)
+    for frame in np.repeat((frames + drift).astype(np.float32), EVERY_FRAMES, axis=0):
+        monitor.push(frame, SOUND, NOISE)
+    assert len(monitor._waiting) == 3
+    for kept in monitor._waiting:
+        seen = NOISE * kept.frames[kept.place]
+        clean = min(frames, key=lambda each: np.abs(each - seen).sum())
+        assert np.abs((seen - clean).mean(axis=0)).max() < 0.9 * NOISE  # the drift is 4.5 times the noise
+        assert kept.zero_variance == 1 / ZERO_FRAMES
 
 
 @pytest.fixture
@@ -122,11 +137,11 @@ def test_a_warning_ends_with_the_next_judgement_and_with_a_tare(searches):
 def test_a_search_rests_a_hundred_times_as_long_as_it_took(searches):
     searches.factors = 1.25, 1.25
     monitor = CoverMonitor(SKIN)
-    monitor._waiting = [(0.1, [SOUND], 0)] * CONTACTS
+    monitor._waiting = [Steep(0.1, [SOUND], 0, 0.0)] * CONTACTS
     for now in (0.0, 2.0, 2.0 + 1.9 * PAUSE, 2.0 + 2 * PAUSE):
         assert len(searches) == (now > 0.0)
         monitor.search(now)
-        monitor._waiting = [(0.1, [SOUND], 0)]
+        monitor._waiting = [Steep(0.1, [SOUND], 0, 0.0)]
     assert searches == [CONTACTS, 1]
 
 

@@ -4,6 +4,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tests.study import (
+    blind,
     bus,
     contacts,
     cover,
@@ -23,7 +24,7 @@ from tests.study import (
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times,
+    blind.blind, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times,
     frame_times.frames_against, health.health, invented.invented, judge.judge, restart.restart, restore.restore,
     sensors.sensors, sensors.sensors_against, soak.soak, train.train, transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
