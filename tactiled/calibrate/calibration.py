@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.curves import Curves
+from tactiled.calibrate.hysteresis import LoopFollower
 from tactiled.errors import ConfigError
 from tactiled.frames import DEAD, OUT_OF_RANGE, SATURATED, UNKNOWN, Counts
 
@@ -52,7 +53,10 @@ class Calibration:
 
 
 class Calibrator:
-    """Turns the counts of one array into kPa; its state: the tare, the zeros' drift since, faulty taxels."""
+    """Turns the counts of one array into kPa; its state: tare, drift of the zeros, faulty taxels, hysteresis.
+
+    Of a skin with a hysteresis model `follow` takes each frame in turn, before its pressure is asked for.
+    """
 
     def __init__(self, calibration: Calibration, size: int) -> None:
         self.calibration = calibration
@@ -67,6 +71,7 @@ class Calibrator:
         gain = calibration.kpa_per_count if curves is None else curves.gain
         self._gain, self._direction = np.asarray(gain, np.float32), np.sign(gain)
         self._curves = None if curves is None or curves.form == "linear" else curves
+        self._loop = self._follower()
         self._dead = np.zeros(size, np.uint8)
         beyond = [taxel for taxel in calibration.dead if not 0 <= taxel < size]
         if beyond:
@@ -95,20 +100,68 @@ class Calibrator:
         """
         self._no_load = self._zero = np.where(np.isfinite(counts), counts, self._no_load).astype(np.float32)
         self.tares, self.measured = self.tares + 1, measured
+        self._loop = self._follower()
 
     def drift(self, counts: NDArray[np.float32]) -> None:
         """Add `counts` (N,) to the zeros of the last tare."""
         self._zero = self._no_load + counts
 
+    def _follower(self) -> LoopFollower | None:
+        """The hysteresis from no load on; None where there is no model of it."""
+        curves = self.calibration.curves
+        return None if curves is None or curves.loop is None else LoopFollower(curves.loop, curves.end)
+
+    def follow(self, counts: Counts, flags: NDArray[np.uint8]) -> None:
+        """Take a frame's counts (N,) into the hysteresis; unknown taxels keep theirs."""
+        if self._loop is not None:
+            over = counts.astype(np.float32) - self._zero
+            over[flags & UNKNOWN > 0] = np.nan
+            self._loop.follow(over)
+
+    @property
+    def past(self) -> NDArray[np.float32] | None:
+        """What the hysteresis knows of the frames before; None where there is no model of it."""
+        return None if self._loop is None else self._loop.state
+
+    def resume(self, past: NDArray[np.float32] | None) -> None:
+        """Go on from a `past` of the same array."""
+        if self._loop is not None and past is not None:
+            self._loop.resume(past)
+
+    def take_over(self, other: "Calibrator") -> None:
+        """Go on from what `other`, of the same array and another calibration, knows of the taxels."""
+        self.faulty = other.faulty
+        self.resume(other.past)
+
+    def series(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Pressure and flags (T, N) of frames in their order, the first one after no load; changes no state."""
+        follower = self._follower()
+        added: NDArray[np.float32] | np.float32 = np.float32(0)
+        if follower is not None:
+            over = counts.astype(np.float32) - self._zero
+            over[flags & UNKNOWN > 0] = np.nan
+            added = np.stack([follower.follow(each) for each in over])
+        return self._calibrated(counts, flags, added)
+
     def pressure(self, counts: NDArray[np.number]) -> NDArray[np.float32]:
         """Pressure (..., N) in kPa of counts (..., N), whatever the taxel's state."""
-        return self._kpa(counts.astype(np.float32) - self._zero)
+        return self._kpa(counts.astype(np.float32) - self._zero + self._added)
+
+    @property
+    def _added(self) -> NDArray[np.float32] | np.float32:
+        """Counts (N,) that the hysteresis adds to those of the newest frame."""
+        return np.float32(0) if self._loop is None else self._loop.added
 
     def _kpa(self, over: NDArray[np.float32]) -> NDArray[np.float32]:
         return over * self._gain if self._curves is None else self._curves.pressure(over).astype(np.float32)
 
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for an unknown taxel; the flags with DEAD, SATURATED, OUT_OF_RANGE added."""
+        return self._calibrated(counts, flags, self._added)
+
+    def _calibrated(
+        self, counts: Counts, flags: NDArray[np.uint8], added: NDArray[np.float32] | np.float32
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         flags, over = flags | self._dead | self.faulty, counts.astype(np.float32) - self._zero
         unknown = flags & UNKNOWN > 0
         if self.calibration.saturation is not None:
@@ -117,6 +170,6 @@ class Calibrator:
         if self.calibration.curves is not None:
             beyond = self.calibration.curves.out_of_range(over)
             flags = flags | np.where(beyond & ~unknown, OUT_OF_RANGE, 0).astype(np.uint8)
-        pressure = self._kpa(over)
+        pressure = self._kpa(over + added)
         pressure[unknown] = np.nan
         return pressure, flags

@@ -166,12 +166,12 @@ def _solve(form: Form, relative: Floats, pressure: Floats, weight: Floats) -> tu
         return _solve_power(relative, pressure, weight)
     design = _basis(form, relative, weight)
     target = np.broadcast_to(pressure[:, None], design.shape[:2])
-    parameters = _least_squares(design, target)
+    parameters = least_squares(design, target)
     if form == "spline":
         return _solve_spline(_rising(parameters), relative, target, weight)
     if form == "cubic":
         line = np.zeros_like(parameters)
-        line[:, :1] = _least_squares(design[..., :1], target)
+        line[:, :1] = least_squares(design[..., :1], target)
         parameters = _monotone_cubic(parameters, line)
     return parameters, design
 
@@ -184,27 +184,27 @@ def _solve_spline(parameters: Floats, relative: Floats, target: Floats, weight: 
         moved = [value("spline", parameters + each, relative, weight) for each in steps]
         design = (np.stack(moved, axis=-1) - fitted[..., None]) / step_kpa[:, None]
         if step < STEPS:
-            parameters = _rising(parameters + _least_squares(design, target - fitted))
+            parameters = _rising(parameters + least_squares(design, target - fitted))
     return parameters, design
 
 
 def _solve_power(relative: Floats, pressure: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Fit a power law by Gauss-Newton from a line."""
     target = np.broadcast_to(pressure[:, None], relative.shape[:2])
-    a = _least_squares(_basis("linear", relative, weight), target)[:, 0]
+    a = least_squares(_basis("linear", relative, weight), target)[:, 0]
     b = np.ones_like(a)
     for step in range(STEPS + 1):
         powers = _power(relative, b[:, None]) * weight
         logs = np.log(np.maximum(np.abs(relative), CHORD_TO))
         design = np.stack([powers.sum(axis=-1), a * (powers * logs).sum(axis=-1)], axis=-1)
         if step < STEPS:
-            change = _least_squares(design, target - a * design[..., 0])
+            change = least_squares(design, target - a * design[..., 0])
             a = np.maximum(a + change[:, 0], a / 2)
             b = np.clip(b + np.clip(change[:, 1], -0.5, 0.5), *EXPONENTS)
     return np.column_stack([a, b]), design
 
 
-def _least_squares(design: Floats, target: Floats) -> Floats:
+def least_squares(design: Floats, target: Floats) -> Floats:
     """Parameters (N, P) from design (M, N, P) and target (M, N); points that are NaN are left out."""
     finite = np.isfinite(design).all(axis=-1) & np.isfinite(target)
     used = np.where(finite[..., None], design, 0.0)

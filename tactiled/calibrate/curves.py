@@ -6,6 +6,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.calibrate.hysteresis import Loop
 from tactiled.errors import ConfigError
 
 Form = Literal["linear", "power", "cubic", "spline"]
@@ -36,6 +37,7 @@ class Curves:
     knots: Floats = field(default_factory=lambda: np.empty(0))  # (P,), of a spline only
     error_kpa: Floats | None = None  # (N,) rms in another rise or fall of the pressure; None or NaN: unknown
     curvature: float | None = None  # relative standard error, common to all, of the mid-range gain; None: unknown
+    loop: Loop | None = None  # hysteresis, which is added to the counts before they are given to a curve
     _end: Floats = field(init=False, repr=False)  # (N,) counts at u = 1, negative where counts fall
     _pieces: Floats = field(init=False, repr=False)  # (4, N, K): polynomials of each piece, highest power first
 
@@ -53,6 +55,8 @@ class Curves:
         _require("reach_counts", valid, self.reach_counts, "give 0 and the range's other end, ascending")
         _require("deviation", ~(self.deviation < 0), self.deviation, "give a standard error of 0 or more")
         _require("hysteresis", ~(self.hysteresis < 0), self.hysteresis, "give % of full scale, 0 or more")
+        if self.loop is not None:
+            self.loop.check()
         if self.error_kpa is not None:
             _require("error_kpa", ~(self.error_kpa < 0), self.error_kpa, "give kPa, 0 or more")
         object.__setattr__(self, "_end", low + high)
@@ -63,6 +67,11 @@ class Curves:
     def size(self) -> int:
         """Number of taxels."""
         return len(self.parameters)
+
+    @property
+    def end(self) -> Floats:
+        """Counts over no load (N,) at the range's loaded end; negative where counts fall."""
+        return self._end
 
     @property
     def gain(self) -> Floats:

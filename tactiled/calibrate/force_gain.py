@@ -64,7 +64,7 @@ def fit_force(
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
-    points, means, _ = log_points(series, log, alignment, rails)
+    points, means, *_ = log_points(series, log, alignment, rails)
     summed, usable, dead, beyond = _summed(points, means.noise, array, MIN_PRESSED, reach)
     _require_total(summed, means.noise)
     end = np.array([summed.counts.max()])

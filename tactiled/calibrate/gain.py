@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import hypot
 
 import numpy as np
@@ -18,6 +19,8 @@ from tactiled.calibrate.gain_error import (
     left_out_error,
     pattern_note,
 )
+from tactiled.calibrate.hysteresis import Loop
+from tactiled.calibrate.hysteresis_fit import Trace, choose_loop
 from tactiled.calibrate.means import (
     DEAD_BELOW,
     Means,
@@ -88,61 +91,68 @@ def fit_steps(
         cluster=np.arange(np.count_nonzero(loaded)),
         fold=np.unique(steps[loaded], return_inverse=True)[1],
     )
-    return _uniform(points, means, loaded, array, creep_per_decade(series, holds))
+    trace = Trace(series, [each.core for each in holds], means.no_load)
+    return _uniform(points, means, loaded, array, trace, creep_per_decade(series, holds))
 
 
 @unknown_taxels()
-def fit_pressure(series: FrameSeries, log: Reference, rails: Rails, array: Array | None = None) -> GainFit:
-    """Curves from a log of the pressure that the whole array bore; `array` as of `fit_steps`."""
+def fit_pressure(
+    series: FrameSeries, log: Reference, rails: Rails, array: Array | None = None, loops: bool = True
+) -> GainFit:
+    """Curves from a log of the pressure that the whole array bore; `array` as of `fit_steps`.
+
+    Without `loops` no model of hysteresis is tried.
+    """
     check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))
     signal = response(series)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
-    points, means, used = log_points(series, log, alignment, rails)
-    return replace(_uniform(points, means, used, array), alignment=alignment)
+    points, means, used, pieces = log_points(series, log, alignment, rails)
+    trace = Trace(series, pieces, means.no_load) if loops else None
+    return replace(_uniform(points, means, used, array, trace), alignment=alignment)
 
 
 def _uniform(
-    points: Points, means: Means, used: NDArray[np.bool_], array: Array | None, creep: float = 0.0
+    points: Points,
+    means: Means,
+    used: NDArray[np.bool_],
+    array: Array | None,
+    trace: Trace | None,
+    creep: float = 0,
 ) -> GainFit:
     """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
     require_response("the median taxel", means.over[used], means.noise[used])
     end = np.nanmax(points.counts[..., 0], axis=0, initial=0.0)
     dead = ~(end >= DEAD_BELOW * np.median(end[end > 0])) | ~_follows(points)
-    live = np.flatnonzero(~dead)
+    live, common = np.flatnonzero(~dead), CREEP_SHARE * creep
     alive = replace(points, counts=points.counts[:, live])
-    common = CREEP_SHARE * creep
     form, scores = choose_form(alive, end[live], bias=common)
-    fitted = fit(alive, end[live], form)
+    plain, (loop, bent) = fit(alive, end[live], form), (None, alive)
+    if trace is not None:
+        plays, drift = trace.of(live).plays(means.sign * end[live])[:, used], means.drift[used][:, live]
+        loop, bent = _without_loop(alive, end[live], drift, plays, form, common)
+        form, scores = choose_form(bent, end[live], bias=common) if loop else (form, scores)
+    fitted = fit(bent, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
-
-    def spread_over(values: Floats, other: Floats | float) -> Floats:
-        """`values` (L, ...) in the places of the live taxels of (N, ...), `other` elsewhere."""
-        full = np.empty((end.size, *values.shape[1:]))
-        full[:], full[live] = other, values
-        return full
-
+    placed = partial(_placed, live, end.size)
+    curvature = hypot(curvature_error(bent, fitted.residuals), common)  # NaN: unknown
     curves = assembled(
         form,
-        spread_over(fitted.parameters, fitted.parameters.mean(axis=0)),
-        means.sign * spread_over(end[live], end[live].mean()),
-        deviation=spread_over(np.sqrt(fitted.variance + offset**2 + common**2), np.nan),
-        hysteresis=spread_over(hysteresis(fitted, alive), np.nan),
+        placed(fitted.parameters, fitted.parameters.mean(axis=0)),
+        means.sign * placed(end[live], end[live].mean()),
+        deviation=placed(np.sqrt(fitted.variance + offset**2 + common**2)),
+        hysteresis=placed(hysteresis(plain, alive)),
         individual=~dead,
     )
-    gains = curves.gain[live]
-    curvature = hypot(curvature_error(alive, fitted.residuals), common)
     curves = replace(
         curves,
-        error_kpa=spread_over(left_out_error(alive, end[live], fitted), np.nan),
+        loop=loop,
+        error_kpa=placed(left_out_error(alive, bent, end[live], form)),
         curvature=None if np.isnan(curvature) else curvature,
     )
-    notes = (
-        [f"creep of {100 * creep:.2g} % in a tenfold time is in the standard error"] if creep > MIN_NOTED else []
-    )
-    if array is not None and (pattern := pattern_note(alive, gains, array, live)):
-        notes.append(pattern)
+    gains = curves.gain[live]
+    pattern = pattern_note(alive, gains, array, live) if array else ""
     return GainFit(
         curves=curves,
         no_load=means.no_load,
@@ -150,9 +160,34 @@ def _uniform(
         spread=float(gains.std() / abs(gains.mean())),
         scores=scores,
         points=points,
-        residuals=spread_over(fitted.residuals.T, np.nan).T,
-        notes=tuple(notes),
+        residuals=placed(fitted.residuals.T).T,
+        notes=_notes(loop, creep, pattern),
     )
+
+
+def _without_loop(
+    points: Points, end: Floats, drift: Floats, plays: Floats, form: Form, bias: float
+) -> tuple[Loop | None, Points]:
+    """The loop, if a model of it pays, and the points without it: what remains after a load is no `drift` then."""
+    still = replace(points, counts=points.counts + drift[..., None])
+    return choose_loop(still, end, plays, form, bias) or (None, points)
+
+
+def _placed(taxels: NDArray[np.intp], size: int, values: Floats, other: Floats | float = np.nan) -> Floats:
+    """`values` (L, ...) in the places of some `taxels` (L,) of (size, ...), `other` elsewhere."""
+    full = np.empty((size, *values.shape[1:]))
+    full[:], full[taxels] = other, values
+    return full
+
+
+def _notes(loop: Loop | None, creep: float, pattern: str) -> tuple[str, ...]:
+    """What was found besides curves."""
+    notes = []
+    if loop is not None:
+        notes.append(f"a hysteresis of {loop.percent:.2g} % of full scale is taken off by a model")
+    if creep > MIN_NOTED:
+        notes.append(f"creep of {100 * creep:.2g} % in a tenfold time is in the standard error")
+    return (*notes, pattern) if pattern else tuple(notes)
 
 
 def _follows(points: Points) -> NDArray[np.bool_]:
@@ -256,8 +291,8 @@ def unlike_gain(curves: Curves, before: float | None) -> tuple[str, ...]:
 
 def log_points(
     series: FrameSeries, log: Reference, alignment: Alignment, rails: Rails
-) -> tuple[Points, Means, NDArray[np.bool_]]:
-    """Points of a recording cut into blocks of even time, the means of all blocks, and those that are points."""
+) -> tuple[Points, Means, NDArray[np.bool_], list[slice]]:
+    """Points of a recording cut into blocks of even time, the means of all blocks, those that are points, all."""
     values = resampled(log, series.times + alignment.offset_s)
     full, width = float(np.nanmax(values)), max(1, -(-values.size // BLOCKS))
     starts = np.arange(0, values.size - width + 1, width)
@@ -277,10 +312,11 @@ def log_points(
         used = level > quiet
     signal = response(series, 1.0 if log.quantity == "force_n" else None)
     sign = float(np.sign((signal * np.nan_to_num(values)).sum()))
-    means = mean_counts(series, [slice(each, each + width) for each in starts], unloaded, sign, rails)
+    pieces = [slice(each, each + width) for each in starts]
+    means = mean_counts(series, pieces, unloaded, sign, rails)
     direction = np.where(np.abs(change := np.gradient(level)) > UNLOADED * full / 2, np.sign(change), 0)
     number = np.cumsum(np.diff(level > quiet, prepend=False) & (level > quiet))[used]
-    pieces = np.arange(number.size) * FOLDS // number.size
-    groups = np.unique(number, return_inverse=True)[1] if np.unique(number).size >= FOLDS // 2 else pieces
+    even = np.arange(number.size) * FOLDS // number.size
+    groups = np.unique(number, return_inverse=True)[1] if np.unique(number).size >= FOLDS // 2 else even
     points = Points(means.over[used, :, None], level[used], direction.astype(np.int8)[used], groups, groups)
-    return points, means, used
+    return points, means, used, pieces

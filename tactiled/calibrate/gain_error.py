@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from tactiled.calibrate.curve_fit import FREE, CurveFit, Points, fit, value
+from tactiled.calibrate.curve_fit import FREE, Points, fit, value
+from tactiled.calibrate.curves import Form
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.plateaus import Plateau, response
 from tactiled.geometry import Array, tiling
 
 MIN_REVERSAL = 0.05  # of the largest pressure: less is no branch of its own
+MIN_BRANCHES = 3  # of which any two others show a rise and a fall
 MIDDLE = 0.25, 0.75  # of the largest pressure, between which a curve is farthest from its ends
 CREEP_SHARE = 3**-0.5  # of a decade's creep: loads last a tenth to ten times as long as those of the calibration
 FIRST_S = 0.1  # after a step, from which its creep counts
@@ -33,12 +35,14 @@ def branches(pressure: Floats) -> NDArray[np.int64]:
     return np.asarray(np.searchsorted(turns, np.arange(pressure.size), side="right"), np.int64)
 
 
-def left_out_error(points: Points, end: Floats, fitted: CurveFit) -> Floats:
+def left_out_error(measured: Points, bent: Points, end: Floats, form: Form) -> Floats:
     """Rms error (N,) in kPa of a rise or fall that was left out of the fit, within the others' counts.
 
-    NaN where there is one only: its error would not hold the hysteresis.
+    NaN where there is one only: its error would not hold the hysteresis. The counts of `bent` are without it, by a
+    model; where one rise or fall alone is left, no model can be known, and those `measured` are taken.
     """
-    number = branches(points.pressure)
+    number = branches(measured.pressure)
+    points = bent if number.max() >= MIN_BRANCHES else measured
     square, count = np.zeros(end.size), np.zeros(end.size)
     for each in np.unique(number):
         out = number == each
@@ -46,11 +50,11 @@ def left_out_error(points: Points, end: Floats, fitted: CurveFit) -> Floats:
             points.counts[~out], points.pressure[~out], points.direction[~out], points.cluster[~out],
             points.fold[~out], points.weight,
         )  # fmt: skip
-        if np.unique(others.pressure).size < FREE[fitted.form]:
+        if np.unique(others.pressure).size < FREE[form]:
             continue
-        parameters = fit(others, end, fitted.form).parameters
+        parameters = fit(others, end, form).parameters
         relative = points.counts[out] / end[:, None]
-        missed = value(fitted.form, parameters, relative, points.weight) - points.pressure[out, None]
+        missed = value(form, parameters, relative, points.weight) - points.pressure[out, None]
         inside = (points.counts[out] <= np.nanmax(others.counts, axis=0)).all(axis=2) & np.isfinite(missed)
         square += np.square(np.where(inside, missed, 0)).sum(axis=0)
         count += inside.sum(axis=0)

@@ -53,6 +53,7 @@ class Means:
     sign: float  # -1 where counts fall under pressure
     noise: Floats  # (M, N) standard deviation of the means, by the frames' noise
     no_load_noise: Floats  # (N,) likewise of what was taken off them
+    drift: Floats  # (M, N) counts by which no load had moved upwards since the start, taken off them
 
 
 def mean_counts(
@@ -70,7 +71,8 @@ def mean_counts(
     place = np.interp(at, [at[unloaded][runs == each].mean() for each in np.unique(runs)], np.arange(len(zeros)))
     first = np.minimum(place.astype(int), max(len(zeros) - 2, 0))
     share, last = (place - first)[:, None], np.minimum(first + 1, len(zeros) - 1)
-    over = sign * (means - (1 - share) * zeros[first] - share * zeros[last])
+    no_load = (1 - share) * zeros[first] + share * zeros[last]
+    over = sign * (means - no_load)
     top = np.nanmax(over, axis=0)
     typical = np.median(top[top > np.nanpercentile(top, TYPICAL_PERCENTILE) / 2])
     _require_unloaded_start(sign * (zeros[0] - zeros), top, typical)
@@ -83,7 +85,8 @@ def mean_counts(
     sigma = np.maximum(noise(series.counts), 12**-0.5)
     deviation = sigma / np.sqrt(np.maximum(frames, 1))
     parts = ((1 - share) ** 2 + share**2)[~unloaded].mean() / np.bincount(runs).mean()
-    return Means(over, zeros[0], sign, deviation, np.median(deviation[unloaded], axis=0) * np.sqrt(parts))
+    no_load_noise = np.median(deviation[unloaded], axis=0) * np.sqrt(parts)
+    return Means(over, zeros[0], sign, deviation, no_load_noise, sign * (no_load - zeros[0]))
 
 
 def require_response(what: str, over: Floats, sigma: Floats) -> None:

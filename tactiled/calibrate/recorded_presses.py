@@ -35,7 +35,8 @@ def pressures(
     """
     size = series.counts.shape[1]
     with np.errstate(invalid="ignore"):
-        pressure, flags = Calibrator(calibration, size)(series.counts, np.zeros(series.counts.shape, np.uint8))
+        free = np.zeros(series.counts.shape, np.uint8)
+        pressure, flags = Calibrator(calibration, size).series(series.counts, free)
         saturated = flags & SATURATED > 0
         if calibration.saturation is None:
             rising = calibration.kpa_per_count > 0

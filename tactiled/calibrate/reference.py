@@ -1,7 +1,7 @@
 """A force or pressure log beside a recording: its file, and its clock aligned with the recording's."""
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, log10
 from pathlib import Path
 from typing import Literal, get_args
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
+from tactiled.calibrate.hysteresis import Plays
 from tactiled.errors import ConfigError
 from tactiled.units import number_text
 
@@ -24,6 +25,11 @@ MAX_SAMPLES = 20_000  # of a clock's search
 MIN_ROWS = 20
 MIN_CLOCK_ERROR_S = 1e-5  # of two digits: clocks that count from 1970 hold no finer one
 REFINEMENTS = 6  # Gauss-Newton steps of the offset
+SEARCHES = 0.03, 0.003, 0.0003  # of the recording's length, around the offset before
+SEARCHED = 17  # offsets
+LOOPS = 0.025, 0.1, 0.2  # half-widths of plays of the log's values, over the largest
+MAX_LOOP_SAMPLES = 1500
+MIN_EXPLAINED = 0.7  # of what a curve leaves, that one with loops may leave: else there is no hysteresis
 CURVE_KNOTS = np.linspace(0, 1, 9)  # of readings over the log: any smooth curve to 1 %
 BLOCKS = 20  # of time, whose scatter is the offset's standard error
 Floats = NDArray[np.float64]
@@ -108,12 +114,19 @@ def _numbers(path: Path, line: int, row: list[str], columns: tuple[int, ...]) ->
 def align(times: Floats, signal: Floats, log: Reference) -> Alignment:
     """The log's clock less that of `times` (T,), at which the array reads `signal` (T,), loaded upwards.
 
-    First by cross-correlation over all offsets, then by Gauss-Newton on a curve of the log, to parts of a sample.
+    First by cross-correlation over all offsets, which a curve or hysteresis draws off by seconds where pressure
+    rises slowly; then by a curve of the log with a loop, near that; then by Gauss-Newton, to parts of a sample.
     """
-    offset = _coarse(times, signal, log)
+    offset, opened = _coarse(times, signal, log), _opened(log)
+    for share in SEARCHES:
+        around = share * np.ptp(times) * np.linspace(-1, 1, SEARCHED)
+        offset, loop = _search(times, signal, log, opened, offset + around)
+    plain = replace(opened, values=opened.values[:0])
+    if loop > MIN_EXPLAINED * _search(times, signal, log, plain, np.array([offset]))[1]:
+        opened = plain
     inside = (times + offset >= log.times[0]) & (times + offset <= log.times[-1])
     for _ in range(REFINEMENTS):
-        step, deviation, correlation = _refine(times[inside] + offset, signal[inside], log)
+        step, deviation, correlation = _refine(times[inside] + offset, signal[inside], log, opened)
         offset += step
     if not correlation > MIN_CORRELATION:
         raise ConfigError(
@@ -159,12 +172,43 @@ def _one_peak(offsets: Floats, correlation: Floats, absolute: bool, path: Path) 
     return float(offsets[min(peaks, key=lambda each: abs(offsets[each])) if absolute else best])
 
 
-def _refine(at: Floats, signal: Floats, log: Reference) -> tuple[float, float, float]:
-    """A step of the offset (s), its standard error, and the correlation with a curve of the log."""
+def _opened(log: Reference) -> Reference:
+    """What a loop adds to the log's values, of each of LOOPS (2, T'), at MAX_LOOP_SAMPLES times at most."""
+    pieces = np.array_split(np.arange(log.times.size), min(log.times.size, MAX_LOOP_SAMPLES))
+    times, values = (np.array([each[piece].mean() for piece in pieces]) for each in (log.times, log.values))
+    plays = Plays(np.array(LOOPS), np.array([np.abs(values).max()]))
+    narrow, *wide = np.array([plays.follow(values[[n]])[:, 0].copy() for n in range(times.size)]).T
+    return replace(log, times=times, values=(narrow - np.array(wide)) / np.abs(log.values).max())
+
+
+def _model(at: Floats, log: Reference, opened: Reference) -> Floats:
+    """What readings at times `at` (T,) of the log's clock are a sum of: a curve of the log, loops, and drift."""
     force = np.interp(at, log.times, log.values) / np.abs(log.values).max()
-    drift = (at - at[0]) / np.ptp(at)
     hats = [np.interp(force, CURVE_KNOTS, each) for each in np.eye(CURVE_KNOTS.size)]
-    model = np.column_stack([*hats, drift])
+    loops = [np.interp(at, opened.times, each) for each in opened.values]
+    return np.column_stack([*hats, *loops, (at - at[0]) / np.ptp(at)])
+
+
+def _search(
+    times: Floats, signal: Floats, log: Reference, opened: Reference, offsets: Floats
+) -> tuple[float, float]:
+    """The offset (s) that explains the readings best, from every few of them, and the share that it leaves."""
+    every = slice(None, None, max(1, times.size // MAX_LOOP_SAMPLES))
+    unexplained = []
+    for offset in offsets:
+        at = times[every] + offset
+        inside = (at >= log.times[0]) & (at <= log.times[-1])
+        share = np.inf
+        if np.count_nonzero(inside) >= MIN_ROWS:
+            model, target = _model(at[inside], log, opened), signal[every][inside]
+            share = float((target - model @ np.linalg.lstsq(model, target, rcond=None)[0]).var() / target.var())
+        unexplained.append(share)
+    return float(offsets[int(np.argmin(unexplained))]), min(unexplained)
+
+
+def _refine(at: Floats, signal: Floats, log: Reference, opened: Reference) -> tuple[float, float, float]:
+    """A step of the offset (s), its standard error, and the correlation with a curve of the log."""
+    model = _model(at, log, opened)
     factors = np.linalg.lstsq(model, signal, rcond=None)[0]
     fitted = model @ factors
     slope = np.gradient(model[:, :-1] @ factors[:-1], at)

@@ -21,6 +21,7 @@ from pydantic import (
 from tactiled.bounds import Syntax
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.curves import Curves, Form
+from tactiled.calibrate.hysteresis import Loop
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
 
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from tactiled.calibrate.gain import GainFit
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
-NEW_KEYS = frozenset({"error_kpa", "curvature"})  # of version 2, where they are known
+NEW_KEYS = frozenset({"error_kpa", "curvature", "loop"})  # of version 2, where they are known
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_VALUE = 1e9  # counts, kPa, mm or MPa: past any sensor and cover
 MAX_KNOTS, MAX_LAYERS, MAX_PRESSES, MAX_TAXELS = 64, 16, 1_000_000, 1 << 20
@@ -106,8 +107,9 @@ class GainSection(Section):
     deviation: OptionalValues
     hysteresis: OptionalValues
     individual: tuple[bool, ...]
-    error_kpa: OptionalValues | None = None  # not in files of release 0.4.2, nor the curvature
+    error_kpa: OptionalValues | None = None  # not in files of release 0.4.2, nor the next two
     curvature: Annotated[Value, Field(ge=0)] | None = None
+    loop: tuple[Value, Value, Value] | None = None  # hysteresis: near, far, weight
 
     @classmethod
     def of(cls, curves: Curves, origin: Origin) -> Self:
@@ -124,6 +126,7 @@ class GainSection(Section):
             individual=tuple(curves.individual.tolist()),
             error_kpa=None if curves.error_kpa is None else optional(curves.error_kpa),
             curvature=curves.curvature,
+            loop=None if curves.loop is None else tuple(curves.loop),
         )
 
     @cached_property
@@ -133,13 +136,13 @@ class GainSection(Section):
             self.form, np.array(self.parameters, float).T, np.array(self.reach_counts, float).T,
             np.array(self.deviation, float), np.array(self.hysteresis, float), np.array(self.individual),
             np.array(self.knots), None if self.error_kpa is None else np.array(self.error_kpa, float),
-            self.curvature,
+            self.curvature, None if self.loop is None else Loop(*self.loop),
         )  # fmt: skip
 
     @property
     def version(self) -> int:
         """Of the file that holds it."""
-        return 1 if self.error_kpa is None and self.curvature is None else 2
+        return 1 if all(getattr(self, key) is None for key in NEW_KEYS) else 2
 
     @model_serializer(mode="wrap")
     def _without_new_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

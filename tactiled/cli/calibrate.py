@@ -86,6 +86,8 @@ def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> Non
         typer.echo(f"            {np.count_nonzero(curves.individual)} of {curves.size} taxels have their own")
         typer.echo(f"            standard error {_worst(100 * curves.deviation, '%')}")
         typer.echo(f"            error elsewhere {_elsewhere(curves)}")
+        if curves.loop is not None:
+            typer.echo(f"            hysteresis of {curves.loop.percent:.2g} % of full scale is taken off")
     if content.cover is not None:
         (low, high), fit = content.cover.interval_mm, content.cover.fit
         interval = f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g})"

@@ -19,7 +19,7 @@ RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong
 def pressures(sensor: Sensor, series: FrameSeries) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """A series' pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
     missing = np.where(np.isnan(series.counts), MISSING, 0).astype(np.uint8)
-    pressure, flags = sensor.pipeline.calibrator(np.nan_to_num(series.counts), missing)
+    pressure, flags = sensor.pipeline.calibrator.series(np.nan_to_num(series.counts), missing)
     return pressure, flags & SATURATED > 0
 
 

@@ -122,7 +122,7 @@ class Pipeline:
             self._zero_before = self._unless_older(before)
         self.zero = zero
         self._use_zero()
-        self.calibrator.faulty = other.calibrator.faulty
+        self.calibrator.take_over(other.calibrator)
         self.monitor.take_over(other.monitor, self.calibrator)
         self._weigh_taxels()
 
@@ -184,6 +184,7 @@ class Pipeline:
         began = monotonic()
         last_message, assembled = came or (began, began)
         self._apply_tare(frame)
+        self.calibrator.follow(frame.counts, frame.flags)
         if self.monitor.push(frame, self.calibrator):
             self._weigh_taxels()
         shape = self._plan.array.frame_shape
@@ -236,8 +237,7 @@ class Pipeline:
         frames = self._tare_frames.add(frame)
         if frames is None:
             return
-        load = "" if self._tare_frames.force else self._load_during(frames[:, 0])
-        if load:
+        if load := "" if self._tare_frames.force else self._load_during(frames[:, 0]):
             self.refused, self.load_in_tare = self.refused + 1, load
             return
         mean, zero = robust_mean(frames).astype(np.float32), self.zero

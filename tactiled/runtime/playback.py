@@ -1,4 +1,7 @@
-"""Any frame of a recording restored by itself, in whatever order: what does not depend on the frames before."""
+"""Any frame of a recording restored by itself, in whatever order.
+
+Of the frames before it depends on the hysteresis alone, where the skin has a model of it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,6 +28,7 @@ from tactiled.units import FORCE_SCALES
 
 MAX_NOISE_SEARCH = 1000  # frames from which those with data are taken
 HEADS_AT_ONCE = 4096  # in memory
+PAST_EVERY_FRAMES, MAX_PASTS = 256, 512  # what the hysteresis knows is kept, to go on from there, so many times
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 
 
@@ -56,6 +60,8 @@ class Playback:
         self.plan, self.zero, self._recorded = plan, zero, recorded
         calibration, size = plan.calibration, plan.array.size
         self._calibrator = Calibrator(calibration, size)
+        self._past: dict[int, NDArray[np.float32]] = {}  # of the hysteresis, before some frames
+        self._next = 0  # frame that the hysteresis takes next
         self._shear_zero = np.full((2, size), np.nan, np.float32)
         self.tared_at: float | None = None
         if zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]:
@@ -72,12 +78,32 @@ class Playback:
         self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
 
     def _measured_noise(self, numbers: Sequence[int]) -> float:
-        raw = [self._pressure(self._recorded.frame(self.plan.name, n))[0] for n in numbers]
+        raw = [self._pressure(n, self._recorded.frame(self.plan.name, n))[0] for n in numbers]
         return max(self.plan.calibration.floor_kpa, estimate(np.stack(raw)) if raw else 0.0)
 
-    def _pressure(self, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def _pressure(self, number: int, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        self._follow(number, frame)
         pressure, flags = self._calibrator(frame.counts, frame.flags)
         return pressure.reshape(self.plan.array.frame_shape), flags.reshape(self.plan.array.frame_shape)
+
+    def _follow(self, number: int, frame: RawFrame) -> None:
+        """Have the hysteresis know all frames up to this one, as if they had been played in their order."""
+        if (past := self._calibrator.past) is None:
+            return
+        if number == self._next - 1:
+            return
+        self._past.setdefault(0, past)
+        if not 0 <= number - self._next < PAST_EVERY_FRAMES:
+            self._next = max(n for n in self._past if n <= number)
+            self._calibrator.resume(self._past[self._next])
+        for n in range(self._next, number + 1):
+            if n % PAST_EVERY_FRAMES == 0 and (past := self._calibrator.past) is not None:
+                self._past[n] = past
+                if len(self._past) > MAX_PASTS:
+                    self._past = {at: self._past[at] for at in sorted(self._past)[::2]}
+            each = frame if n == number else self._recorded.frame(self.plan.name, n)
+            self._calibrator.follow(each.counts, each.flags)
+        self._next = number + 1
 
     def image(self, number: int, method: str) -> Image:
         """One frame restored; `arrived` is its position in the recording. ConfigError for an unknown method."""
@@ -85,7 +111,7 @@ class Playback:
         if method not in self._restorers:
             self._restorers[method] = make(method, plan.blur, self.noise, self._noise_ratio)
         began = perf_counter()
-        raw, flags = self._pressure(frame)
+        raw, flags = self._pressure(number, frame)
         done = self._restorers[method](raw, flags)
         return make_image(
             plan,
@@ -140,5 +166,5 @@ class Playback:
         return first + int(totals.argmin()), first + int(totals.argmax())
 
     def _force(self, number: int) -> float:
-        raw, _ = self._pressure(self._recorded.frame(self.plan.name, number))
+        raw, _ = self._pressure(number, self._recorded.frame(self.plan.name, number))
         return float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit]
