@@ -28,12 +28,14 @@ from tactiled.files import atomic_write, clear_scratch
 from tactiled.runtime.events import Events
 from tactiled.web import schemas
 from tactiled.web.http.body import MAX_RECORDING_BYTES
+from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import CONTROL, EVERY_RESOURCE, JSON_BODY, MEDIA, problems, success
 from tactiled.web.rest.uploads import DiskReserve, while_connected
 
 CHECKED_AT_ONCE = 2  # uploads; others wait
+MAX_UPLOADS_PER_CLIENT, MAX_UPLOADS = 8, 16  # each may reserve 1 GiB of the disk for ten minutes
 FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.(log|asc|blf|log\.gz|asc\.gz)$"  # no slash, no other dot
 FILE = success("the whole file", "file") | success(
     "the part of it that Range asks for; of several parts multipart/byteranges", "file", status=206
@@ -158,6 +160,7 @@ class Recordings:
         self._lock = Lock()
         clear_scratch(folder)  # of uploads that kill -9 ended
         self._reserve = DiskReserve(folder, leave_mb)
+        self._uploads = ConcurrencyLimit(MAX_UPLOADS_PER_CLIENT, MAX_UPLOADS, "uploads")
         self._checking = ThreadPoolExecutor(CHECKED_AT_ONCE, "check")
 
     def page(self, query: PageQuery) -> RecordingPage:
@@ -200,7 +203,7 @@ class Recordings:
         self._need_ended(name)  # without the lock, which others have while a bus is opened
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            with self._reserve.reserved(f"recording {name}", size) as count:
+            with self._uploads.one(request.scope), self._reserve.reserved(f"recording {name}", size) as count:
                 if path.exists() or path.is_symlink():
                     raise FileExistsError
                 with atomic_write(path) as part:

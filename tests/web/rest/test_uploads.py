@@ -83,6 +83,17 @@ def test_an_upload_that_holds_nothing_for_long_is_refused_in_one_line(rig, serve
     assert why == "recording a.log.gz: after 0 messages nothing comes of it in 1 s of processor time"
 
 
+def test_a_client_has_few_uploads_at_once(rig, server, folder, monkeypatch):
+    monkeypatch.setattr(recordings, "MAX_UPLOADS_PER_CLIENT", 1)
+    with running(rig.service, server) as url:
+        with plug(url) as end:
+            end.sendall(head(url, PATH, 9) + b"x")
+            until(lambda: list(folder.glob(".tactiled-*")))
+            why = problem(ask("PUT", url + PATH.replace("a.log", "b.log"), content=TEXT), 429)
+        assert why == "uploads_per_client = 1: 127.0.0.1 has as many open: close one"
+        until(lambda: ask("PUT", url + PATH, content=TEXT).status_code == 201)
+
+
 def test_uploads_at_once_share_what_the_disk_has(rig, server, folder, monkeypatch):
     """What the first two still need is not given to the third."""
     content, size, go_on, begun = TEXT * 4000, [2.2e5], Event(), [Event(), Event()]
