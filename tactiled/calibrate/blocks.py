@@ -36,10 +36,15 @@ class Block:
         self.span: Floats = counts.max(axis=0) - counts.min(axis=0)
 
     @cached_property
+    def fourth(self) -> Floats:
+        """Fourth differences (K - 4, N) in time, which a rubbing finger hardly changes."""
+        return np.diff(self.counts, 4, axis=0)
+
+    @cached_property
     def variance(self) -> Floats:
-        """Variance (N,) of the noise by fourth differences in time, which a rubbing finger hardly changes."""
-        fourth = np.diff(self.counts, 4, axis=0)
-        return np.asarray(np.einsum("kn,kn->n", fourth, fourth) / (DIFFERENCE_VARIANCE * len(fourth)), np.float32)
+        """Variance (N,) of the noise, by fourth differences."""
+        squares = np.einsum("kn,kn->n", self.fourth, self.fourth)
+        return np.asarray(squares / (DIFFERENCE_VARIANCE * len(self.fourth)), np.float32)
 
 
 class Blocks:

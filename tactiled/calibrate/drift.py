@@ -3,7 +3,7 @@
 A taxel that reads zero, is quiet and lies beyond the cover's reach of every contact is free: its zero follows its
 reading. The zeros of all others follow the common mode of the free ones alone, each as strongly as it did while it
 was free itself, so that a load never becomes a zero. A load that comes slower than MAX_RATE cannot be told from
-drift.
+drift, nor can one that is all over the array and comes slower than SHARED_RATE: an array that warms up.
 """
 
 from enum import IntEnum
@@ -12,21 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.blocks import BLOCK_FRAMES, Block
+from tactiled.calibrate.common_mode import TIME_S, References, Sensitivity
+from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.cover.kernel import Kernel
 from tactiled.geometry import Array
 
 # Parts of full scale. The claims (tests/calibrate/test_drift.py) are for drift of 5 % of full scale an hour.
-MAX_RATE = 0.10 / 3600  # a second: no zero moves faster; a load that comes within 10 s loses 0.03 % of full scale
+MAX_RATE = 0.10 / 3600  # a second, from the common mode: a load that comes within 10 s loses 0.03 % of full scale
+SHARED_RATE = 0.03 / 60  # a second, of what all free taxels read alike
+SHARED = 0.0015  # that it is at least
+MIN_SHARED = 0.25  # of its median, that each part of the array reads at least
+PARTS, PART_TAXELS = 4, 9  # along each side of the array, and taxels of one at least
+SHARED_SPREAD = 2.0  # times their median, that some read beyond it
+SHARED_TIME_S, OWN_TIME_S = 2.0, 10.0  # in which the zeros follow it, and what each taxel reads besides
 BAND = 0.002  # that a free taxel may read beyond its noise
 FROZEN_RATE = 0.01 / 3600  # a second: what the common mode may miss of a loaded taxel's drift, 20 % of 5 % an hour
 MAX_MISSED = 0.10  # that it may have missed in all
-SENSITIVITY_STEP = 0.005  # of the common mode, over which a taxel's own drift is compared with it
-SENSITIVITY_PRIOR = 0.0625  # of a taxel's noise squared: its zero's variance over that of sensitivities, 0.2^2
 MIN_LEARNERS = 0.9  # of the taxels must be free while sensitivities are learnt: others have no say in their mean
-MIN_SENSITIVITY = 0.1
-TIME_S = 200.0  # time constant of the zero and its rate, critically damped: a steady drift leaves no error
 SMOOTHING_S = 20.0  # of readings before they are compared with the band
 LIFT_S = 60.0
+HELD_S = 900.0  # in which the last rate of the common mode fades, while no taxel is free to show it
 SETTLE_S = 10.0  # that a taxel is free before its zero moves
 MAX_GAP_S = 60.0  # between two blocks, that zeros move for: nobody saw what lay there in a longer one
 NOISE_SIGMAS = 5.0  # of a mean: 1024 taxels pass it by chance once in an hour or less
@@ -34,7 +39,7 @@ QUIET_SIGMAS = 9.0  # span of a block's readings; the expected one is 3.5
 ROUNDING_STEPS = 0.6  # by which rounding moves a mean, and twice as much a span
 LIFTED = 0.3  # of its reading some LIFT_S ago: a loaded taxel that reads less may have been unloaded
 MIN_VOTERS = 5  # their median withstands two that are wrong
-MIN_REFERENCE_SQUARE = 4.0  # counts squared of the references' changes, from which their effect is judged
+ALONE_SIGMAS, ALONE_ERROR = 2.0, BAND / 4  # of its neighbours' sum, by which a taxel drifts alone
 FELT = 1e-3  # of a contact's pressure: what is felt beyond its reach
 
 Floats = NDArray[np.float32]
@@ -92,16 +97,33 @@ def _widened(mask: Mask, width: int) -> Mask:
     return np.asarray(total[:, last] > total[:, first])
 
 
+def _parts(array: Array) -> list[Mask]:
+    """The taxels (N,) of each part of the array."""
+    side = int(np.clip((array.size / PART_TAXELS) ** 0.5, 1, PARTS))
+    order = np.argsort(np.argsort(array.positions, axis=0, kind="stable"), axis=0)
+    column, row = (order * side // array.size).T
+    return [(column == a) & (row == b) for a in range(side) for b in range(side)]
+
+
 class DriftTracker:
     """Zeros of N taxels as they drift, in counts over the zero of the last `reset`, by blocks of frames.
 
     `full_scale` is in counts; `sign` is -1 where counts fall under pressure.
     """
 
-    def __init__(self, array: Array, reach: float, full_scale: float, sign: float = 1.0) -> None:
+    def __init__(
+        self,
+        array: Array,
+        reach: float,
+        full_scale: float,
+        sign: float = 1.0,
+        neighbourhood: Neighbourhood | None = None,
+    ) -> None:
+        self._neighbourhood = neighbourhood
         self._around, self._full_scale, self._sign = Surroundings(array, reach), full_scale, sign
-        self._sensitivity = _Sensitivity(array.size, full_scale)
-        self._references = _References()
+        self._parts = _parts(array)
+        self._sensitivity = Sensitivity(array.size, full_scale)
+        self._references = References()
         self.reset(np.zeros(array.size, np.float32))
 
     def reset(self, no_load: NDArray[np.floating]) -> None:
@@ -119,15 +141,19 @@ class DriftTracker:
         self._free_s = np.full(size, SETTLE_S, np.float32)
         self.state = np.full(size, State.FREE, np.uint8)
         self.common = 0.0  # counts of the common mode since the reset
+        self._common_rate = 0.0  # counts a second, what all read alike included
+        self._shared_rate = 0.0  # counts a second: running mean of that alone
+        self._shared, self._stepped_s = 0.0, np.inf  # median of the free readings, and since it jumped
+        self._alike = 0.0  # counts that a free taxel may read, as all do
         self._time_s: float | None = None
         self._sensitivity.reset()
 
     def take_over(self, other: "DriftTracker", no_load: NDArray[np.floating]) -> None:
         """Go on from where `other` is, by this one's settings, if its zeros are of the same `no_load` (N,)."""
         if other._sign == self._sign and np.array_equal(other._no_load, no_load):
-            own = self._around, self._full_scale
+            own = self._around, self._full_scale, self._neighbourhood
             vars(self).update(vars(other))
-            self._around, self._full_scale = own
+            self._around, self._full_scale, self._neighbourhood = own
 
     @property
     def correction(self) -> Floats:
@@ -141,9 +167,11 @@ class DriftTracker:
         seconds = min(gap, MAX_GAP_S)
         reading = self._sign * (block.mean - self._no_load) - self._zero
         readable = block.readable & usable
+        self._follow_all(reading, readable, gap, seconds)
         weight = min(1.0, seconds / SMOOTHING_S)
         self._smooth += np.where(readable, weight * (reading - self._smooth), 0)
         loaded, below = self._outside(block, reading, sigma, weight)
+        loaded &= ~self._alone(loaded & readable & (block.span <= QUIET_SIGMAS * sigma), readable, sigma, weight)
         was_loaded = self.state == State.LOADED
         self.state = self._judge(readable, loaded & readable, below, seconds)
         unloaded = was_loaded & (self.state > State.LOADED)
@@ -151,12 +179,41 @@ class DriftTracker:
         self._follow(reading, gap, seconds)
         self._move(seconds, sigma, references)
 
+    def _follow_all(self, reading: Floats, readable: Mask, gap: float, seconds: float) -> None:
+        """Move zeros and `reading` (N,) by what all parts of the array read alike: no contact is on all."""
+        self._stepped_s += gap
+        self._shared_rate *= 1 - min(1.0, seconds / TIME_S)
+        self._alike *= float(np.exp(-gap / SMOOTHING_S))
+        free = readable & (self.state >= State.BELOW)
+        of_parts = [reading[each & free] for each in self._parts]
+        medians = np.array([np.median(each) for each in of_parts if each.size >= MIN_VOTERS])
+        if len(medians) <= len(self._parts) / 2:
+            return
+        shared, limit = float(np.median(medians)), SHARED_RATE * self._full_scale * seconds
+        if abs(shared - self._shared) > limit + SHARED * self._full_scale:
+            self._stepped_s = 0.0
+        self._shared = shared
+        alike = (medians * np.sign(shared) > MIN_SHARED * abs(shared)).all() and len(self._parts) > 1
+        if not alike or abs(shared) < SHARED * self._full_scale or self._stepped_s < LIFT_S:
+            return
+        self._alike = max(self._alike, SHARED_SPREAD * abs(shared))
+        expected = (shared * self._sensitivity.values).astype(np.float32)
+        own = np.where(free, reading - expected, 0)
+        part, own_part = min(1.0, seconds / SHARED_TIME_S), min(1.0, seconds / OWN_TIME_S)
+        step = np.clip(expected * part + own * own_part, -2 * limit, 2 * limit).astype(np.float32)
+        self._zero += step
+        reading -= step  # nor were the readings before it wrong by it: the running mean is of what is left
+        self._shared -= shared * part
+        moved = float(np.clip(shared * part, -limit, limit))
+        self.common += moved
+        self._shared_rate += moved / TIME_S
+
     def _outside(self, block: Block, reading: Floats, sigma: Floats, weight: float) -> tuple[Mask, Mask]:
         """Which taxels (N,) read more, and which less, than their noise and their drift explain."""
         rounding = ROUNDING_STEPS * block.step
         margin = BAND * self._full_scale + rounding
         lifted = self._lifted(reading, margin)
-        wide = margin + np.where(lifted, self._missed, 0)
+        wide = margin + self._alike + np.where(lifted, self._missed, 0)
         noise = NOISE_SIGMAS * sigma / BLOCK_FRAMES**0.5
         smooth_noise = noise * (weight / (2 - weight)) ** 0.5  # of a running mean with that weight
         now, lately = reading - self._idle, self._smooth - self._idle
@@ -164,6 +221,18 @@ class DriftTracker:
         moving = block.span > QUIET_SIGMAS * sigma + 2 * rounding
         above = (now > wide + noise) | (lately > wide + smooth_noise)
         return above | moving, (now < -wide - noise) | (lately < -wide - smooth_noise)
+
+    def _alone(self, loaded: Mask, readable: Mask, sigma: Floats, weight: float) -> Mask:
+        """Loaded taxels (N,) whose neighbours read less than any load gives them: they drift by themselves."""
+        alone = np.zeros_like(loaded)
+        if self._neighbourhood is not None and loaded.any():
+            near = readable & (self.state == State.NEAR)  # as far behind their drift as its neighbours
+            over = self._smooth - np.median(self._smooth[near if near.any() else readable])
+            taxels = self._neighbourhood.peaks(np.flatnonzero(loaded), over)
+            error = weight / (2 - weight) * sigma**2 / BLOCK_FRAMES + (ALONE_ERROR * self._full_scale) ** 2
+            (total, variance), share = self._neighbourhood.beside(taxels, np.stack([over, error]), readable)
+            alone[taxels] = total + ALONE_SIGMAS * np.sqrt(variance) < SHARE * share * over[taxels]
+        return alone
 
     def _lifted(self, reading: Floats, margin: float) -> Mask:
         """Loaded taxels (N,) that may be free now: most of their load has gone, or of one within reach."""
@@ -184,7 +253,7 @@ class DriftTracker:
     def _follow(self, reading: Floats, gap: float, seconds: float) -> None:
         """Follow what is known of each taxel while its zero may not: slow motion, and since when it is loaded."""
         loaded = self.state == State.LOADED
-        limit = MAX_RATE * self._full_scale * seconds
+        limit = (MAX_RATE * self._full_scale + abs(self._common_rate)) * seconds
         self._idle += np.where(loaded, 0, np.clip(self._smooth - self._idle, -limit, limit))
         self._lifted_s += np.float32(gap)
         forgotten = np.float32(np.exp(-gap / LIFT_S))
@@ -200,15 +269,18 @@ class DriftTracker:
 
     def _move(self, seconds: float, sigma: Floats, references: Floats | None) -> None:
         """Move the zeros: by their own readings, or by the common mode."""
-        limit, sensitivity = MAX_RATE * self._full_scale, self._sensitivity.values
-        part = min(1.0, seconds / TIME_S)
+        limit, sensitivity = MAX_RATE * self._full_scale + abs(self._common_rate), self._sensitivity.values
+        votes, part = self.state == State.FREE, min(1.0, seconds / TIME_S)
         own_rate = np.clip(self._rate + self._smooth * part / TIME_S, -limit, limit)
         if (voters := self._votes()) is not None:
             common = float(np.median(self._moved[voters] / sensitivity[voters]))
             self._references.learn(references, self.common + common * seconds, seconds)
         else:
-            common = self._references.predict(references, seconds)
-        votes = self.state == State.FREE
+            common = self._references.predict(references, seconds, self._common_rate * np.exp(-seconds / HELD_S))
+        fastest = SHARED_RATE * self._full_scale
+        self._common_rate = float(
+            np.clip(common + (self._shared_rate if voters is not None else 0), -fastest, fastest)
+        )
         follows = votes | (self.state == State.BELOW)
         common_rate = np.clip(common * sensitivity, -limit, limit)
         self._rate = np.where(follows, own_rate, common_rate).astype(np.float32)
@@ -222,72 +294,3 @@ class DriftTracker:
         self._idle -= np.where(follows, step, 0)
         learning = np.count_nonzero(votes) >= MIN_LEARNERS * np.count_nonzero(self.state != State.UNREAD)
         self._sensitivity.learn(self._zero, self.common, votes if learning else np.zeros_like(votes), sigma)
-
-
-class _Sensitivity:
-    """Drift of each taxel over the common mode: 1 to begin with, learnt over its changes while it is free."""
-
-    def __init__(self, taxels: int, full_scale: float) -> None:
-        self._step = SENSITIVITY_STEP * full_scale
-        self._prior = np.full(taxels, SENSITIVITY_PRIOR)
-        self._product, self._square, self._zero, self._common = np.zeros((4, taxels))
-        self._tracked = np.zeros(taxels, bool)  # free since its last comparison
-
-    @property
-    def values(self) -> NDArray[np.float64]:
-        """(N,), of a regression through 0 with a prior of 1, over their median."""
-        values = (self._prior + self._product) / (self._prior + self._square)
-        return np.asarray(np.maximum(values / np.median(values), MIN_SENSITIVITY))
-
-    def reset(self) -> None:
-        """Begin new changes: the zeros have been set."""
-        self._tracked[:] = False
-
-    def learn(self, zero: Floats, common: float, free: Mask, sigma: Floats) -> None:
-        """Compare the zeros' changes with those of the common mode, for readings with noise `sigma` (N,)."""
-        self._prior = SENSITIVITY_PRIOR * np.square(sigma, dtype=float)
-        change = common - self._common
-        due = free & self._tracked & (np.abs(change) >= self._step)
-        self._product[due] += (zero[due] - self._zero[due]) * change[due]
-        self._square[due] += change[due] ** 2
-        start = due | (free & ~self._tracked)
-        self._zero[start], self._common[start] = zero[start], common
-        self._tracked[:] = free
-
-
-class _References:
-    """What pads that feel no pressure say of the common mode, where too few taxels are free to show it."""
-
-    def __init__(self) -> None:
-        self._smooth = np.nan  # counts, running mean over the pads
-        self._anchor: tuple[float, float] | None = None  # smooth reference and common mode
-        self._product = self._square = 0.0
-
-    def learn(self, references: Floats | None, common: float, seconds: float) -> None:
-        """Compare their change with the common mode's."""
-        if self._follow(references, seconds) is None:
-            return
-        if self._anchor is None:
-            self._anchor = self._smooth, common
-        change = self._smooth - self._anchor[0]
-        if abs(change) >= 1.0:
-            self._product += change * (common - self._anchor[1])
-            self._square += change**2
-            self._anchor = self._smooth, common
-
-    def predict(self, references: Floats | None, seconds: float) -> float:
-        """Rate (counts a second) of the common mode since the last block; 0 where their effect is not known."""
-        self._anchor = None
-        change = self._follow(references, seconds)
-        if change is None or not seconds or self._square < MIN_REFERENCE_SQUARE:
-            return 0.0
-        return self._product / self._square * change / seconds
-
-    def _follow(self, references: Floats | None, seconds: float) -> float | None:
-        """By how much (counts) their running mean changes; None where no pad is read."""
-        if references is None or not np.isfinite(references).any():
-            return None
-        mean = float(np.nanmean(references))
-        before = mean if np.isnan(self._smooth) else self._smooth
-        self._smooth = before + min(1.0, seconds / TIME_S) * (mean - before)
-        return self._smooth - before

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactiled.calibrate.blocks import KNOWN_BLOCKS, Block
-from tactiled.calibrate.least_reading import LeastReading
+from tactiled.calibrate.blocks import DIFFERENCE_VARIANCE, KNOWN_BLOCKS, Block
+from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.geometry import Array
 
 # `python -m tests.study health` counts faults found on healthy arrays and the frames until a fault is found.
@@ -25,11 +25,16 @@ DEAD_RATIO, WEAK_RATIO = 0.25, 0.5  # of the least that a taxel may read; of wha
 CLEAR_SIGMAS, CLEAR = 2.0, 0.001  # noise standard deviations, and part of full scale, of a least that is known
 STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating between two steps shows 0.82
 NOISY_RATIO = 5.0  # of a taxel's noise to the array's median
-JOINED_MARGIN = 2.0  # by which a taxel differs more from its neighbours than the cover lets any load do
-MIN_JOINED = 0.02  # response of neighbours over a taxel's own: under a thinner cover they say nothing of it
+SHARE_ERRORS = 4.0  # standard errors within it of a share that is measured
+MIN_POOLED = 5  # blocks that a share is measured from
+MOVING = 3.0  # of the variance of the neighbours' sum in a block: a load moves, which is no noise
+CORRELATED = 2.63  # variance of products of fourth differences over that of independent ones: 70, 56, 28, 8, 1
+QUIET = 0.1, 0.4  # blocks that a quiet one counts as: before a taxel is found noisy, and then
+ZERO_ERROR, ZERO_SIGMAS = 0.002, 2.0  # of full scale, of a zero that drifts, and how many of them count
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Evidence = NDArray[np.floating] | Mask
 
 
 class Fault(IntEnum):
@@ -54,11 +59,11 @@ class Rule(NamedTuple):
 
 RULES = {
     Fault.SWAPPED: Rule(1, False, "it feels what lies on another taxel's place"),  # by `map_monitor`
-    Fault.STUCK: Rule(6, True, "its reading does not change, and the others' noise does"),
+    Fault.STUCK: Rule(6, True, "its reading does not change, as noise or no load would let it"),
     Fault.SATURATED: Rule(20, True, "it stays at its ceiling, and its neighbours feel no such load"),
-    Fault.NOISY: Rule(20, False, "it is noisy, and its neighbours are not"),
-    Fault.DEAD: Rule(3, True, "it feels no load, and no load on its neighbours passes it by"),
-    Fault.WEAK: Rule(5, True, "it feels less than half of what any load on its neighbours leaves on it"),
+    Fault.NOISY: Rule(20, False, "it is noisy, and its neighbours feel nothing of it"),
+    Fault.DEAD: Rule(3, True, "it feels no load, and its neighbours do"),
+    Fault.WEAK: Rule(5, True, "it feels less than half of what its neighbours leave on it"),
 }
 
 
@@ -77,39 +82,46 @@ class Change(NamedTuple):
 class TaxelHealth:
     """State of N taxels, by blocks of frames.
 
-    `joined` is the least response of a taxel's neighbours to a load on it, over its own; `ends` the counts at
-    which a taxel is empty and saturated, infinite where nobody knows; `full_scale` the counts between them, or the
-    codec's; `calibrated`: each gain was measured, so that a weak taxel is a fault.
+    `ends` are the counts at which a taxel is empty and saturated, infinite where nobody knows; `full_scale` the
+    counts between them, or the codec's; `calibrated`: each gain was measured, so that a weak taxel is a fault.
     """
 
     def __init__(
         self,
         array: Array,
-        joined: float,
+        neighbourhood: Neighbourhood,
         ends: tuple[float, float],
         full_scale: float,
-        least_reading: LeastReading,
         calibrated: bool = False,
     ) -> None:
         n = array.size
-        self._least_reading = least_reading
-        self._neighbours, self._pairs = neighbours(array)
-        self._joined, self._ends, self.full_scale, self._calibrated = joined, ends, full_scale, calibrated
+        self._neighbourhood = neighbourhood
+        self._pairs = opposite_pairs(array)
+        self._ends, self.full_scale, self._calibrated = ends, full_scale, calibrated
         self._scores = {fault: np.zeros(n, np.float32) for fault in RULES}
         self._active = {fault: np.zeros(n, bool) for fault in RULES}
         self.faults = np.zeros(n, np.uint8)
         self.since_s = np.full(n, np.nan)  # of the present state; NaN: since the start
         self._blocks = 0
         self._mean = np.full(n, np.nan, np.float32)  # of the last block
-        self._presses = _Presses(n)
+        self._presses, self._shaking = _Presses(n), _Shares(n)
+        self._rising = 1 if ends[1] > ends[0] else -1
 
-    def update(self, block: Block, sigma: Floats, load: Floats, usable: Mask, swapped: Mask) -> list[Change]:
-        """Take a block, its taxels' noise and load over zero, (N,) counts, which are in use, which are swapped."""
+    def update(
+        self, block: Block, sigma: Floats, load: Floats, usable: Mask, swapped: Mask, measured: bool = True
+    ) -> list[Change]:
+        """Take a block, its taxels' noise and load over zero, (N,) counts, which are in use, which are swapped.
+
+        The zeros were `measured`, so that a reading below zero is no offset.
+        """
         readable = block.readable & usable
         self._score(Fault.SWAPPED, swapped, ~swapped)
         self._blocks += 1
-        self._look_at_noise(block, sigma, readable)
-        top = self._look_at_ceiling(block, sigma, load, readable)
+        above, below = self._unexplained(sigma, load, readable, measured)
+        self._look_at_stillness(block, sigma, readable, above | below)
+        self._look_at_noise(block, sigma, load, readable, measured)
+        top = self._at_ceiling(block)
+        self._score(Fault.SATURATED, readable & top & above, readable & ~top)
         self._look_at_presses(sigma, load, readable & ~top)
         self._mean = np.where(readable, block.mean, np.float32(np.nan))
         return self._changes(block.time_s)
@@ -119,41 +131,65 @@ class TaxelHealth:
         self._scores, self._active, self._blocks = other._scores, other._active, other._blocks
         self.faults, self.since_s = other.faults, other.since_s
 
-    def _score(self, fault: Fault, evidence: Floats | Mask, against: Floats | Mask) -> None:
+    def _score(self, fault: Fault, evidence: Evidence, against: Evidence) -> None:
         """Add what speaks for a fault and what speaks against it, both (N,)."""
         rule, score, active = RULES[fault], self._scores[fault], self._active[fault]
-        score += evidence
-        score -= against
+        score += evidence.astype(np.float32)
+        score -= against.astype(np.float32)
         if rule.in_a_row:
             score[np.greater(against, 0) & ~active] = 0
         np.clip(score, 0, rule.threshold, out=score)
         active |= score >= rule.threshold
         active &= score > 0
 
-    def _look_at_noise(self, block: Block, sigma: Floats, readable: Mask) -> None:
-        judged = readable if self._blocks > KNOWN_BLOCKS else np.zeros_like(readable)
-        now = np.sqrt(block.variance)
+    def _at_ceiling(self, block: Block) -> Mask:
+        ceiling = self._ends[1]
+        return np.asarray(self._rising * (block.mean - ceiling) >= 0)
+
+    def _unexplained(self, sigma: Floats, load: Floats, readable: Mask, measured: bool) -> tuple[Mask, Mask]:
+        """Taxels (N,) that read what no load gives them: so much alone, and so much less than zero alone."""
+        clear = np.abs(load) > np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
+        suspects = self._neighbourhood.peaks(np.flatnonzero(readable & clear), np.abs(load))
+        above, below = np.zeros_like(readable), np.zeros_like(readable)
+        if suspects.size:
+            variance = (ZERO_ERROR * self.full_scale) ** 2 + sigma**2
+            values = np.stack([load, np.abs(load), load**2, variance, np.ones_like(load)])
+            trusted = readable & (self.faults == Fault.HEALTHY)
+            (total, felt, squares, variance, count), share = self._neighbourhood.beside(suspects, values, trusted)
+            own, error = load[suspects], ZERO_SIGMAS * np.sqrt(variance)
+            above[suspects] = (np.abs(total) if measured else felt) + error < SHARE * share * own
+            below[suspects] = measured & (count > 0) & (np.sqrt(squares) < -SHARE * own)
+        return above, below
+
+    def _look_at_stillness(self, block: Block, sigma: Floats, readable: Mask, unexplained: Mask) -> None:
+        judged = readable & (self._blocks > KNOWN_BLOCKS)
         trembles = sigma >= STUCK_NOISE * block.step
         still = (block.span == 0) & (block.mean == self._mean)
         peers = readable & trembles
         moving = np.count_nonzero(peers & (block.span > 0)) * 2 > np.count_nonzero(peers | (readable & still))
         inside = (block.mean > min(self._ends)) & (block.mean < max(self._ends))
         trembled = trembles | (self._scores[Fault.STUCK] > 0)
-        stuck = judged & still & inside & moving & trembled
-        self._score(Fault.STUCK, stuck, readable & ~still)
-        typical = float(np.median(sigma[readable])) if readable.any() else 0.0
-        beside = self._largest_beside(np.where(readable, now, np.float32(0)))
-        noisy = judged & (now > NOISY_RATIO * typical) & (now > self._contrast * np.maximum(beside, typical))
-        self._score(Fault.NOISY, noisy, readable & ~noisy)
+        stuck = still & ((inside & moving & trembled) | (unexplained & ~self._at_ceiling(block)))
+        self._score(Fault.STUCK, judged & stuck, readable & ~still)
 
-    def _look_at_ceiling(self, block: Block, sigma: Floats, load: Floats, readable: Mask) -> Mask:
-        empty, ceiling = self._ends
-        top = block.mean >= ceiling if ceiling > empty else block.mean <= ceiling
-        felt = self._joined * self.full_scale / JOINED_MARGIN
-        beside = self._largest_beside(np.where(readable, load, np.float32(0)))
-        alone = top & (beside + LOADED_SIGMAS * sigma < felt) if self._joined > MIN_JOINED else np.zeros_like(top)
-        self._score(Fault.SATURATED, readable & alone, readable & ~top)
-        return np.asarray(top)
+    def _look_at_noise(self, block: Block, sigma: Floats, load: Floats, readable: Mask, measured: bool) -> None:
+        typical = float(np.median(sigma[readable])) if readable.any() else 0.0
+        now = np.sqrt(block.variance)
+        noisy = readable & (now > NOISY_RATIO * typical) & (self._blocks > KNOWN_BLOCKS)
+        own, joined, pulled = np.zeros((3, *noisy.shape), bool)
+        if (suspects := np.flatnonzero(noisy)).size:
+            values = np.vstack([block.fourth, sigma**2])
+            trusted = readable & (self.faults == Fault.HEALTHY)
+            beside, share = self._neighbourhood.beside(suspects, values, trusted)
+            alone, resolved = self._shaking.add(suspects, block.fourth[:, suspects], beside, share)
+            own[suspects], joined[suspects] = resolved & alone, resolved & ~alone
+            over = self._rising * (block.counts[:, suspects] - block.mean[suspects]) + load[suspects]
+            zero = block.mean[suspects] - self._rising * load[suspects]
+            shaking = np.minimum(now[suspects], np.abs(zero - self._ends[0]) / 2)  # it cannot read less than empty
+            pulled[suspects] = measured & (over.min(axis=0) < -shaking - ZERO_ERROR * self.full_scale)
+        quiet = np.where(self._active[Fault.NOISY], *QUIET[::-1]) * (readable & ~noisy)
+        enough = RULES[Fault.NOISY].threshold
+        self._score(Fault.NOISY, np.where(own, enough, pulled), np.where(joined & ~pulled, enough, quiet))
 
     def _look_at_presses(self, sigma: Floats, load: Floats, readable: Mask) -> None:
         healthy = readable & (self.faults == Fault.HEALTHY)
@@ -165,7 +201,7 @@ class TaxelHealth:
         explained = np.isin(self.faults, UNRELATED) | (self.faults == Fault.SWAPPED)
         suspects = np.flatnonzero(presses.low & readable & ~explained)
         if suspects.size:
-            lowest = self._least_reading(suspects, load - presses.rest, healthy & ~presses.low)
+            lowest = self._neighbourhood.lowest(suspects, load - presses.rest, healthy & ~presses.low)
             clear = np.maximum(CLEAR_SIGMAS * sigma, CLEAR * self.full_scale)[suspects]
             presses.compare(load, suspects, lowest, clear)
         ended, like, part = presses.end(load, opposite, needed)
@@ -175,15 +211,6 @@ class TaxelHealth:
         well = judged & (like >= WEAK_RATIO)
         self._score(Fault.DEAD, dead, well | (judged & (part >= DEAD_RATIO) & np.isfinite(part)))
         self._score(Fault.WEAK, weak, well)
-
-    @property
-    def _contrast(self) -> float:
-        """What a load may be on a taxel over what it is on the neighbour that feels most of it, at most."""
-        return JOINED_MARGIN / max(self._joined, MIN_JOINED)
-
-    def _largest_beside(self, values: Floats) -> Floats:
-        """Largest of the neighbours' values (N,)."""
-        return np.asarray(np.append(values, np.float32(-np.inf))[self._neighbours].max(axis=0))
 
     def _changes(self, time_s: float) -> list[Change]:
         """Set the present states; gives those that have changed."""
@@ -229,8 +256,31 @@ class _Presses:
         return ended, like, part
 
 
-def neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Neighbours (8, N) of every taxel and pairs (2, 4, N) of opposite ones; N where there are no more."""
+class _Shares:
+    """What the neighbours of shaking taxels feel of it, pooled over blocks until it is known well enough."""
+
+    def __init__(self, taxels: int) -> None:
+        self._sums = np.zeros((4, taxels))  # own square, product with the neighbours' sum, its variance, blocks
+
+    def add(self, taxels: NDArray[np.intp], own: Floats, beside: Floats, share: Floats) -> tuple[Mask, Mask]:
+        """Take fourth differences (K, k) of k taxels, and of their neighbours' sum with its variance (K + 1, k).
+
+        Gives which taxels (k,) give less than `share` of it to their neighbours, and for which that is certain.
+        """
+        square, variance = np.einsum("tk,tk->k", own, own), DIFFERENCE_VARIANCE * beside[-1]
+        beside = beside[:-1]
+        still = np.einsum("tk,tk->k", beside, beside) < MOVING * len(beside) * variance
+        terms = [square, np.einsum("tk,tk->k", own, beside), CORRELATED * variance * square, np.ones(len(taxels))]
+        self._sums[:, taxels] += np.where(still, terms, 0.0)
+        square, product, variance, blocks = self._sums[:, taxels]
+        margin = SHARE_ERRORS * np.sqrt(variance)
+        resolved = (blocks >= MIN_POOLED) & (margin < SHARE * share * square)
+        self._sums[:, taxels[resolved]] = 0
+        return product < SHARE * share * square, resolved
+
+
+def opposite_pairs(array: Array) -> NDArray[np.intp]:
+    """Pairs (2, 4, N) of opposite neighbours of every taxel; N where there are no more."""
     tree = cKDTree(array.positions)
     near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # sorted lists of int
     neighbours = np.full((array.size, 8), array.size)
@@ -244,4 +294,4 @@ def neighbours(array: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     first = np.argsort(~opposite, axis=1, kind="stable")[:, :4]
     taxels = np.arange(array.size)[:, None]
     pairs = np.where(opposite[taxels, first][..., None], neighbours[taxels[..., None], couples[first]], array.size)
-    return np.ascontiguousarray(neighbours.T), np.ascontiguousarray(pairs.T)
+    return np.ascontiguousarray(pairs.T)

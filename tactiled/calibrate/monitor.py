@@ -6,19 +6,17 @@ from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from tactiled.calibrate.blocks import Blocks, TaxelNoise
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.creep import Creep, CreepMeter
 from tactiled.calibrate.drift import DriftTracker, reach_mm
 from tactiled.calibrate.health import LOADED, LOADED_SIGMAS, UNRELATED, Change, Fault, TaxelHealth
-from tactiled.calibrate.least_reading import LeastReading, Start
 from tactiled.calibrate.map_monitor import MapMonitor
+from tactiled.calibrate.neighbourhood import Neighbourhood, Start
 from tactiled.cover.kernel import Kernel
-from tactiled.cover.operator import matrix
 from tactiled.frames import BAD, FAULTY, MISSING, RawFrame
-from tactiled.geometry import Array, layout
+from tactiled.geometry import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,14 +52,12 @@ class SkinMonitor:
         self._per_count = abs(gain)
         self._blocks, self._noise, self._creep = Blocks(array.size), TaxelNoise(array.size), CreepMeter()
         self._configured_noise = np.nan if calibration.noise_counts is None else calibration.noise_counts
-        least_reading, calibrated = LeastReading(kernel, array, start), calibration.curves is not None
-        self._health = TaxelHealth(
-            array, joined(kernel, array), (empty, ceiling), scale, least_reading, calibrated
-        )
+        neighbourhood, calibrated = Neighbourhood(kernel, array, start), calibration.curves is not None
+        self._health = TaxelHealth(array, neighbourhood, (empty, ceiling), scale, calibrated)
         self.map = MapMonitor(array)
         self._drift: DriftTracker | None = None
         if calibration.track_drift:
-            self._drift = DriftTracker(array, reach_mm(kernel), span, float(np.sign(gain)))
+            self._drift = DriftTracker(array, reach_mm(kernel), span, float(np.sign(gain)), neighbourhood)
         self._tares = 0  # times that the calibrator's zeros had been set when they were taken over
         self._tracks = False  # whether they were measured
         self._changes: deque[Change] = deque(maxlen=array.size)
@@ -82,7 +78,8 @@ class SkinMonitor:
         self._noise.update(block, load)
         sigma = self._noise.sigma
         configured = ~calibrator.dead
-        self._changes.extend(self._health.update(block, sigma, load, configured, self.map.swapped))
+        swapped, measured = self.map.swapped, calibrator.measured
+        self._changes.extend(self._health.update(block, sigma, load, configured, swapped, measured))
         healthy = configured & (self._health.faults == Fault.HEALTHY)
         calibrator.faulty = np.where(self._health.faults > 0, FAULTY, 0).astype(np.uint8)
         loaded = healthy & (load > np.maximum(LOADED_SIGMAS * sigma, LOADED * self._health.full_scale))
@@ -137,13 +134,3 @@ class SkinMonitor:
             drift_states=None if drift is None else drift.state.copy(),
             creep=self.creep,
         )
-
-
-def joined(kernel: Kernel, array: Array) -> float:
-    """Response of the farthest nearest neighbour to a load on the middle of a taxel, over that taxel's own."""
-    if array.size == 1:
-        return 0.0
-    nearest = float(np.asarray(cKDTree(array.positions).query(array.positions, 2)[0])[:, 1].max())
-    pair = layout(np.array([[0.0, 0.0], [nearest, 0.0]]), array.width, array.aperture)
-    own, beside = matrix(kernel, pair, pair.positions[:1], array.width / 4)[:, 0]
-    return float(beside / own)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.health import NOISY_RATIO, neighbours
+from tactiled.calibrate.health import NOISY_RATIO, opposite_pairs
 from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.plateaus import noise as taxel_noise
 from tactiled.calibrate.presses import MIN_PEAK, Press, find_presses
@@ -70,7 +70,7 @@ def recorded_presses(
 
 def without_dead(presses: list[Press], array: Array) -> tuple[list[Press], list[int]]:
     """The presses, unknown at taxels that feel none of them while two opposite neighbours do; and these taxels."""
-    pressed, silent, pairs = np.zeros(array.size, bool), np.ones(array.size, bool), neighbours(array)[1]
+    pressed, silent, pairs = np.zeros(array.size, bool), np.ones(array.size, bool), opposite_pairs(array)
     for press in presses:
         if not press.reason:
             mean = np.append(np.where(np.isfinite(press.mean), press.mean, -np.inf), -np.inf)

@@ -1,4 +1,5 @@
 from dataclasses import dataclass
+from operator import call
 from typing import Any
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 
 from tactiled.calibrate.blocks import Blocks, TaxelNoise
 from tactiled.calibrate.drift import MAX_RATE, DriftTracker, State, Surroundings, reach_mm
+from tactiled.calibrate.neighbourhood import Neighbourhood
 from tests.plans import plan
 
 SIDE, FULL_SCALE, NO_LOAD = 24, 3900.0, 100.0  # taxels, counts, counts
@@ -33,7 +35,9 @@ class Run:
         self.gain = self.random.normal(1, self.spread, n).clip(0.5, 1.5)
         self.sensitivity = self.random.normal(1, self.spread, n).clip(0.4, 1.6)
         self.no_load = 2000 + self.random.normal(0, 10, n)
-        self.tracker = DriftTracker(self.skin.array, reach_mm(self.skin.kernel), FULL_SCALE, self.sign)
+        neighbourhood = Neighbourhood(self.skin.kernel, self.skin.array, call)
+        reach = reach_mm(self.skin.kernel)
+        self.tracker = DriftTracker(self.skin.array, reach, FULL_SCALE, self.sign, neighbourhood)
         self.tracker.reset(self.no_load)
         self.blocks, self.level, self.time_s = Blocks(n), TaxelNoise(n), 0.0
         self.sound = np.ones(n, bool)
@@ -98,6 +102,39 @@ def test_a_foot_that_stands_for_an_hour_does_not_fade_and_its_zero_is_right_when
     assert (run.tracker.state == State.FREE).mean() > 0.99
 
 
+def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
+    """8 % of full scale in a quarter of an hour, a third of it in the first two minutes."""
+    felt, _, _ = foot
+    run, warm = Run(spread=0.2), lambda t: 0.08 * (1 - np.exp(-t / 300))
+    run.play(60)
+    for began in range(0, 900, 150):
+        run.play(100, lambda t, began=began: warm(began + t))
+        run.play(50, lambda t, began=began: warm(began + 100 + t), LOAD * felt)
+        assert np.abs(run.error).max() < 0.005
+    run.play(300, lambda t: warm(900 + t))
+    assert np.abs(run.error).max() < 0.002
+    assert (run.tracker.state == State.FREE).all()
+
+
+def test_a_slow_load_on_most_of_the_array_is_no_warming():
+    run = Run(spread=0.0)
+    run.play(60)
+    load = run.skin.blur.forward((np.arange(SIDE) < 0.7 * SIDE) * np.ones((SIDE, 1))).ravel()
+    run.play(300, load=lambda t: 0.02 * t / 60 * load)
+    assert np.abs(run.error).max() < 0.002
+
+
+@pytest.mark.parametrize(("gradient", "alone", "an_hour"), [(0.3, 1.0, 0.10), (0.0, 6.0, 0.05)])
+def test_taxels_that_drift_faster_than_the_others_freeze_none_of_them(gradient, alone, an_hour):
+    run = Run()
+    across = np.linspace(-1, 1, SIDE) * np.ones((SIDE, 1))
+    run.sensitivity = run.sensitivity * (1 + gradient * across.ravel())
+    run.sensitivity[[100, 300]] *= alone
+    run.play(800, lambda t: an_hour * t / HOUR)
+    assert (run.tracker.state == State.FREE).all()
+    assert np.abs(np.delete(run.error, [100, 300])).max() < 0.005
+
+
 @pytest.mark.parametrize("peak", [0.02, 0.2])
 def test_a_load_that_comes_within_10_s_is_not_taken_for_drift(foot, peak):
     felt, under, _ = foot
@@ -107,6 +144,34 @@ def test_a_load_that_comes_within_10_s_is_not_taken_for_drift(foot, peak):
     run.play(600, load=lambda t: peak * felt * min(t / 10, 1))
     eaten = (run.error - before)[under]
     assert np.abs(eaten).max() < max(0.01 * peak, 12 * MAX_RATE)  # at most what the bound allows in the ramp
+
+
+def test_a_load_that_leaves_no_taxel_free_does_not_fade_in_five_minutes():
+    run = Run(plan((16, 16), 1.0), rate_hz=2.0, seed=6)
+    pressed = np.zeros((16, 16))
+    pressed[5:11, 5:11] = LOAD
+    felt = run.skin.blur.forward(pressed).ravel()
+    run.play(LEARN_S, lambda t: 0.05 * t / HOUR)
+    before = run.error
+    run.play(300, lambda t: 0.05 * (LEARN_S + t) / HOUR, felt)
+    assert not (run.tracker.state == State.FREE).any()
+    under = felt > LOAD / 2
+    assert np.abs((run.error - before)[under] / (felt * run.gain)[under]).max() < 0.01
+    run.play(300, lambda t: 0.05 * (LEARN_S + 300 + t) / HOUR)
+    assert np.abs(run.error).max() < 0.005
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.005])
+def test_a_load_of_0_3_percent_and_one_and_a_half_times_the_noise_does_not_fade(noise):
+    run = Run(plan((14, 14), 1.0), noise=noise, spread=0.0)
+    pressed = np.zeros((14, 14))
+    pressed[5:9, 5:9] = 0.003 + 1.5 * noise
+    load = run.skin.blur.forward(pressed).ravel()
+    run.play(60)
+    before = run.error
+    run.play(1200, load=load)
+    under = load > 0.7 * load.max()
+    assert np.mean((before - run.error)[under]) < 0.1 * load[under].mean()
 
 
 def test_zeros_do_not_move_faster_than_the_bound():
@@ -140,7 +205,7 @@ def test_reference_pads_move_the_zeros_where_everything_is_loaded():
         later = None if pads is None else lambda t, pads=pads: pads(HOUR / 2 + t)
         each.play(HOUR / 2, lambda t: 0.05 * (t + HOUR / 2) / HOUR, LOAD, later)
         each.faded = float(np.abs(each.error - began).max())
-    assert blind.faded > 0.02
+    assert blind.faded > 0.01  # the last rate of the common mode, held, makes up for half of it
     assert run.faded < 0.006
 
 

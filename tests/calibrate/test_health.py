@@ -1,11 +1,15 @@
+from operator import call
+
 import numpy as np
 import pytest
 
 from tactiled.calibrate.blocks import BLOCK_FRAMES
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.health import Fault
-from tactiled.calibrate.monitor import SkinMonitor, joined
+from tactiled.calibrate.monitor import SkinMonitor
+from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.frames import Loss, RawFrame
+from tactiled.simulate.array import Surface
 from tests.plans import plan
 from tests.study.health import (
     FAULTY,
@@ -18,6 +22,7 @@ from tests.study.health import (
     false_alarms,
     false_positives,
     grasps,
+    noisy,
     play,
 )  # fmt: skip
 
@@ -25,8 +30,8 @@ from tests.study.health import (
 @pytest.mark.parametrize(
     ("fault", "thickness", "within_s"),
     [
-        (Fault.STUCK, 1.0, 8), (Fault.NOISY, 1.0, 25), (Fault.SATURATED, 1.0, 45), (Fault.DEAD, 0.5, 20),
-        (Fault.DEAD, 1.0, 20), (Fault.WEAK, 2.0, 35),
+        (Fault.STUCK, 1.0, 8), (Fault.NOISY, 1.0, 15), (Fault.SATURATED, 1.0, 45),
+        (Fault.DEAD, 0.5, 20), (Fault.DEAD, 1.0, 20), (Fault.WEAK, 2.0, 35),
     ],
 )  # fmt: skip
 def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, thickness, within_s):
@@ -89,15 +94,67 @@ def test_quiet_rounded_taxels_are_not_stuck_however_noisy_the_others_are():
 
 
 @pytest.mark.parametrize("value", [0.0, float(FULL_SCALE)])
-def test_a_reading_at_the_end_of_its_range_is_not_stuck(value):
+def test_readings_at_the_end_of_their_range_that_neighbours_share_are_not_stuck(value):
     """Below zero a converter reads 0 all the time; a heavy load is at the ceiling."""
     random = np.random.default_rng(5)
     run = Run(plan(SHAPE, 0.5))
     for n in range(6000):
         counts = NO_LOAD + random.normal(0, 3, 100)
         if n > 3000:
-            counts[[0, 1, 10, 11, 99]] = value - np.sign(NO_LOAD - value) * 50
+            counts[[0, 1, 10, 11]] = value - np.sign(NO_LOAD - value) * 50
         assert run.push(counts) == []
+
+
+SKIN = plan((12, 12), 0.35)  # 8 bits, noise under a count, counts that fall under pressure, as iCub's
+
+
+def on_quiet_skin(spoil, seconds=80, presses=False, noise=0.4, rate_hz=20.0, faulty=66):
+    """Faults by taxel after so long on a skin of 8 bits, of which one's counts go through `spoil(t, counts)`."""
+    random, calibration = np.random.default_rng(8), Calibration(-0.5, 240)
+    calibrator = Calibrator(calibration, 144)
+    rest = np.round(random.uniform(225, 250, 144))
+    calibrator.tare(rest)
+    monitor, (x, y) = SkinMonitor(SKIN.array, SKIN.kernel, calibration, (0, 255), 255), SKIN.array.positions.T
+    pressed = SKIN.blur.forward(120.0 * (np.hypot(x - 6.3, y - 5.2) < 2.6).reshape(12, 12)).ravel()
+    for n in range(int(seconds * rate_hz)):
+        t = n / rate_hz
+        counts = rest - pressed * (presses and t % 5 < 3) + random.normal(0, noise, 144)
+        counts = np.clip(np.round(counts), 0, 255).astype(np.float32)
+        if t > 25:
+            counts[faulty] = spoil(t, counts[faulty])
+        monitor.push(RawFrame(n, t, 0.0, counts, np.zeros(144, np.uint8), Loss()), calibrator)
+    assert {each.taxel for each in monitor.drain_changes()} <= {faulty}
+    return {int(each): Fault(monitor.state.faults[each]) for each in np.flatnonzero(monitor.state.faults)}
+
+
+@pytest.mark.parametrize("presses", [False, True])
+@pytest.mark.parametrize(
+    ("spoil", "fault"),
+    [
+        (lambda *_: 60, Fault.STUCK),  # as under a load
+        (lambda *_: 255, Fault.STUCK),  # less than no load
+        (lambda *_: 0, Fault.SATURATED),
+        (lambda t, _: 255 * (t % 0.2 < 0.1), Fault.NOISY),
+        (lambda _, counts: counts, None),
+    ],
+)
+def test_a_taxel_of_a_quiet_skin_that_freezes_or_blinks_is_found(spoil, fault, presses):
+    assert on_quiet_skin(spoil, presses=presses) == ({} if fault is None else {66: fault})
+
+
+def test_a_taxel_of_a_quiet_skin_that_freezes_at_rest_is_dead_once_its_neighbours_are_pressed():
+    assert on_quiet_skin(lambda *_: 238, presses=True) == {66: Fault.DEAD}
+
+
+@pytest.mark.parametrize(
+    ("thickness", "times", "spikes", "measured", "within_s"),
+    [
+        (0.5, 8, 1.0, True, 80), (0.5, 30, 1.0, False, 200), (0.5, 100, 0.05, True, 100),
+        (1.0, 15, 1.0, False, 15), (1.0, 30, 0.05, True, 25),
+    ],
+)  # fmt: skip
+def test_a_taxel_whose_noise_no_load_explains_is_noisy(thickness, times, spikes, measured, within_s):
+    assert noisy(thickness, times, spikes, measured, seconds=within_s, seed=4) < within_s
 
 
 def test_a_dead_row_is_found_though_its_taxels_are_each_others_neighbours():
@@ -123,9 +180,26 @@ def test_noise_is_measured_for_each_taxel_whatever_presses_on_it():
     assert abs(np.mean(run.monitor.state.noise_counts / noise) - 1) < 0.05
 
 
-def test_a_thin_cover_joins_taxels_less_and_a_frame_is_looked_at_now_and_then():
-    near, far = (joined(plan(SHAPE, thickness).kernel, plan(SHAPE, thickness).array) for thickness in (2.0, 0.5))
-    assert 0 < far < near < 1
+@pytest.mark.parametrize("thickness", [0.5, 2.0])
+def test_what_neighbours_say_of_a_load_holds_for_every_spot(thickness):
+    skin = plan(SHAPE, thickness)
+    surface, taxels = Surface(skin.kernel, skin.array), np.array([0, 5, FAULTY])
+    neighbourhood, trusted = Neighbourhood(skin.kernel, skin.array, call), np.ones(100, bool)
+    lowest, share = [], []
+    for at in np.ndindex(*(np.array(surface.x.shape) // 4)):
+        spot = np.zeros(surface.x.shape)
+        spot[4 * at[0] : 4 * at[0] + 2, 4 * at[1] + 1 : 4 * at[1] + 3] = 100.0
+        felt = surface.sense(spot)
+        lowest.append(felt[taxels] - neighbourhood.lowest(taxels, felt, trusted))
+        beside, part = neighbourhood.beside(taxels, felt, trusted)
+        share.append(beside - SHARE * part * felt[taxels])
+    assert np.min(lowest) > -0.02
+    assert np.min(share) > -0.02
+    even = neighbourhood.lowest(taxels, np.ones(100), trusted)
+    assert (even > [0.02, 0.03, 0.05] if thickness < 1 else even > [0.2, 0.3, 0.5]).all()
+
+
+def test_a_frame_is_looked_at_now_and_then():
     run = Run(plan(SHAPE, 1.0))
     looks = [n for n in range(300) if (run.push(np.full(100, 100.0)), run.monitor._blocks._frames)[1] == 0]
     assert looks[0] == BLOCK_FRAMES - 1

@@ -33,6 +33,7 @@ SIDE = 32
 SHAPE = 10, 10  # where discs are pressed
 FAULTY = 44
 PRESS_S = 3.0  # a disc lies for so long, then for as long none
+NOISES = (1.0, 5), (1.0, 8), (1.0, 15), (1.0, 30), (0.05, 30), (0.05, 100)  # part of the readings, times
 RECORDINGS = files("tactiled") / "recordings" / "icub"
 EXAMPLES = files("tactiled") / "config" / "examples"
 
@@ -183,7 +184,7 @@ def spoil(fault, counts, random):
         case Fault.STUCK:
             return 700
         case Fault.NOISY:
-            return counts + random.normal(0, 400)
+            return counts + random.normal(0, 30)  # 15 times what `play` has
         case Fault.SATURATED:
             return FULL_SCALE
         case Fault.WEAK:
@@ -224,6 +225,25 @@ def detection(thicknesses=(0.5, 1.0, 2.0), seeds=range(5)):
             changes = [play(run, random, 60, each) for each in (fault, None)]
             seconds.append([each[0][0] / RATE_HZ if each else np.nan for each in changes])
         yield fault, thickness, *np.transpose(seconds)
+
+
+def noisy(thickness, times, spikes=1.0, measured=True, noise=4.0, seconds=300, seed=0):
+    """When (s) a taxel is found noisy that has so many times the noise in a part of its readings; NaN: never."""
+    random, run = np.random.default_rng(seed), Run(plan(SHAPE, thickness), np.ones(100), SLOW_HZ)
+    run.calibrator.tare(np.full(100, float(NO_LOAD)), measured)
+    presses, period, start = discs(random, FAULTY, run.skin), int(2 * PRESS_S * SLOW_HZ), 30 * SLOW_HZ
+    for n in range(int(start + seconds * SLOW_HZ)):
+        if n % period == 0:
+            pressed = next(presses)
+        counts = NO_LOAD + pressed * (n % period < period / 2) + random.normal(0, noise, pressed.size)
+        if n > start and spikes == 1:
+            counts[FAULTY] += random.normal(0, times * noise)
+        elif n > start and random.random() < spikes:
+            counts[FAULTY] += times * noise
+        for change in run.push(counts):
+            assert (n > start, change.taxel, change.after) == (True, FAULTY, Fault.NOISY)
+            return (n - start) / SLOW_HZ
+    return np.nan
 
 
 def recorded():
@@ -268,6 +288,14 @@ def health(tours: int = 4, seconds: float = 60.0, seed: int = 1) -> None:
     ]
     headings = ("fault", "t/pitch", "found after at most, s", "healed after at most, s")
     print_table("Presses of 3 s every 6 s", headings, times)
+    rows = [
+        (f"{thickness:g}", f"{100 * spikes:g} %", f"{factor:g}", "yes" if measured else "no", f"{found_s:.0f}")
+        for thickness, (spikes, factor), measured in product((0.5, 1, 2), NOISES, (True, False))
+        if np.isfinite(found_s := noisy(thickness, factor, spikes, measured))
+    ]
+    print_table(
+        "Noisy taxels", ("t/pitch", "of the readings", "times the noise", "zero measured", "found after, s"), rows
+    )
     grasps = [
         tuple(str(np.round(each, 1)) if not isinstance(each, str) else each for each in row) for row in recorded()
     ]
