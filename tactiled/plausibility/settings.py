@@ -16,7 +16,7 @@ from tactiled.bus.codec import Codec, whole_counts
 from tactiled.calibrate.calibration import Calibration
 from tactiled.config import schema
 from tactiled.errors import TactileError
-from tactiled.geometry import Array
+from tactiled.geometry import Array, grid
 
 MIN_RUBBER_MM, MIN_PLASTIC_MM = 0.03, 0.003  # a coat of paint is 0.03 to 0.05 mm; parylene coats are 0.005 mm
 PLASTIC_MPA = 100.0  # Young's modulus: Shore A ends at about 50 MPa (Gent 1958), polyethylene begins at 200 MPa
@@ -24,6 +24,7 @@ THIN_PITCHES = 0.05  # a cover that is thicker changes the image, so that it is 
 THICK_PITCHES = 30.0  # exp(-pi 30): nothing as fine as two taxels passes; skins have 0.1 to 6
 MIN_TAXELS_IN_A_PATCH = 4  # single taxels are often narrower than their cover is thick
 MIN_PITCH_MM = 0.04  # fingerprint sensors have 0.05 mm (500 dots an inch)
+SAME_PLACE_PITCHES = 0.02  # off its place in a grid that a taxel may be given
 MIN_APERTURE_PITCHES = 0.004  # a Hall element of 0.1 mm every 15 mm has 0.007
 SOFTEST_MPA = 0.004  # Sylgard 527, the softest gel in common use: 0.005 MPa (Palchesko et al. 2012)
 RUBBER = 0.48, 200.0  # Poisson's ratio from which a solid is rubber, and MPa that no rubber has
@@ -77,6 +78,7 @@ def unedited(text: str) -> list[Finding]:
 def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
     array, codec, calibration = make_array(sensor), make_codec(sensor), make_calibration(sensor)
     yield from _array(f"{place}.array", array)
+    yield from _listed_grid(f"{place}.array", array)
     yield from _depth(f"{place}.cover", sensor.cover, array)
     for key in ("cover", "substrate"):
         if layers := getattr(sensor, key):
@@ -103,6 +105,17 @@ def _array(place: str, array: Array) -> Iterator[Finding]:
     elif array.width < MIN_APERTURE_PITCHES * pitch:
         slip = _slip(array.width, "mm", {"metres": 1e3}, 0.05 * pitch, pitch)
         yield Finding(f"{place}.aperture_mm", f"{array.width:g}", f"a point, at a pitch of {pitch:g} mm{slip}")
+
+
+def _listed_grid(place: str, array: Array) -> Iterator[Finding]:
+    """A grid, row by row, that is given as positions: it is restored worse (docs/measurements.md)."""
+    columns, rows = (len(np.unique(np.round(each / array.pitch))) for each in array.positions.T)
+    if array.shape is not None or min(rows, columns) < 2 or rows * columns != array.size:
+        return
+    offsets = array.positions - array.positions[0]
+    if np.abs(offsets - grid(rows, columns, array.pitch).positions).max() < SAME_PLACE_PITCHES * array.pitch:
+        reason = f"a grid: rows = {rows}, columns = {columns}, pitch_mm = {array.pitch:g} is restored better"
+        yield Finding(f"{place}.positions_mm", "", reason, hint=True)
 
 
 def _total_mm(layers: schema.Layers) -> float:

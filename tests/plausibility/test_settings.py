@@ -106,6 +106,21 @@ def test_the_examples_of_the_package_raise_none():
         assert not config_findings(config)
 
 
+def test_a_grid_that_is_given_as_positions_is_only_a_hint():
+    def hints(places):
+        text = toml(PACKED, (), [(1.0, 0.5, 0.48)], [], "").replace(
+            "array = {", f"array = {{ positions_mm = {places}"
+        )
+        return findings(text, hints=True)
+
+    places = [[2.0 * column, 2.0 * row] for row in range(4) for column in range(5)]
+    reason = "a grid: rows = 4, columns = 5, pitch_mm = 2 is restored better"
+    assert hints(places) == [f"sensor.a.array.positions_mm: {reason}"]
+    assert not hints(places[::-1])  # its order is not that of a grid
+    assert not hints([*places[:-1], [8.0, 6.5]])
+    assert not hints(places[:-1])
+
+
 def test_what_may_be_meant_is_only_a_hint():
     (hint,) = findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 500"), hints=True)
     assert hint.endswith("a skin that fell silent passes for alive all that time; 0.5 s if it was given in ms")
