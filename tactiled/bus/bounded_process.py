@@ -4,6 +4,7 @@ A process waits for the next generator while none runs, so that only the first o
 """
 
 import atexit
+import logging
 import marshal
 import math
 import os
@@ -179,6 +180,7 @@ def _end_idle() -> None:
 def work(descriptor: int) -> None:
     """Run one generator after the other in this process, until nobody needs it or its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
+    logging.disable()  # a line for each of a million objects
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     pipe, commands = Connection(descriptor), SimpleQueue[bytes]()
     Thread(target=_listen, args=(pipe, commands), daemon=True).start()

@@ -36,6 +36,7 @@ MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so 
 END_CUT = "its end is cut off"
 MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 4  # of a file; gzip needs 2.5 bytes for one that says nothing new
 CPU_S, BYTES_PER_CPU_S = 2.0, 10e6  # without a message; what the slowest format and machine read in a second
+MAX_REASON_CHARACTERS = 300  # of a reader, which may quote a whole line
 LIBRARY_CPU_S = 20.0  # instead, where a library must be loaded and has the whole file in memory
 MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # the latter there, too
 SHIPPED = Path(__file__).parents[1] / "recordings"
@@ -111,7 +112,7 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
     except MemoryError as error:
         raise TactileError(f"recording {path}: it needs too much memory, after {count} messages") from error
     except Exception as error:  # readers raise what they like, AssertionError and struct.error included
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split())[:MAX_REASON_CHARACTERS] or type(error).__name__
         where = f"message {count + 1}: " if count else ""
         advice = "" if isinstance(error, FormatError) else ": give a recording in a format that python-can reads"
         raise ConfigError(f"recording {path}: {where}{reason}{advice}") from error

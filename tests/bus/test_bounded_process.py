@@ -1,5 +1,6 @@
 """A generator in a process with bounds: its items in order, and its end whatever it does."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -67,6 +68,11 @@ def test_memory_is_bounded():
     with pytest.raises(MemoryError):
         list(BoundedProcess(BOUNDS, map, bytes, [10**6, 2 * 10**8]))
     assert len(list(BoundedProcess(BOUNDS._replace(memory_mb=500.0), map, len, map(bytes, [2 * 10**8])))) == 1
+
+
+def test_it_logs_nothing(capfd):
+    assert list(BoundedProcess(BOUNDS, map, logging.error, ["a line of a library"] * 2)) == [None, None]
+    assert capfd.readouterr() == ("", "")
 
 
 def test_it_is_cancelled_before_it_begins_and_while_it_is_waited_for():

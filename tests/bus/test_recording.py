@@ -245,6 +245,13 @@ def test_containers_of_python_cans_own_writer_are_read(tmp_path, compression_lev
     assert [each.data for each in recording.read(path)] == [bytes(each.data) for each in messages]
 
 
+def test_a_reason_is_short_also_where_a_reader_quotes_a_long_line(tmp_path):
+    (tmp_path / "a.log").write_bytes(LINE + b"(1." + b"0" * 9000 + b".0) can0 500#00\n")
+    with pytest.raises(ConfigError) as caught:
+        list(recording.read(tmp_path / "a.log"))
+    assert len(str(caught.value)) < 600
+
+
 SAME_ID = "(1.0) can0 500#01\n(1.1) can1 77#01\n(1.2) can0 77#01\n(1.3) can1 500#01\n"
 
 
