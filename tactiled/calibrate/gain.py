@@ -170,7 +170,7 @@ def _without_loop(
 ) -> tuple[Loop | None, Points]:
     """The loop, if a model of it pays, and the points without it: what remains after a load is no `drift` then."""
     still = replace(points, counts=points.counts + drift[..., None])
-    return choose_loop(still, end, plays, form, bias) or (None, points)
+    return choose_loop(still, points, end, plays, form, bias) or (None, points)
 
 
 def _placed(taxels: NDArray[np.intp], size: int, values: Floats, other: Floats | float = np.nan) -> Floats:

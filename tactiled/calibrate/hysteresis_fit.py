@@ -51,23 +51,24 @@ class Trace:
 
 
 def choose_loop(
-    points: Points, end: Floats, plays: Floats, form: Form, bias: float = 0.0
+    points: Points, plain: Points, end: Floats, plays: Floats, form: Form, bias: float = 0.0
 ) -> tuple[Loop, Points] | None:
     """The loop that explains points best, and the points without it; None where none pays.
 
-    `plays` (J, M, N) as of `Trace.plays`, `end` (N,) upwards. A loop that is no wider than the relative `bias` of
-    creep is taken for creep.
+    It must beat the `plain` points, whose drift was taken off: drift opens a loop, too. `plays` (J, M, N) as of
+    `Trace.plays`, `end` (N,) upwards. A loop that is no wider than the `bias` of creep is taken for creep.
     """
     if not ((points.direction > 0).any() and (points.direction < 0).any()):
         return None
     some = np.unique(np.linspace(0, end.size - 1, MAX_CURVES_COMPARED).astype(int))
-    sample = replace(points, counts=points.counts[:, some])
+    sample, other = (replace(each, counts=each.counts[:, some]) for each in (points, plain))
     pairs = list(combinations(range(len(HALF_WIDTHS)), 2))
     fits = [_weight(sample, end[some], plays[near][:, some] - plays[far][:, some]) for near, far in pairs]
     (near, far), (weight, _) = min(zip(pairs, fits, strict=True), key=lambda each: each[1][1])
     opened = plays[near] - plays[far]
     amplitude = weight * (HALF_WIDTHS[far] - HALF_WIDTHS[near])
-    if not 0 < weight < MAX_WEIGHT or amplitude <= bias or not _pays(sample, end[some], opened[:, some], form):
+    possible = 0 < weight < MAX_WEIGHT and amplitude > bias
+    if not possible or not _pays(sample, other, end[some], opened[:, some], form):
         return None
     bent = replace(points, counts=points.counts + (weight * opened * end)[..., None])
     return Loop(HALF_WIDTHS[near], HALF_WIDTHS[far], weight), bent
@@ -88,8 +89,8 @@ def _weight(points: Points, end: Floats, opened: Floats) -> tuple[float, float]:
     return float(weight), float(size)
 
 
-def _pays(points: Points, end: Floats, opened: Floats, form: Form) -> bool:
-    """Whether pieces of time that are left out are predicted clearly better with the loop than without."""
+def _pays(points: Points, plain: Points, end: Floats, opened: Floats, form: Form) -> bool:
+    """Whether pieces of time that are left out are predicted clearly better with the loop than by plain points."""
     pieces = np.arange(points.pressure.size) * FOLDS // points.pressure.size
     errors = []
     for each in np.unique(pieces):
@@ -98,11 +99,11 @@ def _pays(points: Points, end: Floats, opened: Floats, form: Form) -> bool:
             return False
         weight, _ = _weight(_part(points, ~out), end, opened[~out])
         bent = replace(points, counts=points.counts + (weight * opened * end)[..., None])
-        errors.append([_left_out(case, out, end, form) for case in (points, bent)])
-    plain, better = np.array(errors).T
-    gained = plain - better
+        errors.append([_left_out(case, out, end, form) for case in (plain, bent)])
+    without, better = np.array(errors).T
+    gained = without - better
     clear = gained.mean() > SIGNIFICANT_ERRORS * gained.std(ddof=1) / gained.size**0.5
-    return bool(clear and better.mean() < (1 - MIN_GAIN) ** 2 * plain.mean())
+    return bool(clear and better.mean() < (1 - MIN_GAIN) ** 2 * without.mean())
 
 
 def _left_out(points: Points, out: NDArray[np.bool_], end: Floats, form: Form) -> float:
