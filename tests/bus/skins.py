@@ -32,6 +32,8 @@ CODECS = {
     "packed-odd": Packed(11, 13),
     "icub": Icub(3, (2, 0, 5)),
     "icub-fingertip": Icub(14, (0, 1), thermal_pads=False),
+    "icub-palm": Icub(14, (8, 9), skin_type=1),
+    "icub-ergocub": Icub(2, (0, 5, 4), skin_type=3),
     "xela": Xela(),
     "xela-2x8": Xela("current", 1, (0, 1), tuple(range(8))),
     "xela-4x4-old": Xela("4x4-old"),

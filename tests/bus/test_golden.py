@@ -94,6 +94,12 @@ def test_xelas_model_follows_from_ids_and_size_unless_it_is_configured(codec, mo
         (Icub(13, (5,)), ("3D5#40F0F0F0F0F0F0F0", "3D5#C0F0F0F0F0F0"), [240] * 10),  # an older board's class
         (Icub(0, (0,)), ("400#4000010203040506", "400#C00708090A0B0000"), [0, 1, 2, 3, 4, 5, 7, 8, 9, 11]),
         (Icub(0, (0,)), ("400#C0F0F0F0F0F0",), [0] * 6 + [240] * 4),  # a tail without diagnostics
+        (Icub(14, (8,), skin_type=1), ("4E8#4000010203040506", "4E8#C00708090A0B0000"), [*range(11)]),
+        (
+            Icub(2, (4, 5), skin_type=3),  # a fingertip and a triangle of the palm
+            ("424#4000010203040506", "424#C00708090A0B0000", "425#4000010203040506", "425#C00708090A0B0000"),
+            [*range(11), 0, 1, 2, 3, 4, 5, 7, 8, 9, 11],
+        ),
         (
             Barrett(11),  # derived: segment[4] t0[12] ... t4[12]; there is no 25th taxel
             ("569#2ABC123FFF001800", "569#4111222333444FFF"),
@@ -118,6 +124,14 @@ def test_icubs_thermal_pads_are_references_and_not_taxels():
     (frame,) = assembler.flush(1.0)
     np.testing.assert_array_equal(frame.references, [6, 10, 0xF6, np.nan])
     assert Icub(0, (0, 1), thermal_pads=False).references([None] * 4) is None
+
+
+def test_thermal_pads_follow_the_skin_type():
+    texts = ("424#4000010203040506", "424#C00708090A0B8000", "425#4000010203040506")  # pad 11 of the first is bad
+    codec = Icub(2, (4, 5), skin_type=3)
+    np.testing.assert_array_equal(codec.references(payloads_of(codec, map(message, texts))), [np.nan, 6, np.nan])
+    assert codec.decode(message("425#C00708090A0B8000")).bad == (20,)
+    assert codec.positions.shape == (21, 2)
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def test_most_skins_are_sent_nothing():
 
 
 STOPS = ["0701"]
-STARTS = ["4d001ef0", "50000f00010022", "0700"]  # as the robot's own software
+STARTS = ["4d001ef0", "50050502010022", "0700"]  # as the robot's own software
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,15 @@ STARTS = ["4d001ef0", "50000f00010022", "0700"]  # as the robot's own software
         (Icub(13, (5,), start=True), 0x20D, STARTS, [0.0, 0.0, 0.5], STOPS, []),
         (
             Icub(2, (5,), start=True, period_ms=20),
-            0x202, ["4d0014f0", "50000f00010022", "0700"], [0.0, 0.0, 0.5], STOPS, [],
+            0x202, ["4d0014f0", "50050502010022", "0700"], [0.0, 0.0, 0.5], STOPS, [],
+        ),
+        (  # robots-configuration: iCubGenova09/hardware/skin/left_upperarm-eb2-skinSpec.xml
+            Icub(8, (0, 1, 2, 13), start=True, skin_type=8, period_ms=50),
+            0x208, ["4d0832f0", "50000202010022", "500d0d02010022", "0700"], [0.0, 0.0, 0.0, 0.5], STOPS, [],
+        ),
+        (  # ergoCubSN001/hardware/skin/left_arm-eb4-j2_3-skinSpec.xml
+            Icub(2, (9, 8, 7, 6, 5, 4, 3, 2, 1, 0), True, 3, True, 50, shift=1, cdc_offset=0),
+            0x202, ["4d0332f0", "50000901010000", "0700"], [0.0, 0.0, 0.5], STOPS, [],
         ),
         (Xela("4x4-old", controller=2, start=True), 0x202, ["0700"], [0.0], STOPS, []),
         (

@@ -1,13 +1,14 @@
 """iCub MTB skin: triangles of twelve pads of 8 bits, two messages a triangle; the value falls as pressure rises.
 
 Source of the layout: robotology's icub-firmware-shared (canProtocolLib), icub-firmware (embot/prot/can) and
-icub-main (canBusSkin, skinLib).
+icub-main (canBusSkin, skinLib). Of types, thermal pads and set-up: icub-firmware
+(embot/app/embot_app_application_theSkin.cpp) and robots-configuration (hardware/skin/*-skinSpec.xml).
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,9 @@ from tactiled.frames import Counts, Message
 PERIODIC, OLD, POLL = 0x400, 0x300, 0x200  # message classes: skin data, skin data of older boards, set-up
 HEAD, TAIL = 0x40, 0xC0  # first byte: pads 0-6, pads 7-11 and diagnostics
 PADS, HEAD_PADS = 12, 7
-THERMAL = (6, 10)  # pads that follow temperature, not pressure
-NO_LOAD = 240  # counts of an unloaded pad, the host's default
+THERMAL, HAND_THERMAL = (6, 10), (11,)  # pads that follow temperature, not pressure: of arms and trunk; of hands
+PALM_AND_FINGERTIPS, ERGOCUB_HAND = 1, 3  # skin types
+ERGOCUB_FINGERTIPS = 5  # triangles of an ergoCub hand that are fingertips; those of the palm come after them
 UNITS_PER_MM = 40  # of the table below
 PAD_POSITIONS = (
     (257.2, 0.0), (385.83, -222.83), (128.62, -222.83), (0.0, 0.0), (-128.62, -222.83), (-385.83, -222.83),
@@ -54,35 +56,52 @@ class Icub(BatchCodec, ClassicSkin):
     triangles: Annotated[tuple[Annotated[int, Bounds(0, 15)], ...], Field(min_length=1, max_length=16)]
     """Numbers of the triangles, in the order of their taxels."""
     thermal_pads: bool = True
-    """Pads 6 and 10 measure temperature and are left out; false: they are taxels, as on a fingertip."""
+    """Pads that measure temperature are left out; false: they are taxels, as on a fingertip of an iCub."""
+    skin_type: Literal[0, 1, 2, 3, 8] = 0
+    """`skinType` in the robot's files: 1 palm and fingertips, 3 hand of an ergoCub."""
     start: bool = False
     """Set up and start the board when the service starts."""
     period_ms: Annotated[int, Bounds(1, 255, "ms")] = 30
     """Time between two frames of a board that the service starts."""
+    shift: Annotated[int, Bounds(0, 15)] = 2
+    """Bits that the board drops from a reading: one more halves the gain and doubles the range."""
+    cdc_offset: Annotated[int, Bounds(0, 0xFFFF)] = 0x2200
+    """Offset of the board's capacitance converter."""
+    no_load: Annotated[int, Bounds(1, 254, "counts")] = 240
+    """Counts of an unloaded taxel; the board gets them at its start."""
 
     full_scale, ordered = 255, 2  # a head, then its tail
-    kpa_per_count, no_load = -1.0, float(NO_LOAD)
+    kpa_per_count = -1.0
 
     def __post_init__(self) -> None:
         """Refuse a triangle named twice."""
         require_distinct("triangles", self.triangles)
 
     @cached_property
-    def pads(self) -> tuple[int, ...]:
-        """The pads of a triangle that are taxels."""
-        return tuple(pad for pad in range(PADS) if not (self.thermal_pads and pad in THERMAL))
+    def _taxels(self) -> NDArray[np.bool_]:
+        """Which pads (triangles, PADS) are taxels; the others are thermal."""
+        taxels = np.ones((len(self.triangles), PADS), np.bool_)
+        for place, triangle in enumerate(self.triangles if self.thermal_pads else ()):
+            fingertip = self.skin_type == ERGOCUB_HAND and triangle < ERGOCUB_FINGERTIPS
+            hand = self.skin_type == PALM_AND_FINGERTIPS or fingertip
+            taxels[place, list(HAND_THERMAL if hand else THERMAL)] = False
+        return taxels
+
+    @cached_property
+    def _numbers(self) -> NDArray[np.int64]:
+        """The number (triangles, PADS) of each pad among the taxels; of a thermal one, of the taxel after it."""
+        return (np.cumsum(self._taxels) - self._taxels.ravel()).reshape(-1, PADS)
 
     @cached_property
     def positions(self) -> NDArray[np.float64]:
         """Where the taxels are (N, 2), mm: each triangle flat, side by side along x."""
-        triangle = np.array([PAD_POSITIONS[pad] for pad in self.pads]) / UNITS_PER_MM
         offsets = np.arange(len(self.triangles))[:, None, None] * (TRIANGLE_PITCH_MM, 0.0)
-        return (triangle + offsets).reshape(-1, 2)
+        return np.asarray((np.array(PAD_POSITIONS) / UNITS_PER_MM + offsets)[self._taxels])
 
     @cached_property
     def size(self) -> int:
         """Taxels in a frame."""
-        return len(self.pads) * len(self.triangles)
+        return int(self._taxels.sum())
 
     @cached_property
     def segments(self) -> int:
@@ -101,9 +120,10 @@ class Icub(BatchCodec, ClassicSkin):
         """Set up, half a second later start, at the end stop: what the robot's own software sends to a board."""
         if not self.start:
             return Polling()
-        set_up = bytes((0x4D, 0, self.period_ms, NO_LOAD))
-        triangles = bytes((0x50, 0, 15, 0, 1, 0x00, 0x22))  # all; the capacitance converter's set-up is 0x2200
-        start = ((0.0, set_up), (0.0, triangles), (SET_UP_S, b"\x07\x00"))
+        offset = self.cdc_offset.to_bytes(2, "little")
+        set_up = [bytes((0x4D, self.skin_type, self.period_ms, self.no_load))]
+        set_up += [bytes((0x50, *ends, self.shift, 1, *offset)) for ends in _runs(self.triangles)]
+        start = [*((0.0, each) for each in set_up), (SET_UP_S, b"\x07\x00")]
         return Polling(
             start=tuple((after, Message(0.0, POLL | self.board, data)) for after, data in start),
             stop=(Message(0.0, POLL | self.board, b"\x07\x01"),),
@@ -112,8 +132,8 @@ class Icub(BatchCodec, ClassicSkin):
     def span(self, segment: int) -> slice:
         """The taxels that a segment carries."""
         place, tail = divmod(segment, 2)
-        start, head = place * len(self.pads), sum(pad < HEAD_PADS for pad in self.pads)
-        return slice(start + head, start + len(self.pads)) if tail else slice(start, start + head)
+        numbers, end = self._numbers[place], int(self._numbers[place, 0] + self._taxels[place].sum())
+        return slice(int(numbers[HEAD_PADS]), end) if tail else slice(int(numbers[0]), int(numbers[HEAD_PADS]))
 
     @cached_property
     def _places(self) -> NDArray[np.int64]:
@@ -134,31 +154,28 @@ class Icub(BatchCodec, ClassicSkin):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        return _triangles(payloads)[:, self.pads].astype(np.uint16).ravel()
+        return _triangles(payloads)[:, :PADS][self._taxels].astype(np.uint16)
 
     def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
-        """Counts (2 triangles,) of the thermal pads of each triangle, in order; NaN where missing or bad."""
+        """Counts (M,) of the thermal pads of each triangle, in order; NaN where missing or bad."""
         if not self.thermal_pads:
             return None
-        triangles = _triangles(payloads)
-        thermal = triangles[:, THERMAL].astype(np.float32).ravel()
-        thermal[missing(payloads)] = np.nan  # pad 6 is in the head, pad 10 in the tail
-        diagnostics = triangles[:, PADS:]
-        if diagnostics.any():
-            codes = diagnostics.astype(int) @ (1 << 8, 1)
-            thermal[(codes[:, None] & [_bits(pad) for pad in THERMAL] != 0).ravel()] = np.nan
-        return thermal
+        triangles, heads_and_tails = _triangles(payloads), missing(payloads).reshape(-1, 2)
+        codes = triangles[:, PADS:].astype(int) @ (1 << 8, 1)
+        bad = codes[:, None] & [_bits(pad) for pad in range(PADS)] != 0
+        bad |= np.repeat(heads_and_tails, (HEAD_PADS, PADS - HEAD_PADS), axis=1)
+        return np.where(bad, np.nan, triangles[:, :PADS])[~self._taxels].astype(np.float32)
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
-        code, first = data[6] << 8 | data[7], place * len(self.pads)
-        return tuple(first + at for at, pad in enumerate(self.pads) if code & _bits(pad))
+        code, taxels = data[6] << 8 | data[7], np.flatnonzero(self._taxels[place]).tolist()
+        return tuple(int(self._numbers[place, pad]) for pad in taxels if code & _bits(pad))
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); thermal pads have no load; the sequence number has no place in them."""
         del sequence
-        pads = np.full((len(self.triangles), PADS), NO_LOAD, np.uint8)
-        pads[:, self.pads] = self.checked(counts).reshape(len(self.triangles), -1)
+        pads = np.full((len(self.triangles), PADS), self.no_load, np.uint8)
+        pads[self._taxels] = self.checked(counts)
         messages = []
         for triangle, data in zip(self.triangles, map(bytes, pads), strict=True):
             id_ = PERIODIC | self.board << 4 | triangle
@@ -169,7 +186,10 @@ class Icub(BatchCodec, ClassicSkin):
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
         """Heads and tails by triangle."""
-        note = "thermal_pads: false where pads 6 and 10 are taxels too, as on a fingertip"
+        notes = (
+            "thermal_pads: false where pads 6 and 10 are taxels too, as on a fingertip",
+            "skin_type: as in the robot's files, where it is not 0",
+        )
         for kind, age in ((PERIODIC, "class 0x400"), (OLD, "class 0x300, an older board")):
             for board in range(16):
                 keys = tuple(
@@ -183,7 +203,14 @@ class Icub(BatchCodec, ClassicSkin):
                     listed = ", ".join(map(str, triangles))
                     description = f"iCub MTB, {age}, board {board}, triangles {listed}"
                     settings = {"board": board, "triangles": list(triangles)}
-                    yield Match(settings, codec, keys, None, description, (note,))
+                    yield Match(settings, codec, keys, None, description, notes)
+
+
+def _runs(triangles: Sequence[int]) -> list[tuple[int, int]]:
+    """First and last of each run of neighbouring triangles."""
+    firsts = sorted(each for each in triangles if each - 1 not in triangles)
+    lasts = sorted(each for each in triangles if each + 1 not in triangles)
+    return list(zip(firsts, lasts, strict=True))
 
 
 def _bits(pad: int) -> int:

@@ -1,0 +1,59 @@
+"""Boards that answer as the public sources of their protocols say, and refuse what these do not send."""
+
+from tactiled.bus.assembler import Assembler
+from tactiled.bus.polling import Poller
+from tactiled.frames import Message
+
+
+def frames_of(codec, board, seconds):
+    """The frames that a board sends to whoever starts and asks it as the codec says, for so long."""
+    poller, assembler, frames, now = Poller([codec.polling]), Assembler(codec), [], 0.0
+
+    def send(message):
+        for each in board.receive(message):
+            frames.extend(frame for _, frame in assembler.push(each._replace(time=now)))
+
+    poller.start(now)
+    while now <= seconds:
+        poller.send_due(send, now)
+        now += poller.wait_s(now)
+    poller.stop(send)
+    assert assembler.loss.malformed == 0
+    return frames
+
+
+class Mtb:
+    """An MTB board: icub-firmware, embot/app/embot_app_application_theSkin.cpp and embot/prot/can."""
+
+    def __init__(self, board, pressed):
+        """`pressed`: how much the converter's readings (12,) of a triangle exceed those at rest."""
+        self.board, self.pressed, self.sends = board, pressed, False
+        self.type, self.no_load, self.shifts = 0, 245, dict.fromkeys(pressed, 2)
+
+    def receive(self, message):
+        assert (message.id, message.extended, message.fd) == (0x200 | self.board, False, False)
+        command, *rest = message.data
+        if command == 0x4D:
+            self.type, _, self.no_load = rest
+        elif command == 0x50:
+            first, last, shift, enabled, _, _ = rest
+            assert first <= last < 16
+            assert enabled == 1
+            self.shifts.update((each, shift) for each in range(first, last + 1))
+            self.sends = False
+        else:
+            assert command == 0x07
+            self.sends = rest == [0]
+            return [each for triangle in self.pressed for each in self._frame(triangle)] if self.sends else []
+        return []
+
+    def _frame(self, triangle):
+        shift, values, code = self.shifts[triangle], [], 0
+        top, bottom = (255 - self.no_load) << shift, self.no_load << shift
+        for pad, value in enumerate(self.pressed[triangle]):
+            inside = 255 if value <= -top else 0 if value >= bottom else self.no_load - (value >> shift)
+            values.append(inside)
+            code |= (value <= -2 * top or value >= 2 * bottom) << (4 + pad)
+        id_ = 0x400 | self.board << 4 | triangle
+        yield Message(0.0, id_, bytes((0x40, *values[:7])))
+        yield Message(0.0, id_, bytes((0xC0, *values[7:], *code.to_bytes(2))))
