@@ -76,6 +76,7 @@ ATTACKS = {
     "fuzz": Attack(run=fuzz.fuzz),
     "files": Attack(run=recordings.fuzz, more_descriptors=40),  # four recordings that were played stay open
     "uploads": Attack(requests.uploads),
+    "bodies": Attack(requests.bodies),
     "calls": Attack(requests.calls, at_once=20),
     "flood": Attack(run=flood),
     "sigterm": Attack(run=partial(shutdown.stop, signal.SIGTERM), alone=True),

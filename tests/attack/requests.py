@@ -6,7 +6,7 @@ import random
 import numpy as np
 
 from tests.attack.harness import Try
-from tests.attack.service import CONTROL
+from tests.attack.service import CONTROL, READ
 from tests.attack.wire import request, upgrade
 from tests.web.http.raw import npy
 
@@ -69,6 +69,17 @@ def uploads(_):
         head = request(RESTORE, f"Content-Length: {length}", NPY, LAST, token=CONTROL)
         source = f"127.0.2.{1 + number % 16}"
         yield Try(name, [head, body], 30.0 if ends else 1.0, ends=ends, source=source)
+
+
+def bodies(_):
+    """120 calibration files that stay incomplete, 120 MB in all, and as many bodies where none belongs."""
+    for verb, token, expect in (
+        ("PUT", CONTROL, lambda ending: ending.status in (0, 429, 503)),
+        ("GET", READ, lambda ending: ending.status == 422),
+    ):
+        head = request(f"{verb} /api/v1/sensors/palm0/calibration/file", "Content-Length: 8000000", token=token)
+        tries = Try(verb, [head, bytes(1 << 20)], 2.0, ends=verb == "GET", expect=expect)
+        yield from [tries] * 120
 
 
 def calls(_):

@@ -13,7 +13,7 @@ from tactiled.web.http.problems import SOON, Problem
 MAX_BODY_BYTES = 64 << 10  # no request but an upload needs as much
 MAX_UPLOAD_BYTES = 64 << 20
 BODY_TIMEOUT_S = 60.0
-MAX_HELD_BYTES = 64 << 20  # of all bodies that are held until they are complete and answered
+MAX_HELD_BYTES = 32 << 20  # of all bodies that are held until they are complete and answered
 UPLOAD_PATH = "/api/v1/restore"
 MAX_RECORDING_BYTES = 1 << 30  # 44 min of 32 x 32 taxels at 100 Hz as .log
 RECORDING_TIMEOUT_S = 600.0  # 1.8 MB/s
