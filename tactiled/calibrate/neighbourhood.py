@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import matrix
-from tactiled.geometry import Array, layout
+from tactiled.geometry import Array
 
 REACH_PITCHES = 2.3  # of the neighbours that count: 24 on a grid
 CLOSE_PITCHES, CLOSE = 1.6, 8  # of those that feel what lies on a taxel: eight on a grid
@@ -136,16 +136,11 @@ def _responses(kernel: Kernel, array: Array, places: Floats, reach: float, side:
     line = np.arange(-reach + side / 2, reach, side)
     cells = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     taxels = np.vstack([np.zeros((1, 2)), places])
-    units = [array.pitch / s for s in THICKNESSES]
-    responses = [
-        matrix(
-            kernel,
-            layout(taxels * unit, array.width / array.pitch * unit, array.aperture),
-            cells * unit,
-            side * unit,
-        )
-        for unit in units
-    ]
+    responses = []
+    for s in THICKNESSES:  # a thicker cover is as a finer array
+        unit = array.pitch / s
+        scaled = Array(taxels * unit, unit, array.width / s, array.aperture)
+        responses.append(matrix(kernel, scaled, cells * unit, side * unit))
     own, beside = np.split(np.concatenate(responses, axis=1), [1])
     return np.maximum(own[0], 0.0), np.maximum(beside, 0.0)
 

@@ -9,6 +9,7 @@ from tactiled.calibrate.health import Fault
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.frames import Loss, RawFrame
+from tactiled.geometry import layout
 from tactiled.simulate.array import Surface
 from tests.plans import plan
 from tests.study.health import (
@@ -197,6 +198,17 @@ def test_what_neighbours_say_of_a_load_holds_for_every_spot(thickness):
     assert np.min(share) > -0.02
     even = neighbourhood.lowest(taxels, np.ones(100), trusted)
     assert (even > [0.02, 0.03, 0.05] if thickness < 1 else even > [0.2, 0.3, 0.5]).all()
+
+
+def test_touching_apertures_of_any_layout_have_a_neighbourhood():
+    places = np.array([[x + y % 2 / 2, y * 0.75**0.5] for y in range(5) for x in range(5)]) * 6.4 + 0.333
+    array, all_taxels = layout(places, 6.4 * (1 - 1e-12)), np.arange(25)
+    neighbourhood = Neighbourhood(plan(SHAPE, 1.0, pitch=6.4).kernel, array, call)
+    even = neighbourhood.lowest(all_taxels, np.ones(25), np.ones(25, bool))
+    sums, share = neighbourhood.beside(all_taxels, np.ones(25), np.ones(25, bool))
+    assert (sums[12], sums[0], len(neighbourhood.peaks(all_taxels, np.ones(25)))) == (6, 2, 0)
+    assert (share > 0).all()
+    assert 0.05 < even[12] < 1
 
 
 def test_a_frame_is_looked_at_now_and_then():
