@@ -51,7 +51,7 @@ class Robot:
     @property
     def has_sensors(self) -> bool:
         """Whether one is listed."""
-        return any(each.described for each in self.lines.values())
+        return any(each.described for each in tuple(self.lines.values()))  # which another thread may change
 
     def is_mute(self, now: float) -> bool:
         """Whether it has not described any sensor in time."""

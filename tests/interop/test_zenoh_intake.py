@@ -191,3 +191,15 @@ def test_a_sensor_whose_reader_is_long_gone_is_forgotten_and_may_come_back(monke
         until(lambda: not fleet.sensors and not fleet.robots)
         assert texts(fleet, "sensor_removed")
         assert join(fleet, "r1/palm", session="cd" * 8)
+
+
+def test_a_name_that_appears_while_another_thread_looks_at_its_robot_is_no_error():
+    robot = zenoh_robots.Robot("r1")
+
+    class Appearing:
+        @property
+        def described(self):
+            robot.lines["r1/tip"] = self
+
+    robot.lines["r1/palm"] = Appearing()
+    assert not robot.has_sensors
