@@ -337,7 +337,7 @@ def _narrow(profiles: Profiles, at: int) -> str:
     if misfit > MISFIT:
         return (
             f"no thickness explains the scenes to better than {misfit:.2g} times noise and gain errors: press "
-            "things wider than three taxels, and check the gain"
+            "things wider than three taxels, wait longer after each lift as rubber creeps, and check the gain"
         )
     return ""
 

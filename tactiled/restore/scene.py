@@ -13,6 +13,7 @@ from tactiled.restore.prior import CORNERS, Prior, Spectrum
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 MAX_PREPARED_CELLS = 4096  # up to which what every spectrum needs is made beforehand: 3.4 kB a cell, all together
 FORCE_AGREES_SIGMAS = 0.25  # standard deviations of the total force: a smaller difference is left alone
+IMAGE_FORCE_ERROR = 0.03  # of an image's total before it is held to the frame's, standard deviation
 FORCE_PASSES = 8  # of Newton's method, to take an excess of force from the pressed cells; three or four settle
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to
 SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
@@ -62,6 +63,7 @@ class Scene:
         of_modes = analyse(blur.reach, analyse.empty())
         self.reach = of_modes[self.modes.head].ravel()  # total force of each mode, by the blur
         noise_of_sum = noise * float(np.sqrt(ones.size))
+        self._force_variance = noise_of_sum**2
         self._force_clear = FORCE_CLEAR_SIGMAS * noise_of_sum
         self._force_agrees = FORCE_AGREES_SIGMAS * noise_of_sum
         self.power = self.prior.squares.reshape(-1)  # c squared
@@ -127,11 +129,15 @@ class Scene:
     def keep_force(self, flat: Image) -> None:
         """Hold an image (M,) without negative values to the frame's total force, as far as that is known.
 
+        All taxels' noise is in the frame's total: where few cells are pressed, the image knows its force better.
         An excess is taken from all pressed cells alike, as far as they go; what lacks force is scaled up.
         """
         pressed, factor = self._pressed, self._factor
+        own = (IMAGE_FORCE_ERROR * self.force) ** 2
+        noise = self.force - float(self._reach.dot(flat))
+        noise *= self._force_variance / (own + self._force_variance)  # the frame's likely part of the difference
         for _ in range(FORCE_PASSES):
-            missed = self.force - float(self._reach.dot(flat))
+            missed = self.force - noise - float(self._reach.dot(flat))
             scale = self.force_scale(missed)
             if scale >= 1:
                 break
