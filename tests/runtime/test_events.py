@@ -151,7 +151,7 @@ def test_taxels_that_fail_heal_or_creep_are_events(watched):
     assert watched.look() == [
         ("taxel_faulty", "palm", "taxels 1, 3 dead: it feels no load, and its neighbours do"),
         ("taxel_faulty", "palm", "taxels 20, 21, 22, 23, 24, 25, 26, 27 and 2 more stuck: "
-         "its reading does not change, and the others' noise does"),
+         "its reading does not change, as noise or no load would let it"),
     ]  # fmt: skip
     monitor._changes.append(Change(2.0, 3, Fault.DEAD, Fault.HEALTHY))
     monitor._creep.creep = Creep(4.123, 0.21, 600.0, 34)
