@@ -7,51 +7,66 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.cover_fit import CoverFit, Method
+from tactiled.calibrate.cover_joint import ENDS, Joint, fit_jointly
 from tactiled.calibrate.cover_search import Fitted, Touch, search
+from tactiled.calibrate.cover_unknowns import edge_doubt, unknown_notes
 from tactiled.calibrate.free_kernel import free_kernel
-from tactiled.calibrate.likelihood import interval, left_out, pooled, schur
+from tactiled.calibrate.likelihood import left_out, pooled, schur
 from tactiled.calibrate.presses import Press
 from tactiled.calibrate.recorded_presses import UNCALIBRATED_SPREAD
+from tactiled.calibrate.unknowns import FACTOR
 from tactiled.cover import layered
-from tactiled.cover.family import FACTORS, CoverFamily
-from tactiled.cover.stack import Layer, Stack
+from tactiled.cover.family import CoverFamily
+from tactiled.cover.stack import Stack
 from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
 
 MISFIT = 1.2  # times noise and gain errors: presses left out that miss by more show a wrong model
-DOUBLED = float(np.log(2))  # between two estimates of a rubber's modulus or compressibility, such as from Shore A
+MAX_MISFIT = 2.0  # from which a result is not written without being asked for
+GAINED = 7.8  # of chi-squared: 95 % of what three free parameters gain by chance
+DOUBLED = float(np.log(2))  # between two estimates of a rubber's modulus, such as from Shore A
 IRRELEVANT = 0.01  # of the thickness: a modulus that changes it by less does not matter
-ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
 MAX_POINTS = 2000  # of the plotted line
 
 
 def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFit:
     """Fit the thickness to a touch made of `presses`; notes name those of them that were not used."""
     fitted = search(touch)
-    likelihood, solution, family = fitted.likelihood, fitted.solution, fitted.touch.family
-    dispersion = max(1.0, pooled(likelihood.misfits(solution))) ** 2
-    ends = interval(likelihood, solution, dispersion, ENDS)
-    low, high = (float(each) for each in np.exp(ends))
-    factor, depth = float(np.exp(np.clip(solution.shared[0], *ENDS))), family.configured.depth
-    uncalibrated = float(np.median(touch.gain_error)) >= UNCALIBRATED_SPREAD
-    misfits, reason = left_out(likelihood, solution), _reason(ends, depth, uncalibrated)
-    others = [] if reason else _other_parameters(fitted, dispersion)
+    joint, family = fit_jointly(touch, fitted), fitted.touch.family
+    middle, spread = _effective(fitted, joint), NORMAL_95 * joint.effective_deviation
+    factor, low, high = (float(np.exp(np.clip(middle + each, *ENDS))) for each in (0, -spread, spread))
+    ends = float(np.exp(joint.interval[0])), float(np.exp(joint.interval[1]))
+    within, depth = (min(low, ends[0]), max(high, ends[1])), family.configured.depth
+    misfits = left_out(joint.likelihood, joint.solution)
+    reason = _reason(joint.interval, depth, float(np.median(touch.gain_error)) >= UNCALIBRATED_SPREAD)
     fit = CoverFit(
         method=method,
         factor=factor,
-        interval=(min(low, factor), max(high, factor)),
+        interval=within,
         thickness_mm=factor * depth,
-        interval_mm=(min(low, factor) * depth, max(high, factor) * depth),
-        presses=len(solution.own),
+        interval_mm=(within[0] * depth, within[1] * depth),
+        presses=len(joint.solution.own),
         residual=pooled(misfits),
         reason=reason,
-        notes=(*_unused(presses, fitted), *others),
-        line=_line(fitted),
+        effective=(low, high),
+        notes=(*_unused(presses, fitted), *(() if reason else (*unknown_notes(joint), _modulus(fitted, joint)))),
+        line=_line(joint),
     )
-    fit = fit if reason else _explained(fit, fitted, misfits)
-    note = fitted.touch.size_note(solution, float(np.sqrt(dispersion)))
-    return replace(fit, notes=(note, *fit.notes)) if note else fit
+    if reason:
+        return fit
+    doubt = edge_doubt(joint)
+    return replace(fit, doubt=doubt, notes=(doubt, *fit.notes)) if doubt else _explained(fit, fitted, misfits)
+
+
+def _effective(fitted: Fitted, joint: Joint) -> float:
+    """The factor's logarithm that restores with the sensor as configured.
+
+    What was given of the load is taken for exact unless the presses speak against it.
+    """
+    gained = (fitted.solution.chi2 - joint.effective.chi2) / joint.misfit**2
+    best = fitted.solution if gained < GAINED else joint.effective
+    return float(best.shared[FACTOR])
 
 
 def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:
@@ -85,46 +100,41 @@ def _unused(presses: Sequence[Press], fitted: Fitted) -> list[str]:
 
 
 def _explained(fit: CoverFit, fitted: Fitted, misfits: Floats) -> CoverFit:
-    """The fit with the free kernel where presses that were left out want it, and what is to be noted of both."""
+    """The fit with the free kernel where presses that were left out want it, and what speaks against the model."""
     if fit.residual <= MISFIT:
         return fit
     miss = f"presses left out of the fit miss by {fit.residual:.2g} times what noise and gain errors explain"
-    free = free_kernel(fitted, misfits)
-    if free is None:
-        note = f"{miss}, and a free kernel is not significantly better: is the gain of the taxels calibrated?"
-        return replace(fit, notes=(note, *fit.notes))
-    note = f'{miss}, those of a free kernel by {free.residual:.2g}: use kernel.model = "measured"'
-    return replace(fit, kernel=free.kernel, notes=(note, *fit.notes))
+    # an edge that is not sharp looks like another kernel, and other edges of the same pad do, too
+    free = free_kernel(fitted, misfits) if fit.method == "tip" else None
+    if free is not None:
+        note = f'{miss}, those of a free kernel by {free.residual:.2g}: use kernel.model = "measured"'
+        return replace(fit, kernel=free.kernel, doubt=note, notes=(note, *fit.notes))
+    tool = {"tip": "use another tip", "edge": "use a tip (--tip-mm)"}[fit.method]
+    note = f"{miss}: calibrate the gain of the taxels; if it is, {tool}"
+    return replace(fit, doubt=note if fit.residual > MAX_MISFIT else "", notes=(note, *fit.notes))
 
 
-def _other_parameters(fitted: Fitted, dispersion: float) -> list[str]:
-    """What the presses tell of the cover's modulus and compressibility apart from its thickness."""
+def _modulus(fitted: Fitted, joint: Joint) -> str:
+    """What the presses tell of the cover's modulus apart from its thickness."""
     likelihood, touch = fitted.likelihood, fitted.touch
     nodes, count = likelihood.model.response.nodes, len(fitted.solution.shared)
 
     def spectrum(shared: Floats) -> Floats:
-        stack = _changed(touch.family, float(np.exp(np.clip(shared[0], *ENDS))), *shared[count:])
+        stack = _stiffer(touch.family, float(np.exp(np.clip(shared[FACTOR], *ENDS))), float(shared[count]))
         return np.asarray(layered.gain(stack, nodes.q) * touch.transform(nodes.q, shared))
 
-    model = replace(likelihood.model, spectrum=spectrum)
-    information = likelihood.information(model, fitted.solution, 2)
-    free = [0, *(at for at in range(1, count) if likelihood.prior.shared_deviation[at] > 0)]
-    order = [0, count, count + 1, *free[1:]]
-    reduced = schur(information[np.ix_(order, order)], 3) / dispersion
-    deviations = np.sqrt(np.diag(np.linalg.pinv(reduced)))
-    return [
-        _note(name, float(deviations[at]), -float(reduced[0, at] / reduced[0, 0]) * DOUBLED)
-        for at, name in ((1, "Young's modulus"), (2, "compressibility (1 - 2 Poisson's ratio)"))
-    ]
+    model = replace(likelihood.model, spectrum=spectrum, free=(*touch.free, count))
+    information = likelihood.information(model, fitted.solution, 1)
+    order = [FACTOR, count, *touch.free[1:]]
+    reduced = schur(information[np.ix_(order, order)], 2) / joint.misfit**2
+    deviation = np.sqrt(np.linalg.pinv(reduced)[1, 1])
+    return _note("Young's modulus", float(deviation), -float(reduced[0, 1] / reduced[0, 0]) * DOUBLED)
 
 
-def _changed(family: CoverFamily, factor: float, modulus: float, compressibility: float) -> Stack:
-    """The stack with another modulus and compressibility over the sensing plane, by their logarithms."""
+def _stiffer(family: CoverFamily, factor: float, modulus: float) -> Stack:
+    """The stack with another modulus over the sensing plane, by its logarithm."""
     stack = family.configured.thickened(factor)
-    layers = [
-        Layer(each.thickness, each.young * np.exp(modulus), 0.5 - (0.5 - each.poisson) * np.exp(compressibility))
-        for each in stack.layers[: stack.sensing]
-    ]
+    layers = [replace(each, young=each.young * float(np.exp(modulus))) for each in stack.layers[: stack.sensing]]
     return replace(stack, layers=(*layers, *stack.layers[stack.sensing :]))
 
 
@@ -139,7 +149,7 @@ def _note(name: str, deviation: float, change: float) -> str:
     return f"the cover's {name} was taken as configured: {effect}, and these presses would show that"
 
 
-def _line(fitted: Fitted) -> Floats:
+def _line(fitted: Joint) -> Floats:
     """Measured and fitted response (3, n) by the distance from the tip or edge, over the load's."""
     likelihood, solution = fitted.likelihood, fitted.solution
     x, scale = fitted.touch.on_line(likelihood, solution)

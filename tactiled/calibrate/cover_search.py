@@ -1,6 +1,7 @@
 """The search for a cover's thickness, whatever touches it: coarse, fine, without presses that do not fit."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -8,8 +9,18 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press
-from tactiled.calibrate.touch_response import Quadrature, quadrature
-from tactiled.cover.family import FACTORS, CoverFamily
+from tactiled.calibrate.touch_response import ONE, Quadrature, quadrature
+from tactiled.calibrate.unknowns import (
+    APERTURE,
+    APERTURE_SCALES,
+    CURVATURE,
+    FACTOR,
+    POISSON,
+    PROFILE,
+    SHARED,
+    SIZE,
+)
+from tactiled.cover.family import FACTORS, CoverFamily, lagrange
 from tactiled.geometry import Array
 
 Floats = NDArray[np.float64]
@@ -23,6 +34,8 @@ SETTLED = 0.2  # of the factor's logarithm: an estimate nearer to its tables' mi
 MODEL_ERROR = 1e-3  # of a press's peak: finite elements' gain and the tables are no better
 MISFIT_RATIO = 3.0  # of a press's misfit over the median's and over 1: something else touched, or it slid
 REFERENCES = 3  # models one after the other that gain errors are proportional to
+MAX_APERTURE = np.log(0.5), np.log(2)  # over the configured one
+FREED = {SIZE: 1.0, APERTURE: 0.5, POISSON: 0.15, CURVATURE: 0.3, PROFILE: 2.0}  # deviations, priors refused
 STEP = 1e-4  # of finite differences in shared parameters
 
 
@@ -52,21 +65,52 @@ class Touch:
         """Each reading's distance (M,) in mm from the load, and what the load is there (kPa): the plot's units."""
         raise NotImplementedError
 
-    def size_note(self, solution: Solution, misfit: float) -> str:
-        """Why the load has another size than was measured; "" where not. `misfit`: over what noise explains."""
-        del solution, misfit
-        return ""
+    def freed_deviation(self, parameter: int) -> float:
+        """Deviation of what is shared where presses refuse its prior."""
+        return FREED[parameter]
 
     def only(self, presses: NDArray[np.intp]) -> Self:
         """The same with some presses."""
         return replace(self, presses=tuple(self.presses[at] for at in presses), prior=self.prior.of(presses))
 
+    @property
+    def extra_mm(self) -> float:
+        """How far a response reaches beyond that of the cover."""
+        return 3 * self.array.pitch
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """What is solved for of what is shared."""
+        return tuple(np.flatnonzero(self.prior.shared_deviation > 0).tolist())
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """Of the aperture, of the tables."""
+        return APERTURE_SCALES if APERTURE in self.free else ONE
+
+    def known(self, *parameters: int) -> Self:
+        """The same where some of what is shared is as configured."""
+        deviation = self.prior.shared_deviation.copy()
+        deviation[list(parameters)] = 0
+        return replace(self, prior=replace(self.prior, shared_deviation=deviation))
+
     def spectrum(self, nodes: Quadrature) -> Spectrum:
-        """The family's gain times the load's transform."""
+        """The family's gain times the load's transform, a block for each of `scales`."""
         low, high = np.log(FACTORS)
-        return lambda shared: (
-            self.family.gain(nodes.q, np.exp(np.clip(shared[0], low, high))) * self.transform(nodes.q, shared)
-        )
+
+        @lru_cache(maxsize=8)  # slopes in the load and the aperture need the same one
+        def gain(log_factor: float, poisson: float) -> Floats:
+            return self.family.gain(nodes.q, np.exp(np.clip(log_factor, low, high)), poisson)
+
+        def once(shared: Floats) -> Floats:
+            return np.asarray(gain(shared[FACTOR], shared[POISSON]) * self.transform(nodes.q, shared))
+
+        if self.scales == ONE:
+            return once
+        places = np.log(self.scales)
+        return lambda shared: np.outer(
+            lagrange(float(np.clip(shared[APERTURE], *MAX_APERTURE)), places), once(shared)
+        ).ravel()
 
     def readings(self, near: NDArray[np.bool_]) -> Readings:
         """The known ones of `near` (K, N); MODEL_ERROR is part of their error."""
@@ -78,18 +122,22 @@ class Touch:
     def likelihood(self, factors: tuple[float, float], coarse: bool = False) -> Likelihood:
         """Likelihood with tables for covers of `factors` (low, high), taxels' gains taken for exact."""
         low, high = np.clip(factors, *FACTORS)
-        nodes, depth = quadrature(self.family, (low, high), 3 * self.array.pitch), self.family.configured.depth
+        nodes, depth = quadrature(self.family, (low, high), self.extra_mm), self.family.configured.depth
         near = (np.inf, depth) if coarse else (nodes.reach - self.array.pitch, depth * np.sqrt(low * high))
         readings = self.readings(self.near(*near))
         model = self.model(nodes, self.spectrum(nodes), readings, coarse)
         return Likelihood(readings, model, self.prior, np.zeros(len(readings.value)))
 
 
-def differences(value: Spectrum, shared: Floats) -> Floats:
-    """Give (n, 1 + S): a spectrum and its slopes in what is shared."""
-    steps = STEP * np.eye(len(shared))
-    slopes = [(value(shared + step) - value(shared - step)) / (2 * STEP) for step in steps]
-    return np.column_stack([value(shared), *slopes])
+def differences(value: Spectrum, shared: Floats, free: tuple[int, ...]) -> Floats:
+    """Give (n, 1 + S): a spectrum and its slopes in what is shared, 0 where that is not `free`."""
+    middle = value(shared)
+    result = np.zeros((len(middle), 1 + len(shared)))
+    result[:, 0] = middle
+    for at in set(free) - {CURVATURE}:
+        step = STEP * np.eye(len(shared))[at]
+        result[:, 1 + at] = (value(shared + step) - value(shared - step)) / (2 * STEP)
+    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,14 +151,15 @@ class Fitted:
 
 
 def search(touch: Touch) -> Fitted:
-    """Find the most likely factor; presses that fit far worse than the others are put aside."""
-    fitted = _fine(touch, _coarse(touch).shared)
+    """Find the most likely factor of a sensor as configured, without presses that fit far worse than others."""
+    touch = touch.known(*range(APERTURE, SHARED))
+    fitted = fine(touch, _coarse(touch).shared)
     misfits = fitted.likelihood.misfits(fitted.solution)
     fits = misfits <= MISFIT_RATIO * max(1.0, float(np.median(misfits)))
     if fits.all():
         return fitted
     aside = tuple(each for each, fit in zip(touch.presses, fits, strict=True) if not fit)
-    return replace(_fine(touch.only(np.flatnonzero(fits)), fitted.solution.shared), misfitting=aside)
+    return replace(fine(touch.only(np.flatnonzero(fits)), fitted.solution.shared), misfitting=aside)
 
 
 def _coarse(touch: Touch) -> Solution:
@@ -125,9 +174,9 @@ def _coarse(touch: Touch) -> Solution:
     return min(solutions, key=lambda each: each.chi2)
 
 
-def _fine(touch: Touch, shared: Floats) -> Fitted:
+def fine(touch: Touch, shared: Floats, own: Floats | None = None) -> Fitted:
     """Solve for everything, with tables around the last estimate until it stays."""
-    own = touch.prior.own
+    own = touch.prior.own if own is None else own
     for _ in range(MAX_ROUNDS):
         middle = shared[0]
         exact = touch.likelihood((np.exp(middle) / BRACKET, np.exp(middle) * BRACKET))

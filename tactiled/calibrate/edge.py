@@ -14,7 +14,25 @@ from scipy.spatial import ConvexHull
 from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press, usable_presses
-from tactiled.calibrate.touch_response import EdgeResponse, Quadrature, TipResponse, quadrature
+from tactiled.calibrate.touch_response import (
+    PROFILES,
+    EdgeResponse,
+    Quadrature,
+    TipResponse,
+    edge_transform,
+    quadrature,
+    ridge_transform,
+)
+from tactiled.calibrate.unknowns import (
+    CALIPER_ERROR_MM,
+    EDGE_BLUR_MM,
+    PROFILE,
+    PROFILE_ERROR,
+    SHARED,
+    SIZE,
+    USUAL,
+    Unknowns,
+)
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
@@ -33,7 +51,7 @@ CELL_PITCHES, CELL_STEPS = 0.5, 6.0  # of the load beyond the border, whichever 
 
 @dataclass(frozen=True, eq=False)
 class EdgeModel(Model):
-    """Readings under edges, or under ridges of `width`; positions are from the array's centre.
+    """Readings under edges or ridges; positions are from the array's centre.
 
     An edge's own parameters: pressure (kPa), its growth along the edge (kPa/mm) and across it (kPa/mm; of a ridge
     that along it squared, kPa/mm^2), pressure that is missing beyond the array's border (kPa), angle (rad) of the
@@ -41,7 +59,6 @@ class EdgeModel(Model):
     """
 
     response: EdgeResponse
-    width: float  # mm; infinite for an edge
     outside: Floats  # (M,) response to a load of 1 beyond the array's border
 
     def of(self, keep: NDArray[np.bool_], press: NDArray[np.intp]) -> "EdgeModel":
@@ -50,19 +67,19 @@ class EdgeModel(Model):
 
     def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """The model (M,), its slopes in what is shared (M, S) and in the edges' own (M, 6)."""
-        spectra = differences(self.spectrum, shared)
+        spectra = differences(self.spectrum, shared, self.free)
         model, by_shared = np.zeros(len(self.press)), np.zeros((len(self.press), len(shared)))
         by_own = np.zeros((len(self.press), own.shape[1]))
         for press, parameters in enumerate(own):
             at = self.press == press
             model[at], by_shared[at], by_own[at] = self._edge(spectra, at, parameters)
-        return model, by_shared, by_own
+        return self.bent(shared, model, by_shared, by_own)
 
     def _edge(self, spectra: Floats, at: NDArray[np.bool_], own: Floats) -> tuple[Floats, Floats, Floats]:
         level, along, third, missing, angle, offset = own
         across, v = distances(self.positions[at], angle, offset)
-        rises, slope, ramp = self.response(spectra, angle, across, self.width)
-        rise, ridge = rises[:, 0], np.isfinite(self.width)
+        rises, slope, ramp = self.response(spectra, angle, across)
+        rise, ridge = rises[:, 0], self.response.ridge
         last = v**2 * rise if ridge else ramp
         pressure = level + along * v + (third * v**2 if ridge else 0)
         by_across = pressure * slope + (0 if ridge else third * rise)
@@ -92,15 +109,29 @@ class EdgeTouch(Touch):
         return np.asarray(positions - (positions.min(axis=0) + positions.max(axis=0)) / 2)
 
     def transform(self, q: Floats, shared: Floats) -> Floats:
-        """A step has none but the gain."""
-        del shared
-        return np.ones_like(q)
+        """Transform of a ridge's pressure (mm), or of the rise across an edge."""
+        if np.isinf(self.width):
+            return edge_transform(q, float(shared[PROFILE]))
+        width = float(np.exp(shared[SIZE]))
+        return width * ridge_transform(q, width, float(np.clip(shared[PROFILE], *PROFILES)))
+
+    def freed_deviation(self, parameter: int) -> float:
+        """Deviation of what is shared where presses refuse its prior."""
+        if parameter == PROFILE and np.isinf(self.width):
+            return self.array.pitch**2
+        return super().freed_deviation(parameter)
+
+    @property
+    def extra_mm(self) -> float:
+        """How far a response reaches beyond that of the cover."""
+        return 3 * self.array.pitch + (0 if np.isinf(self.width) else self.width / 2)
 
     def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> EdgeModel:
         """The model of `readings`."""
-        response = EdgeResponse(self.array, nodes)
+        response = EdgeResponse(self.array, nodes, np.isfinite(self.width), self.scales)
         outside = np.zeros(len(readings.press)) if coarse else self._outside(nodes)[readings.press, readings.taxel]
-        return EdgeModel(self.centred[readings.taxel], readings.press, spectrum, response, self.width, outside)
+        positions, highest = self.centred[readings.taxel], float(readings.value.max())
+        return EdgeModel(positions, readings.press, spectrum, response, self.free, highest, outside)
 
     def _outside(self, nodes: Quadrature) -> Floats:
         """Responses (K, N) to the part of each edge at the first look, 1 kPa, beyond the array's border."""
@@ -126,7 +157,7 @@ class EdgeTouch(Touch):
         border = -(ConvexHull(self.centred).equations @ homogeneous).max(axis=0)
         inside = border >= min(BORDER_DEPTHS * depth, (1 - MIN_INSIDE) * border.max()) - 1e-9
         across = [distances(self.centred, angle, offset)[0] for *_, angle, offset in self.prior.own]
-        return np.asarray((np.abs(across) < reach + np.nan_to_num(self.width, posinf=0) / 2) & inside)
+        return np.asarray((np.abs(across) < reach) & inside)
 
     def on_line(self, likelihood: Likelihood, solution: Solution) -> tuple[Floats, Floats]:
         """Each reading's distance (M,) in mm into the load, and the load's pressure (kPa) at that place."""
@@ -142,20 +173,29 @@ def edge_touch(
     configured: Stack,
     gain_error: Floats | float,
     width_mm: float | None = None,
+    unknowns: Unknowns = USUAL,
 ) -> EdgeTouch:
     """Make the usable `presses` ready to be fitted as edges, or ridges of `width_mm`; ConfigError for too few."""
     advice = f"lay the edge at least {MIN_EDGES} times, better 5"
     usable = [presses[at] for at in usable_presses(presses, MIN_EDGES, advice)]
     if np.linalg.matrix_rank(array.positions - array.positions[0], tol=1e-6) < 2:
         raise ConfigError("array is one line of taxels: an edge needs two dimensions")
-    if width_mm is not None and not width_mm > 0:
-        raise ConfigError(f"the ridge is {width_mm:g} mm wide: give more than 0 mm")
+    span = float(np.hypot(*np.ptp(array.positions, axis=0)))
+    if width_mm is not None and not 0 < width_mm < span:
+        raise ConfigError(
+            f"the ridge is {width_mm:g} mm wide: give more than 0 and less than the array's {span:.3g} mm"
+        )
     family = CoverFamily(configured)
     gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))
-    own = np.zeros((len(usable), 6))
-    prior = Prior(np.zeros(1), np.full(1, np.inf), own, np.full(own.shape, np.inf))
+    own, shared = np.zeros((len(usable), 6)), np.zeros(SHARED)
+    if width_mm is None:
+        deviations = unknowns.deviations(array, 0.0, (unknowns.size_mm or EDGE_BLUR_MM) ** 2)
+    else:
+        shared[SIZE] = np.log(width_mm)
+        deviations = unknowns.deviations(array, (unknowns.size_mm or CALIPER_ERROR_MM) / width_mm, PROFILE_ERROR)
+    prior = Prior(shared, deviations, own, np.full(own.shape, np.inf))
     touch = EdgeTouch(array, family, tuple(usable), gain, prior, width_mm or np.inf)
-    response = EdgeResponse(array, quadrature(family, (1.0, 1.0), 3 * array.pitch))
+    response = EdgeResponse(array, quadrature(family, (1.0, 1.0), touch.extra_mm), width_mm is not None)
     for press, each in zip(own, usable, strict=True):
         press[[0, 4, 5]] = _first_look(each, touch, response)
     return touch
@@ -166,12 +206,13 @@ def _first_look(press: Press, touch: EdgeTouch, response: EdgeResponse) -> tuple
     pitch, span = touch.array.pitch, float(np.hypot(*np.ptp(touch.centred, axis=0))) / 2
     works = np.isfinite(press.mean)
     positions, values = touch.centred[works], press.mean[works]
-    gain = touch.family.gain(response.nodes.q, 1.0)[:, None]
+    q = response.nodes.q
+    spectrum = (touch.family.gain(q, 1.0) * touch.transform(q, touch.prior.shared))[:, None]
     best, angles, offsets = (-np.inf, 0.0, 0.0, 0.0), ANGLES, np.arange(-span, span, pitch / 2)
     for _ in range(2):
         for angle in angles:
             across = distances(positions, angle, 0.0)[0][:, None] - offsets
-            rise = response(gain, angle, across.ravel(), touch.width)[0][:, 0].reshape(across.shape)
+            rise = response(spectrum, angle, across.ravel())[0][:, 0].reshape(across.shape)
             power = np.maximum((rise**2).sum(axis=0), 1e-9)
             score = np.maximum(values @ rise, 0) ** 2 / power
             at = int(score.argmax())

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from tactiled.calibrate.touch_response import EdgeResponse, TipResponse
+from tactiled.calibrate.unknowns import CURVATURE
 from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,7 @@ MAX_STEPS = 30
 CONVERGED = 1e-3  # of chi-squared: a step that gains no more is the last
 START_DAMPING, MAX_DAMPING = 1e-4, 1e8  # over the diagonal of the Hessian
 FOLDS = 5  # each of which is left out once
+LEFT_OUT_STEPS = 2  # from the fit to all presses
 MAX_SECANTS = 12  # to an end of an interval
 INFORMATIVE = 0.05  # of its press's peak: only such readings say whether the model is right
 
@@ -62,6 +64,8 @@ class Model:
     press: Ints  # (M,)
     spectrum: Spectrum
     response: TipResponse | EdgeResponse
+    free: tuple[int, ...]  # what is solved for of what is shared; slopes in the rest are 0
+    highest: float  # kPa, the highest reading: unit of the bend of the taxels' curves
 
     def of(self, keep: NDArray[np.bool_], press: Ints) -> "Model":
         """The model of some readings, of presses numbered anew."""
@@ -70,6 +74,16 @@ class Model:
     def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """The model (M,), its slopes in what is shared (M, S) and in what is the press's own (M, P)."""
         raise NotImplementedError
+
+    def bent(
+        self, shared: Floats, model: Floats, by_shared: Floats, by_own: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """The same as read by taxels whose curves bend."""
+        bend = model / self.highest
+        slope = (1 - 2 * shared[CURVATURE] * bend)[:, None]
+        by_shared = by_shared * slope
+        by_shared[:, CURVATURE] = -model * bend
+        return model * (1 - shared[CURVATURE] * bend), by_shared, by_own * slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,20 +174,23 @@ class Likelihood:
         """Give chi-squared, minus half its gradient, half its Hessian (Gauss-Newton), and the model (M,)."""
         prior, readings = self.prior, self.readings
         model, by_shared, by_own = self.model(at[:count], at[count:].reshape(prior.own.shape))
-        slopes = np.zeros((len(model), len(at)))
-        slopes[:, :count] = by_shared
-        columns = count + readings.press[:, None] * by_own.shape[1] + np.arange(by_own.shape[1])
-        np.put_along_axis(slopes, columns, by_own, axis=1)
-        slopes /= readings.error[:, None]
+        width = count + by_own.shape[1]  # of a row's slopes: all others are 0
+        columns = np.empty((len(model), width), np.intp)
+        columns[:, :count] = np.arange(count)
+        columns[:, count:] = count + readings.press[:, None] * by_own.shape[1] + np.arange(by_own.shape[1])
+        values = np.hstack([by_shared, by_own]) / readings.error[:, None]
+        rows = np.arange(0, values.size + 1, width)
+        slopes = csr_array((values.ravel(), columns.ravel(), rows), shape=(len(model), len(at)))
         residual = (readings.value - model) / readings.error
-        by_taxel = self._shrink[:, None] * (self._per_taxel @ slopes)
+        by_taxel = self._shrink[:, None] * (self._per_taxel @ slopes).toarray()
         of_taxel = self._shrink * (self._per_taxel @ residual)
         deviation = np.concatenate([prior.shared_deviation, prior.own_deviation.ravel()])
         weight = np.where(deviation > 0, np.maximum(deviation, 1e-12) ** -2.0, 0.0)
         offset = at - np.concatenate([prior.shared, prior.own.ravel()])
         chi2 = residual @ residual - of_taxel @ of_taxel + weight @ offset**2
         gradient = slopes.T @ residual - by_taxel.T @ of_taxel - weight * offset
-        return float(chi2), gradient, slopes.T @ slopes - by_taxel.T @ by_taxel + np.diag(weight), model
+        hessian = (slopes.T @ slopes).toarray() - by_taxel.T @ by_taxel + np.diag(weight)
+        return float(chi2), gradient, hessian, model
 
 
 def schur(hessian: Floats, count: int) -> Floats:
@@ -222,8 +239,9 @@ def left_out(likelihood: Likelihood, best: Solution) -> Floats:
     for fold in range(min(FOLDS, len(presses))):
         out = presses[fold::FOLDS]
         others = np.setdiff1d(presses, out)
-        fitted = likelihood.of(others).solve(best.shared, best.own[others])
+        fitted = likelihood.of(others).solve(best.shared, best.own[others], max_steps=LEFT_OUT_STEPS)
         test = likelihood.of(out)
+        test.model = replace(test.model, free=())
         everything = tuple(range(len(best.shared)))
         result[out] = test.misfits(test.solve(fitted.shared, best.own[out], fixed=everything))
     return result

@@ -20,6 +20,7 @@ from tactiled.calibrate.recorded_presses import (
     without_dead,
 )
 from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.unknowns import CALIPER_ERROR_MM, USUAL, Unknowns
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.geometry import Array
@@ -44,10 +45,11 @@ def fit_touch(
     size_mm: float | None,
     sphere: bool = False,
     places_mm: Floats | None = None,
+    unknowns: Unknowns = USUAL,
 ) -> CoverFit:
     """Fit the cover in one of three ways; `size_mm`: the tip's diameter, or the ridge's width, if it is known.
 
-    A tip may be a `sphere`, and have pressed at known places (K, 2).
+    A tip may be a `sphere`, and have pressed at known places (K, 2). `unknowns`: how well what is given is known.
     """
     series, array, stack, calibration = recorded.series, recorded.array, recorded.stack, recorded.calibration
     gain_error = gain_errors(calibration, array.size)
@@ -62,9 +64,10 @@ def fit_touch(
     )
     touch: Touch
     if way == "edge":
-        touch = edge_touch(presses, array, stack, gain_error, size_mm)
+        touch = edge_touch(presses, array, stack, gain_error, size_mm, unknowns)
     else:
-        touch = tip_touch(presses, array, stack, Tip(size_mm, sphere=sphere), gain_error, places_mm)
+        tip = Tip(size_mm, unknowns.size_mm or CALIPER_ERROR_MM, sphere)
+        touch = tip_touch(presses, array, stack, tip, gain_error, places_mm, unknowns)
     fit = fit_cover(touch, presses, way)
     notes = [
         f"taxel {each} feels nothing where its neighbours do and is left out: list it as dead" for each in dead

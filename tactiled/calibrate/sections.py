@@ -177,6 +177,7 @@ class CoverSection(Section):
     interval_mm: tuple[Value, Value]
     presses: Annotated[int, Field(ge=1, le=MAX_PRESSES)]
     residual: Annotated[Value, Field(ge=0)] | None = None
+    effective: tuple[Value, Value] | None = None
     layers: Annotated[tuple[LayerTable, ...], Field(min_length=1, max_length=MAX_LAYERS)]
     layers_above_taxels: Annotated[int, Field(ge=1, le=MAX_LAYERS)]
     kernel: tuple[Values, Values] | None = None  # frequency (cycles/mm) and gain
@@ -191,6 +192,7 @@ class CoverSection(Section):
             origin=origin,
             **{key: getattr(fit, key) for key in ("method", "factor", "interval", "thickness_mm", "interval_mm")},
             presses=fit.presses,
+            effective=fit.effective,
             residual=None if np.isnan(fit.residual) else fit.residual,
             layers=tuple(
                 LayerTable(thickness_mm=each.thickness, young_mpa=each.young, poisson=each.poisson, bonded=bonded)
@@ -206,7 +208,7 @@ class CoverSection(Section):
         return CoverFit(
             self.method, self.factor, self.interval, self.thickness_mm, self.interval_mm, self.presses,
             np.nan if self.residual is None else self.residual,
-            kernel=None if self.kernel is None else np.array(self.kernel),
+            effective=self.effective, kernel=None if self.kernel is None else np.array(self.kernel),
         )  # fmt: skip
 
     @cached_property
@@ -217,11 +219,11 @@ class CoverSection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        low, high = self.interval
-        if not 0 < low <= self.factor <= high:
-            raise ValueError(
-                f"interval is {low:g} to {high:g}: it must be positive and hold factor = {self.factor:g}"
-            )
+        for name, (low, high) in (("interval", self.interval), ("effective", self.effective or self.interval)):
+            if not 0 < low <= self.factor <= high:
+                raise ValueError(
+                    f"{name} is {low:g} to {high:g}: it must be positive and hold factor = {self.factor:g}"
+                )
         _attempt(lambda: self.stack)
         expected = self.stack.depth * np.array([self.factor, *self.interval])
         if not np.allclose([self.thickness_mm, *self.interval_mm], expected, rtol=MAX_MISMATCH, atol=0):

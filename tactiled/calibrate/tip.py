@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.calibrate.cover_search import Touch, differences, search
-from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum, pooled
+from tactiled.calibrate.cover_search import Touch, differences
+from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press, usable_presses
-from tactiled.calibrate.touch_response import HARMONICS, Quadrature, TipResponse, tip_transform
+from tactiled.calibrate.touch_response import HARMONICS, PROFILES, Quadrature, TipResponse, tip_transform
+from tactiled.calibrate.unknowns import CALIPER_ERROR_MM, PROFILE, PROFILE_ERROR, SHARED, SIZE, USUAL, Unknowns
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
@@ -17,19 +18,15 @@ from tactiled.geometry import Array
 
 Floats = NDArray[np.float64]
 
+SPHERE = 0.5  # exponent of its pressure's profile on a thick cover
 UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
 PLACE_ERROR_PITCHES = 0.1  # standard deviation of a place that is given
-CALIPER_ERROR_MM = 0.02  # standard deviation of a measured diameter
-SUSPECT_PULL = 2.0  # standard deviations that a fit is off the measured diameter, from which another is tried
-SUSPECT_MISFIT = 1.2  # times noise and gain errors, the same
-MAX_MISFIT = 1.5  # with another diameter: above it gains or layers are wrong, and the tip may be right
-MAX_DIFFERENCE = 3.0  # standard deviations between the measured diameter and the presses'
 MIN_PRESSES = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Tip:
-    """What presses: evenly on a disc, or as a sphere does (Hertz), of a contact diameter (mm), None: unknown."""
+    """What presses: a flat tip, or a sphere, of a contact diameter (mm), None: unknown."""
 
     diameter_mm: float | None = None
     error_mm: float = CALIPER_ERROR_MM  # standard deviation of the diameter
@@ -51,12 +48,10 @@ class TipModel(Model):
     def __call__(self, shared: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
         """The model (M,), its slopes in what is shared (M, S), and in force and place (M, 3)."""
         force, place = own[self.press, :1], own[self.press, 1:]
-        response, gradient = self.response(differences(self.spectrum, shared), self.positions - place)
-        return (
-            force[:, 0] * response[:, 0],
-            force * response[:, 1:],
-            np.hstack([response[:, :1], -force * gradient]),
-        )
+        spectra = differences(self.spectrum, shared, self.free)
+        response, gradient = self.response(spectra, self.positions - place)
+        own = np.hstack([response[:, :1], -force * gradient])
+        return self.bent(shared, force[:, 0] * response[:, 0], force * response[:, 1:], own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,33 +62,13 @@ class TipTouch(Touch):
 
     def transform(self, q: Floats, shared: Floats) -> Floats:
         """Transform of the tip (n,)."""
-        return tip_transform(q, float(np.exp(shared[1])), self.tip.sphere)
+        return tip_transform(q, float(np.exp(shared[SIZE])), float(np.clip(shared[PROFILE], *PROFILES)))
 
     def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> TipModel:
         """The model of `readings`; a coarse one takes apertures for round."""
-        response = TipResponse(self.array, nodes, 1 if coarse else HARMONICS)
-        return TipModel(self.array.positions[readings.taxel], readings.press, spectrum, response)
-
-    def size_note(self, solution: Solution, misfit: float) -> str:
-        """Whether the presses are explained by another tip than the measured one, and not by that."""
-        measured, deviation = float(self.prior.shared[1]), float(self.prior.shared_deviation[1])
-        if self.tip.diameter_mm is None or deviation == 0:
-            return ""
-        pull = abs(float(solution.shared[1]) - measured) / deviation
-        if pull <= SUSPECT_PULL and misfit <= SUSPECT_MISFIT:
-            return ""
-        radius, unknown = Tip().radius_prior(self.array.pitch)
-        shared, free = np.array([0.0, radius]), np.array([np.inf, unknown])
-        fitted = search(replace(self, prior=replace(self.prior, shared=shared, shared_deviation=free)))
-        lowest = max(1.0, pooled(fitted.likelihood.misfits(fitted.solution)))
-        own = lowest * float(np.sqrt(np.linalg.pinv(fitted.solution.information)[1, 1]))
-        offset = abs(float(fitted.solution.shared[1]) - measured) / np.hypot(own, deviation)
-        if lowest > MAX_MISFIT or max(pull / misfit, offset) <= MAX_DIFFERENCE:
-            return ""
-        factor, radius = np.exp(fitted.solution.shared)
-        depth = factor * self.family.configured.depth
-        other = f"a tip of {2 * radius:.2g} mm, not {self.tip.diameter_mm:g} mm, under a cover of {depth:.3g} mm"
-        return f"the presses look like those of {other}: measure it again, or leave it out (--tip-mm 0)"
+        response = TipResponse(self.array, nodes, 1 if coarse else HARMONICS, self.scales)
+        positions, highest = self.array.positions[readings.taxel], float(readings.value.max())
+        return TipModel(positions, readings.press, spectrum, response, self.free, highest)
 
     def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
         """Readings (K, N) within `reach` of a press's place."""
@@ -116,6 +91,7 @@ def tip_touch(
     tip: Tip,
     gain_error: Floats | float,
     places_mm: Floats | None = None,
+    unknowns: Unknowns = USUAL,
 ) -> TipTouch:
     """Make the usable `presses` ready to be fitted; ConfigError for too few, or a tip wider than the array.
 
@@ -136,6 +112,8 @@ def tip_touch(
         own[:, 1:] = places_mm[usable]
         deviation[:, 1:] = PLACE_ERROR_PITCHES * array.pitch
     radius, uncertainty = tip.radius_prior(array.pitch)
-    prior = Prior(np.array([0.0, radius]), np.array([np.inf, uncertainty]), own, deviation)
+    shared = np.zeros(SHARED)
+    shared[SIZE], shared[PROFILE] = radius, SPHERE if tip.sphere else 0.0
+    prior = Prior(shared, unknowns.deviations(array, uncertainty, PROFILE_ERROR), own, deviation)
     gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))
     return TipTouch(array, CoverFamily(configured), tuple(presses[at] for at in usable), gain, prior, tip)

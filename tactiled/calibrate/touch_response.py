@@ -1,9 +1,9 @@
 """What taxels sense of a tip or of a straight edge under a cover whose gain is being fitted, at any offset.
 
 Both are linear in the gain on the nodes of a quadrature over q, so that tables for a new gain are one product of
-matrices. A tip's response is a sum of Hankel transforms: a square aperture's transform has the harmonics
-cos(4 m phi), and each of them becomes one of order 4 m. An edge's is the integral of the line response, whose
-transform is the slice of gain and aperture across the edge.
+matrices; for several scales of the aperture a spectrum has a block each. A tip's response is a sum of Hankel
+transforms: a square aperture's has the harmonics cos(4 m phi), and each becomes one of order 4 m. An edge's is the
+integral of the line response, whose transform is the slice of gain and aperture across the edge.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import j1, jv
+from scipy.special import gamma, jv
 
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import aperture_mean
@@ -28,6 +28,8 @@ NODES_PER_PANEL = 24
 PANEL_RADIANS = 20.0  # of the fastest wave in a panel of the quadrature
 STEPS_PER_DEPTH = 12  # of the table, in the thinnest cover
 ANGLES = 256  # over which a harmonic of the aperture is a mean
+PROFILES = -0.9, 6.0  # exponents of a load's profile
+ONE = (1.0,)  # scale of the aperture: as configured
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,26 +61,50 @@ def quadrature(family: CoverFamily, factors: tuple[float, float], extra_mm: floa
     return Quadrature(q, np.tile(weight * width / 2, panels), reach, step, float(np.sqrt(np.prod(factors))))
 
 
-def tip_transform(q: Floats, radius_mm: float, sphere: bool = False) -> Floats:
-    """Transform, 1 at q = 0, of even pressure on a disc, or of Hertz's under a sphere, of contact radius (mm)."""
-    x = np.maximum(2 * np.pi * q * radius_mm, 1e-3)
-    if sphere:
-        return np.asarray(3 * (np.sin(x) - x * np.cos(x)) / x**3)
-    return np.asarray(2 * j1(x) / x)
+def tip_transform(q: Floats, radius_mm: float, profile: float = 0.0) -> Floats:
+    """Transform, 1 at q = 0, of pressure (1 - (r/a)^2)^profile on a disc of radius a (mm).
+
+    0 is even pressure, 1/2 that under a sphere on a thick cover (Hertz), -1/2 that under a rigid flat punch on it.
+    """
+    return _bessel(2 * np.pi * q * radius_mm, profile + 1)
+
+
+def ridge_transform(q: Floats, width_mm: float, profile: float = 0.0) -> Floats:
+    """Transform, 1 at q = 0, of pressure (1 - (x/b)^2)^profile on a strip of width 2 b (mm)."""
+    return _bessel(np.pi * q * width_mm, profile + 0.5)
+
+
+def _bessel(x: Floats, order: float) -> Floats:
+    """Sonine's integral, 1 at 0: Gamma(n + 1) J_n(x) (2 / x)^n."""
+    x = np.maximum(x, 1e-3)
+    return np.asarray(gamma(order + 1) * jv(order, x) * (2 / x) ** order)
+
+
+def edge_transform(q: Floats, square_mm: float) -> Floats:
+    """Transform of the rise across a blurred edge, 1 at q = 0; `square_mm` is the rise's variance (mm^2).
+
+    Below 0 the load is highest at its rim, as under a hard plate.
+    """
+    x = 2 * np.pi**2 * q**2 * square_mm
+    return np.asarray(np.exp(-x) if square_mm > 0 else 1 - x)
 
 
 class TipResponse:
     """The mean pressure on a taxel under a tip of force 1 (kPa mm^2), by its offset from the tip."""
 
-    def __init__(self, array: Array, nodes: Quadrature, harmonics: int = HARMONICS) -> None:
+    def __init__(
+        self, array: Array, nodes: Quadrature, harmonics: int = HARMONICS, scales: tuple[float, ...] = ONE
+    ) -> None:
         self.nodes = nodes
         self._matrices = []
         angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
-        aperture = aperture_mean(array, np.outer(nodes.q, np.cos(angle)), np.outer(nodes.q, np.sin(angle)))
+        u, v = np.outer(nodes.q, np.cos(angle)), np.outer(nodes.q, np.sin(angle))
+        apertures = [aperture_mean(array, scale * u, scale * v) for scale in scales]
         phase = 2 * np.pi * np.outer(nodes.distance, nodes.q)
         for order in range(0, 4 * harmonics, 4) if array.aperture == "square" else (0,):
-            harmonic = (aperture * np.cos(order * angle)).mean(axis=1) * (2 if order else 1)
-            self._matrices.append(2 * np.pi * jv(order, phase) * (nodes.weights * nodes.q * harmonic))
+            waves = 2 * np.pi * jv(order, phase) * (nodes.weights * nodes.q)
+            turned = np.cos(order * angle) * (2 if order else 1)
+            self._matrices.append(np.hstack([waves * (each * turned).mean(axis=1) for each in apertures]))
 
     def radial(self, spectrum: Floats) -> Floats:
         """Response at the nodes' distances, as if apertures were round."""
@@ -106,33 +132,35 @@ class TipResponse:
 
 
 class EdgeResponse:
-    """The mean pressure on a taxel under a straight edge of pressure 1 kPa, by the distance to the edge."""
+    """The mean pressure on a taxel under an edge, or a `ridge`, of pressure 1 kPa, by the distance to it."""
 
-    def __init__(self, array: Array, nodes: Quadrature) -> None:
-        self.array, self.nodes = array, nodes
+    def __init__(
+        self, array: Array, nodes: Quadrature, ridge: bool = False, scales: tuple[float, ...] = ONE
+    ) -> None:
+        self.array, self.nodes, self.ridge, self.scales = array, nodes, ridge, scales
         phase = 2 * np.pi * np.outer(nodes.distance, nodes.q)
-        self._matrix = np.sin(phase) * nodes.weights / (np.pi * nodes.q)
+        self._matrix = (
+            2 * np.cos(phase) * nodes.weights if ridge else np.sin(phase) * nodes.weights / (np.pi * nodes.q)
+        )
 
-    def __call__(
-        self, spectra: Floats, angle: float, distance: Floats, width: float = np.inf
-    ) -> tuple[Floats, ...]:
-        """Responses (M, S) of `spectra` (n, S) to a strip of `width` that starts at the edge, at (M,) mm from it.
+    def __call__(self, spectra: Floats, angle: float, distance: Floats) -> tuple[Floats, Floats, Floats]:
+        """Responses (M, S) of `spectra` (n, S), at (M,) mm into the load, or from the ridge's middle.
 
-        Behind them the slope (M,) of the first by distance and its integral (M,) from far outside. `angle` (rad)
-        is that of the edge's normal, which points into the load. The strip is centred if its width is finite.
+        Behind them the slope (M,) of the first by distance and its integral (M,) from far outside, 0 of a ridge.
+        `angle` (rad) is that of the edge's normal, which points into the load.
         """
-        aperture = aperture_mean(self.array, self.nodes.q * np.cos(angle), self.nodes.q * np.sin(angle))
-        table = CubicSpline(self.nodes.distance, self._matrix @ (spectra * aperture[:, None]))
-        if np.isinf(width):
-            return self._step(table, distance)
-        ends = [self._step(table, distance + side * width / 2) for side in (1, -1)]
-        return tuple(first - second for first, second in zip(*ends, strict=True))
-
-    def _step(self, table: CubicSpline, distance: Floats) -> tuple[Floats, ...]:
-        """Response, slope and integral of a load from 0 on."""
+        u, v = self.nodes.q * np.cos(angle), self.nodes.q * np.sin(angle)
+        passed = sum(
+            part * aperture_mean(self.array, scale * u, scale * v)[:, None]
+            for part, scale in zip(np.split(spectra, len(self.scales)), self.scales, strict=True)
+        )
+        table = CubicSpline(self.nodes.distance, self._matrix @ passed)
         end = self.nodes.distance[-1]
         near, side = np.minimum(np.abs(distance), end), np.sign(distance)
-        rises = side[:, None] * table(near)
+        values, slope = table(near), table(near, 1)[:, 0]
+        if self.ridge:
+            return values, side * slope, np.zeros_like(slope)
+        rises = side[:, None] * values
         rises[:, 0] += 0.5
         tail = (end - near) / 2 - (table.antiderivative()(end) - table.antiderivative()(near))[:, 0]
-        return rises, table(near, 1)[:, 0], np.maximum(distance, 0) + tail
+        return rises, slope, np.maximum(distance, 0) + tail

@@ -1,6 +1,6 @@
 """`tactiled calibrate cover`: a cover's thickness from a recording of presses."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +15,7 @@ from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM, CoverFit, Method
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.sections import CoverSection
+from tactiled.calibrate.unknowns import Unknowns
 from tactiled.cli import options
 from tactiled.cli.calibrate import Out, made_from, matching, update
 from tactiled.config import schema
@@ -44,6 +45,15 @@ def cover(
     measured: Annotated[
         bool, typer.Option("--measured", help="Keep a measured kernel where no thickness explains the presses.")
     ] = False,
+    error: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Standard deviation of what is given, NAME=VALUE: size_mm, aperture_mm, poisson, curvature."
+        ),
+    ] = None,
+    doubtful: Annotated[
+        bool, typer.Option("--doubtful", help="Write a result, too, that the presses speak against.")
+    ] = False,
     plot: Annotated[
         Path | None, typer.Option(help="Chart of the response, measured and fitted (.png, .svg, .pdf).")
     ] = None,
@@ -56,7 +66,14 @@ def cover(
     if tip_mm is None:
         _refuse({"--sphere": sphere, "--places": places}, "needs --tip-mm")
     if blind:
-        _refuse({"--measured": measured, "--plot": plot}, "has no effect with --blind: leave it out")
+        unused: dict[str, object] = {
+            "--measured": measured,
+            "--plot": plot,
+            "--error": error,
+            "--doubtful": doubtful,
+        }
+        _refuse(unused, "has no effect with --blind: leave it out")
+    unknowns = _unknowns(error or [])
     settings, name, one = options.one_sensor(config, sensor)
     before, stack = _other_sections(out, name, one), make_stack(one)
     with threadpool_limits(1):
@@ -64,7 +81,8 @@ def cover(
         ends = make_codec(one).ends
         recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends)
         way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
-        fit = fit_touch(recorded, way, size_mm, sphere, None if places is None else _places(places))
+        known = None if places is None else _places(places)
+        fit = fit_touch(recorded, way, size_mm, sphere, known, unknowns)
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 
@@ -73,6 +91,8 @@ def cover(
         fit if measured else replace(fit, kernel=None), stack, made_from(file, f"cover: {fit.method}")
     )
     typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack, measured)]))
+    if fit.doubt and not (doubtful or (measured and fit.kernel is not None)):
+        raise ConfigError(f"cover: {fit.doubt}; nothing is written (--doubtful writes it)")
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
 
@@ -85,6 +105,21 @@ def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
     if size_mm is not None and not MIN_SIZE_MM <= size_mm <= highest_mm:
         raise ConfigError(f"{option} {size_mm:g}: give {MIN_SIZE_MM:g} to {highest_mm} mm")
     return size_mm
+
+
+def _unknowns(errors: list[str]) -> Unknowns:
+    """The deviations that were given; ConfigError for one that is none."""
+    names, given = [each.name for each in fields(Unknowns)], {}
+    for text in errors:
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = np.nan
+        if name not in names or not 0 < value < np.inf:
+            raise ConfigError(f"--error {text}: give NAME=VALUE with a number above 0; names: {', '.join(names)}")
+        given[name] = value
+    return Unknowns(**given)
 
 
 def _refuse(options: dict[str, object], reason: str) -> None:
@@ -123,8 +158,10 @@ def _places(path: Path) -> Floats:
 def _lines(fit: CoverFit, stack: Stack, measured: bool) -> list[str]:
     """What was found, a line each; a `measured` kernel is kept."""
     (low, high), change = fit.interval_mm, 100 * (fit.factor - 1)
+    from_mm, to_mm = (each * stack.depth for each in fit.effective or fit.interval)
     rows = {
         "thickness": f"{fit.thickness_mm:.4g} mm (95 %: {low:.4g} to {high:.4g}); configured {stack.depth:.4g} mm",
+        "effective": f"{from_mm:.4g} to {to_mm:.4g} mm (95 %) restores with aperture and layers as configured",
         "factor": f"{fit.factor:.3f} ({change:+.1f} %)",
         "presses": f"{fit.presses} used",
         "left out": f"presses left out of the fit miss by {fit.residual:.2f} of noise and gain errors",

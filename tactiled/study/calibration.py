@@ -24,7 +24,8 @@ from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.gain import GainFit, fit_steps
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.presses import Press, find_presses
-from tactiled.calibrate.tip import CALIPER_ERROR_MM, Tip, tip_touch
+from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.unknowns import CALIPER_ERROR_MM
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.kernel import cached
 from tactiled.cover.stack import Layer, Stack

@@ -1,0 +1,88 @@
+"""A cover fitted with all that a person does not know exactly, each with the deviation that it has."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.calibrate.cover_search import Fitted, Touch, fine
+from tactiled.calibrate.likelihood import Likelihood, Solution, interval, pooled, schur
+from tactiled.calibrate.unknowns import FACTOR, SENSOR
+from tactiled.cover.family import FACTORS
+from tactiled.restore.noise import NORMAL_95
+
+Floats = NDArray[np.float64]
+
+ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
+LINEAR = 0.05  # deviation of the factor's logarithm, up to which its likelihood is as good as normal
+PULL = 2.0  # standard deviations that presses pull a parameter by, from which its prior is given up
+MAX_FREED = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """The end of it."""
+
+    touch: Touch
+    likelihood: Likelihood
+    solution: Solution
+    freed: tuple[int, ...]  # whose priors the presses refuse
+    misfit: float  # over what noise and gain errors explain, 1 at least
+    interval: tuple[float, float]  # of the factor's logarithm, 95 %
+    effective: Solution  # with the sensor as configured, whose factor restores rightly
+    effective_deviation: float  # of its factor's logarithm
+
+    def slope(self, parameter: int) -> float:
+        """How the factor's logarithm moves with a parameter, all others being solved for."""
+        rest = [at for at in self.touch.free if at not in (FACTOR, parameter)]
+        order = [FACTOR, parameter, *rest]
+        reduced = schur(self.solution.information[np.ix_(order, order)], 2)
+        return float(-reduced[0, 1] / reduced[0, 0])
+
+    def share(self, parameter: int) -> float:
+        """Share of the variance of the factor's logarithm that would go if a parameter were known."""
+        touches = self.touch, self.touch.known(parameter)
+        whole, known = (np.linalg.pinv(_information(each, self.solution))[0, 0] for each in touches)
+        return float(1 - known / whole)
+
+    def differs(self, parameter: int) -> float:
+        """Standard deviations between a parameter as given and as the presses have it."""
+        covariance, at = np.linalg.pinv(_information(self.touch, self.solution)), self.touch.free.index(parameter)
+        own = self.misfit * covariance[at, at] ** 0.5
+        return float(abs(self.solution.shared[parameter] - self.touch.prior.shared[parameter]) / own)
+
+
+def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
+    """Continue a search of the sensor as configured; `touch` has the priors of everything."""
+    touch = replace(fitted.touch, prior=replace(fitted.touch.prior, shared_deviation=touch.prior.shared_deviation))
+    solution = fitted.solution
+    freed: list[int] = []
+    while True:
+        fitted = fine(touch, solution.shared, solution.own)
+        likelihood, solution = fitted.likelihood, fitted.solution
+        misfit = max(1.0, pooled(likelihood.misfits(solution)))
+        pulls = np.abs(solution.shared - touch.prior.shared) / np.maximum(touch.prior.shared_deviation, 1e-12)
+        pulls[[FACTOR, *freed, *(set(range(len(pulls))) - set(touch.free))]] = 0
+        worst = int(pulls.argmax())
+        if pulls[worst] <= PULL * misfit or len(freed) == MAX_FREED:
+            break
+        freed.append(worst)
+        wider = touch.prior.shared_deviation.copy()
+        wider[worst] = max(touch.freed_deviation(worst), wider[worst])
+        touch = replace(touch, prior=replace(touch.prior, shared_deviation=wider))
+    deviation = misfit * float(np.linalg.pinv(_information(touch, solution))[0, 0]) ** 0.5
+    half = NORMAL_95 * deviation
+    ends = float(solution.shared[FACTOR]) - half, float(solution.shared[FACTOR]) + half
+    if deviation > LINEAR:
+        ends = interval(likelihood, solution, misfit**2, ENDS)
+    configured = solution.shared.copy()
+    configured[list(SENSOR)] = touch.prior.shared[list(SENSOR)]
+    effective = likelihood.solve(configured, solution.own, fixed=SENSOR)
+    own = touch.known(*SENSOR)
+    deviation = misfit * float(np.linalg.pinv(_information(own, solution))[0, 0]) ** 0.5
+    return Joint(touch, likelihood, solution, tuple(freed), misfit, ends, effective, deviation)
+
+
+def _information(touch: Touch, solution: Solution) -> Floats:
+    """Information on what is free of what is shared, the factor's logarithm first."""
+    return solution.information[np.ix_(touch.free, touch.free)]
