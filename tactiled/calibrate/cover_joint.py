@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.cover_search import Fitted, Touch, fine
 from tactiled.calibrate.likelihood import Likelihood, Solution, interval, pooled, schur
-from tactiled.calibrate.unknowns import FACTOR, SENSOR
+from tactiled.calibrate.unknowns import APERTURE, FACTOR, PROFILE, SENSOR, SHARED, SIZE
 from tactiled.cover.family import FACTORS
 from tactiled.restore.noise import NORMAL_95
 
@@ -15,8 +15,10 @@ Floats = NDArray[np.float64]
 
 ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
 LINEAR = 0.05  # deviation of the factor's logarithm, up to which its likelihood is as good as normal
+MISFIT = 1.2  # times noise and gain errors: above it something that was given is wrong
 PULL = 2.0  # standard deviations that presses pull a parameter by, from which its prior is given up
 MAX_FREED = 3
+GAINED = 14.0  # of chi-squared: 99.7 % of what three free parameters gain by chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +31,8 @@ class Joint:
     freed: tuple[int, ...]  # whose priors the presses refuse
     misfit: float  # over what noise and gain errors explain, 1 at least
     interval: tuple[float, float]  # of the factor's logarithm, 95 %
-    effective: Solution  # with the sensor as configured, whose factor restores rightly
+    sized: Solution  # with all but the size as given
+    effective: Solution  # with the sensor as configured, whose factor restores rightly; the simplest that explains
     effective_deviation: float  # of its factor's logarithm
 
     def slope(self, parameter: int) -> float:
@@ -55,21 +58,22 @@ class Joint:
 def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
     """Continue a search of the sensor as configured; `touch` has the priors of everything."""
     touch = replace(fitted.touch, prior=replace(fitted.touch.prior, shared_deviation=touch.prior.shared_deviation))
-    solution = fitted.solution
-    freed: list[int] = []
+    start, freed = fitted.solution, list[int]()
+    simpler = [start]
     while True:
-        fitted = fine(touch, solution.shared, solution.own)
+        fitted = fine(touch, start.shared, start.own)
         likelihood, solution = fitted.likelihood, fitted.solution
         misfit = max(1.0, pooled(likelihood.misfits(solution)))
-        pulls = np.abs(solution.shared - touch.prior.shared) / np.maximum(touch.prior.shared_deviation, 1e-12)
-        pulls[[FACTOR, *freed, *(set(range(len(pulls))) - set(touch.free))]] = 0
-        worst = int(pulls.argmax())
-        if pulls[worst] <= PULL * misfit or len(freed) == MAX_FREED:
+        refused = _refused(touch, solution, misfit, freed)
+        if refused is None or len(freed) == MAX_FREED:
             break
-        freed.append(worst)
+        freed.append(refused)
         wider = touch.prior.shared_deviation.copy()
-        wider[worst] = max(touch.freed_deviation(worst), wider[worst])
+        wider[refused] = max(touch.freed_deviation(refused), wider[refused])
         touch = replace(touch, prior=replace(touch.prior, shared_deviation=wider))
+        if refused == SIZE:  # first without a profile, whose bounds are no place to start from
+            start = fine(touch.known(*range(APERTURE, SHARED)), start.shared, start.own).solution
+            simpler.append(start)
     deviation = misfit * float(np.linalg.pinv(_information(touch, solution))[0, 0]) ** 0.5
     half = NORMAL_95 * deviation
     ends = float(solution.shared[FACTOR]) - half, float(solution.shared[FACTOR]) + half
@@ -80,7 +84,20 @@ def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
     effective = likelihood.solve(configured, solution.own, fixed=SENSOR)
     own = touch.known(*SENSOR)
     deviation = misfit * float(np.linalg.pinv(_information(own, solution))[0, 0]) ** 0.5
-    return Joint(touch, likelihood, solution, tuple(freed), misfit, ends, effective, deviation)
+    found = next((each for each in simpler if each.chi2 - effective.chi2 < GAINED * misfit**2), effective)
+    return Joint(touch, likelihood, solution, tuple(freed), misfit, ends, simpler[-1], found, deviation)
+
+
+def _refused(touch: Touch, solution: Solution, misfit: float, freed: list[int]) -> int | None:
+    """The parameter whose prior the presses speak against most; None where they agree with all."""
+    left = [at for at in touch.free if at != FACTOR and at not in freed]
+    offsets = np.abs(solution.shared - touch.prior.shared)
+    pulls = {at: float(offsets[at] / touch.prior.shared_deviation[at]) for at in left}
+    worst = max(left, key=lambda at: pulls[at], default=None)
+    # a size is measured far more exactly than a profile is known: if both explain the presses, it was mistaken
+    if SIZE in left and ((worst == PROFILE and pulls[PROFILE] > PULL * misfit) or misfit > MISFIT):
+        return SIZE
+    return worst if worst is not None and pulls[worst] > PULL * misfit else None
 
 
 def _information(touch: Touch, solution: Solution) -> Floats:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.calibrate.cover_fit import CoverFit, Method
-from tactiled.calibrate.cover_joint import ENDS, Joint, fit_jointly
+from tactiled.calibrate.cover_joint import ENDS, MISFIT, Joint, fit_jointly
 from tactiled.calibrate.cover_search import Fitted, Touch, search
-from tactiled.calibrate.cover_unknowns import edge_doubt, unknown_notes
+from tactiled.calibrate.cover_unknowns import MAX_MISFIT, edge_doubt, unknown_notes
 from tactiled.calibrate.free_kernel import free_kernel
 from tactiled.calibrate.likelihood import left_out, pooled, schur
 from tactiled.calibrate.presses import Press
@@ -22,9 +22,6 @@ from tactiled.restore.noise import NORMAL_95
 
 Floats = NDArray[np.float64]
 
-MISFIT = 1.2  # times noise and gain errors: presses left out that miss by more show a wrong model
-MAX_MISFIT = 2.0  # from which a result is not written without being asked for
-GAINED = 7.8  # of chi-squared: 95 % of what three free parameters gain by chance
 DOUBLED = float(np.log(2))  # between two estimates of a rubber's modulus, such as from Shore A
 IRRELEVANT = 0.01  # of the thickness: a modulus that changes it by less does not matter
 MAX_POINTS = 2000  # of the plotted line
@@ -34,7 +31,7 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
     """Fit the thickness to a touch made of `presses`; notes name those of them that were not used."""
     fitted = search(touch)
     joint, family = fit_jointly(touch, fitted), fitted.touch.family
-    middle, spread = _effective(fitted, joint), NORMAL_95 * joint.effective_deviation
+    middle, spread = float(joint.effective.shared[FACTOR]), NORMAL_95 * joint.effective_deviation
     factor, low, high = (float(np.exp(np.clip(middle + each, *ENDS))) for each in (0, -spread, spread))
     ends = float(np.exp(joint.interval[0])), float(np.exp(joint.interval[1]))
     within, depth = (min(low, ends[0]), max(high, ends[1])), family.configured.depth
@@ -57,16 +54,6 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
         return fit
     doubt = edge_doubt(joint)
     return replace(fit, doubt=doubt, notes=(doubt, *fit.notes)) if doubt else _explained(fit, fitted, misfits)
-
-
-def _effective(fitted: Fitted, joint: Joint) -> float:
-    """The factor's logarithm that restores with the sensor as configured.
-
-    What was given of the load is taken for exact unless the presses speak against it.
-    """
-    gained = (fitted.solution.chi2 - joint.effective.chi2) / joint.misfit**2
-    best = fitted.solution if gained < GAINED else joint.effective
-    return float(best.shared[FACTOR])
 
 
 def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:

@@ -10,6 +10,7 @@ from tactiled.calibrate.edge import EdgeTouch
 from tactiled.calibrate.tip import TipTouch
 from tactiled.calibrate.unknowns import APERTURE, CURVATURE, FACTOR, POISSON, PROFILE, SIZE
 
+MAX_MISFIT = 1.5  # times noise and gain errors: above it nothing that was given explains the presses
 CLEAR = 2.5  # standard deviations from what was given, from which a note says so
 NOTED = 0.25  # of the thickness's variance: what adds as much is named, too
 
@@ -34,7 +35,15 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
     ]
     names = words[shares[0][1]].name
     counts = f"of what is not known exactly, {names} counts most: {', '.join(parts)}"
-    return *(each.differs(joint) for at, each in words.items() if joint.differs(at) > CLEAR), counts
+    if joint.misfit > MAX_MISFIT:
+        return (counts,)
+    given = {at for at in words if at != SIZE or not _is_size_unknown(joint)}
+    return *(words[at].differs(joint) for at in sorted(given) if joint.differs(at) > CLEAR), counts
+
+
+def _is_size_unknown(joint: Joint) -> bool:
+    """Whether nobody gave a diameter."""
+    return isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
 
 
 def edge_doubt(joint: Joint) -> str:
@@ -96,8 +105,8 @@ def _curvature(joint: Joint) -> str:
 
 
 def _size(joint: Joint) -> str:
-    fitted, given = np.exp(joint.solution.shared[SIZE]), np.exp(joint.touch.prior.shared[SIZE])
-    depth = np.exp(joint.solution.shared[FACTOR]) * joint.touch.family.configured.depth
+    fitted, given = np.exp(joint.sized.shared[SIZE]), np.exp(joint.touch.prior.shared[SIZE])
+    depth = np.exp(joint.sized.shared[FACTOR]) * joint.touch.family.configured.depth
     if isinstance(joint.touch, TipTouch):
         name, fitted, given, option = "tip", 2 * fitted, 2 * given, "--tip-mm"
     else:

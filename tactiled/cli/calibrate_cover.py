@@ -117,7 +117,7 @@ def _unknowns(errors: list[str]) -> Unknowns:
         except ValueError:
             value = np.nan
         if name not in names or not 0 < value < np.inf:
-            raise ConfigError(f"--error {text}: give NAME=VALUE with a number above 0; names: {', '.join(names)}")
+            raise ConfigError(f"--error {text}: give NAME=VALUE with a number over 0; names: {', '.join(names)}")
         given[name] = value
     return Unknowns(**given)
 

@@ -12,11 +12,13 @@ from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.recorded_presses import without_dead
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
 from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.unknowns import Unknowns
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
 from tests.touched import Skin, World, recorded, rubber
 
 CONFIGURED = 1.3  # times the true thickness
+EXACT = Unknowns(aperture_mm=1e-3, poisson=1e-4, curvature=1e-4)
 SCATTERED = np.random.default_rng(8).uniform(-0.2, 0.2, (196, 2)) + grid(14, 14, 1.0).positions
 
 
@@ -33,10 +35,9 @@ def pressed(array, thickness, seed=0, tip_mm=1.6, count=20, **errors):
     return [skin.press(world.tip(tip_mm / 2, each) * random.uniform(0.6, 1.4), array) for each in places], places
 
 
-def fitted(presses, array, thickness, tip, gain_error=0.01, places=None):
-    return fit_cover(
-        tip_touch(presses, array, rubber(CONFIGURED * thickness), tip, gain_error, places), presses, "tip"
-    )
+def fitted(presses, array, thickness, tip, gain_error=0.01, places=None, unknowns=EXACT):
+    touch = tip_touch(presses, array, rubber(CONFIGURED * thickness), tip, gain_error, places, unknowns)
+    return fit_cover(touch, presses, "tip")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tests.touched import World, disc, rubber
 def test_a_tip_s_response_and_gradient_are_those_of_the_product_s_operator(aperture, sphere):
     array, family = grid(9, 9, 1.0, 0.9, aperture), CoverFamily(rubber(0.6))
     nodes = quadrature(family, (0.8, 1.3), 2.0)
-    spectrum = (family.gain(nodes.q, 1.1) * tip_transform(nodes.q, 0.7, sphere))[:, None]
+    spectrum = (family.gain(nodes.q, 1.1) * tip_transform(nodes.q, 0.7, 0.5 * sphere))[:, None]
     place = np.array([3.73, 4.21])
     response, gradient = TipResponse(array, nodes)(spectrum, array.positions - place)
     pieces, weights = disc(0.7, sphere)

@@ -1,10 +1,14 @@
 """`tactiled calibrate cover` on recordings of a simulated skin of 12 x 12 taxels, 12 bits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tactiled.build import make_array, make_codec
 from tactiled.calibrate import calibration_file
+from tactiled.calibrate.unknowns import Unknowns
+from tactiled.cli import calibrate_cover
 from tactiled.cli.calibrate_cover import _lines
 from tactiled.config import parse
 from tests.calibrate.files import calibration_file as configured
@@ -123,6 +127,35 @@ def test_another_file_begins_with_the_configured_one(config, tips, tmp_path):
 def test_a_kernel_that_is_not_kept_is_called_so(measured, end):
     section = cover_section(kernel=np.array([[0, 1, 2, 3], [1, 0.9, 0.5, 0.1]]))
     assert _lines(section.fit, section.stack, measured)[-1] == f"  kernel     measured at 4 frequencies{end}"
+
+
+def test_what_the_presses_refuse_is_written_only_if_asked_for(config, tips, tmp_path, monkeypatch):
+    section, given = cover_section(), []
+
+    def fit_touch(*arguments):
+        given.append(arguments[-1])
+        return replace(section.fit, doubt="the edge is not sharp: use a tip", kernel=np.ones((2, 4)))
+
+    monkeypatch.setattr(calibrate_cover, "fit_touch", fit_touch)
+    out = tmp_path / "palm.json"
+    arguments = ("calibrate", "cover", tips[0], "--config", config, "--out", out, "--edge")
+    refused = run(*arguments, "--error", "aperture_mm=0.05", "--error", "poisson=0.01")
+    assert refused.exception.args[0] == (
+        "cover: the edge is not sharp: use a tip; nothing is written (--doubtful writes it)"
+    )
+    assert refused.output.startswith("palm: cover by tip")
+    assert given[0] == Unknowns(aperture_mm=0.05, poisson=0.01)
+    assert not out.exists()
+    succeed(*arguments, "--doubtful")
+    assert calibration_file.load(out).cover.factor == section.factor
+
+
+def test_deviations_are_named_and_above_0(config, tips, tmp_path):
+    arguments = ("calibrate", "cover", tips[0], "--config", config, "--out", tmp_path / "palm.json", "--tip-mm", 1)
+    for bad in ("width=1", "size_mm", "poisson=-1", "size_mm=nan"):
+        assert refusal(*arguments, "--error", bad) == (
+            f"--error {bad}: give NAME=VALUE with a number over 0; names: size_mm, aperture_mm, poisson, curvature"
+        )
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(config, tips, tmp_path):
