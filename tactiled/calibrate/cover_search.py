@@ -33,7 +33,7 @@ MAX_ROUNDS = 6  # of tables
 SETTLED = 0.2  # of the factor's logarithm: an estimate nearer to its tables' middle is the last
 MODEL_ERROR = 1e-3  # of a press's peak: finite elements' gain and the tables are no better
 MISFIT_RATIO = 3.0  # of a press's misfit over the median's and over 1: something else touched, or it slid
-REFERENCES = 3  # models one after the other that gain errors are proportional to
+REFERENCES, NEAR_REFERENCES = 3, 2  # models one after the other that gain errors are proportional to
 MAX_APERTURE = np.log(0.5), np.log(2)  # over the configured one
 FREED = {SIZE: 1.0, APERTURE: 0.5, POISSON: 0.15, CURVATURE: 0.3, PROFILE: 2.0}  # deviations, priors refused
 STEP = 1e-4  # of finite differences in shared parameters
@@ -175,17 +175,21 @@ def _coarse(touch: Touch) -> Solution:
 
 
 def fine(touch: Touch, shared: Floats, own: Floats | None = None) -> Fitted:
-    """Solve for everything, with tables around the last estimate until it stays."""
-    own = touch.prior.own if own is None else own
+    """Solve for everything, with tables around the last estimate until it stays; with `own` it is near the end."""
+    rounds = REFERENCES if own is None else NEAR_REFERENCES
     for _ in range(MAX_ROUNDS):
         middle = shared[0]
         exact = touch.likelihood((np.exp(middle) / BRACKET, np.exp(middle) * BRACKET))
-        solution = _with_gain_noise(exact).solve(shared, own)
-        for _ in range(REFERENCES):
-            likelihood = Likelihood(exact.readings, exact.model, exact.prior, solution.model)
-            solution = likelihood.solve(solution.shared, solution.own)
-        shared = np.append(np.clip(solution.shared[:1], *np.log(FACTORS)), solution.shared[1:])
-        own = solution.own
+        if own is None:
+            pilot = _with_gain_noise(exact).solve(shared, touch.prior.own)
+            shared, own, model = pilot.shared, pilot.own, pilot.model
+        else:
+            model = exact.model(shared, own)[0]
+        for _ in range(rounds):
+            likelihood = Likelihood(exact.readings, exact.model, exact.prior, model)
+            solution = likelihood.solve(shared, own)
+            shared, own, model = solution.shared, solution.own, solution.model
+        shared = np.append(np.clip(shared[:1], *np.log(FACTORS)), shared[1:])
         if abs(shared[0] - middle) < SETTLED:
             break
     return Fitted(touch, likelihood, solution, ())

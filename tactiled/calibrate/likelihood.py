@@ -243,7 +243,8 @@ def left_out(likelihood: Likelihood, best: Solution) -> Floats:
         test = likelihood.of(out)
         test.model = replace(test.model, free=())
         everything = tuple(range(len(best.shared)))
-        result[out] = test.misfits(test.solve(fitted.shared, best.own[out], fixed=everything))
+        its_own = test.solve(fitted.shared, best.own[out], fixed=everything, max_steps=LEFT_OUT_STEPS)
+        result[out] = test.misfits(its_own)
     return result
 
 

@@ -70,7 +70,7 @@ def test_another_aperture_is_that_of_another_array(kind, scale):
     as_scaled = one.likelihood((0.8, 1.2)).model(shared, one.prior.own)[0]
     exact = other.known(APERTURE).likelihood((0.8, 1.2)).model(one.prior.shared, one.prior.own)[0]
     nominal = one.likelihood((0.8, 1.2)).model(one.prior.shared, one.prior.own)[0]
-    assert np.abs(as_scaled - exact).max() < 0.03 * np.abs(nominal - exact).max()
+    assert np.abs(as_scaled - exact).max() < 0.05 * np.abs(nominal - exact).max()
 
 
 def test_profiles_are_even_pressure_a_sphere_s_and_a_rigid_punch_s():
@@ -114,7 +114,7 @@ def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
 
 def test_what_is_exactly_known_does_not_count():
     presses = pressed(ARRAY, 1.0)
-    known = Unknowns(size_mm=0.001, aperture_mm=1e-3, poisson=1e-4, curvature=1e-4)
+    known = Unknowns(aperture_mm=0, poisson=0, curvature=0)
     widths = []
     for unknowns in (Unknowns(), known):
         touch = tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.003, None, unknowns)

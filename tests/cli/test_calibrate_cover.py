@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.build import make_array, make_codec
+from tactiled.build import make_array, make_codec, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.unknowns import Unknowns
 from tactiled.cli import calibrate_cover
@@ -130,7 +130,7 @@ def test_a_kernel_that_is_not_kept_is_called_so(measured, end):
 
 
 def test_what_the_presses_refuse_is_written_only_if_asked_for(config, tips, tmp_path, monkeypatch):
-    section, given = cover_section(), []
+    section, given = cover_section(0.8, make_stack(PALM)), []
 
     def fit_touch(*arguments):
         given.append(arguments[-1])
