@@ -73,7 +73,7 @@ class CalibrationFile(Table):
     @property
     def _content(self) -> dict[str, Any]:
         content = {key: each for key, each in self.model_dump(mode="json").items() if each is not None}
-        version = self.gain.version if self.gain else 1  # what release 0.4.2 can read stays as it was
+        version = max((each.version for each in self.sections.values()), default=1)  # 0.4.2 reads what it can
         return {"format": FORMAT, "version": version, "created": self.created} | content
 
     def replaced(self, **sections: Section) -> Self:

@@ -27,7 +27,6 @@ from tactiled.calibrate.unknowns import (
     CALIPER_ERROR_MM,
     EDGE_BLUR_MM,
     PROFILE,
-    PROFILE_ERROR,
     SHARED,
     SIZE,
     USUAL,
@@ -192,7 +191,9 @@ def edge_touch(
         deviations = unknowns.deviations(array, 0.0, (unknowns.size_mm or EDGE_BLUR_MM) ** 2)
     else:
         shared[SIZE] = np.log(width_mm)
-        deviations = unknowns.deviations(array, (unknowns.size_mm or CALIPER_ERROR_MM) / width_mm, PROFILE_ERROR)
+        deviations = unknowns.deviations(
+            array, (unknowns.size_mm or CALIPER_ERROR_MM) / width_mm, unknowns.profile
+        )
     prior = Prior(shared, deviations, own, np.full(own.shape, np.inf))
     touch = EdgeTouch(array, family, tuple(usable), gain, prior, width_mm or np.inf)
     response = EdgeResponse(array, quadrature(family, (1.0, 1.0), touch.extra_mm), width_mm is not None)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tactiled.calibrate.gain import GainFit
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
-NEW_KEYS = frozenset({"error_kpa", "curvature", "loop"})  # of version 2, where they are known
+NEW_KEYS = frozenset({"error_kpa", "curvature", "loop", "effective"})  # of version 2, where they are known
 MIN_KERNEL_SIZE = 4  # frequencies, as a cubic spline needs
 MAX_VALUE = 1e9  # counts, kPa, mm or MPa: past any sensor and cover
 MAX_KNOTS, MAX_LAYERS, MAX_PRESSES, MAX_TAXELS = 64, 16, 1_000_000, 1 << 20
@@ -79,6 +79,17 @@ class Section(Table):
     """One part of the file, replaced as a whole."""
 
     origin: Origin
+
+    @property
+    def version(self) -> int:
+        """Of the file that holds it."""
+        return 2 if any(getattr(self, key, None) is not None for key in NEW_KEYS) else 1
+
+    @model_serializer(mode="wrap")
+    def _without_new_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A section of an old file has its keys only: its checksum stays."""
+        content: dict[str, Any] = handler(self)
+        return {key: each for key, each in content.items() if each is not None or key not in NEW_KEYS}
 
 
 class NoLoadSection(Section):
@@ -139,17 +150,6 @@ class GainSection(Section):
             self.curvature, None if self.loop is None else Loop(*self.loop),
         )  # fmt: skip
 
-    @property
-    def version(self) -> int:
-        """Of the file that holds it."""
-        return 1 if all(getattr(self, key) is None for key in NEW_KEYS) else 2
-
-    @model_serializer(mode="wrap")
-    def _without_new_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A section of an old file has its keys only: its checksum stays."""
-        content: dict[str, Any] = handler(self)
-        return {key: each for key, each in content.items() if each is not None or key not in NEW_KEYS}
-
     @model_validator(mode="after")
     def _check(self) -> Self:
         if len({len(each) for each in (*self.parameters, *self.reach_counts)}) != 1:
@@ -177,7 +177,7 @@ class CoverSection(Section):
     interval_mm: tuple[Value, Value]
     presses: Annotated[int, Field(ge=1, le=MAX_PRESSES)]
     residual: Annotated[Value, Field(ge=0)] | None = None
-    effective: tuple[Value, Value] | None = None
+    effective: tuple[Value, Value] | None = None  # not in files of release 0.4.2
     layers: Annotated[tuple[LayerTable, ...], Field(min_length=1, max_length=MAX_LAYERS)]
     layers_above_taxels: Annotated[int, Field(ge=1, le=MAX_LAYERS)]
     kernel: tuple[Values, Values] | None = None  # frequency (cycles/mm) and gain

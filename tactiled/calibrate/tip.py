@@ -10,7 +10,7 @@ from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press, usable_presses
 from tactiled.calibrate.touch_response import HARMONICS, PROFILES, Quadrature, TipResponse, tip_transform
-from tactiled.calibrate.unknowns import CALIPER_ERROR_MM, PROFILE, PROFILE_ERROR, SHARED, SIZE, USUAL, Unknowns
+from tactiled.calibrate.unknowns import CALIPER_ERROR_MM, PROFILE, SHARED, SIZE, USUAL, Unknowns
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
@@ -114,6 +114,6 @@ def tip_touch(
     radius, uncertainty = tip.radius_prior(array.pitch)
     shared = np.zeros(SHARED)
     shared[SIZE], shared[PROFILE] = radius, SPHERE if tip.sphere else 0.0
-    prior = Prior(shared, unknowns.deviations(array, uncertainty, PROFILE_ERROR), own, deviation)
+    prior = Prior(shared, unknowns.deviations(array, uncertainty, unknowns.profile), own, deviation)
     gain = np.broadcast_to(np.asarray(gain_error, float), (array.size,))
     return TipTouch(array, CoverFamily(configured), tuple(presses[at] for at in usable), gain, prior, tip)

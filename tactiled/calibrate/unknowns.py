@@ -33,6 +33,7 @@ class Unknowns:
     aperture_mm: float | None = None
     poisson: float = POISSON_ERROR
     curvature: float = CURVATURE_ERROR  # of all taxels' curves, over the highest reading
+    profile: float = PROFILE_ERROR  # of a tip's or ridge's pressure; 0 is even, -0.5 that of a rigid punch
 
     def deviations(self, array: Array, size: float, profile: float) -> Floats:
         """Deviations (S,) of what presses share; `size` and `profile` are those of the load."""

@@ -47,9 +47,7 @@ def cover(
     ] = False,
     error: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Standard deviation of what is given, NAME=VALUE: size_mm, aperture_mm, poisson, curvature."
-        ),
+        typer.Option(help="Its standard deviation: size_mm=, aperture_mm=, poisson=, curvature=, profile=VALUE."),
     ] = None,
     doubtful: Annotated[
         bool, typer.Option("--doubtful", help="Write a result, too, that the presses speak against.")

@@ -18,7 +18,7 @@ from tactiled.geometry import grid, layout
 from tests.touched import Skin, World, recorded, rubber
 
 CONFIGURED = 1.3  # times the true thickness
-EXACT = Unknowns(aperture_mm=0, poisson=0, curvature=0)
+EXACT = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
 SCATTERED = np.random.default_rng(8).uniform(-0.2, 0.2, (196, 2)) + grid(14, 14, 1.0).positions
 
 

@@ -153,9 +153,9 @@ def test_what_the_presses_refuse_is_written_only_if_asked_for(config, tips, tmp_
 def test_deviations_are_named_and_above_0(config, tips, tmp_path):
     arguments = ("calibrate", "cover", tips[0], "--config", config, "--out", tmp_path / "palm.json", "--tip-mm", 1)
     for bad in ("width=1", "size_mm", "poisson=-1", "size_mm=nan"):
-        assert refusal(*arguments, "--error", bad) == (
-            f"--error {bad}: give NAME=VALUE with a number over 0; names: size_mm, aperture_mm, poisson, curvature"
-        )
+        names = "size_mm, aperture_mm, poisson, curvature, profile"
+        line = f"--error {bad}: give NAME=VALUE with a number over 0; names: {names}"
+        assert refusal(*arguments, "--error", bad) == line
 
 
 def test_what_cannot_be_fitted_is_refused_in_one_line_and_nothing_is_written(config, tips, tmp_path):

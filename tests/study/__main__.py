@@ -28,8 +28,8 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     blind.blind, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times,
     frame_times.frames_against, health.health, insole.insole, invented.invented, judge.judge, mistakes.mistakes,
-    restart.restart, restore.restore, sensors.sensors, sensors.sensors_against, soak.soak, train.train, transitions.transitions,
-    zenoh.zenoh,
+    restart.restart, restore.restore, sensors.sensors, sensors.sensors_against, soak.soak, train.train,
+    transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 
