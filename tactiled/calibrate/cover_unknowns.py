@@ -27,6 +27,8 @@ class _Words(NamedTuple):
 def unknown_notes(joint: Joint) -> tuple[str, ...]:
     """A line on what counts most for the interval, and one on all that differs clearly from what was given."""
     words = {at: _words(joint, at) for at in joint.touch.free if at != FACTOR}
+    if not words:
+        return ()
     shares = sorted(((joint.share(at), at) for at in words), reverse=True)
     parts = [
         f"{words[at].of_step} is a cover {_percent(joint.slope(at) * words[at].step)}"
