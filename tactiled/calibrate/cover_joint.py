@@ -14,7 +14,7 @@ from tactiled.restore.noise import NORMAL_95
 Floats = NDArray[np.float64]
 
 ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
-LINEAR = 0.05  # deviation of the factor's logarithm, up to which its likelihood is as good as normal
+LINEAR = 0.1  # deviation of the factor's logarithm, up to which its likelihood is as good as normal
 MISFIT = 1.2  # times noise and gain errors: above it something that was given is wrong
 PULL = 2.0  # standard deviations that presses pull a parameter by, from which its prior is given up
 MAX_FREED = 3

@@ -97,7 +97,7 @@ def _explained(fit: CoverFit, fitted: Fitted, misfits: Floats) -> CoverFit:
         note = f'{miss}, those of a free kernel by {free.residual:.2g}: use kernel.model = "measured"'
         return replace(fit, kernel=free.kernel, doubt=note, notes=(note, *fit.notes))
     tool = {"tip": "use another tip", "edge": "use a tip (--tip-mm)"}[fit.method]
-    note = f"{miss}: calibrate the gain of the taxels; if it is, {tool}"
+    note = f"{miss}: is the gain of the taxels calibrated? If it is, {tool}"
     return replace(fit, doubt=note if fit.residual > MAX_MISFIT else "", notes=(note, *fit.notes))
 
 

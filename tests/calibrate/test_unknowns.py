@@ -24,7 +24,7 @@ def pressed(array, thickness, count=5, bend=0.0, poisson=0.49, sphere=False):
     random = np.random.default_rng(4)
     world, skin = (
         World(array, rubber(thickness, poisson=poisson)),
-        Skin(array.size, random, gain_error=0.003, dead=0),
+        Skin(array.size, random, gain_error=0.01, dead=0),
     )
     places = world.places(count, random)
     clean = [world.tip(TIP_MM / 2, each, sphere) * random.uniform(0.5, 1) for each in places]
@@ -34,7 +34,7 @@ def pressed(array, thickness, count=5, bend=0.0, poisson=0.49, sphere=False):
 def laid(array, thickness, blur=0.0, count=3):
     """Edges, each a mean of edges at offsets that spread by `blur` (mm)."""
     random = np.random.default_rng(5)
-    world, skin = World(array, rubber(thickness)), Skin(array.size, random, gain_error=0.003, dead=0)
+    world, skin = World(array, rubber(thickness)), Skin(array.size, random, gain_error=0.01, dead=0)
     spread = blur * np.array([-1.5, -0.75, 0, 0.75, 1.5]) if blur else np.zeros(1)
     edges = [np.mean([world.edge(np.pi / 2 * n + 0.3, s) for s in spread], axis=0) for n in range(count)]
     return [skin.press(each, array) for each in edges]
@@ -102,7 +102,7 @@ def test_a_rigid_tip_s_pressure_on_a_thin_cover_gives_an_even_displacement(poiss
 def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
     true = grid(10, 10, 1.0, 0.55)
     presses, configured = pressed(true, 0.6, count=8), rubber(0.7)
-    fit = fit_cover(tip_touch(presses, ARRAY, configured, Tip(TIP_MM), 0.003), presses, "tip")
+    fit = fit_cover(tip_touch(presses, ARRAY, configured, Tip(TIP_MM), 0.01), presses, "tip")
     factor = 0.6 / 0.7
     assert not fit.effective[0] < factor < fit.effective[1]
     assert fit.interval[0] < factor < fit.interval[1]
@@ -117,7 +117,7 @@ def test_what_is_exactly_known_does_not_count():
     known = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
     widths = []
     for unknowns in (Unknowns(), known):
-        touch = tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.003, None, unknowns)
+        touch = tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.01, None, unknowns)
         fit = fit_cover(touch, presses, "tip")
         widths.append(fit.interval[1] - fit.interval[0])
     assert widths[1] < 0.6 * widths[0]
@@ -125,7 +125,7 @@ def test_what_is_exactly_known_does_not_count():
 
 def test_a_blurred_edge_is_refused_with_what_to_do():
     presses = laid(ARRAY, 0.6, blur=0.45)
-    fit = fit_cover(edge_touch(presses, ARRAY, rubber(0.7), 0.003), presses, "edge")
+    fit = fit_cover(edge_touch(presses, ARRAY, rubber(0.7), 0.01), presses, "edge")
     assert fit.doubt.startswith(("the edge is not sharp", "presses left out of the fit miss by"))
     assert "--edge-mm" in fit.doubt or "--tip-mm" in fit.doubt
     assert fit.notes[0] == fit.doubt
@@ -134,7 +134,7 @@ def test_a_blurred_edge_is_refused_with_what_to_do():
 
 def test_a_common_bend_of_the_curves_is_named():
     presses = pressed(ARRAY, 1.2, bend=0.08)
-    fit = fit_cover(tip_touch(presses, ARRAY, rubber(1.0), Tip(TIP_MM), 0.003), presses, "tip")
+    fit = fit_cover(tip_touch(presses, ARRAY, rubber(1.0), Tip(TIP_MM), 0.01), presses, "tip")
     assert fit.interval_mm[0] < 1.2 < fit.interval_mm[1]
     assert any(each.endswith("calibrate the gain over the pressures of the presses") for each in fit.notes)
 
