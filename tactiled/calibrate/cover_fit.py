@@ -29,7 +29,7 @@ class CoverFit:
     presses: int  # presses, edges or frames that were used
     residual: float = np.nan  # root mean square of presses that were left out of the fit, over the noise
     reason: str = ""  # why the presses cannot tell the thickness; "" where they can
-    doubt: str = ""  # why the presses refuse the model, and what to do; "" where they do not
+    objection: str = ""  # why the presses refuse the model, and what to do; "" where they do not
     effective: tuple[float, float] | None = None  # 95 % of the factor that restores with the sensor as configured
     notes: tuple[str, ...] = ()  # what these presses cannot tell, and what was not used
     line: Floats | None = None  # (3, n): x (mm), measured and fitted response over the peak, for the plot

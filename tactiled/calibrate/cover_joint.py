@@ -44,9 +44,9 @@ class Joint:
 
     def share(self, parameter: int) -> float:
         """Share of the variance of the factor's logarithm that would go if a parameter were known."""
-        touches = self.touch, self.touch.known(parameter)
-        whole, known = (np.linalg.pinv(_information(each, self.solution))[0, 0] for each in touches)
-        return float(1 - known / whole)
+        touches = self.touch, self.touch.fixed(parameter)
+        all_free, one_less = (np.linalg.pinv(_information(each, self.solution))[0, 0] for each in touches)
+        return float(1 - one_less / all_free)
 
     def differs(self, parameter: int) -> float:
         """Standard deviations between a parameter as given and as the presses have it."""
@@ -72,7 +72,7 @@ def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
         wider[refused] = max(touch.freed_deviation(refused), wider[refused])
         touch = replace(touch, prior=replace(touch.prior, shared_deviation=wider))
         if refused == SIZE:  # first without a profile, whose bounds are no place to start from
-            start = fine(touch.known(*range(APERTURE, SHARED)), start.shared, start.own).solution
+            start = fine(touch.fixed(*range(APERTURE, SHARED)), start.shared, start.own).solution
             simpler.append(start)
     deviation = misfit * float(np.linalg.pinv(_information(touch, solution))[0, 0]) ** 0.5
     half = NORMAL_95 * deviation
@@ -82,20 +82,20 @@ def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
     configured = solution.shared.copy()
     configured[list(SENSOR)] = touch.prior.shared[list(SENSOR)]
     effective = likelihood.solve(configured, solution.own, fixed=SENSOR)
-    own = touch.known(*SENSOR)
+    own = touch.fixed(*SENSOR)
     deviation = misfit * float(np.linalg.pinv(_information(own, solution))[0, 0]) ** 0.5
-    found = next((each for each in simpler if each.chi2 - effective.chi2 < GAINED * misfit**2), effective)
-    return Joint(touch, likelihood, solution, tuple(freed), misfit, ends, simpler[-1], found, deviation)
+    simplest = next((each for each in simpler if each.chi2 - effective.chi2 < GAINED * misfit**2), effective)
+    return Joint(touch, likelihood, solution, tuple(freed), misfit, ends, simpler[-1], simplest, deviation)
 
 
 def _refused(touch: Touch, solution: Solution, misfit: float, freed: list[int]) -> int | None:
     """The parameter whose prior the presses speak against most; None where they agree with all."""
-    left = [at for at in touch.free if at != FACTOR and at not in freed]
+    others = [at for at in touch.free if at != FACTOR and at not in freed]
     offsets = np.abs(solution.shared - touch.prior.shared)
-    pulls = {at: float(offsets[at] / touch.prior.shared_deviation[at]) for at in left}
-    worst = max(left, key=lambda at: pulls[at], default=None)
+    pulls = {at: float(offsets[at] / touch.prior.shared_deviation[at]) for at in others}
+    worst = max(others, key=lambda at: pulls[at], default=None)
     # a size is measured far more exactly than a profile is known: if both explain the presses, it was mistaken
-    if SIZE in left and ((worst == PROFILE and pulls[PROFILE] > PULL * misfit) or misfit > MISFIT):
+    if SIZE in others and ((worst == PROFILE and pulls[PROFILE] > PULL * misfit) or misfit > MISFIT):
         return SIZE
     return worst if worst is not None and pulls[worst] > PULL * misfit else None
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.cover_joint import ENDS, MISFIT, Joint, fit_jointly
 from tactiled.calibrate.cover_search import Fitted, Touch, search
-from tactiled.calibrate.cover_unknowns import MAX_MISFIT, edge_doubt, unknown_notes
+from tactiled.calibrate.cover_unknowns import MAX_MISFIT, edge_objection, unknown_notes
 from tactiled.calibrate.free_kernel import free_kernel
 from tactiled.calibrate.likelihood import left_out, pooled, schur
 from tactiled.calibrate.presses import Press
@@ -52,8 +52,12 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
     )
     if reason:
         return fit
-    doubt = edge_doubt(joint)
-    return replace(fit, doubt=doubt, notes=(doubt, *fit.notes)) if doubt else _explained(fit, fitted, misfits)
+    objection = edge_objection(joint)
+    return (
+        replace(fit, objection=objection, notes=(objection, *fit.notes))
+        if objection
+        else _explained(fit, fitted, misfits)
+    )
 
 
 def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:
@@ -95,10 +99,10 @@ def _explained(fit: CoverFit, fitted: Fitted, misfits: Floats) -> CoverFit:
     free = free_kernel(fitted, misfits) if fit.method == "tip" else None
     if free is not None:
         note = f'{miss}, those of a free kernel by {free.residual:.2g}: use kernel.model = "measured"'
-        return replace(fit, kernel=free.kernel, doubt=note, notes=(note, *fit.notes))
+        return replace(fit, kernel=free.kernel, objection=note, notes=(note, *fit.notes))
     tool = {"tip": "use another tip", "edge": "use a tip (--tip-mm)"}[fit.method]
     note = f"{miss}: is the gain of the taxels calibrated? If it is, {tool}"
-    return replace(fit, doubt=note if fit.residual > MAX_MISFIT else "", notes=(note, *fit.notes))
+    return replace(fit, objection=note if fit.residual > MAX_MISFIT else "", notes=(note, *fit.notes))
 
 
 def _modulus(fitted: Fitted, joint: Joint) -> str:

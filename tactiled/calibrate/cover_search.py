@@ -88,7 +88,7 @@ class Touch:
         """Of the aperture, of the tables."""
         return APERTURE_SCALES if APERTURE in self.free else ONE
 
-    def known(self, *parameters: int) -> Self:
+    def fixed(self, *parameters: int) -> Self:
         """The same where some of what is shared is as configured."""
         deviation = self.prior.shared_deviation.copy()
         deviation[list(parameters)] = 0
@@ -152,7 +152,7 @@ class Fitted:
 
 def search(touch: Touch) -> Fitted:
     """Find the most likely factor of a sensor as configured, without presses that fit far worse than others."""
-    touch = touch.known(*range(APERTURE, SHARED))
+    touch = touch.fixed(*range(APERTURE, SHARED))
     fitted = fine(touch, _coarse(touch).shared)
     misfits = fitted.likelihood.misfits(fitted.solution)
     fits = misfits <= MISFIT_RATIO * max(1.0, float(np.median(misfits)))

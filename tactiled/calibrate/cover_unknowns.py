@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactiled.calibrate.cover_joint import Joint
+from tactiled.calibrate.cover_joint import MISFIT, Joint
 from tactiled.calibrate.edge import EdgeTouch
 from tactiled.calibrate.tip import TipTouch
 from tactiled.calibrate.unknowns import APERTURE, CURVATURE, FACTOR, POISSON, PROFILE, SIZE
 
-MAX_MISFIT = 1.5  # times noise and gain errors: above it nothing that was given explains the presses
+MAX_MISFIT = 3.0  # times noise and gain errors: above it nothing that was given explains the presses
 CLEAR = 2.5  # standard deviations from what was given, from which a note says so
 NOTED = 0.25  # of the thickness's variance: what adds as much is named, too
 
@@ -39,8 +39,8 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
     counts = f"of what is not known exactly, {names} counts most: {', '.join(parts)}"
     if joint.misfit > MAX_MISFIT:
         return (counts,)
-    given = {at for at in words if at != SIZE or not _is_size_unknown(joint)}
-    return *(words[at].differs(joint) for at in sorted(given) if joint.differs(at) > CLEAR), counts
+    told_of = {at for at in words if at != SIZE or not _is_size_unknown(joint)}
+    return *(words[at].differs(joint) for at in sorted(told_of) if joint.differs(at) > CLEAR), counts
 
 
 def _is_size_unknown(joint: Joint) -> bool:
@@ -48,10 +48,10 @@ def _is_size_unknown(joint: Joint) -> bool:
     return isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
 
 
-def edge_doubt(joint: Joint) -> str:
+def edge_objection(joint: Joint) -> str:
     """Why an edge is none that a thickness can be told by; "" where it is one, or a ridge."""
     is_edge = isinstance(joint.touch, EdgeTouch) and np.isinf(joint.touch.width)
-    if not is_edge or not joint.freed:
+    if not is_edge or not (joint.freed or joint.misfit > MISFIT):
         return ""
     return (
         "the edge is not sharp, or its pressure is not even: lay a ridge of known width (--edge-mm), or use a tip"
@@ -81,18 +81,18 @@ def _words(joint: Joint, parameter: int) -> _Words:
 
 def _aperture(joint: Joint) -> str:
     width = joint.touch.array.width
-    found = width * np.exp(joint.solution.shared[APERTURE])
+    fitted = width * np.exp(joint.solution.shared[APERTURE])
     return (
-        f"the presses look like those on an aperture of {found:.2g} mm, not {width:.2g} mm: the thickness makes up"
-        " for it, and restoration is right as they are"
+        f"the presses look like those on an aperture of {fitted:.2g} mm, not {width:.2g} mm: the thickness"
+        " makes up for it, and restoration is right as they are"
     )
 
 
 def _poisson(joint: Joint) -> str:
-    given = joint.touch.family.configured.layers[0].poisson
-    found = min(given + joint.solution.shared[POISSON], 0.5)
+    configured = joint.touch.family.configured.layers[0].poisson
+    fitted = min(configured + joint.solution.shared[POISSON], 0.5)
     return (
-        f"the presses look like those under a Poisson's ratio of {found:.2g}, not {given:.3g}: the"
+        f"the presses look like those under a Poisson's ratio of {fitted:.2g}, not {configured:.3g}: the"
         " thickness makes up for it, and restoration is right as they are"
     )
 
@@ -107,14 +107,14 @@ def _curvature(joint: Joint) -> str:
 
 
 def _size(joint: Joint) -> str:
-    fitted, given = np.exp(joint.sized.shared[SIZE]), np.exp(joint.touch.prior.shared[SIZE])
+    fitted, measured = np.exp(joint.sized.shared[SIZE]), np.exp(joint.touch.prior.shared[SIZE])
     depth = np.exp(joint.sized.shared[FACTOR]) * joint.touch.family.configured.depth
     if isinstance(joint.touch, TipTouch):
-        name, fitted, given, option = "tip", 2 * fitted, 2 * given, "--tip-mm"
+        name, fitted, measured, option = "tip", 2 * fitted, 2 * measured, "--tip-mm"
     else:
         name, option = "ridge", "--edge-mm"
     return (
-        f"the presses look like those of a {name} of {fitted:.2g} mm, not {given:.3g} mm, under a cover of"
+        f"the presses look like those of a {name} of {fitted:.2g} mm, not {measured:.3g} mm, under a cover of"
         f" {depth:.3g} mm: measure it again ({option})"
     )
 

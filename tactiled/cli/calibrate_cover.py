@@ -1,5 +1,6 @@
 """`tactiled calibrate cover`: a cover's thickness from a recording of presses."""
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -58,41 +59,45 @@ def cover(
     sensor: options.Sensor = None,
 ) -> None:
     """Find a cover's thickness in a recording of presses."""
-    if sum((tip_mm is not None, edge or edge_mm is not None, blind)) != 1:
-        raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
-    size_mm = _size(tip_mm, edge_mm)
-    if tip_mm is None:
-        _refuse({"--sphere": sphere, "--places": places}, "needs --tip-mm")
-    if blind:
-        unused: dict[str, object] = {
-            "--measured": measured,
-            "--plot": plot,
-            "--error": error,
-            "--doubtful": doubtful,
-        }
-        _refuse(unused, "has no effect with --blind: leave it out")
-    unknowns = _unknowns(error or [])
-    settings, name, one = options.one_sensor(config, sensor)
-    before, stack = _other_sections(out, name, one), make_stack(one)
+    way, size_mm = _way(tip_mm is not None, edge or edge_mm is not None, blind), _size(tip_mm, edge_mm)
+    _refuse({"--sphere": sphere, "--places": places} if way != "tip" else {}, "needs --tip-mm")
+    unused = {"--measured": measured, "--plot": plot, "--error": error, "--doubtful": doubtful}
+    _refuse(unused if blind else {}, "has no effect with --blind: leave it out")
     with threadpool_limits(1):
-        series = read_frame_series(file, name, settings)
-        ends = make_codec(one).ends
-        recorded = RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends)
-        way: Method = "blind" if blind else "edge" if tip_mm is None else "tip"
-        known = None if places is None else _places(places)
-        fit = fit_touch(recorded, way, size_mm, sphere, known, unknowns)
+        recorded, name, one, before = _recorded(file, config, sensor, out)
+        places_mm = None if places is None else _places(places)
+        fit = fit_touch(recorded, way, size_mm, sphere, places_mm, _unknowns(error or []))
         if plot is not None:
             from tactiled.study.cover_chart import draw  # matplotlib takes a second
 
-            draw(plot, fit, stack)
-    section = CoverSection.of(
-        fit if measured else replace(fit, kernel=None), stack, made_from(file, f"cover: {fit.method}")
-    )
-    typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, stack, measured)]))
-    if fit.doubt and not (doubtful or (measured and fit.kernel is not None)):
-        raise ConfigError(f"cover: {fit.doubt}; nothing is written (--doubtful writes it)")
+            draw(plot, fit, recorded.stack)
+    section = _section(fit if measured else replace(fit, kernel=None), recorded.stack, file)
+    typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, recorded.stack, measured)]))
+    if fit.objection and not (doubtful or section.kernel):
+        raise ConfigError(f"cover: {fit.objection}; nothing is written (--doubtful writes it)")
     update(out, before, name, one, {"cover": section})
     typer.echo(f"{out}: written; give it as calibration.file of the sensor")
+
+
+def _way(tip: bool, edge: bool, blind: bool) -> Method:
+    """The one way that was asked for; ConfigError for none, or several."""
+    if tip + edge + blind != 1:
+        raise ConfigError("give one of --tip-mm, --edge (or --edge-mm) and --blind")
+    return "blind" if blind else "edge" if edge else "tip"
+
+
+def _recorded(
+    file: Path, config: Path, sensor: str | None, out: Path
+) -> tuple[RecordedTouch, str, schema.Sensor, CalibrationFile | None]:
+    """The recording; its sensor's name and configuration, and the other sections of its calibration file."""
+    settings, name, one = options.one_sensor(config, sensor)
+    before, stack = _other_sections(out, name, one), make_stack(one)
+    series, ends = read_frame_series(file, name, settings), make_codec(one).ends
+    return RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends), name, one, before
+
+
+def _section(fit: CoverFit, stack: Stack, file: Path) -> CoverSection:
+    return CoverSection.of(fit, stack, made_from(file, f"cover: {fit.method}"))
 
 
 def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
@@ -107,7 +112,7 @@ def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
 
 def _unknowns(errors: list[str]) -> Unknowns:
     """The deviations that were given; ConfigError for one that is none."""
-    names, given = [each.name for each in fields(Unknowns)], {}
+    names, deviations = [each.name for each in fields(Unknowns)], {}
     for text in errors:
         name, _, number = text.partition("=")
         try:
@@ -116,11 +121,11 @@ def _unknowns(errors: list[str]) -> Unknowns:
             value = np.nan
         if name not in names or not 0 < value < np.inf:
             raise ConfigError(f"--error {text}: give NAME=VALUE with a number over 0; names: {', '.join(names)}")
-        given[name] = value
-    return Unknowns(**given)
+        deviations[name] = value
+    return Unknowns(**deviations)
 
 
-def _refuse(options: dict[str, object], reason: str) -> None:
+def _refuse(options: Mapping[str, object], reason: str) -> None:
     """ConfigError for the first option that is set."""
     for name, value in options.items():
         if value:

@@ -85,8 +85,8 @@ class CoverProcedure:
         plan = self._sensor.plan
         factor = plan.file.cover.factor if plan.file and plan.file.cover else 1.0
         file = None
-        if fit.doubt:
-            fit = replace(fit, reason=fit.doubt)
+        if fit.objection:
+            fit = replace(fit, reason=fit.objection)
         if not fit.reason:
             file = with_sections(plan, cover=CoverSection.of(fit, self._stack, origin(fit.method)))
         return CoverOutcome(file, fit, before_mm=self._stack.depth * factor)

@@ -68,7 +68,7 @@ def test_another_aperture_is_that_of_another_array(kind, scale):
     one, other = touched(ARRAY), touched(replace(ARRAY, width=scale * ARRAY.width))
     shared = one.prior.shared + np.array([0, 0, np.log(scale), 0, 0, 0])
     as_scaled = one.likelihood((0.8, 1.2)).model(shared, one.prior.own)[0]
-    exact = other.known(APERTURE).likelihood((0.8, 1.2)).model(one.prior.shared, one.prior.own)[0]
+    exact = other.fixed(APERTURE).likelihood((0.8, 1.2)).model(one.prior.shared, one.prior.own)[0]
     nominal = one.likelihood((0.8, 1.2)).model(one.prior.shared, one.prior.own)[0]
     assert np.abs(as_scaled - exact).max() < 0.05 * np.abs(nominal - exact).max()
 
@@ -109,14 +109,14 @@ def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
     assert fit.thickness_error < (fit.interval[1] - fit.interval[0]) / (2 * 1.96 * fit.factor)
     assert any(each.startswith("the presses look like those on an aperture of 0.") for each in fit.notes)
     assert any("the aperture counts most: an aperture 10 % wider is a cover" in each for each in fit.notes)
-    assert fit.doubt == ""
+    assert fit.objection == ""
 
 
 def test_what_is_exactly_known_does_not_count():
     presses = pressed(ARRAY, 1.0)
-    known = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
+    exact = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
     widths = []
-    for unknowns in (Unknowns(), known):
+    for unknowns in (Unknowns(), exact):
         touch = tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.01, None, unknowns)
         fit = fit_cover(touch, presses, "tip")
         widths.append(fit.interval[1] - fit.interval[0])
@@ -126,9 +126,9 @@ def test_what_is_exactly_known_does_not_count():
 def test_a_blurred_edge_is_refused_with_what_to_do():
     presses = laid(ARRAY, 0.6, blur=0.45)
     fit = fit_cover(edge_touch(presses, ARRAY, rubber(0.7), 0.01), presses, "edge")
-    assert fit.doubt.startswith(("the edge is not sharp", "presses left out of the fit miss by"))
-    assert "--edge-mm" in fit.doubt or "--tip-mm" in fit.doubt
-    assert fit.notes[0] == fit.doubt
+    assert fit.objection.startswith(("the edge is not sharp", "presses left out of the fit miss by"))
+    assert "--edge-mm" in fit.objection or "--tip-mm" in fit.objection
+    assert fit.notes[0] == fit.objection
     assert fit.kernel is None
 
 

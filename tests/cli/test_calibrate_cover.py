@@ -130,11 +130,11 @@ def test_a_kernel_that_is_not_kept_is_called_so(measured, end):
 
 
 def test_what_the_presses_refuse_is_written_only_if_asked_for(config, tips, tmp_path, monkeypatch):
-    section, given = cover_section(0.8, make_stack(PALM)), []
+    section, unknowns = cover_section(0.8, make_stack(PALM)), []
 
     def fit_touch(*arguments):
-        given.append(arguments[-1])
-        return replace(section.fit, doubt="the edge is not sharp: use a tip", kernel=np.ones((2, 4)))
+        unknowns.append(arguments[-1])
+        return replace(section.fit, objection="the edge is not sharp: use a tip", kernel=np.ones((2, 4)))
 
     monkeypatch.setattr(calibrate_cover, "fit_touch", fit_touch)
     out = tmp_path / "palm.json"
@@ -144,7 +144,7 @@ def test_what_the_presses_refuse_is_written_only_if_asked_for(config, tips, tmp_
         "cover: the edge is not sharp: use a tip; nothing is written (--doubtful writes it)"
     )
     assert refused.output.startswith("palm: cover by tip")
-    assert given[0] == Unknowns(aperture_mm=0.05, poisson=0.01)
+    assert unknowns[0] == Unknowns(aperture_mm=0.05, poisson=0.01)
     assert not out.exists()
     succeed(*arguments, "--doubtful")
     assert calibration_file.load(out).cover.factor == section.factor

@@ -173,7 +173,7 @@ def trial(row, seed, number):
     """One skin, pressed and fitted: the fit, and the true factor."""
     random = np.random.default_rng([seed, number])
     truth, array = draw(row, random)
-    skin, known = truth.skin, study.calibrated(truth, random)
+    skin, gains = truth.skin, study.calibrated(truth, random)
     size = float(random.uniform(*RIDGES_MM) if row.way == "ridge" else 2 * random.uniform(*study.TIP_RADII_MM))
     usual = even if row.way == "tip" else lambda _, size, __: lambda q: np.sinc(q * size)
     usual = usual if row.way != "edge" else lambda *_: np.ones_like
@@ -181,8 +181,8 @@ def trial(row, seed, number):
     shapes = [Pressed(row.way, tuple(each), transform) for each in places(row.way, random)]
     series = press_series(skin, shapes, study.PEAK_KPA * random.uniform(0.6, 1, len(shapes)), random)
     series = bent(series, skin, row.bend) if row.bend else series
-    presses = find_presses(known.pressure(series), array, study.NOISE_KPA, border=row.way in ("edge", "ridge"))
-    gain_error, factor = known.for_touch[2], row.size_factor ** random.choice([-1, 1])
+    presses = find_presses(gains.pressure(series), array, study.NOISE_KPA, border=row.way in ("edge", "ridge"))
+    gain_error, factor = gains.for_touch[2], row.size_factor ** random.choice([-1, 1])
     measured = float(random.normal(size * factor, row.size_error_mm))
     if row.way in ("tip", "ball"):
         tip = Tip(measured) if row.way == "tip" else Tip(sphere=True)
@@ -196,15 +196,15 @@ def trial(row, seed, number):
 
 def line(name, fits):
     """One row of the table."""
-    taken = [(fit, true) for fit, true in fits if not (fit.reason or fit.doubt)]
-    refused = f"{len(fits) - len(taken)} of {len(fits)}"
-    if not taken:
+    accepted = [(fit, true) for fit, true in fits if not (fit.reason or fit.objection)]
+    refused = f"{len(fits) - len(accepted)} of {len(fits)}"
+    if not accepted:
         return name, "", "", "", refused
-    errors = np.array([100 * (fit.factor / true - 1) for fit, true in taken])
-    held = sum(fit.interval[0] <= true <= fit.interval[1] for fit, true in taken)
-    half = np.median([50 * (fit.interval[1] - fit.interval[0]) / true for fit, true in taken])
+    errors = np.array([100 * (fit.factor / true - 1) for fit, true in accepted])
+    covered = sum(fit.interval[0] <= true <= fit.interval[1] for fit, true in accepted)
+    half = np.median([50 * (fit.interval[1] - fit.interval[0]) / true for fit, true in accepted])
     figures = f"{np.sqrt(np.mean(errors**2)):.2f} / {np.abs(errors).max():.2f}"
-    return name, figures, f"{held} of {len(taken)}", f"{half:.1f}", refused
+    return name, figures, f"{covered} of {len(accepted)}", f"{half:.1f}", refused
 
 
 def mistakes(
