@@ -113,7 +113,7 @@ def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
 
 
 def test_what_is_exactly_known_does_not_count():
-    presses = pressed(ARRAY, 1.0)
+    presses = pressed(ARRAY, 1.0, count=8)
     exact = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
     widths = []
     for unknowns in (Unknowns(), exact):
