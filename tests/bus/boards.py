@@ -57,3 +57,45 @@ class Mtb:
         id_ = 0x400 | self.board << 4 | triangle
         yield Message(0.0, id_, bytes((0x40, *values[:7])))
         yield Message(0.0, id_, bytes((0xC0, *values[7:], *code.to_bytes(2))))
+
+
+class LinkerHand:
+    """A hand on classic CAN: linkerbot 0.5.4, hand/l6 and hand/o6; linkerhand-ros2-sdk, linker_hand_g20_can.py."""
+
+    def __init__(self, id_, matrices):
+        """`matrices` (rows, columns) by finger; 6 is the palm of a G20."""
+        self.id, self.matrices = id_, matrices
+
+    def receive(self, message):
+        assert (message.id, message.extended, message.fd) == (self.id, False, False)
+        finger, request = message.data[0], message.data[1:]
+        matrix = self.matrices[finger - 0xB0]
+        rows, columns = matrix.shape
+        if len(request) == 1:
+            assert request[0] == {(12, 6): 0xC6, (10, 4): 0xA4}[matrix.shape]
+            return [self._reply(finger, n << 4, *row) for n, row in enumerate(matrix)]
+        assert tuple(request) == (rows, columns, 1)
+        flat, total = matrix.ravel(), min(int(matrix.sum()), 0xFFFF).to_bytes(2, "little")
+        starts = range(0, flat.size, 5)
+        replies = [self._reply(finger, at // columns, at % columns, *flat[at : at + 5]) for at in starts]
+        return [*replies, self._reply(finger, 0xFF, *total)]
+
+    def _reply(self, *data):
+        return Message(0.0, self.id, bytes(data))
+
+
+class LinkerO20:
+    """A hand on CAN FD: linkerhand-o20-ros2, core/canfd/linker_hand_o20_canfd.py."""
+
+    def __init__(self, device, matrices):
+        """`matrices` (12, 6) by finger."""
+        self.device, self.matrices = device, matrices
+
+    def receive(self, message):
+        device, register, rest = message.id >> 21, message.id >> 13 & 0xFF, message.id & 0x1FFF
+        assert (device, rest, message.data) == (self.device, 0, b"")
+        assert message.extended
+        assert message.fd
+        finger, second = divmod(register - 0x09, 2)
+        data = b"\x01" + self.matrices[finger + 1].tobytes()
+        return [message._replace(data=data[64:].ljust(12, b"\0") if second else data[:64])]

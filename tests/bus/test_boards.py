@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tactiled.bus.codecs.icub import Icub
+from tactiled.bus.codecs.linker import Linker
 from tactiled.frames import BAD
-from tests.bus.boards import Mtb, frames_of
+from tests.bus.boards import LinkerHand, LinkerO20, Mtb, frames_of
 
 
 @pytest.mark.parametrize(
@@ -19,3 +20,24 @@ def test_an_mtb_board_gets_the_gain_that_is_configured(shift, counts, bad):
     assert frame.counts[:4].tolist() == counts
     assert np.flatnonzero(frame.flags & BAD).tolist() == bad
     assert (board.no_load, board.sends) == (codec.no_load, False)
+
+
+@pytest.mark.parametrize(
+    ("layout", "fingers", "shapes"),
+    [
+        ("12x6", (1, 4), [(12, 6)] * 2),
+        ("10x4", (5, 2), [(10, 4)] * 2),
+        ("g20-5", (2, 6), [(23, 9), (28, 20)]),
+        ("g20-7", (6, 1), [(14, 16), (12, 6)]),
+        ("o20", (1, 5), [(12, 6)] * 2),
+    ],
+)
+def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, shapes):
+    rng = np.random.default_rng(3)
+    matrices = {each: rng.integers(0, 256, shape, np.uint8) for each, shape in zip(fingers, shapes, strict=True)}
+    board = LinkerO20(1, matrices) if layout == "o20" else LinkerHand(0x27, matrices)
+    frames = frames_of(Linker("right", fingers, 20.0, layout), board, 0.16)
+    assert len(frames) == 4
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, np.concatenate([each.ravel() for each in matrices.values()]))
+        assert not frame.flags.any()

@@ -11,7 +11,7 @@ from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.errors import CodecError
-from tactiled.frames import MISSING
+from tactiled.frames import MISSING, Message
 from tests.bus.skins import CODECS, counts_of, message, payloads_of
 
 # As a module of two SDAs with eight taxels each sent them.
@@ -111,6 +111,14 @@ def test_xelas_model_follows_from_ids_and_size_unless_it_is_configured(codec, mo
             [0, 0x8000, 0x1234, 0, 0, 0, 0, 0, 0, 0, 0, 1, 4, 0, 3, 2],
         ),
         (Linker("right", (2, 1)), ("027#B130000102030405",), [0] * 90 + [0, 1, 2, 3, 4, 5] + [0] * 48),
+        (Linker("right", (1,), layout="10x4"), ("027#B13001020304",), [0] * 12 + [1, 2, 3, 4] + [0] * 24),
+        (  # a row ends in the first message; the second is a finger's last, the third its forces
+            Linker("right", (2,), layout="g20-5"),
+            ("027#B200050102030405", "027#B2160701FF", "027#B2FF270251052004"),
+            [0] * 5 + [1, 2, 3, 4, 5] + [0] * 195 + [1, 0xFF],
+        ),
+        (Linker("left", (6,), layout="g20-5"), ("028#B61B0F0102030405",), [0] * 555 + [1, 2, 3, 4, 5]),
+        (Linker("left", (6,), layout="g20-7"), ("028#B60D0C01020304",), [0] * 220 + [1, 2, 3, 4]),
     ],
 )  # fmt: skip
 def test_counts_of_golden_messages(codec, texts, counts):
@@ -173,6 +181,11 @@ def test_icubs_diagnostics_name_faulty_taxels(code, bad):
         (Linker("right", (1,)), "027#B230000102030405"),  # another finger
         (Linker("right", (1,)), "027#B1C0000102030405"),  # a thirteenth row
         (Linker("right", (1,)), "027#B131000102030405"),
+        (Linker("right", (1,), layout="10x4"), "027#B1A001020304"),
+        (Linker("right", (1,), layout="g20-5"), "027#B100090102030405"),  # a tenth column
+        (Linker("right", (1,), layout="g20-5"), "027#B100010102030405"),  # begins between two messages
+        (Linker("right", (1,), layout="g20-5"), "027#B11607010203"),  # three taxels where two are left
+        (Linker("right", (1,), layout="g20-5"), "027#B600000102030405"),  # the palm
         (PowerOn(), "30C#9601E25504EFA3C7"),
         (CySkin(), "406#0100020003000400"),
     ],
@@ -180,6 +193,18 @@ def test_icubs_diagnostics_name_faulty_taxels(code, bad):
 def test_another_message_is_refused(codec, text):
     with pytest.raises(CodecError):
         codec.decode(message(text))
+
+
+@pytest.mark.parametrize(("status", "bad"), [(1, ()), (0, tuple(range(72, 144)))])
+def test_an_o20s_finger_is_a_status_and_taxels_in_two_messages(status, bad):
+    codec = Linker("right", (1, 2), layout="o20")
+    first = Message(0.0, 0x216000, bytes((status, *range(1, 64))), True, True)
+    second = Message(0.0, 0x218000, bytes((*range(64, 73), 0, 0, 0)), True, True)
+    assert codec.decode(first).bad == bad
+    assert codec.unpack(payloads_of(codec, (first, second))).tolist() == [0] * 72 + [*range(1, 73)]
+    for each in (second._replace(data=second.data[:8]), first._replace(id=0x21A000), first._replace(fd=False)):
+        with pytest.raises(CodecError):
+            codec.decode(each)
 
 
 def test_icubs_taxels_have_positions():

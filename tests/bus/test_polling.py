@@ -126,6 +126,12 @@ STARTS = ["4d001ef0", "50050502010022", "0700"]  # as the robot's own software
             Linker("right", (2, 1), poll_hz=50), 0x27, [], [], [],
             [("b2c6", range(12), 0.02), ("b1c6", range(12, 24), 0.02)],
         ),
+        (Linker("left", (5,), layout="10x4"), 0x28, [], [], [], [("b5a4", range(10), 0.05)]),
+        (
+            Linker("left", (1, 6), layout="g20-5"), 0x28, [], [], [],
+            [("b1170901", range(43), 0.05), ("b61c1401", range(43, 156), 0.05)],
+        ),
+        (Linker("left", (1,), layout="g20-7"), 0x28, [], [], [], [("b10c0601", range(16), 0.05)]),
     ],
 )  # fmt: skip
 def test_golden_messages_to_skins(codec, id_, start, delays, stop, polls):

@@ -13,9 +13,9 @@ from tactiled.frames import Message
 from tests.bus.skins import CODECS, traffic
 
 CLASSIC = Packed(256, 12, array_id=4)
-SKINS = {name: codec for name, codec in CODECS.items() if not name.startswith(("packed", "dbc"))}
+SKINS = {name: codec for name, codec in CODECS.items() if not name.startswith(("packed", "dbc", "icub-"))}
 SKINS |= {"packed": Packed(1024, 12, fd=True), "packed-classic": CLASSIC}
-SKINS |= {"icub-fingertip": Icub(14, (0, 1))}  # fingertips are not told from other triangles
+SKINS |= {"icub-fingertip": Icub(14, (0, 1))}  # types of triangles are not told apart
 STRANGERS = [Message(t / 97, 0x6A1, bytes((t & 0xFF, 1, 2))) for t in range(80)] + [
     Message(t / 10, 0x18FF0102, bytes(8), extended=True) for t in range(8)
 ]
@@ -26,8 +26,8 @@ def together(*streams):
 
 
 def as_recognised(codec):
-    """A codec as a bus shows it: rows and columns in their usual order, triangles in the order of their ids."""
-    order = {"rows": True, "columns": True, "triangles": False}
+    """A codec as a bus shows it: rows and columns in their usual order, the rest in the order of ids."""
+    order = {"rows": True, "columns": True, "triangles": False, "fingers": False}
     sorts = {
         key: tuple(sorted(getattr(codec, key), reverse=down)) for key, down in order.items() if hasattr(codec, key)
     }

@@ -45,7 +45,9 @@ def test_a_bus_of_a_file_without_sensors_is_listened_to_and_recorded(tmp_path, r
     assert "recording to " in succeed("record", tmp_path / "a.log", *of_file)
 
 
-SKINS = ("barrett", "cyskin", "linker", "poweron", "xela", "xela-4x6-old")
+SKINS = (
+    "barrett", "cyskin", "linker", "linker-o6", "linker-g20-5", "linker-o20", "poweron", "xela", "xela-4x6-old",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

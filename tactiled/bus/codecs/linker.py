@@ -1,13 +1,14 @@
-"""LinkerHand fingers: matrices of 12 x 6 taxels of 8 bits, a message a row, sent when asked for.
+"""LinkerHand: matrices of taxels of 8 bits on fingers and palm, replies when request for.
 
-Source of the layout: Linkerbot's public SDKs (request code C6). The replies bear the hand's own id, as does all
-else that it sends.
+Sources of the layouts: linkerbot 0.5.4 (hand/l6/force_sensor.py, hand/o6/force_sensor.py), linkerhand-ros2-sdk
+(LinkerHand/core/can/linker_hand_g20_can.py), linkerhand-o20-ros2 (core/canfd/linker_hand_o20_canfd.py). On classic
+CAN the replies bear the hand's own id, as does all else that it sends.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,92 +17,222 @@ from pydantic import Field
 from tactiled.bounds import Bounds
 from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, require_distinct, standard_ids, understands
 from tactiled.bus.polling import Poll, Polling
-from tactiled.errors import CodecError
+from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 
 HANDS: dict[Literal["right", "left"], int] = {"right": 0x27, "left": 0x28}  # ids
-FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring, 5 little
-MATRIX = 0xC6  # asks for a matrix
-ROWS, COLUMNS = 12, 6
+DEVICES = {"right": 1, "left": 2}  # of an O20
+FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring, 5 little, 6 the palm
+PALM = 6
+TOTALS = 0xFF  # in place of a row: the forces on whole pads, which end a G20's reply
+TACTILE = 0x09  # the first of an O20's registers of taxels: two a finger
+Piece = tuple[int, int, int]  # finger, first taxel of its matrix in a message, number of them
+
+
+class Layout(NamedTuple):
+    """What one kind of matrix has."""
+
+    finger: tuple[int, int]  # rows, columns
+    taxels: int  # in a message; the last may have fewer
+    palm: tuple[int, int] | None = None  # rows, columns
+    code: int | None = None  # asks for a matrix whose messages name the row alone
+
+
+LAYOUTS: dict[Literal["12x6", "10x4", "g20-5", "g20-7", "o20"], Layout] = {
+    "12x6": Layout((12, 6), 6, code=0xC6),
+    "10x4": Layout((10, 4), 4, code=0xA4),
+    "g20-5": Layout((23, 9), 5, (28, 20)),
+    "g20-7": Layout((12, 6), 5, (14, 16)),
+    "o20": Layout((12, 6), 63),
+}
 
 
 @dataclass(frozen=True)
 class Linker(ClassicSkin):
-    """LinkerHand: 72 taxels of 8 bits a finger."""
+    """LinkerHand: taxels of 8 bits on fingers and palm."""
 
     hand: Literal["right", "left"] = "right"
     """Which hand it is."""
-    fingers: Annotated[tuple[Annotated[int, Bounds(1, 5)], ...], Field(min_length=1, max_length=5)] = (1,)
-    """Fingers of the array: 1 is the thumb, 5 the little finger."""
+    fingers: Annotated[tuple[Annotated[int, Bounds(1, 6)], ...], Field(min_length=1, max_length=6)] = (1,)
+    """Fingers of the array: 1 is the thumb, 5 the little finger, 6 the palm of a G20."""
     poll_hz: Annotated[float, Bounds(0.01, 1000.0, "Hz", zero=True)] = 20.0
     """Requests per second for each finger; 0: the service only listens."""
+    layout: Literal["12x6", "10x4", "g20-5", "g20-7", "o20"] = "12x6"
+    """Matrix of a finger: 10x4 of an O6; g20-5 and g20-7 of a G20, by the type that it reports; o20 on CAN FD."""
 
-    taxels, full_scale, ordered = COLUMNS, 0xFF, ROWS
+    full_scale = 0xFF
 
     def __post_init__(self) -> None:
-        """Refuse a finger named twice."""
+        """Refuse a finger named twice, and a palm without taxels."""
         require_distinct("fingers", self.fingers)
+        if PALM in self.fingers and not LAYOUTS[self.layout].palm:
+            raise ConfigError(f'fingers = {list(self.fingers)}: 6, the palm, has no taxels with "{self.layout}"')
+
+    def _shape(self, finger: int) -> tuple[int, int]:
+        """Rows and columns of a finger, or the palm."""
+        kind = LAYOUTS[self.layout]
+        return kind.palm if finger == PALM and kind.palm else kind.finger
+
+    @cached_property
+    def _pieces(self) -> tuple[Piece, ...]:
+        """What each segment carries; none of the taxels where it ends a G20's reply."""
+        kind, pieces = LAYOUTS[self.layout], list[Piece]()
+        for finger in self.fingers:
+            size = int(np.prod(self._shape(finger)))
+            pieces += [(finger, at, min(kind.taxels, size - at)) for at in range(0, size, kind.taxels)]
+            pieces += [(finger, size, 0)] if kind.palm else []
+        return tuple(pieces)
+
+    @cached_property
+    def _places(self) -> dict[tuple[int, int], int]:
+        """The segment of each finger and first taxel."""
+        return {(finger, first): at for at, (finger, first, _) in enumerate(self._pieces)}
+
+    @cached_property
+    def _filled(self) -> NDArray[np.bool_]:
+        """Which bytes (segments, taxels) of the payloads are taxels."""
+        sizes = np.array([size for *_, size in self._pieces])
+        return np.arange(LAYOUTS[self.layout].taxels) < sizes[:, None]
 
     @cached_property
     def size(self) -> int:
         """Taxels of all fingers, one finger's rows after the other's."""
-        return ROWS * COLUMNS * len(self.fingers)
+        return int(self._filled.sum())
+
+    @cached_property
+    def segments(self) -> int:
+        """Messages of all fingers."""
+        return len(self._pieces)
+
+    @cached_property
+    def ordered(self) -> int:
+        """The messages of a finger come in order."""
+        return sum(finger == self.fingers[0] for finger, *_ in self._pieces)
 
     @cached_property
     def ids(self) -> frozenset[Key]:
-        """The hand's one id."""
-        return standard_ids(HANDS[self.hand])
+        """The hand's one id; of an O20, an id a message, whichever way its bit of writing is."""
+        if self.layout != "o20":
+            return standard_ids(HANDS[self.hand])
+        registers = range(TACTILE, TACTILE + 2 * (PALM - 1))
+        return frozenset((self._id(each) | writes << 12, True) for each in registers for writes in (0, 1))
+
+    def _id(self, register: int) -> int:
+        """The id by which an O20 is request for a register."""
+        return DEVICES[self.hand] << 21 | register << 13
 
     @cached_property
     def polling(self) -> Polling:
-        """A request to each finger at the same time, which answers by its rows."""
+        """A request to each finger at the same time, which answers by its messages."""
         if not self.poll_hz:
             return Polling()
-        requests = (Message(0.0, HANDS[self.hand], bytes((FINGER + each, MATRIX))) for each in self.fingers)
-        return Polling(
-            polls=tuple(
-                Poll(each, 1 / self.poll_hz, range(ROWS * place, ROWS * (place + 1)))
-                for place, each in enumerate(requests)
-            )
-        )
+        polls, first = [], 0
+        for finger in self.fingers:
+            count = sum(each == finger for each, *_ in self._pieces)
+            requests = self._requests(finger)
+            step = count // len(requests)
+            for each in requests:
+                polls.append(Poll(each, 1 / self.poll_hz, range(first, first + step)))
+                first += step
+        return Polling(polls=tuple(polls))
+
+    def _requests(self, finger: int) -> list[Message]:
+        """What asks for all taxels of a finger."""
+        if self.layout == "o20":
+            registers = (TACTILE + 2 * (finger - 1), TACTILE + 2 * (finger - 1) + 1)
+            return [Message(0.0, self._id(each), b"", True, True) for each in registers]
+        code = LAYOUTS[self.layout].code
+        request = (*self._shape(finger), 1) if code is None else (code,)
+        return [Message(0.0, HANDS[self.hand], bytes((FINGER + finger, *request)))]
+
+    def span(self, segment: int) -> slice:
+        """The taxels that a segment carries."""
+        first = int(self._filled[:segment].sum())
+        return slice(first, first + self._pieces[segment][2])
 
     def decode(self, message: Message) -> Reading:
-        """The finger, the row in the high digit, six taxels."""
-        data = message.data
-        if message.fd or len(data) != 8 or data[1] & 0xF or data[1] >> 4 >= ROWS:
-            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is not a row of a finger")
-        if data[0] - FINGER not in self.fingers:
-            raise CodecError(f"message {message.id:#x} is of finger {data[0] - FINGER}, which is not configured")
-        place = self.fingers.index(data[0] - FINGER)
-        return Reading(message.time, ROWS * place + (data[1] >> 4), data[2:])
+        """Some taxels of a finger, or the end of a G20's reply."""
+        o20, data = self.layout == "o20", message.data
+        if message.fd != o20 or len(data) < 3:
+            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is not of a finger")
+        finger, first, payload = self._registered(message) if o20 else self._placed(data)
+        segment = self._places.get((finger, first))
+        if segment is None or len(payload) != self._pieces[segment][2]:
+            raise CodecError(f"message {message.id:#x} of {len(data)} bytes is not of a configured finger")
+        absent = o20 and not first and not data[0]
+        bad = range(self.span(segment).start, self.span(segment + 1).stop) if absent else ()
+        return Reading(message.time, segment, payload, bad=tuple(bad))
+
+    def _registered(self, message: Message) -> tuple[int, int, bytes]:
+        """Finger, first taxel and taxels of an O20: a status and 63 taxels, then 9 taxels and padding."""
+        finger, second = divmod((message.id >> 13 & 0xFF) - TACTILE, 2)
+        return finger + 1, 63 * second, message.data[:9] if second else message.data[1:]
+
+    def _placed(self, data: bytes) -> tuple[int, int, bytes]:
+        """Finger, first taxel and taxels of a classic message; its row is a digit or a byte beside the column."""
+        finger, row = data[0] - FINGER, data[1]
+        rows, columns = self._shape(finger)
+        if LAYOUTS[self.layout].code is not None:
+            return finger, row // 16 * columns if row % 16 == 0 else -1, data[2 : 2 + columns]
+        if row == TOTALS:
+            return finger, rows * columns, b""
+        return finger, row * columns + data[2] if row < rows and data[2] < columns else -1, data[3:]
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        return self.stacked(payloads, COLUMNS).astype(np.uint16).ravel()
+        return self.stacked(payloads, LAYOUTS[self.layout].taxels)[self._filled].astype(np.uint16)
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); the sequence number has no place in them."""
         del sequence
-        matrices = self.checked(counts).reshape(-1, ROWS, COLUMNS).tolist()
-        return [
-            Message(time, HANDS[self.hand], bytes((FINGER + finger, row << 4, *taxels)))
-            for finger, matrix in zip(self.fingers, matrices, strict=True)
-            for row, taxels in enumerate(matrix)
-        ]
+        taxels = self.checked(counts).astype(np.uint8)
+        carried = (taxels[self.span(at)].tobytes() for at in range(self.segments))
+        return [self._message(each, data, time) for each, data in zip(self._pieces, carried, strict=True)]
+
+    def _message(self, piece: Piece, taxels: bytes, time: float) -> Message:
+        """One message; what ends a G20's reply has no force on its pads."""
+        finger, first, _ = piece
+        _, columns = self._shape(finger)
+        if self.layout == "o20":
+            register = TACTILE + 2 * (finger - 1) + bool(first)
+            data = taxels.ljust(12, b"\0") if first else b"\x01" + taxels
+            return Message(time, self._id(register), data, True, True)
+        row, column = divmod(first, columns)
+        head = (row << 4,) if LAYOUTS[self.layout].code is not None else (row, column)
+        data = bytes((FINGER + finger, *head)) + taxels if taxels else bytes((FINGER + finger, TOTALS, 0, 0))
+        return Message(time, HANDS[self.hand], data)
 
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
-        """Rows of fingers, as replies to somebody's requests."""
-        for hand, id_ in HANDS.items():
-            keys = traffic.standard((id_,))
-            rows = [m for m in traffic.messages(keys) if len(m.data) == 8 and 1 <= m.data[0] - FINGER <= 5]
-            fingers = tuple(sorted({each.data[0] - FINGER for each in rows}))
-            codec = cls(hand, fingers)
-            if len({each.data[1] >> 4 for each in rows}) == ROWS and understands(codec, rows):
-                settings, shape = {"hand": hand, "fingers": list(fingers)}, (ROWS * len(fingers), COLUMNS)
-                listed = ", ".join(map(str, fingers))
-                description = f"LinkerHand, {hand} hand, fingers {listed}, polled by another node"
-                yield Match(settings, codec, keys, shape, description)
+        """Taxels of fingers, as replies to somebody's requests."""
+        for layout, hand in ((layout, hand) for layout in LAYOUTS for hand in HANDS):
+            every = cls(hand, tuple(range(1, 7 if LAYOUTS[layout].palm else 6)), layout=layout)
+            keys = tuple(sorted(every.ids & traffic.keys()))
+            requests = [(each.id, each.data) for finger in every.fingers for each in every._requests(finger)]
+            replies = [each for each in traffic.messages(keys) if (each.id, each.data) not in requests]
+            if layout != "o20":
+                replies = [
+                    each for each in replies if len(each.data) > 3 and each.data[0] - FINGER in every.fingers
+                ]
+            if not (replies and understands(every, replies)):
+                continue
+            pieces = {every._pieces[every.decode(each).segment] for each in replies}
+            fingers = tuple(sorted({finger for finger, *_ in pieces}))
+            codec = cls(hand, fingers, layout=layout)
+            if pieces == set(codec._pieces):
+                yield codec._match(keys)
+
+    def _match(self, keys: tuple[Key, ...]) -> Match:
+        """What was found on some ids, if it is all of this array."""
+        settings: dict[str, Any] = {"hand": self.hand, "fingers": list(self.fingers)}
+        settings |= {"layout": self.layout} if self.layout != "12x6" else {}
+        (_, columns), *others = shapes = [self._shape(each) for each in self.fingers]
+        grid, notes = (sum(rows for rows, _ in shapes), columns), tuple[str, ...]()
+        if any(each != columns for _, each in others):
+            grid, notes = (self.size, 1), ("array: fingers and palm are no grid: give positions_mm",)
+        listed = ", ".join(map(str, self.fingers))
+        description = f"LinkerHand, {self.layout}, {self.hand} hand, fingers {listed}, polled by another node"
+        return Match(settings, self, keys, grid, description, notes)
 
 
 SKIN = Linker
