@@ -125,7 +125,7 @@ def report(result: Survey, count: str) -> list[str]:
     lines = [count, *survey_lines(result)]
     if not result.senders:
         lines.insert(
-            1, "no known skin: some are silent until started (iCub, XELA's older boards) or asked (LinkerHand)"
+            1, "no known skin: some are silent until started (iCub, XELA's older boards) or asked (hands)"
         )
         if result.unknown:
             lines.append(

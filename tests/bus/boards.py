@@ -99,3 +99,23 @@ class LinkerO20:
         finger, second = divmod(register - 0x09, 2)
         data = b"\x01" + self.matrices[finger + 1].tobytes()
         return [message._replace(data=data[64:].ljust(12, b"\0") if second else data[:64])]
+
+
+class TactilePuck:
+    """A pad of a BarrettHand: libbarrett, src/products/tactile_puck.cpp and include/barrett/products/detail."""
+
+    def __init__(self, node, cells):
+        """`cells` (24,) of 12 bits."""
+        self.node, self.cells, self.format = node, [*cells, 0], 0
+
+    def receive(self, message):
+        assert (message.id, message.extended, message.fd) == (self.node, False, False)
+        if message.data[0] & 0x80:
+            assert (message.data[:2], len(message.data)) == (b"\xea\x00", 6)  # TACT is property 106
+            self.format = int.from_bytes(message.data[2:], "little")
+        else:
+            assert message.data == b"\x6a"
+        assert self.format == 2
+        rows = [self.cells[5 * n : 5 * n + 5] for n in range(5)]
+        words = [sum(each << 12 * (4 - at) for at, each in enumerate(row)) | n << 60 for n, row in enumerate(rows)]
+        return [Message(0.0, 0x409 | self.node << 5, each.to_bytes(8)) for each in words]

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.frames import BAD
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, frames_of
+from tests.bus.boards import LinkerHand, LinkerO20, Mtb, TactilePuck, frames_of
 
 
 @pytest.mark.parametrize(
@@ -41,3 +42,11 @@ def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, sh
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, np.concatenate([each.ravel() for each in matrices.values()]))
         assert not frame.flags.any()
+
+
+def test_a_barrett_pad_is_set_to_the_full_format_and_asked_for_every_frame():
+    cells = np.random.default_rng(4).integers(0, 0x1000, 24).tolist()
+    frames = frames_of(Barrett(11, 20.0), TactilePuck(11, cells), 0.16)
+    assert len(frames) == 5  # one to the format itself
+    assert all(frame.counts.tolist() == cells for frame in frames)
+    assert not np.any([frame.flags for frame in frames])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tactiled.build import make_array, make_codec, make_stack
+from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.packed import Packed
@@ -96,7 +97,7 @@ def test_a_start_that_the_bus_does_not_take_is_counted_and_sent_again():
 
 
 def test_most_skins_are_sent_nothing():
-    poller = Poller(codec.polling for codec in (Packed(4), Icub(1, (0,)), Xela(), Linker(poll_hz=0)))
+    poller = Poller(codec.polling for codec in (Packed(4), Icub(1, (0,)), Xela(), Barrett(11), Linker(poll_hz=0)))
     poller.start(0.0)
     assert poller.wait_s(0.0) == float("inf")
 
@@ -122,6 +123,7 @@ STARTS = ["4d001ef0", "50050502010022", "0700"]  # as the robot's own software
             0x202, ["4d0332f0", "50000901010000", "0700"], [0.0, 0.0, 0.5], STOPS, [],
         ),
         (Xela("4x4-old", controller=2, start=True), 0x202, ["0700"], [0.0], STOPS, []),
+        (Barrett(11, 20.0), 0x00B, ["ea0002000000"], [0.0], [], [("6a", range(5), 0.05)]),
         (
             Linker("right", (2, 1), poll_hz=50), 0x27, [], [], [],
             [("b2c6", range(12), 0.02), ("b1c6", range(12, 24), 0.02)],

@@ -1,6 +1,8 @@
 """BarrettHand tactile pads: 24 taxels of 12 bits, five messages a frame.
 
-Source of the layout: Barrett Technology's libbarrett (TactilePuck, full format).
+Source of the layout: Barrett Technology's libbarrett (TactilePuck, full format). Of the requests: its
+src/products/tactile_puck.cpp, include/barrett/products/detail/puck-inl.h, and property_list.cpp for firmware of
+motor pucks from the first that knows TACT on.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,10 +15,13 @@ from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
 from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, standard_ids, understands
+from tactiled.bus.polling import Poll, Polling
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
 FULL_FORMAT = 0x409  # group and property in the id; the node stands above
+TACT, SET = 106, 0x80  # number of the property; the bit that sets one
+FULL = 2  # value of TACT
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,8 @@ class Barrett(ClassicSkin):
 
     node: Annotated[int, Bounds(0, 31)]
     """Number of the node."""
+    poll_hz: Annotated[float, Bounds(0.01, 1000.0, "Hz", zero=True)] = 0.0
+    """Requests per second; 0: the service only listens, and another program has to ask."""
 
     size, full_scale, taxels = 24, 0xFFF, 5
 
@@ -32,6 +39,15 @@ class Barrett(ClassicSkin):
     def ids(self) -> frozenset[Key]:
         """The pad's one id."""
         return standard_ids(FULL_FORMAT | self.node << 5)
+
+    @cached_property
+    def polling(self) -> Polling:
+        """The full format once, then a request for every frame."""
+        if not self.poll_hz:
+            return Polling()
+        full = Message(0.0, self.node, bytes((TACT | SET, 0)) + FULL.to_bytes(4, "little"))
+        request = Message(0.0, self.node, bytes((TACT,)))
+        return Polling(start=((0.0, full),), polls=(Poll(request, 1 / self.poll_hz, range(self.segments)),))
 
     def decode(self, message: Message) -> Reading:
         """4 bits of segment, five taxels of 12 bits, all big-endian."""
@@ -58,13 +74,16 @@ class Barrett(ClassicSkin):
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
         """Five messages on one id, in turn."""
-        note = "array: 8 x 3 is a fingertip's; the palm has positions of its own"
+        notes = (
+            "array: 8 x 3 is a fingertip's; the palm has positions of its own",
+            "poll_hz: 20 where no other program asks",
+        )
         for node in range(32):
             codec = cls(node)
             keys = traffic.standard(id_ for id_, _ in codec.ids)
             messages = traffic.messages(keys)
             if understands(codec, messages) and len({each.data[0] >> 4 for each in messages}) == codec.segments:
-                yield Match({"node": node}, codec, keys, (8, 3), f"BarrettHand pad, node {node}", (note,))
+                yield Match({"node": node}, codec, keys, (8, 3), f"BarrettHand pad, node {node}", notes)
 
 
 SKIN = Barrett

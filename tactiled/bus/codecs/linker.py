@@ -1,4 +1,4 @@
-"""LinkerHand: matrices of taxels of 8 bits on fingers and palm, replies when request for.
+"""LinkerHand: matrices of taxels of 8 bits on fingers and palm, sent on request.
 
 Sources of the layouts: linkerbot 0.5.4 (hand/l6/force_sensor.py, hand/o6/force_sensor.py), linkerhand-ros2-sdk
 (LinkerHand/core/can/linker_hand_g20_can.py), linkerhand-o20-ros2 (core/canfd/linker_hand_o20_canfd.py). On classic
@@ -118,7 +118,7 @@ class Linker(ClassicSkin):
         return frozenset((self._id(each) | writes << 12, True) for each in registers for writes in (0, 1))
 
     def _id(self, register: int) -> int:
-        """The id by which an O20 is request for a register."""
+        """The id by which an O20 is asked for a register."""
         return DEVICES[self.hand] << 21 | register << 13
 
     @cached_property
