@@ -17,6 +17,7 @@ ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
 LINEAR = 0.1  # deviation of the factor's logarithm, up to which its likelihood is as good as normal
 MISFIT = 1.2  # times noise and gain errors: above it something that was given is wrong
 PULL = 2.0  # standard deviations that presses pull a parameter by, from which its prior is given up
+UNEXPLAINED = 1.5  # times noise and gain errors, with priors given up: they were not what is wrong
 MAX_FREED = 3
 GAINED = 14.0  # of chi-squared: 99.7 % of what three free parameters gain by chance
 
@@ -64,6 +65,8 @@ def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
         fitted = fine(touch, start.shared, start.own)
         likelihood, solution = fitted.likelihood, fitted.solution
         misfit = max(1.0, pooled(likelihood.misfits(solution)))
+        if not freed:
+            as_configured = touch, likelihood, solution, misfit
         refused = _refused(touch, solution, misfit, freed)
         if refused is None or len(freed) == MAX_FREED:
             break
@@ -74,6 +77,9 @@ def fit_jointly(touch: Touch, fitted: Fitted) -> Joint:
         if refused == SIZE:  # first without a profile, whose bounds are no place to start from
             start = fine(touch.fixed(*range(APERTURE, SHARED)), start.shared, start.own).solution
             simpler.append(start)
+    if freed and misfit > UNEXPLAINED:  # no tool explains it either
+        (touch, likelihood, solution, misfit), freed = as_configured, []
+        del simpler[1:]
     deviation = misfit * float(np.linalg.pinv(_information(touch, solution))[0, 0]) ** 0.5
     half = NORMAL_95 * deviation
     ends = float(solution.shared[FACTOR]) - half, float(solution.shared[FACTOR]) + half

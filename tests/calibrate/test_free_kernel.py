@@ -5,6 +5,7 @@ import pytest
 
 from tactiled.calibrate.cover_result import fit_cover
 from tactiled.calibrate.tip import Tip, tip_touch
+from tactiled.calibrate.unknowns import Unknowns
 from tactiled.cover import layered
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid
@@ -18,7 +19,9 @@ def fitted(world, seed):
     random = np.random.default_rng(seed)
     skin = Skin(ARRAY.size, random)
     presses = [skin.press(world.tip(0.8, place), ARRAY) for place in world.places(20, random)]
-    return fit_cover(tip_touch(presses, ARRAY, rubber(1.0), Tip(1.6, 0.005), 0.01), presses, "tip")
+    exact = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
+    touch = tip_touch(presses, ARRAY, rubber(1.0), Tip(1.6, 0.005), 0.01, None, exact)
+    return fit_cover(touch, presses, "tip")
 
 
 def test_a_free_kernel_is_near_the_true_gain_where_no_thickness_explains_the_presses():
