@@ -55,7 +55,9 @@ def free_kernel(fitted: Fitted, misfits: Floats) -> FreeKernel | None:
         shared=np.append(old.prior.shared, np.zeros(MODES)),
         shared_deviation=np.concatenate([[0.0], old.prior.shared_deviation[1:], np.ones(MODES)]),
     )
-    likelihood = Likelihood(old.readings, replace(old.model, spectrum=spectrum), prior, old.reference)
+    free_now = tuple(np.flatnonzero(prior.shared_deviation > 0).tolist())
+    model = replace(old.model, spectrum=spectrum, free=free_now)
+    likelihood = Likelihood(old.readings, model, prior, old.reference)
     best = likelihood.solve(np.append(solution.shared, np.zeros(MODES)), solution.own)
     free = left_out(likelihood, best)
     gains = misfits**2 - free**2
