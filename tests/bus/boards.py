@@ -119,3 +119,18 @@ class TactilePuck:
         rows = [self.cells[5 * n : 5 * n + 5] for n in range(5)]
         words = [sum(each << 12 * (4 - at) for at, each in enumerate(row)) | n << 60 for n, row in enumerate(rows)]
         return [Message(0.0, 0x409 | self.node << 5, each.to_bytes(8)) for each in words]
+
+
+class OmniHand2025:
+    """A hand on CAN FD: Omnihand-2025-SDK, src/proto.h and c_agibot_hand_can.cc; replies bear the request's id."""
+
+    def __init__(self, device, parts):
+        """`parts`: the taxels of each, as they are in its message."""
+        self.device, self.parts = device, parts
+
+    def receive(self, message):
+        part, kind, product, device = message.id.to_bytes(4)
+        assert (kind, product, device, message.data) == (5, 1, self.device, bytes(64))
+        assert message.extended
+        assert message.fd
+        return [message._replace(data=self.parts[part].ljust(64, b"\0"))]

@@ -6,8 +6,9 @@ import pytest
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.frames import BAD
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, TactilePuck, frames_of
+from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, frames_of
 
 
 @pytest.mark.parametrize(
@@ -50,3 +51,10 @@ def test_a_barrett_pad_is_set_to_the_full_format_and_asked_for_every_frame():
     assert len(frames) == 5  # one to the format itself
     assert all(frame.counts.tolist() == cells for frame in frames)
     assert not np.any([frame.flags for frame in frames])
+
+
+def test_an_omnihand_answers_its_requests_with_every_taxel():
+    finger, palm = bytes(range(1, 17)), bytes(range(50, 75))
+    frames = frames_of(OmniHand(3, "left", (4, 6)), OmniHand2025(3, {4: finger, 6: palm}), 0.16)
+    assert len(frames) == 4
+    assert all(frame.counts.tolist() == [*finger[::-1], *palm] for frame in frames)

@@ -8,6 +8,7 @@ from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
 from tactiled.errors import CodecError
@@ -203,6 +204,23 @@ def test_an_o20s_finger_is_a_status_and_taxels_in_two_messages(status, bad):
     assert codec.decode(first).bad == bad
     assert codec.unpack(payloads_of(codec, (first, second))).tolist() == [0] * 72 + [*range(1, 73)]
     for each in (second._replace(data=second.data[:8]), first._replace(id=0x21A000), first._replace(fd=False)):
+        with pytest.raises(CodecError):
+            codec.decode(each)
+
+
+@pytest.mark.parametrize(
+    ("hand", "finger"),
+    [
+        ("right", [14, 15, 12, 13, 10, 11, 8, 9, 6, 7, 4, 5, 2, 3, 0, 1]),  # tactile_sensor_array.jpg of its SDK
+        ("left", [15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0]),
+    ],
+)
+def test_an_omnihands_finger_is_8_x_2_and_mirrored_on_the_left(hand, finger):
+    codec = OmniHand(1, hand, parts=(1, 7))
+    thumb = Message(0.0, 0x1050101, bytes(range(16)), True, True)
+    back = Message(0.0, 0x7050101, bytes(range(100, 132)), True, True)  # padded to a length of CAN FD
+    assert codec.unpack(payloads_of(codec, (thumb, back))).tolist() == [*finger, *range(100, 125)]
+    for each in (thumb._replace(data=thumb.data[:12]), back._replace(data=back.data[:24])):
         with pytest.raises(CodecError):
             codec.decode(each)
 

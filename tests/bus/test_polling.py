@@ -10,6 +10,7 @@ from tactiled.build import make_array, make_codec, make_stack
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.polling import START_AGAIN_S, Poll, Poller, Polling
@@ -123,6 +124,7 @@ STARTS = ["4d001ef0", "50050502010022", "0700"]  # as the robot's own software
             0x202, ["4d0332f0", "50000901010000", "0700"], [0.0, 0.0, 0.5], STOPS, [],
         ),
         (Xela("4x4-old", controller=2, start=True), 0x202, ["0700"], [0.0], STOPS, []),
+        (OmniHand(3, parts=(6,)), 0x6050103, [], [], [], [("00" * 64, range(1), 0.05)]),
         (Barrett(11, 20.0), 0x00B, ["ea0002000000"], [0.0], [], [("6a", range(5), 0.05)]),
         (
             Linker("right", (2, 1), poll_hz=50), 0x27, [], [], [],
