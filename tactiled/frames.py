@@ -19,6 +19,8 @@ FLAG_BITS = {
     "FAULTY": FAULTY,
 }  # fmt: skip
 UNKNOWN = MISSING | BAD | DEAD | FAULTY  # of such a taxel there is no pressure
+NOISE_UNKNOWN = "noise_unknown"  # the code of the warning of an image whose noise is not measured yet
+UNSURE = 3.0  # times the median taxel: twice normal noise (1.48), as some cells are noisier than their mean
 CONFIGURED = "configured"  # the calibration of an image where there is no calibration file
 
 
@@ -128,3 +130,15 @@ class Image:
     unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits
     times: StageTimes | None = None  # None where it was made elsewhere
+
+    @property
+    def cell_noise(self) -> float:
+        """Standard deviation of a restored cell, in `unit`; a safe bound of it as long as the noise is unknown.
+
+        Then all that the taxels show may be noise.
+        """
+        noise = self.noise
+        if any(each.code == NOISE_UNKNOWN for each in self.warnings):
+            finite = self.raw[np.isfinite(self.raw)].astype(float)
+            noise = max(noise, UNSURE * float(np.median(np.abs(finite))) if finite.size else 0.0)
+        return noise * max(self.noise_gain, 1.0)

@@ -18,6 +18,7 @@ from tactiled.contacts.regions import Measures, Region, RegionMeter, measure_uni
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
+from tactiled.runtime.noise import measure_noise
 from tactiled.runtime.pipeline import Pipeline
 from tactiled.units import LENGTH, PRESSURE
 
@@ -50,7 +51,10 @@ class ExportJob(Job):
     def make(self, source: Path, part: Path) -> str:
         """Write every frame of one recording; ConfigError where there is none, or a region has no cell."""
         plan, count = self.plan(), 0
-        router, pipeline = Router({name: make_codec(each) for name, each in self.sensors.items()}), Pipeline(plan)
+        codecs = {name: make_codec(each) for name, each in self.sensors.items()}
+        router, pipeline = Router(codecs), Pipeline(plan)
+        for noise in measure_noise(Recording(source, router.ids, self.zone), codecs, [plan]).values():
+            pipeline.noise.settle(noise)
         recording = Recording(source, router.ids, self.zone)
         meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:

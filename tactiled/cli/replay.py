@@ -7,11 +7,14 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled import logs
+from tactiled.bus.recording import Recording
 from tactiled.bus.replay import Replay
+from tactiled.bus.router import Router
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
+from tactiled.runtime.noise import measure_noise
 from tactiled.runtime.sensor import REPLAYED, Sensor
 from tactiled.runtime.service import Service
 from tactiled.web.server import serve
@@ -54,6 +57,9 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
         for each in sensors.values():
             each.clock = REPLAYED
         codecs = {name: each.codec for name, each in sensors.items()}
+        plans = [each.plan for each in sensors.values()]
+        for name, noise in measure_noise(Recording(file, Router(codecs).ids), codecs, plans).items():
+            sensors[name].pipeline.noise.settle(noise)
         return Replay(file, codecs, lambda name, frame: sensors[name].restore(frame), speed, ended, stepped)
 
     service = Service(settings, listen, replayed=True)

@@ -92,7 +92,7 @@ class RegionMeter:
 
     def __call__(self, image: Image) -> Measures:
         """What an image holds in the region."""
-        noise, areas = image.noise * max(image.noise_gain, 1.0), self._areas
+        noise, areas = image.cell_noise, self._areas
         pressure = image.restored.reshape(-1)[self._cells]
         measured = ~np.isnan(pressure) & np.isfinite(image.raw).any()
         if not measured.all():

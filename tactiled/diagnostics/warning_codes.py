@@ -5,13 +5,14 @@ from typing import Literal
 from tactiled.frames import Direction, FrameWarning
 
 WarningCode = Literal[
-    "uncalibrated", "thick_cover", "noise_high", "missing", "bad", "dead", "saturated", "cover_mismatch",
-    "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty", "wrong_map",
-    "cut_short",
+    "uncalibrated", "thick_cover", "noise_unknown", "noise_high", "missing", "bad", "dead", "saturated",
+    "cover_mismatch", "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
+    "wrong_map", "cut_short",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "pressure is in counts: calibrate, or give kpa_per_count{unused}",
     "thick_cover": "the cover is thick for a pitch of {pitch_mm:g} mm: at 1 % noise no gap {gap} survives it",
+    "noise_unknown": "the noise is not measured yet: weak contacts are left out",
     "noise_high": "noise is {measured:.2g} {unit}, and {noise:.2g} {unit} was {source}",
     "missing": "{taxels} did not arrive: {instead}",
     "bad": "{taxels} reported faulty by the sensor: {instead}",

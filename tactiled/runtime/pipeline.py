@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
-from tactiled.diagnostics.checks import NOISE_RATIO, FrameChecks
+from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
@@ -23,12 +23,11 @@ from tactiled.restore.methods import NO_DATA, Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
 from tactiled.restore.scene import Restored
 from tactiled.runtime.cover_monitor import CoverMonitor
+from tactiled.runtime.noise import Noise
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.runtime.thickness_search import Start, ThicknessSearch
-from tactiled.units import N_PER_KPA_MM2, Unit
+from tactiled.units import N_PER_KPA_MM2
 
-NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
-NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
 FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
 
 
@@ -310,41 +309,3 @@ def flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
     instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
     counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
     return tuple(warning(code, count, **instead) for code, count in counts if count)
-
-
-class Noise:
-    """Standard deviation of a taxel, in `unit`: as configured, else of the first frames; measured now and then."""
-
-    def __init__(self, calibration: Calibration, unit: Unit, before: "Noise | None" = None) -> None:
-        """`before` is of the same array by another gain: as many counts of noise are a start."""
-        self._unit = unit
-        self._floor, self._configured = calibration.floor_kpa, calibration.noise_kpa
-        self.kpa: float = self._configured or self._floor * (before.kpa / before._floor if before else 1.0)
-        self.warning: tuple[FrameWarning, ...] = ()
-        self._measured = False
-        self._frames: list[NDArray[np.float32]] = []
-        self._pause = 0  # frames until frames are taken again
-
-    @property
-    def settled(self) -> bool:
-        """Whether it is configured or measured, not only that of rounding."""
-        return self._configured is not None or self._measured
-
-    def add(self, raw: NDArray[np.float32]) -> None:
-        """Take one more frame."""
-        if self._pause:
-            self._pause -= 1
-            return
-        self._frames += [raw] if np.isfinite(raw).any() else []
-        if len(self._frames) == NOISE_FRAMES:
-            self._compare(max(self._floor, estimate(np.stack(self._frames))))
-            self._frames, self._pause = [], NOISE_PAUSE_FRAMES
-
-    def _compare(self, measured: float) -> None:
-        if self._configured is None and not self._measured:
-            self.kpa, self._measured = measured, True
-        self.warning = ()
-        if measured > NOISE_RATIO * self.kpa:
-            source = "configured" if self._configured else "measured at the start"
-            raised = warning("noise_high", measured=measured, noise=self.kpa, unit=self._unit, source=source)
-            self.warning = (raised,)

@@ -5,7 +5,7 @@ Of the frames before it depends on the hysteresis alone, where the skin has a mo
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import pairwise
 from time import perf_counter
 from typing import NamedTuple
 
@@ -18,15 +18,15 @@ from tactiled.calibrate.tare import Zero
 from tactiled.contacts.detection import Contact, Finder
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import UNKNOWN, FrameWarning, Image, RawFrame
+from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make
-from tactiled.restore.noise import estimate, noise_ratio
-from tactiled.runtime.pipeline import NOISE_FRAMES, flag_warnings, make_image, without_zero
+from tactiled.restore.noise import noise_ratio
+from tactiled.runtime.noise import numbers_with_data, recorded_noise
+from tactiled.runtime.pipeline import flag_warnings, make_image, without_zero
 from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
-MAX_NOISE_SEARCH = 1000  # frames from which those with data are taken
 HEADS_AT_ONCE = 4096  # in memory
 PAST_EVERY_FRAMES, MAX_PASTS = 256, 512  # what the hysteresis knows is kept, to go on from there, so many times
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
@@ -40,12 +40,10 @@ class Overview(NamedTuple):
 
 
 def noise_frames(plan: SensorPlan, recorded: FrameFiles, count: int) -> tuple[int, ...]:
-    """Numbers of those of the first `count` frames that have data, to measure noise from; none if configured."""
+    """Numbers of those of the first `count` frames that noise is measured from; none if configured."""
     if plan.calibration.noise_kpa:
         return ()
-    every = range(min(count, MAX_NOISE_SEARCH))
-    with_data = (n for n in every if (recorded.frame(plan.name, n).flags & UNKNOWN == 0).any())
-    return tuple(islice(with_data, NOISE_FRAMES))
+    return numbers_with_data(recorded.frame(plan.name, n) for n in range(count))
 
 
 class Playback:
@@ -67,7 +65,8 @@ class Playback:
         if zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]:
             self.tared_at, self._shear_zero = zero.time, zero.shear
             self._calibrator.tare(zero.counts.astype(float))
-        self.noise = calibration.noise_kpa or self._measured_noise(noise_frames)
+        with_data = (recorded.frame(plan.name, n) for n in noise_frames)
+        self.noise = recorded_noise(plan, with_data, None if self.tared_at is None else zero.counts)
         noise_counts = calibration.noise_counts
         noisy = None if noise_counts is None else self._calibrator.noise_kpa(noise_counts)
         self._noise_ratio = None if noisy is None else noise_ratio(noisy, self.noise)
@@ -76,10 +75,6 @@ class Playback:
         self._finder = Finder(plan.array, plan.cells)
         self._areas = tiling(plan.array).areas  # (N,) mm^2
         self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
-
-    def _measured_noise(self, numbers: Sequence[int]) -> float:
-        raw = [self._pressure(n, self._recorded.frame(self.plan.name, n))[0] for n in numbers]
-        return max(self.plan.calibration.floor_kpa, estimate(np.stack(raw)) if raw else 0.0)
 
     def _pressure(self, number: int, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self._follow(number, frame)
@@ -143,7 +138,7 @@ class Playback:
 
     def contacts(self, image: Image) -> tuple[Contact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
-        contacts = self._finder(image.restored, image.noise * max(image.noise_gain, 1.0), image.unit)
+        contacts = self._finder(image.restored, image.cell_noise, image.unit)
         return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
 
     def overview(self) -> Overview:

@@ -287,11 +287,11 @@ FAULTS = [
     ("npz", "os.kill(os.getpid(), signal.SIGTERM)", "interrupted"),
     ("h5", "os.kill(os.getpid(), signal.SIGINT)", "interrupted"),
     ("mcap", "os.kill(os.getpid(), signal.SIGKILL)", ""),
-    # a full disk, in bytes of 58 860, 52 840 and 33 551
+    # a full disk, in bytes of 62 094, 54 552 and 28 201
     ("npz", FULL.format(50_000), "File too large: nothing is written"),
     ("h5", FULL.format(1000), "File too large: nothing is written"),
     ("h5", FULL.format(50_000), "File too large: nothing is written"),
-    ("mcap", FULL.format(30_000), "File too large: nothing is written"),
+    ("mcap", FULL.format(20_000), "File too large: nothing is written"),
     ("rrd", FULL.format(10_000), "nothing is written"),
 ]
 

@@ -13,6 +13,7 @@ from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import parse
 from tactiled.frames import Image, Message
+from tactiled.runtime.contact_tracking import ImageContacts
 from tests.cli.commands import TACTILED, refusal
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
 from tests.conftest import BUSY_S, Clock, ask, problem, until
@@ -183,3 +184,13 @@ def test_a_replay_stops_while_nothing_comes_of_its_file(tmp_path, monkeypatch):
     play.start()
     play.stop()
     assert not ended
+
+
+def test_an_empty_pad_whose_noise_nobody_configured_has_no_contact_from_the_first_frame_on(tmp_path):
+    log = write(tmp_path / "a.log", list(traffic())[:80])  # before the presses
+    got, sensor = images(log)
+    find = ImageContacts(sensor.array, sensor.plan.cells)
+    assert [find(each, each.time) for each in got] == len(got) * [()]
+    assert {each.noise for each in got} == {got[0].noise}
+    assert got[0].noise == pytest.approx(1.0, rel=0.1)  # 2 counts
+    assert not any(each.warnings for each in got)

@@ -16,7 +16,7 @@ SHAPES = [
 
 
 def restored(values, unit="kPa", raw=0.0):
-    return SimpleNamespace(raw=np.float32(raw), restored=values, noise=0.05, noise_gain=2.0, unit=unit)
+    return SimpleNamespace(raw=np.float32(raw), restored=values, cell_noise=0.1, unit=unit)
 
 
 @pytest.mark.parametrize(("shape", "points", "area", "centre"), SHAPES)

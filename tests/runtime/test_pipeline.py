@@ -12,7 +12,8 @@ from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
 from tactiled.runtime import pipeline as module
-from tactiled.runtime.pipeline import NOISE_FRAMES, Deadline, Pipeline
+from tactiled.runtime.noise import NOISE_FRAMES
+from tactiled.runtime.pipeline import Deadline, Pipeline
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.simulate.array import Surface
 from tests.calibrate.files import calibration_file, origin

@@ -11,18 +11,14 @@ import httpx
 import numpy as np
 import pytest
 
-from tactiled.build import sensor_plan
-from tactiled.bus.recording import Recording
-from tactiled.bus.replay import frames
-from tactiled.bus.router import Router
+from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
 from tactiled.frames import BAD
-from tactiled.runtime.pipeline import NOISE_FRAMES, Pipeline
 from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.service import Service
 from tactiled.web.rest import playback
 from tactiled.web.server import running
-from tests.cli.recordings import CODEC, CONFIG, FRAMES, traffic, write
+from tests.cli.recordings import CONFIG, FRAMES, traffic, write
 from tests.conftest import HTTP, ask, problem, until
 from tests.web.ws.clients import unpack_all
 
@@ -70,8 +66,12 @@ def images(client, name, **query):
 
 def replayed(path):
     """What a replay makes of a recording."""
-    pipeline = Pipeline(sensor_plan("palm", parse(CONFIG).sensor["palm"]))
-    return [pipeline.process(each) for _, each in frames(Recording(path), Router({"palm": CODEC}))]
+    service, got = replaying(parse(CONFIG), path, 0.0), []
+    sensor = service.sensor("palm")
+    sensor.hub.subscribe(got.append)
+    with service.running():
+        until(lambda: sensor.ended)
+    return got
 
 
 def files_without_names(folder):
@@ -108,7 +108,7 @@ def test_frames_in_any_order_are_those_of_a_replay(client, folder, name):
     state = opened(client, path.name)
     assert [state[key] for key in ("frames", "error", "tared_at")] == [FRAMES, None, None]
     assert state["duration_s"] == pytest.approx(expected[-1].arrived)
-    for number in (*range(FRAMES - 1, NOISE_FRAMES - 1, -1), 40):
+    for number in (*range(FRAMES - 1, -1, -1), 40):
         first, (position,), (raw, restored) = images(client, path.name, first=number)
         image = expected[number]
         assert (first, raw.sequence, raw.method) == (number, image.sequence, image.method)

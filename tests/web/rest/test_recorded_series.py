@@ -10,7 +10,6 @@ from tactiled.archive.export import ExportJob
 from tactiled.config import Server, parse
 from tactiled.contacts.regions import Region
 from tactiled.runtime import recorded_series
-from tactiled.runtime.pipeline import NOISE_FRAMES
 from tactiled.runtime.service import Service
 from tactiled.web.server import running
 from tests.cli.recordings import CONFIG, FRAMES, traffic, write
@@ -62,19 +61,18 @@ def test_a_series_has_what_an_export_has_for_every_frame_and_its_highest_values(
     expected, restored, cell_area = exported(path, {"heel": HEEL, "toe": TOE})
     series = measured(client, regions="heel,toe")
     assert [series[key] for key in ("frames", "measured", "error", "unit")] == [FRAMES, FRAMES, None, "kPa"]
-    tail = slice(NOISE_FRAMES, None)  # before, an export still measures the noise
     for n, area in enumerate(series["regions"]):
         assert area["name"] == ("heel", "toe")[n]
         for k, key in enumerate(("force", "mean", "peak", "area")):
-            np.testing.assert_allclose(area[key][tail], expected[tail, n, k], rtol=1e-6)
+            np.testing.assert_allclose(area[key], expected[:, n, k], rtol=1e-6)
         for k, key in enumerate(("force", "peak")):
-            best = int(expected[tail, n, 2 * k].argmax()) + NOISE_FRAMES
+            best = int(expected[:, n, 2 * k].argmax())
             highest = area["highest"][key]
             assert highest["number"] == best
             assert highest["value"] == pytest.approx(expected[best, n, 2 * k])
             assert highest["position_s"] == pytest.approx(series["position_s"][best])
     total = 1e-3 * cell_area * restored.sum(axis=1)
-    np.testing.assert_allclose(series["total"]["force"][tail], total[tail], rtol=1e-4)
+    np.testing.assert_allclose(series["total"]["force"], total, rtol=1e-4)
     details = client.get("/grasp.log/frames/50", params=PALM).json()
     assert [each["name"] for each in details["regions"]] == ["heel", "toe"]
     assert details["regions"][1]["peak"] == pytest.approx(series["regions"][1]["peak"][50])
