@@ -16,6 +16,7 @@ class Poll(NamedTuple):
     message: Message
     period_s: float
     segments: range  # that answer it
+    after_s: float = 0.0  # later than the first request: for a skin that takes one at a time
 
 
 class Polling(NamedTuple):
@@ -41,7 +42,7 @@ class Poller:
         """Begin with the start messages: the bus is open at `now` (s)."""
         self._starting = sorted(((now + after, each) for after, each in self._starts), key=lambda each: each[0])
         last = self._starting[-1][0] if self._starting else now
-        self._due = [last] * len(self._polls)
+        self._due = [last + each.after_s for each in self._polls]
 
     def wait_s(self, now: float) -> float:
         """Seconds from `now` until something is due; inf where nothing ever is."""
@@ -66,7 +67,7 @@ class Poller:
         starts += [(at, each) for at, each in self._starting if each in [message for _, message in other._starts]]
         other._starting = sorted(starts, key=lambda each: each[0])
         last = other._starting[-1][0] if other._starting else now
-        other._due = [due.get(each, last) for each in other._polls]
+        other._due = [due.get(each, last + each.after_s) for each in other._polls]
         return other
 
     def stop(self, send: Send) -> None:
@@ -80,7 +81,7 @@ class Poller:
             if self._due[at] <= now:
                 due.append(poll.message)
                 after = self._due[at] + poll.period_s
-                self._due[at] = after if after > now else now + poll.period_s
+                self._due[at] = after if after > now else now + poll.period_s + poll.after_s
         return due
 
 

@@ -25,6 +25,16 @@ def test_an_mtb_board_gets_the_gain_that_is_configured(shift, counts, bad):
 
 
 @pytest.mark.parametrize(
+    ("layout", "poll_hz", "pause_s"),
+    [("10x4", 20.0, 0.0025), ("g20-5", 1.0, 0.015), ("g20-5", 20.0, 0.01), ("o20", 20.0, 0.0)],
+)
+def test_a_linker_hand_gets_its_requests_one_after_the_other(layout, poll_hz, pause_s):
+    polls = Linker("right", (1, 2, 3, 4, 5), poll_hz, layout).polling.polls
+    after_s = [each.after_s for each in polls][:: len(polls) // 5]
+    assert after_s == pytest.approx([pause_s * n for n in range(5)])
+
+
+@pytest.mark.parametrize(
     ("layout", "fingers", "shapes"),
     [
         ("12x6", (1, 4), [(12, 6)] * 2),
@@ -38,7 +48,7 @@ def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, sh
     rng = np.random.default_rng(3)
     matrices = {each: rng.integers(0, 256, shape, np.uint8) for each, shape in zip(fingers, shapes, strict=True)}
     board = LinkerO20(1, matrices) if layout == "o20" else LinkerHand(0x27, matrices)
-    frames = frames_of(Linker("right", fingers, 20.0, layout), board, 0.16)
+    frames = frames_of(Linker("right", fingers, 20.0, layout), board, 0.18)
     assert len(frames) == 4
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, np.concatenate([each.ravel() for each in matrices.values()]))

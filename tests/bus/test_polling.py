@@ -53,6 +53,17 @@ def test_requests_leave_when_they_are_due_and_do_not_burst_after_a_delay():
     assert poller.wait_s(15.4) == pytest.approx(0.1)
 
 
+def test_a_skin_that_takes_one_request_at_a_time_gets_them_apart_after_a_delay_too():
+    wire, poller = Wire(), Poller([Polling(polls=(FIRST, SECOND._replace(after_s=0.02)))])
+    poller.start(10.0)
+    requests = []
+    for now in (10.0, 10.02, 10.1, 10.12, 15.0, 15.1, 15.12):
+        wire.messages.clear()
+        poller.send_due(wire.send, now)
+        requests.append([each.data[0] - 0xB0 for each in wire.messages])
+    assert requests == [[1], [2], [1], [2], [1, 2], [1], [2]]
+
+
 def test_skins_are_exchanged_without_a_pause_for_those_that_stay():
     wire, poller = Wire(), Poller([Polling(polls=(FIRST,)), STARTED._replace(polls=(), start=())])
     poller.start(10.0)

@@ -26,6 +26,10 @@ FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring
 PALM = 6
 TOTALS = 0xFF  # in place of a row: the forces on whole pads, which end a G20's reply
 TACTILE = 0x09  # the first of an O20's registers of taxels: two a finger
+PAUSE_S = (
+    0.0025  # between requests: a hand on classic CAN takes one at a time (linkerbot, hand/o6/force_sensor.py)
+)
+G20_PAUSE_S = 0.015  # linker_hand_g20_can.py
 Piece = tuple[int, int, int]  # finger, first taxel of its matrix in a message, number of them
 
 
@@ -123,16 +127,18 @@ class Linker(ClassicSkin):
 
     @cached_property
     def polling(self) -> Polling:
-        """A request to each finger at the same time, which answers by its messages."""
+        """A request to each finger after the other, which answers by its messages."""
         if not self.poll_hz:
             return Polling()
-        polls, first = [], 0
-        for finger in self.fingers:
+        polls, first, kind = [], 0, LAYOUTS[self.layout]
+        pause_s = 0.0 if self.layout == "o20" else G20_PAUSE_S if kind.palm else PAUSE_S
+        pause_s = min(pause_s, 1 / self.poll_hz / len(self.fingers))
+        for at, finger in enumerate(self.fingers):
             count = sum(each == finger for each, *_ in self._pieces)
             requests = self._requests(finger)
             step = count // len(requests)
             for each in requests:
-                polls.append(Poll(each, 1 / self.poll_hz, range(first, first + step)))
+                polls.append(Poll(each, 1 / self.poll_hz, range(first, first + step), at * pause_s))
                 first += step
         return Polling(polls=tuple(polls))
 
