@@ -44,7 +44,7 @@ COVER = "sensor.palm.cover[0]"
         ("port = 8000", 'port = 8000\n[zenoh]\nlisten = ["tcp/[::1]:7447"]\ncontrol_key = "hunter2hunter2hunter2"',
          "zenoh.control_key: give 64 of the digits 0-9 and a-f, as `openssl rand -hex 32` prints them"),
         ("accuracy = ", "no_load = 1\naccuracy = ",
-         "sensor.palm.kernel.no_load: unknown key: did you mean calibration.no_load?"),
+         "sensor.palm.kernel.no_load: unknown key: did you mean calibration.no_load or codec.no_load?"),
         ("port = 8000", "rows = 8", "server.rows: unknown key: did you mean array.rows or codec.rows?"),
         ("port = 8000", "thickness_mm = 8", "server.thickness_mm: unknown key: did you mean cover.thickness_mm?"),
         ("accuracy = ", 'method = "auto"\naccuracy = ',
