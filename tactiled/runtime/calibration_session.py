@@ -113,11 +113,13 @@ class CalibrationSession:
             apply(self.outcome)
             self._end("apply")
 
-    def discard(self) -> None:
-        """End without a change."""
+    def discard(self) -> bool:
+        """End without a change, unless it has ended; returns whether this ended it."""
         with self._lock:
-            if self.state != "ended":
+            is_open = self.state != "ended"
+            if is_open:
                 self._end("discard")
+            return is_open
 
     def _end(self, action: Action) -> None:
         self._go(action)

@@ -83,7 +83,8 @@ class GuidedCalibrations:
 
     def discard(self, name: str) -> None:
         """End a sensor's session without a change."""
-        self.session(name).discard()
+        if not self.session(name).discard():  # it was applied meanwhile
+            raise NoCalibrationError(f"sensor {name!r}: no calibration is open")
         self._ended(name, "discarded: nothing was changed")
 
     def _ended(self, name: str, text: str) -> None:

@@ -1,14 +1,15 @@
 import signal
 import threading
 import time
-from unittest.mock import Mock
+from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pytest
 
 from tactiled.calibrate.quality import Quality
-from tactiled.errors import CalibrationStateError, ConfigError, PhysicsError
+from tactiled.errors import CalibrationStateError, ConfigError, NoCalibrationError, PhysicsError
 from tactiled.runtime.calibration_session import IDLE_S, NEXT_STATE, CalibrationSession
+from tactiled.runtime.guided_calibration import GuidedCalibrations
 from tests.conftest import Clock, pressed, until
 
 
@@ -108,6 +109,17 @@ def test_the_outcome_of_a_cancelled_fit_is_dropped(session):
     assert session.outcome == "second"
     session.discard()
     assert session.state == "ended"
+
+
+def test_a_calibration_that_was_applied_meanwhile_is_not_discarded(session, monkeypatch):
+    service = MagicMock()
+    calibrations = GuidedCalibrations(service)
+    monkeypatch.setattr(calibrations, "session", lambda _: session)
+    session.state, session.outcome = "fitted", "first"
+    session.apply(lambda _: None)
+    with pytest.raises(NoCalibrationError, match="no calibration is open"):
+        calibrations.discard("palm")
+    service.events.add.assert_not_called()
 
 
 @pytest.mark.parametrize("give_up", [CalibrationSession.cancel, CalibrationSession.discard])

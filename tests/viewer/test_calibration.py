@@ -19,6 +19,15 @@ SLOW = """() => {
     return window.quick(...all);
   };
 }"""
+USELESS = "[...document.querySelectorAll('#calibrate .discard, #calibrate-again')].map(each => each.disabled)"
+LATE_ANSWER = """() => {
+  window.quick = window.fetch;
+  window.fetch = async (...all) => {
+    const answer = await window.quick(...all);
+    if (String(all[0]).endsWith("/calibration")) await new Promise(done => { window.release = done; });
+    return answer;
+  };
+}"""
 
 
 @pytest.fixture
@@ -55,11 +64,32 @@ def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
     assert low < float(fitted) < high
     page.inspect()
     assert page.evaluate(SCROLL_WIDTH) <= 390
+    page.evaluate(SLOW)
     page.get_by_role("button", name="Apply").click()
+    assert page.evaluate(USELESS) == [True, True, True]
     page.wait(f"{MESSAGE}.startsWith('The gain is applied.')")
+    assert page.evaluate(USELESS) == [False, False, False]
+    page.evaluate("window.fetch = window.quick")
     assert rig.sensor.plan.file.gain is not None
     page.press("Escape")
     assert not page.evaluate("document.getElementById('calibrate').open")
+    page.finish("404")  # of a look at what was just applied
+
+
+@pytest.mark.usefixtures("rig", "skin")
+def test_a_look_that_was_answered_before_the_start_ends_nothing(url, open_page):
+    page = open_page(url)
+    page.press("k")
+    page.get_by_role("button", name="Gain").click()
+    page.evaluate(LATE_ANSWER)
+    page.wait("!!window.release")
+    page.get_by_role("button", name="Start").click()
+    page.wait(VISIBLE.format("collect"))
+    page.evaluate("() => { window.fetch = window.quick; window.release(); }")
+    for _ in range(2):
+        with page.expect_response(lambda answer: answer.url.endswith("/calibration/session")):
+            pass
+    assert page.evaluate(MESSAGE) == ""
 
 
 @pytest.mark.usefixtures("rig")

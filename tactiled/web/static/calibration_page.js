@@ -29,6 +29,7 @@ const sizeLabel = byId("calibrate-size-label");
 const sizeLine = byId("calibrate-size");
 const value = /** @type {HTMLInputElement} */ (byId("calibrate-value"));
 const apply = /** @type {HTMLButtonElement} */ (byId("calibrate-apply"));
+const ends = /** @type {HTMLButtonElement[]} */ ([apply, ...dialog.querySelectorAll(".discard, #calibrate-again")]); // of a result
 const fit = /** @type {HTMLButtonElement} */ (byId("calibrate-fit"));
 
 export class CalibrationPage {
@@ -52,6 +53,7 @@ export class CalibrationPage {
     this._verdict = null;
     this._busy = false; // with a look at the service
     this._acting = false;
+    this._acts = 0; // so far: what was asked before the newest is old
     this._error = ""; // of the last fit, as it was said
     this._unseen = false; // the last look failed
     this._isFirstLook = false; // since it was opened, and no step was chosen: it goes to that of a session that is there
@@ -113,12 +115,13 @@ export class CalibrationPage {
     if (this._busy || this._acting) return;
     this._busy = true;
     const name = this._name;
+    const acts = this._acts;
     try {
       const calibration = await api.calibration(name);
       if (this._step === "tare") ({ faults: this._faults, map: this._verdict } = await api.taxelHealth(name));
-      if (this._acting) return; // what comes of it is the newest
+      if (acts !== this._acts) return; // what comes of it is the newest
       const session = calibration.session ? await api.calibrationSession(name) : null;
-      if (this._acting || name !== this._name || !dialog.open) return;
+      if (acts !== this._acts || name !== this._name || !dialog.open) return;
       if (this._unseen) this._say("");
       this._unseen = false;
       this._showTare(calibration);
@@ -268,6 +271,7 @@ export class CalibrationPage {
     /** @type {CalibrationSession|null} */
     let session = null;
     this._acting = true;
+    this._acts += 1;
     const done = await withToken(async () => { session = await action(); }, failed, (text, bad) => this._say(text, bad));
     this._acting = false;
     if (done) {
@@ -304,12 +308,13 @@ export class CalibrationPage {
 
   async _apply() {
     const step = this._step;
-    apply.disabled = true;
+    const setDisabled = (/** @type {boolean} */ is) => ends.forEach((each) => { each.disabled = is; });
+    setDisabled(true);
     const done = await this._act("Not applied", () => {
       if (step === "cover") this._say("The cover is solved. This takes some seconds.");
       return api.calibrationAction(this._name, "apply");
     });
-    apply.disabled = false;
+    setDisabled(false);
     if (!done) return;
     if (step === "gain") this._go("cover");
     this._say(step === "gain" ? "The gain is applied. Next: the cover." : "The cover is applied: images are restored with it.");
