@@ -4,6 +4,7 @@ import asyncio
 import logging
 import re
 import secrets
+from collections.abc import Mapping
 from contextlib import ExitStack
 from typing import Literal
 
@@ -75,6 +76,37 @@ def cookie_name(headers: Headers) -> str:
     return f"tactiled-{port[1]}" if port else "tactiled"
 
 
+class _Answer:
+    """Sends the answer to a request with the headers of all; a body that does not belong turns a success down."""
+
+    def __init__(self, scope: Scope, receive: Receive, send: Send, body: Body, headers: Mapping[str, str]) -> None:
+        self._scope, self._receive, self._send, self._body, self._headers = scope, receive, send, body, headers
+        self.started = self._refused = False
+
+    async def __call__(self, message: Message) -> None:
+        """Send a message of the application's."""
+        unwanted = self._body.unwanted
+        if unwanted and message["type"] == "http.response.start" and message["status"] < 400:
+            await self.refuse(unwanted)
+        elif not self._refused:
+            await self._secured(message)
+
+    async def refuse(self, error: BaseException) -> None:
+        """Send an error in place of all that the application says."""
+        self._refused = True
+        await _error_response(error, self._scope)(self._scope, self._receive, self._secured)
+
+    async def _secured(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.started = True
+            headers = MutableHeaders(scope=message)
+            for name, value in self._headers.items():
+                headers.setdefault(name, value)
+            if not self._body.complete:  # the rest is not waited for
+                headers["Connection"] = "close"
+        await self._send(message)
+
+
 class AccessControl:
     """Refuses pages of another origin, a foreign host name on loopback (DNS rebinding), and a missing token."""
 
@@ -96,27 +128,16 @@ class AccessControl:
 
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request once its body is in."""
-        started, body = False, Body(scope, receive, self._bodies)
-
-        async def send_secured(message: Message) -> None:
-            nonlocal started
-            if message["type"] == "http.response.start":
-                started = True
-                headers = MutableHeaders(scope=message)
-                for name, value in self._headers.items():
-                    headers.setdefault(name, value)
-                if not body.complete:  # the rest is not waited for
-                    headers["Connection"] = "close"
-            await send(message)
-
+        body = Body(scope, receive, self._bodies)
+        answer = _Answer(scope, receive, send, body, self._headers)
         try:
             app = self._route(scope)
-            await app(scope, await body.receiver(), send_secured)
+            await app(scope, await body.receiver(), answer)
         except ClientDisconnect:  # amid its body: nobody reads an answer
             return
         except (Exception, asyncio.CancelledError) as error:
-            if not started:
-                await _error_response(error, scope)(scope, receive, send_secured)
+            if not answer.started:
+                await answer.refuse(error)
             elif isinstance(error, Exception):
                 raise
         finally:

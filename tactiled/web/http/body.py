@@ -58,7 +58,6 @@ class Body:
         headers, method = Headers(scope=scope), scope["method"]
         path, self._timeout_s = scope["path"], BODY_TIMEOUT_S
         self._receive, self._upload, self._bodies = receive, method == "POST" and path == UPLOAD_PATH, bodies
-        self._bodiless = method if method in SAFE_METHODS else ""
         is_file = method == "PUT" and path.endswith(FILE_PATH_END)
         self._limit = MAX_UPLOAD_BYTES if self._upload else MAX_BYTES if is_file else MAX_BODY_BYTES
         if is_recording(scope):
@@ -68,6 +67,9 @@ class Body:
         self._reading: asyncio.Timeout | None = None  # while a part is waited for
         self._gives_way = False
         self.complete = self._length == "0" and "transfer-encoding" not in headers
+        # None of it is read; a path that has no such method says so first.
+        takes_none = method in SAFE_METHODS and not self.complete
+        self.unwanted = Problem(422, f"body: {method} takes none") if takes_none else None
 
     def give_way(self) -> None:
         """Refuse it, if it is not complete by now."""
@@ -77,8 +79,8 @@ class Body:
 
     async def receiver(self) -> Receive:
         """Read the body, unless it is an upload; gives its ASGI receiver. ClientDisconnect if it breaks off."""
-        if self._bodiless and not self.complete:
-            raise Problem(422, f"body: {self._bodiless} takes none")
+        if self.unwanted:
+            return _no_body
         if self.complete or self._upload:
             return self._next
         body, more = bytearray(), True
@@ -121,6 +123,10 @@ class Body:
 
     def _too_large(self) -> Problem:
         return Problem(413, f"a body of more than {self._limit >> 10} KiB: send it in parts")
+
+
+async def _no_body() -> Message:
+    return {"type": "http.request", "body": b"", "more_body": False}
 
 
 def _give_way() -> Problem:
