@@ -133,7 +133,7 @@ def test_a_blurred_edge_is_refused_with_what_to_do():
 
 
 def test_a_common_bend_of_the_curves_is_named():
-    presses = pressed(ARRAY, 1.2, bend=0.08)
+    presses = pressed(ARRAY, 1.2, count=10, bend=0.12)
     fit = fit_cover(tip_touch(presses, ARRAY, rubber(1.0), Tip(TIP_MM), 0.01), presses, "tip")
     assert fit.interval_mm[0] < 1.2 < fit.interval_mm[1]
     assert any(each.endswith("calibrate the gain over the pressures of the presses") for each in fit.notes)
