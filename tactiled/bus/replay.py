@@ -98,7 +98,8 @@ class Replay:
                 if self._stop.is_set():
                     return
                 self._take(name, frame)
-            self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}", False)
+            if not self._stop.is_set():
+                self._ended(f"{self._recording.path.name} has ended after {self._recording.summary()}", False)
         except TactileError as error:
             if not self._stop.is_set():
                 self._ended(str(error), True)

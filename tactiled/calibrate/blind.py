@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter
 from scipy.special import stdtrit
 
 from tactiled.calibrate.contact_frames import (
@@ -246,6 +245,8 @@ def _pressure(
 
 def _smooth(x: Images) -> tuple[Floats, Floats]:
     """Means of pressure over 3 x 3 cells, and their typical height (T, 1, 1)."""
+    from scipy.ndimage import uniform_filter  # which nothing imports that starts a service
+
     smooth = np.maximum(uniform_filter(x, (0, 3, 3), mode="constant"), 0).astype(float)
     cubes, squares = ((smooth**n).sum(axis=(1, 2), keepdims=True) for n in (3, 2))
     return smooth, cubes / np.maximum(squares, 1e-9)

@@ -120,7 +120,8 @@ class Neighbourhood:
             own, beside = _responses(self._kernel, self._array, offsets, reach, CELL_PITCHES)
             spots = own > MIN_RESPONSE * own.max()
             near = _responses(self._kernel, self._array, offsets, CLOSE_PITCHES, CELL_PITCHES / 2)
-            shares = np.hstack([beside[:, spots] / own[spots], near[1] / near[0]])
+            at = near[0] > MIN_RESPONSE * near[0].max()
+            shares = np.hstack([beside[:, spots] / own[spots], near[1][:, at] / near[0][at]])
             close = np.hypot(*offsets.T) < CLOSE_PITCHES
             share = float(shares[close].sum(axis=0).min())
             self._joints[kind] = _Surroundings(_weights(own, beside), close, shares, share)

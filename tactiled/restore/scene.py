@@ -14,6 +14,7 @@ FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside
 MAX_PREPARED_CELLS = 4096  # up to which what every spectrum needs is made beforehand: 3.4 kB a cell, all together
 FORCE_AGREES_SIGMAS = 0.25  # standard deviations of the total force: a smaller difference is left alone
 IMAGE_FORCE_ERROR = 0.03  # of an image's total before it is held to the frame's, standard deviation
+FORCE_NOISE_SIGMAS = 3.0  # of the noise of the total force: a larger difference is none of it
 FORCE_PASSES = 8  # of Newton's method, to take an excess of force from the pressed cells; three or four settle
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to
 SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
@@ -135,7 +136,8 @@ class Scene:
         pressed, factor = self._pressed, self._factor
         own = (IMAGE_FORCE_ERROR * self.force) ** 2
         noise = self.force - float(self._reach.dot(flat))
-        noise *= self._force_variance / (own + self._force_variance)  # the frame's likely part of the difference
+        likely = self._force_variance / (own + self._force_variance)  # the frame's part of the difference
+        noise *= likely if noise**2 < FORCE_NOISE_SIGMAS**2 * self._force_variance else 0.0
         for _ in range(FORCE_PASSES):
             missed = self.force - noise - float(self._reach.dot(flat))
             scale = self.force_scale(missed)

@@ -3,14 +3,13 @@
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from itertools import islice
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.bus.codec import Codec
-from tactiled.bus.recording import Recording
-from tactiled.bus.replay import frames
 from tactiled.bus.router import Router
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.diagnostics.checks import NOISE_RATIO
@@ -18,6 +17,9 @@ from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import UNKNOWN, FrameWarning, RawFrame
 from tactiled.restore.noise import estimate
 from tactiled.units import Unit
+
+if TYPE_CHECKING:
+    from tactiled.bus.recording import Recording
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
 NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
@@ -98,12 +100,14 @@ def recorded_noise(
 
 
 def measure_noise(
-    recording: Recording, codecs: Mapping[str, Codec], plans: Iterable[SensorPlan]
+    recording: "Recording", codecs: Mapping[str, Codec], plans: Iterable[SensorPlan]
 ) -> dict[str, float]:
     """Noise of the sensors that have frames in a recording, before it is restored, by their names.
 
     What is wrong with the recording, or in a codec, whoever restores it meets, too.
     """
+    from tactiled.bus.replay import frames  # and python-can, which a service without a bus does not need
+
     sought = {plan.name: plan for plan in plans if not plan.calibration.noise_kpa}
     firsts: dict[str, list[RawFrame]] = {name: [] for name in sought}
     open_ = dict.fromkeys(sought, MAX_NOISE_SEARCH)  # frames to be searched yet

@@ -115,7 +115,7 @@ def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):
     with listening as fleet, running(fleet, Server(port=0)) as url:
         with published(rig, endpoint):
             until(lambda: NAME in fleet.sensors)
-        until(lambda: state(fleet) == "down")
+        until(lambda: state(fleet) == "down" and "was stopped" in fleet.sensors[NAME].status().detail)
         assert "was stopped" in problem(ask("GET", f"{url}/api/v1/sensors/{NAME}/kernel"), 503)
 
 

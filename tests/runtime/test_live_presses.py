@@ -71,7 +71,7 @@ def test_a_fit_leaves_out_taxels_that_are_found_faulty(rig, collector):
     rig.sensor.pipeline.calibrator.faulty[[7, 27]] = FAULTY
     procedure, fitted = CoverProcedure(rig.sensor, make_stack(rig.config.sensor["palm"]), "tip", 1.0), []
     fit = SimpleNamespace(
-        run=lambda _, recorded, *_rest: fitted.append(recorded) or SimpleNamespace(reason="none")
+        run=lambda _, recorded, *_rest: fitted.append(recorded) or SimpleNamespace(reason="none", objection="")
     )
     procedure.fit(collector.series(), fit)
     assert fitted[0].calibration.dead == (7, 27)

@@ -23,7 +23,7 @@ WEST = Region(
 def image(kpa, time, unit="kPa"):
     values = np.zeros((4, 4), np.float32)
     values[1, 1], values[1, 3] = kpa, 99.0  # the second is no part of it
-    return SimpleNamespace(raw=values, restored=values, time=time, noise=0.1, noise_gain=1.0, unit=unit)
+    return SimpleNamespace(raw=values, restored=values, time=time, cell_noise=0.1, unit=unit)
 
 
 @pytest.fixture

@@ -65,7 +65,7 @@ class Body:
         self._length, self._size = headers.get("content-length", "0"), 0
         self._deadline = asyncio.get_running_loop().time() + self._timeout_s
         self._reading: asyncio.Timeout | None = None  # while a part is waited for
-        self._gives_way = False
+        self._gives_way = self._began = False
         self.complete = self._length == "0" and "transfer-encoding" not in headers
         # None of it is read; a path that has no such method says so first.
         takes_none = method in SAFE_METHODS and not self.complete
@@ -80,7 +80,7 @@ class Body:
     async def receiver(self) -> Receive:
         """Read the body, unless it is an upload; gives its ASGI receiver. ClientDisconnect if it breaks off."""
         if self.unwanted:
-            return _no_body
+            return self._no_body
         if self.complete or self._upload:
             return self._next
         body, more = bytearray(), True
@@ -97,6 +97,15 @@ class Body:
             return messages.pop() if messages else await self._receive()
 
         return replay
+
+    async def _no_body(self) -> Message:
+        """An empty body, then the client's disconnection; what comes until then is dropped."""
+        if not self._began:
+            self._began = True
+            return {"type": "http.request", "body": b"", "more_body": False}
+        while (message := await self._receive())["type"] != "http.disconnect":
+            pass
+        return message
 
     async def _next(self) -> Message:
         """The next part of the body; after the last, the client's disconnection."""
@@ -123,10 +132,6 @@ class Body:
 
     def _too_large(self) -> Problem:
         return Problem(413, f"a body of more than {self._limit >> 10} KiB: send it in parts")
-
-
-async def _no_body() -> Message:
-    return {"type": "http.request", "body": b"", "more_body": False}
 
 
 def _give_way() -> Problem:
