@@ -186,7 +186,7 @@ def test_numbers_of_a_decimal_asc_are_decimal(tmp_path):
         ("a.txt", TWO, "it is candump's log: name it with .log$"),
         ("a.log", HEAD, "it is Vector's .asc: name it with .asc$"),
         ("a.csv", "time;id;data\n1;2;3\n", "a .csv must begin with python-can's .* not 'time;id;data': give"),
-        ("a.log", gzip.compress(TWO.encode()), "it is packed by gzip: name it with .gz at the end"),
+        ("a.log", gzip.compress(TWO.encode(), mtime=0), "it is packed by gzip: name it with .gz at the end"),
         ("a.pcap", b"\xd4\xc3\xb2\xa1\x02\0\x04\0", "it is a capture of Wireshark or tcpdump: record"),
         ("a.trc", VERSION.format("3.0"), "its version 3.0 is none of 1.0, 1.1, 1.2, 1.3, 2.0, 2.1: save"),
         ("a.trc", VERSION.format("1.1") + "nonsense\n", "is no number|is not a number: give a recording"),

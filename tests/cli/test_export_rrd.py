@@ -48,7 +48,7 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
     np.testing.assert_allclose(force, 1e-3 * npz["restored"].sum((1, 2)), atol=1e-5)
     assert [each[0] for each in got["/palm/peak"]["scalars"]] == pytest.approx(npz["restored"].max((1, 2)))
     assert static["/palm/force", "names"] == ["force in N"]
-    assert got["/palm/contacts"]["labels"][-1] == ["1.41 N"]
+    assert got["/palm/contacts"]["labels"][-1] == ["1.40 N"]
     masks = got["/palm/raw/no_data"]
     unknown = {frame: sum(mask[0]) for frame, mask in zip(masks["frame"], masks["buffer"], strict=True)}
     assert (unknown[0], unknown[7], unknown[8]) == (0, 41, 0)
