@@ -22,10 +22,9 @@ def estimate(frames: NDArray[np.floating]) -> float:
     """Standard deviation (kPa) of a taxel from frames (T, ...), unknown ones ignored; over 0 unless all are 0.
 
     From second differences in time between known values, which a steady or evenly moving load leaves alone, also
-    where frames are missing. From one or two frames,
-    or presses that have nothing to do with each other, from second differences along all of an array's axes
-    in turn, which the cover keeps small; these do not see noise that whole rows share. The median discards
-    the rest.
+    where frames are missing. From one or two frames, or presses that have nothing to do with each other, from
+    second differences along all of an array's axes in turn, which the cover keeps small; these do not see noise
+    that whole rows share. The median discards the rest.
     """
     values = np.asarray(frames, float)
     values = np.where(np.abs(values) < IMPLAUSIBLE_KPA, values, np.nan)

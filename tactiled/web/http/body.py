@@ -51,7 +51,7 @@ class HeldBodies:
 class Body:
     """The body of a request: Problem 413 as soon as it is too large, 408 where it is too late.
 
-    422 at once where none belongs, 503 where it must give way.
+    503 where it must give way. Where none belongs, it is dropped, and `unwanted` replaces a success.
     """
 
     def __init__(self, scope: Scope, receive: Receive, bodies: HeldBodies) -> None:
